@@ -191,7 +191,7 @@ def _rounds(run: Run, level: Level, x: Array, watch: _Watch, dielectric: int) ->
             and total > (1 - settings.COARSE_ROUND_GAIN_MIN) * last
         )
         last = total
-        if settled or exact or watch.stopped:
+        if settled or exact or watch.stopped or run.out_of_time():
             break
     return Lights(x, left, exact, shared)
 
@@ -286,8 +286,10 @@ def _fitted_prior(
         if each.shared is not None:
             of_pixel = each.misfit.of_likelihood
             found = with_lights(objective, found, strength, of_pixel, each.shared, run.out_of_time)
+        if scores and run.out_of_time():
+            break
         score = 0.0
-        if len(candidates) > 1:
+        if len(candidates) > 1 and not run.out_of_time():
             assert each.shared is not None
             lights = each.shared.lights.weighing(variance, variance, objective.pixels)
             score = surprise(objective, found, variance, lights)

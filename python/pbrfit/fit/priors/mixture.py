@@ -170,6 +170,8 @@ def with_lights(
     """
     x = x.copy()
     for sigma_min, at_most, steps in settings.PRIOR_ROUNDS:
+        if stop():
+            break
         labels = _labels(objective)
         pixels = evenly_spaced_over(labels, at_most)
         few, part = objective.restricted(pixels), objective.part_of(x, pixels)
@@ -183,8 +185,6 @@ def with_lights(
         fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
         minimize(fit, steps, settings.GAIN_MIN)
         x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
-        if stop():
-            break
     return x
 
 
