@@ -121,11 +121,8 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
 
 
 def ambiguous(objective: Objective) -> bool:
-    """Whether pictures leave fewer equations of a pixel than it has unknowns: of 3 in colour, 4.
-
-    Then other lights with other materials explain them nearly as well.
-    """
-    return bool(objective.samples < 2 * objective.layout.maps.stop)
+    """Whether pictures are so few that other lights with other materials may explain them too."""
+    return bool(objective.samples < settings.SAMPLES_OF_UNKNOWN * objective.layout.maps.stop)
 
 
 def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:

@@ -109,6 +109,11 @@ COARSE_ROUNDS_MAX = 12
 COARSE_STEPS = 6
 """Rounds of that level, each a search of the nodes for each pixel and up to so many joint steps."""
 
+SAMPLES_OF_UNKNOWN = 4
+"""Samples for each unknown of a pixel below which lights have a second start: in colour, up to 6
+pictures. Of 12 rooms with 5 pictures, one start ended in wrong minima in two. More pictures decide
+between minima by themselves, and a second start would take half of the time of a fit again."""
+
 DIELECTRIC_ROUNDS = 2
 DIELECTRIC_SIGMA = 0.1
 """Where lights are ambiguous, rounds of a second start in which roughness and metallic have a
