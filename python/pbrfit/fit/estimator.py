@@ -277,7 +277,7 @@ def _fitted_prior(
         assert run.shared_state.material is not None
         return run.shared_state.material.applied(objective, x, run.out_of_time)
     variance = min(each.misfit.of_likelihood for each in candidates)
-    scores = []
+    scores: list[tuple[float, Array]] = []
     for each in candidates:
         found = each.x
         if each.shared is not None:
