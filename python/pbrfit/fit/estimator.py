@@ -8,8 +8,10 @@
    only noise next to nothing in the end.
 2. **Material prior** (`priors.mixture`): what roughness and metallic each segment is made of, found
    together with the lights by as many pixels, evenly spread over the segments.
-3. **All pixels**: each by itself under these lights, from the grid and around its prior; then joint
-   steps of all pixels, lights and what clusters of pixels share.
+   Where pictures are so few that lights are ambiguous, both come from two starts, and the
+   likelier stay.
+3. **All pixels**: each by itself under these lights, from the grid and around its prior; without
+   one, joint steps of all pixels and lights follow.
 
 A scene that the model fits and one that it does not go the same way. Where lights are known, steps
 that move them are left out. A robust loss is lowered as squares with the weights that it gives to
@@ -20,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +37,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import descended, fit_all, place, put, retry_outliers, taken
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.mixture import fit_prior
+from pbrfit.fit.priors.mixture import fit_prior, surprise, with_lights
 from pbrfit.fit.priors.penalties import Monochrome, penalties
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
@@ -93,7 +96,10 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
                 with run.stage("material prior") as notes:
                     notes.append("left out: the pictures are explained to the last digit")
             else:
-                x, prior = fit_mixture_prior(run, x, lights)
+                others = []
+                if lights.shared is not None and run.goes_on and ambiguous(run.objective):
+                    others = [find_lights(run, start, dielectric=True)]
+                x, prior = fit_mixture_prior(run, lights, *others)
         if run.goes_on:
             x = fit_all_pixels(run, x, lights, prior)
     if len(run.rows) == rows:  # lights without materials that were fitted under them
@@ -117,7 +123,7 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
     with run.stage("L-BFGS-B"):
         x, _, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
     if run.has_mixture_prior and not run.out_of_time():
-        x, prior = fit_mixture_prior(run, x, judged(run.objective.reweighted(x), x))
+        x, prior = fit_mixture_prior(run, judged(run.objective.reweighted(x), x))
         kept = kept if prior is None else ""
         if run.goes_on:  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
@@ -126,8 +132,13 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
     return x, *run.ended("no step lowers the loss further", kept)
 
 
-def find_lights(run: Run, x: Array) -> Lights:
-    """Lights that explain a level of pixels, from those of x."""
+def ambiguous(objective: Objective) -> bool:
+    """Whether pictures are so few that other lights with other materials may explain them too."""
+    return bool(objective.samples < settings.SAMPLES_OF_UNKNOWN * objective.layout.maps.stop)
+
+
+def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
+    """Lights that explain a level of pixels, from those of x; see `_rounds`."""
     objective = run.objective
     if run.shared_state is not None:  # a tile, which is told all that pixels share
         return Lights(x, Misfit(0.0), False, None)
@@ -139,7 +150,11 @@ def find_lights(run: Run, x: Array) -> Lights:
             return judged(objective, x, level)
         x = x.copy()
         part = objective.part_of(x, level.pixels)
-        found = rounds(run, level, part, Watch(run, x, level))
+        if dielectric:
+            notes.append("as if all were dielectric")
+        watch = Watch(run, x, level)
+        first = settings.DIELECTRIC_ROUNDS if dielectric else 0
+        found = rounds(run, level, part, watch, dielectric=first)
         objective.put_part(x, level.pixels, part)
         notes.append(found.misfit.in_words())
     return replace(found, x=x)
@@ -151,22 +166,25 @@ def rounds(
     x: Array,
     watch: Watch,
     normals: FreeNormals | None = None,
+    *,
     at_most: int = settings.COARSE_ROUNDS_MAX,
+    dielectric: int = 0,
 ) -> Lights:
     """Rounds of materials and joint steps of a level's pixels, whose x changes.
 
-    `normals` is for an objective that has them free.
+    `normals` is for an objective that has them free. Without, pixels have a prior around a
+    dielectric of middle roughness in the first rounds, as many as `dielectric` says.
     """
     objective = level.objective
     everything = np.arange(objective.pixels, dtype=np.uint64)
     shared = None
     if objective.lighting is not None:
         shared = SharedFit(LightPrior.around(objective, x))
-    left, weight, last, exact, prior, fixed = Misfit(np.inf), np.inf, np.inf, False, None, None
+    left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
     for number in range(at_most):
         if number >= settings.ROBUST_ROUND:
             level = replace(level, objective=_robust(run, level.objective, x))
-        objective = level.objective
+        objective, prior, fixed = level.objective, None, None
         if normals is not None:
             if number == 0:  # what the given ones can explain, first
                 found, _ = descended(
@@ -180,6 +198,8 @@ def rounds(
                 place(objective, x, everything, found)
             prior = normals.prior(objective, x, number)
             fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
+        elif number < dielectric:
+            prior = fixed = _dielectric(objective, objective.put_best_albedo(x, everything))
         found, sum_sq = descended(
             objective,
             x,
@@ -189,7 +209,7 @@ def rounds(
             prior=fixed,
         )
         place(objective, x, everything, found)
-        if number and normals is None:
+        if number and prior is None:
             retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
         left, before = _left(level, x, sum_sq, shared, fixed), weight
@@ -215,6 +235,14 @@ def rounds(
     unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()
     return Lights(x, left, exact, shared, mean_squared, objective.samples, unknowns, cut_short)
+
+
+def _dielectric(objective: Objective, sum_sq: Array) -> GaussianPrior:
+    """Around a dielectric of middle roughness, as strong as what is left of the pixels allows."""
+    used = slice(len(objective.layout.roughness_metallic))
+    mean = np.tile([settings.START_ROUGHNESS, 0.0], (objective.pixels, 1))[:, used]
+    precision = misfit.variance(objective, sum_sq) / settings.DIELECTRIC_SIGMA**2
+    return GaussianPrior(mean, np.full(mean.shape, precision))
 
 
 def _left(
@@ -256,27 +284,29 @@ def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights
     return Lights(x, left, exact, shared, mean_squared, few.samples, few.size)
 
 
-def fit_mixture_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, GaussianPrior | None]:
+def fit_mixture_prior(
+    run: Run, lights: Lights, *others: Lights
+) -> tuple[Array, GaussianPrior | None]:
     """X with the material prior fitted around it, which is a penalty from here on; one iteration.
 
-    Where time runs out before, x is as it was and there is no prior. Weights that are chosen by
-    rule are chosen by the lights that were found with it.
+    Of several lights those that are likeliest with their prior stay. Where time runs out before, x
+    is as it was and there is no prior. Weights that are chosen by rule are chosen by the lights
+    that were found with it.
     """
-    objective = run.objective
-    others = []
+    objective, x, held = run.objective, lights.x, []
     with run.stage("material prior") as notes:
-        found = _fitted_prior(run, x, lights)
+        found = _fitted_prior(run, (lights, *others), notes)
         if found is None:
             notes.append("stopped before all pixels had theirs")
             return x, None
         x, prior = found
         if run.shared_state is not None:
-            others = run.shared_state.penalties(objective.layout)
+            held = run.shared_state.penalties(objective.layout)
         run.measured_lighting = objective.unpack(x)[1]
         plan = FitPlan.of(
             run.scene, objective.layout, priors=run.options.priors, lighting=run.measured_lighting
         )
-        objective.penalties = [*penalties(objective.layout, plan.priors), *others, prior]
+        objective.penalties = [*penalties(objective.layout, plan.priors), *held, prior]
         objective.robust = run.robust_around(x)
         loss = run.evaluate(x)[0]
         run.iteration += 1
@@ -284,27 +314,46 @@ def fit_mixture_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, Gaussi
     return x, prior
 
 
-def _fitted_prior(run: Run, x: Array, lights: Lights) -> tuple[Array, GaussianPrior] | None:
+def _fitted_prior(
+    run: Run, candidates: tuple[Lights, ...], notes: list[str]
+) -> tuple[Array, GaussianPrior] | None:
     """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
-    reweighted = _robust(run, run.objective, x)
+    strength, x = run.options.priors.material, candidates[0].x
+    objective = _robust(run, run.objective, x)
     if run.shared_state is not None:
         assert run.shared_state.material is not None
-        return run.shared_state.material.applied(reweighted, x, run.out_of_time)
-    found = fit_prior(
-        reweighted,
-        x,
-        run.options.priors.material,
-        lights.misfit.of_likelihood,
-        lights.shared,
-        stop=run.out_of_time,
-    )
-    if found is None:
+        return run.shared_state.material.applied(objective, x, run.out_of_time)
+    variance = min(each.misfit.of_likelihood for each in candidates)
+    scores: list[tuple[float, Array]] = []
+    for each in candidates:
+        found = each.x
+        if each.shared is not None:
+            of_pixel = each.misfit.of_likelihood
+            found = with_lights(objective, found, strength, of_pixel, each.shared, run.out_of_time)
+        if scores and run.out_of_time():
+            break
+        score = 0.0
+        if len(candidates) > 1 and not run.out_of_time():
+            assert each.shared is not None
+            lights = each.shared.lights.weighing(variance, variance, objective.pixels)
+            score = surprise(objective, found, variance, lights)
+        scores.append((score, found))
+    x = min(scores, key=itemgetter(0))[1]
+    if len(scores) > 1:
+        notes.append(
+            "-2 ln of the likelihood of lights: "
+            + ", ".join(f"{score - scores[0][0]:+.0f}" for score, _ in scores[1:])
+            + " from the second start"
+        )
+    steps = run.options.solver == "gauss-newton"
+    # Penalties that follow have to weigh against the data as they are.
+    once = steps and not _beyond_squares(run, None)
+    fitted = fit_prior(objective, x, strength, variance, run.out_of_time, counted_once=once)
+    if fitted is None:
         return None
-    x, prior, run.fitted_prior = found
-    if run.options.solver == "gauss-newton":
-        # What clusters of pixels are made of has been found together with the lights. With offsets
-        # free once more, lights and all pixels would follow the bias that the many unknowns of
-        # single pixels have in common (J. Neyman and E. Scott, Econometrica 16, 1948).
+    x, prior, run.fitted_prior = fitted
+    if steps:
+        # What clusters of pixels are made of has been found together with the lights.
         prior = replace(prior, cluster=None)
     return x, prior
 
@@ -317,15 +366,21 @@ def _make_grey(shared: SharedFit, objective: Objective) -> None:
 
 
 def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None) -> Array:
-    """X with all pixels, and all that they share, fitted with the prior.
+    """X with all pixels, and without a material prior the lights, fitted.
 
-    The prior on lights weighs less where less is left of all pixels than was of the coarse level.
+    With one, lights have been found by many pixels whose materials the prior summed up. Now that
+    each pixel has its own, lights would follow the bias that these have in common (J. Neyman and
+    E. Scott, Econometrica 16, 1948). They move only where the monochrome prior, which is known from
+    here on, weighs. The prior on lights weighs less where less is left of all pixels than was of
+    the coarse level.
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
     watch, shared = Watch(run, x), lights.shared
     variance = lights.misfit.variance
     if shared is not None:
         _make_grey(shared, run.objective)
+        if prior is not None and not shared.lights.grey:
+            shared = None
     with run.stage("all pixels") as notes:
         for number in range(settings.GLOBAL_ROUNDS_MAX):
             objective = _robust(run, run.objective, x)

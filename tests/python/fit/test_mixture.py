@@ -16,7 +16,7 @@ from pbrfit.fit.joint import minimize
 from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors import mixture
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.mixture import FittedPrior, fit_prior
+from pbrfit.fit.priors.mixture import FittedPrior, fit_prior, surprise, with_lights
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
@@ -239,8 +239,13 @@ def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> N
     objective = Objective(room)
     grid = mixture._Grid(objective, objective.start(), 1e-4)
     nodes = np.eye(len(grid.roughness), dtype=np.float32)
-    fitted = mixture._Distributions.of(nodes[[3] * 50], np.ones(50, np.intp), grid)
-    found = fitted.posterior(nodes[[200, 3]], np.ones(2, np.intp))
+
+    def sharp(at: list[int]) -> mixture._Likelihood:
+        none = np.zeros(len(at), np.float32)
+        return mixture._Likelihood(nodes[at], none, none)
+
+    fitted = mixture._Distributions.of(sharp([3] * 50), np.ones(50, np.intp), grid)
+    found = fitted.posterior(sharp([200, 3]), np.ones(2, np.intp))
     true = [[grid.roughness[i], grid.metallic[i]] for i in (200, 3)]
     np.testing.assert_allclose(found.mean, true, rtol=1e-6)
     assert np.isfinite(found.variance).all()
@@ -254,9 +259,12 @@ def by_squares(objective: Objective) -> tuple[Array, Lights]:
 
 
 def with_prior(
-    objective: Objective, x: Array, lights: Lights, **options: Any
+    objective: Objective, x: Array, lights: Lights, *, once: bool = False
 ) -> tuple[Array, GaussianPrior, FittedPrior]:
-    found = fit_prior(objective, x, 1.0, lights.misfit.of_likelihood, lights.shared, **options)
+    variance = lights.misfit.of_likelihood
+    if lights.shared is not None:
+        x = with_lights(objective, x, 1.0, variance, lights.shared)
+    found = fit_prior(objective, x, 1.0, variance, counted_once=once)
     assert found is not None
     return found
 
@@ -280,7 +288,7 @@ def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
     # It is twice as stiff if it is twice as strong, and weaker where pixels say less.
     alone = lights.misfit.of_likelihood
     once, twice, unsure = (
-        fit_prior(objective, found, *of, None)
+        fit_prior(objective, found, *of, counted_once=False)
         for of in ((1.0, alone), (2.0, alone), (1.0, 9 * alone))
     )
     assert once is not None
@@ -296,6 +304,48 @@ def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
     assert fitted.strength == 1.0
 
 
+def fitted_with(objective: Objective, x: Array, prior: GaussianPrior) -> Array:
+    """Roughness of all pixels, fitted with a prior under the lights of x."""
+    x = x.copy()
+    assert fit_all(objective, x, starts=1, prior=prior) is not None
+    return x[objective.layout.roughness_metallic[0]]
+
+
+def test_data_that_the_posterior_has_count_once(room: Scene) -> None:
+    # A noisy pixel stays at the mean of its posterior, a sharp one goes where its data say.
+    objective = Objective(room)
+    x, lights = by_squares(objective)
+    twice = with_prior(objective, x, lights)[1]
+    found, once, _ = with_prior(objective, x, lights, once=True)
+    ratio = once.precision / twice.precision
+    np.testing.assert_allclose(ratio[:, 0], ratio[:, 1])
+    assert ratio.min() >= 1
+    grid = mixture._Grid(objective, found, lights.misfit.of_likelihood)
+    sharp = grid.likelihood(np.arange(objective.pixels, dtype=np.uint64)).unused
+    np.testing.assert_allclose(ratio[:, 0], 1 / sharp, rtol=1e-5)
+    deviation = np.abs(fitted_with(objective, found, once) - once.mean[:, 0])
+    before = np.abs(fitted_with(objective, found, twice) - twice.mean[:, 0])
+    noisy = sharp < np.median(sharp)
+    assert deviation[noisy].mean() < 0.5 * before[noisy].mean()
+
+
+def test_true_lights_surprise_less(room: Scene) -> None:
+    objective = Objective(room)
+    x, lights = by_squares(objective)
+    assert lights.shared is not None
+    truth = truth_of(room)
+    variance = (0.01 / objective.scale) ** 2
+    prior = lights.shared.lights.weighing(variance, variance, objective.pixels)
+    maps = truth.materials
+    true = objective.pack(maps.albedo, maps.roughness, maps.metallic, truth.lighting)
+    far = true.copy()
+    far[objective.layout.lighting] *= 1.5
+    scores = [surprise(objective, at, variance, prior) for at in (true, far, x)]
+    # Of samples less unknowns of the pixels, as χ² has it, and their spread beside it.
+    assert scores[0] / objective.pixels < 2 * objective.samples / objective.pixels
+    assert scores[0] < min(scores[1:])
+
+
 @pytest.mark.parametrize("looks", [0, 2, 4, 5])
 def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int) -> None:
     objective = Objective(room)
@@ -303,7 +353,9 @@ def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int
     before, left = x.copy(), iter([False] * looks)
     stop = lambda: next(left, True)  # noqa: E731
     alone = lights.misfit.of_likelihood
-    assert fit_prior(objective, x, 1.0, alone, lights.shared, stop) is None
+    assert lights.shared is not None
+    lit = with_lights(objective, x, 1.0, alone, lights.shared, stop)
+    assert fit_prior(objective, lit, 1.0, alone, stop, counted_once=False) is None
     np.testing.assert_array_equal(x, before)
 
 

@@ -164,7 +164,8 @@ def test_what_ran_is_told(solver: Solver, tmp_path: Path) -> None:
     assert result.options.solver == solver
     assert result.options.seed == 3
     expected = {
-        "lbfgsb": ["L-BFGS-B", "material prior", "L-BFGS-B with the material prior"],
+        # Those of the coarse level, which says that the normals are right.
+        "lbfgsb": ["lights", "L-BFGS-B", "material prior", "L-BFGS-B with the material prior"],
         "gauss-newton": ["lights", "material prior", "all pixels"],
     }
     assert names_of(result) == expected[solver]
@@ -210,3 +211,13 @@ def test_demo_draws_all_from_one_seed(tmp_path: Path) -> None:
     options = ("--size", 8, "--lights", 3, "--iterations", 2, "--seed", 9, "--quiet")
     assert run("demo", tmp_path / "out", *options) == 0
     assert Result.load(tmp_path / "out" / "result").options.seed == 9
+
+
+@pytest.mark.parametrize(("pictures", "stages"), [(6, 2), (7, 1)])
+def test_lights_of_few_pictures_have_two_starts(pictures: int, stages: int) -> None:
+    # Up to 6 colour pictures give a pixel fewer than 4 samples for each of its 5 unknowns.
+    scene = make_scene("room", size=16, lights=pictures, held_out=1, noise=0.01, seed=2000)
+    result = pbrfit.decompose(scene, refine_normals="off", uncertainty=False)
+    assert names_of(result).count("lights") == stages
+    notes = [stage.note for stage in result.stages if stage.name == "material prior"]
+    assert notes[0].startswith("-2 ln of the likelihood of lights") == (stages == 2)

@@ -176,7 +176,7 @@ def _find_normals(
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
             of_level = FreeNormals.of(level, given[chosen], sigma_of_level)
             part = free.part_of(start, level.pixels)
-            found = rounds(run, level, part, Watch(run, start, level), of_level, at_most)
+            found = rounds(run, level, part, Watch(run, start, level), of_level, at_most=at_most)
             start[lights] = part[level.objective.layout.maps.stop :]
             if found.cut_short:
                 break

@@ -16,19 +16,28 @@ With noise s², lights known and nodes k,
     prior of pixel i: s² a_i (v_i − c_i − δ)²             a_i = 1 / (σ_min² + V_i)
 
 with c and V mean and variance of the posterior. η = σ²/(σ² + spacing²) widens likelihoods that are
-too sharp for the grid. The offset δ is common to the pixels of a segment that fell to the same
-group of neighbouring nodes, and free: so the prior gathers pixels without holding on to where they
-were gathered while lights were still wrong.
+too sharp for the grid. Of A to the power 1/η, what the pictures say, A is in the posterior; the
+share 1 − η is left for the fit that follows. So that data count once, a pixel minimises
+
+    (1 − η_i) Σ ω (I − T)² + s² a_i (v_i − c_i)²
+
+which is a prior of precision a_i/(1 − η_i) beside the whole sum: a noisy pixel stays at the mean of
+its posterior, a sharp one finds what is between the nodes. In the rounds below, where pixels have
+to follow the lights, and beside L-BFGS-B, which moves both to its end, it is a_i. The offset δ is
+common to the pixels of a segment that fell to the same group of neighbouring nodes, and free: so
+the prior gathers pixels without holding on to where they were gathered while lights were still
+wrong.
 
 Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
 joint steps (`pbrfit.fit.joint`), and then applied to all. s² is that in the likelihood of a pixel,
-larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit`).
+larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit`). Lights that were
+found from different starts compare by `surprise`, in which pixels' materials are summed over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +45,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.light_prior import LightPrior, as_in_core
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over, slices
@@ -61,6 +71,8 @@ class FittedPrior:
     """s², of samples of weight 1, in units of x."""
     strength: float
     """`Priors.material`."""
+    counted_once: bool
+    """Whether data that the posterior has count once, beside it."""
 
     def applied(
         self, objective: Objective, x: Array, stop: Stop
@@ -73,13 +85,18 @@ class FittedPrior:
         posterior = self.distributions.of_all(grid, stop)
         if posterior is None:
             return None
-        mean, precision = posterior.gaussian(
-            settings.PRIOR_SIGMA_MIN, self.strength * self.variance, objective
-        )
+        prior = self.around(posterior, objective)
         x = x.copy()
-        _put_all(objective, x, mean)
-        blocks, factor = objective.layout.roughness_metallic, 1 / objective.total_weight
-        return x, GaussianPrior(mean, precision, None, blocks, factor)
+        _put_all(objective, x, prior.mean)
+        return x, replace(prior, cluster=None)
+
+    def around(self, posterior: _Posterior, objective: Objective) -> GaussianPrior:
+        """Of pixels with this posterior."""
+        prior = posterior.prior(settings.PRIOR_SIGMA_MIN, self.strength * self.variance, objective)
+        if not self.counted_once:
+            return prior
+        precision = prior.precision / posterior.unused[:, None]
+        return replace(prior, precision=precision)
 
 
 @one_blas_thread()
@@ -88,25 +105,26 @@ def fit_prior(
     x: Array,
     strength: float,
     variance: float,
-    shared: SharedFit | None,
     stop: Stop = lambda: False,
+    *,
+    counted_once: bool,
 ) -> tuple[Array, GaussianPrior, FittedPrior] | None:
-    """Fit the prior around x, a fit of the data, with the strength of `Priors.material`.
+    """Fit the prior under the lights of x, with the strength of `Priors.material`.
 
-    `variance` is s² in the likelihood of a pixel. With `shared` lights are found together with the
-    prior. Returned are x for all pixels with these lights, the pixels' prior, and what was fitted;
-    None if time ran out before all pixels had theirs. `stop` is asked between rounds, and then
-    between pieces of the pixels.
+    `variance` is s² in the likelihood of a pixel. Returned are x for all pixels, their prior, and
+    what was fitted; None if time ran out before all pixels had theirs. `stop` is asked between
+    pieces of the pixels.
     """
-    x = x.copy() if shared is None else _with_lights(objective, x, strength, variance, shared, stop)
+    x = x.copy()
     grid = _Grid(objective, x, variance)
     distributions = _fit_distributions(grid)
     posterior = distributions.of_all(grid, stop)
     if posterior is None:
         return None
-    prior = posterior.prior(settings.PRIOR_SIGMA_MIN, strength * variance, objective)
+    fitted = FittedPrior(distributions, variance, strength, counted_once)
+    prior = fitted.around(posterior, objective)
     _put_all(objective, x, prior.mean)
-    return x, prior, FittedPrior(distributions, variance, strength)
+    return x, prior, fitted
 
 
 def prior_at(
@@ -135,17 +153,22 @@ def _fit_distributions(grid: _Grid) -> _Distributions:
     return _Distributions.of(grid.likelihood(many), labels[many], grid)
 
 
-def _with_lights(
+def with_lights(
     objective: Objective,
     x: Array,
     strength: float,
     variance: float,
     shared: SharedFit,
-    stop: Stop,
+    stop: Stop = lambda: False,
 ) -> Array:
-    """X with the lights that some pixels, with their prior, found."""
+    """X with the lights that some pixels, with their prior, find from those of x.
+
+    `variance` is s² in the likelihood of a pixel. `stop` is asked between rounds.
+    """
     x = x.copy()
     for sigma_min, at_most, steps in settings.PRIOR_ROUNDS:
+        if stop():
+            break
         labels = _labels(objective)
         pixels = evenly_spaced_over(labels, at_most)
         few, part = objective.restricted(pixels), objective.part_of(x, pixels)
@@ -159,9 +182,24 @@ def _with_lights(
         fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
         minimize(fit, steps, settings.GAIN_MIN)
         x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
-        if stop():
-            break
     return x
+
+
+def surprise(objective: Objective, x: Array, variance: float, prior: LightPrior) -> float:
+    """−2 ln of the likelihood of the lights of x, with their prior, less a constant: as χ².
+
+    Σ_i [min_k 2 l_ik − 2 ln Σ_k A_ik p_k] over an even share of the pixels: their roughness and
+    metallic are summed over and not fitted, or more freedom would always be better.
+    """
+    labels = _labels(objective)
+    pixels = evenly_spaced_over(labels, settings.PRIOR_ROUNDS[-1][1])
+    grid, labels = _Grid(objective, x, variance), labels[pixels]
+    likelihood = grid.likelihood(pixels)
+    distributions = _Distributions.of(likelihood, labels, grid)
+    marginal = (likelihood.values * distributions.probabilities[distributions.rows(labels)]).sum(1)
+    lights = as_in_core(x[objective.layout.lighting], objective).ravel()
+    misfit = float(likelihood.least.sum(dtype=np.float64)) + prior.cost(lights)
+    return misfit / variance - 2 * float(np.log(marginal).sum(dtype=np.float64))
 
 
 def _put_all(objective: Objective, x: Array, values: Array) -> None:
@@ -191,25 +229,26 @@ class _Grid:
         nodes = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
         self.roughness, self.metallic = (of_nodes.ravel() for of_nodes in nodes)
 
-    def likelihood(self, pixels: Pixels) -> NDArray[np.float32]:
-        """A, (Q, nodes); 1 at the best node of each pixel."""
-        found = np.empty((len(pixels), len(self.roughness)), np.float32)
+    def likelihood(self, pixels: Pixels) -> _Likelihood:
+        """Of some pixels."""
 
-        def fill(piece: slice) -> None:
-            found[piece] = self.of_piece(pixels[piece])
+        def of_piece(piece: slice) -> _Likelihood:
+            return self.of_piece(pixels[piece])
 
-        in_pieces(self.objective.threads, fill, slices(len(pixels), settings.PIXELS_AT_ONCE))
-        return found
+        pieces = slices(len(pixels), settings.PIXELS_AT_ONCE)
+        parts = in_pieces(self.objective.threads, of_piece, pieces)
+        return _Likelihood(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _sum_sq(self, pixels: Pixels) -> NDArray[np.float32]:
         """Least Σ ω (I − T)² of each node, (Q, nodes)."""
         sum_sq = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
         return sum_sq.reshape(len(pixels), -1)
 
-    def of_piece(self, pixels: Pixels) -> NDArray[np.float32]:
+    def of_piece(self, pixels: Pixels) -> _Likelihood:
         """The same of few enough pixels."""
         excess = self._sum_sq(pixels)
-        excess -= excess.min(axis=1, keepdims=True)
+        least = excess.min(axis=1, keepdims=True)
+        excess -= least
         excess /= np.float32(2 * self._variance)
         # σ of roughness, from the curvature of its profile at the best node.
         profile = _least(excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1))
@@ -218,10 +257,11 @@ class _Grid:
         curvature = (
             np.maximum(below - 2 * at + above, settings.LIKELIHOOD_CURVATURE_MIN) / NODE_DISTANCE**2
         )
-        share = 1 / (1 + settings.PRIOR_NODE_SPACING**2 * curvature)  # η
+        sharpness = settings.PRIOR_NODE_SPACING**2 * curvature  # spacing²/σ²
+        share = 1 / (1 + sharpness)  # η
         excess *= -share
         np.exp(excess, out=excess)
-        return excess
+        return _Likelihood(excess, (sharpness * share)[:, 0], least[:, 0])
 
 
 def _least(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -232,12 +272,24 @@ def _least(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return found
 
 
+class _Likelihood(NamedTuple):
+    """What pixels' samples say about the nodes."""
+
+    values: NDArray[np.float32]
+    """A, (Q, nodes); 1 at the best node of each pixel."""
+    unused: NDArray[np.float32]
+    """1 − η, (Q,)."""
+    least: NDArray[np.float32]
+    """Σ ω (I − T)² at the best node, (Q,)."""
+
+
 class _Posterior(NamedTuple):
-    """Mean and variance of roughness and metallic, (Q, 2), and the cluster, (Q,)."""
+    """Mean and variance of roughness and metallic, (Q, 2), the cluster and 1 − η, (Q,)."""
 
     mean: NDArray[np.float32]
     variance: NDArray[np.float32]
     cluster: Labels
+    unused: NDArray[np.float32]
 
     def gaussian(
         self, sigma_min: float, variance: float, objective: Objective
@@ -272,16 +324,17 @@ class _Distributions:
     """(nodes, 2): their roughness and metallic."""
 
     @classmethod
-    def of(cls, likelihood: NDArray[np.float32], labels: Labels, grid: _Grid) -> _Distributions:
+    def of(cls, found: _Likelihood, labels: Labels, grid: _Grid) -> _Distributions:
         """From pixels of these labels; unclassified ones, of label 0, have the picture's."""
         from scipy.ndimage import label
 
+        likelihood = found.values
         whole = _mixture(likelihood)
         rows = [whole]
         row = np.zeros(labels.max() + 1, np.intp)
         order = np.argsort(labels, kind="stable")
-        found, starts = np.unique(labels[order], return_index=True)
-        for segment, of_segment in zip(found, np.split(order, starts[1:]), strict=True):
+        segments, starts = np.unique(labels[order], return_index=True)
+        for segment, of_segment in zip(segments, np.split(order, starts[1:]), strict=True):
             if segment and len(of_segment) >= settings.SEGMENT_PIXELS_MIN:
                 row[segment] = len(rows)
                 rows.append(_mixture(likelihood[of_segment], whole))
@@ -312,12 +365,16 @@ class _Distributions:
             return None
         return _Posterior(*map(np.concatenate, zip(*found, strict=True)))
 
-    def posterior(self, likelihood: NDArray[np.float32], labels: Labels) -> _Posterior:
-        """Of pixels with these likelihoods, (Q, nodes), and labels."""
+    def rows(self, labels: Labels) -> Labels:
+        """Of pixels with these labels."""
         known = labels < len(self.row)
-        rows = np.where(known, self.row[np.where(known, labels, 0)], 0)
+        return np.where(known, self.row[np.where(known, labels, 0)], 0)
+
+    def posterior(self, likelihood: _Likelihood, labels: Labels) -> _Posterior:
+        """Of pixels with these likelihoods and labels."""
+        rows = self.rows(labels)
         posterior = self.probabilities[rows]
-        posterior *= likelihood
+        posterior *= likelihood.values
         posterior /= posterior.sum(axis=1, keepdims=True)
         mean = posterior @ self.nodes
         variance = np.maximum(posterior @ self.nodes**2 - mean**2, 0)
@@ -329,7 +386,7 @@ class _Distributions:
             here = rows == of_row
             group[here] = (posterior[here] @ of_groups.astype(np.float32)).argmax(axis=1)
         cluster = labels * count + group
-        return _Posterior(np.clip(mean, 0, 1), variance, cluster)
+        return _Posterior(np.clip(mean, 0, 1), variance, cluster, likelihood.unused)
 
 
 def _mixture(
