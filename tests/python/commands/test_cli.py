@@ -51,7 +51,7 @@ def test_decompose_every_format(tmp_path: Path, form: str) -> None:
     folder, out = write_folder(tmp_path / "scene", form), tmp_path / "out"
     found = ran("decompose", folder, "--out", out, *FEW)
     assert found.err == ""  # no progress bar where stderr is no terminal
-    assert f"{out}: 3 pictures of 16 × 16, 3 iterations in " in found.out
+    assert re.search(rf"{out}: 3 pictures of 16 × 16, [23] iterations in ", found.out)
     assert sorted(path.name for path in out.iterdir()) == FILES
     facts = outcome(out)
     assert list(facts) == KEYS

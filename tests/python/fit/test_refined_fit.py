@@ -142,7 +142,7 @@ def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
     options = dict(options)
     scene = wrong(right(16, noise=options.pop("noise", 0.0)))
     results = [
-        decompose(scene, refine_normals="on", iterations=5, threads=threads, **options)
+        decompose(scene, refine_normals="on", iterations=40, threads=threads, **options)
         for threads in (1, 2, 3)
     ]
     assert results[0].refinement.refined

@@ -152,7 +152,11 @@ class TestFit:
             np.testing.assert_allclose(one.albedo_scale, other.albedo_scale, rtol=0.1)
 
     @pytest.mark.slow
-    def test_wrong_normals_are_refined_in_tiles_too(self, noisy: pbrfit.Scene) -> None:
+    def test_wrong_normals_are_refined_in_tiles_too(
+        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The subset has to be dense enough for neighbours to turn alike."""
+        in_tiles(monkeypatch, **NINE | {"subset": 72**2})
         rows, columns = np.indices(noisy.valid.shape) / 72
         wrong = noisy.normals + 0.12 * np.stack(
             [np.sin(5 * rows), np.cos(4 * columns), np.zeros_like(rows)], axis=-1
