@@ -83,6 +83,14 @@ def fit(
         why = "0 iterations asked for"
     if why is not None:
         return with_given(), Refinement(asked, False, why)
+    free_x: Array
+    if run.shared_state is not None:  # a tile of a picture whose subset has decided
+        free = make(run.scene, True)
+        free_x, offsets = _start(run, x, free, normals)
+        refined = _refine(run, free, free_x, offsets, make)
+        if refined is None:
+            return with_given(), Refinement(asked, False, OUT_OF_TIME)
+        return refined, Refinement(asked, True, "asked for")
     with one_blas_thread():
         lights = find_lights(run, x)
     figures = _figures(run.objective, lights, "before")
@@ -92,7 +100,8 @@ def fit(
     if why is not None:
         return with_given(lights), Refinement(asked, False, why, figures)
     free = make(run.scene, True)
-    free_x, offsets, found = _find_normals(run, x, free, normals)
+    free_x, offsets = _start(run, x, free, normals)
+    offsets, found = _find_normals(run, free, free_x, offsets)
     # What rounding leaves says nothing of noise.
     samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
     scores = [misfit.score(one.mean_squared, one.unknowns, samples) for one in (lights, found)]
@@ -154,10 +163,10 @@ def _figures(objective: Objective, lights: Lights, when: str) -> dict[str, float
     }
 
 
-def _find_normals(
+def _start(
     run: Run, x: Array, free: Objective, normals: Array | None
-) -> tuple[Array, TangentOffsetPrior, Lights]:
-    """X of the objective with free normals, from a level; the prior on offsets; what it leaves."""
+) -> tuple[Array, TangentOffsetPrior]:
+    """X of the objective with free normals, from that with held ones, and the offsets' prior."""
     scene, layout, held = run.scene, free.layout, run.objective.layout
     given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
     sigma = None
@@ -168,22 +177,33 @@ def _find_normals(
     start[layout.maps.stop :] = x[held.maps.stop :]
     if normals is not None:
         start_from_offsets(free, start, tangent_offsets_between(given, normals))
+    return start, TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, sigma))
+
+
+def _find_normals(
+    run: Run, free: Objective, x: Array, prior: TangentOffsetPrior
+) -> tuple[TangentOffsetPrior, Lights]:
+    """The prior on offsets as a level found it, and what is left of that; x has what it found."""
+    scene = run.scene
     with run.stage("lights and normals") as notes, one_blas_thread():
         level = Level.of(free, settings.COARSE_PIXELS)
         chosen = level.pixels.astype(np.intp)
-        sigma_of_level = None if sigma is None else sigma[chosen]
-        lights = slice(layout.maps.stop, None)
+        given = np.asarray(scene.normals, dtype=np.float64)[scene.valid][chosen]
+        sigma = None
+        if scene.normal_sigma is not None:
+            sigma = scene.normal_sigma[scene.valid].astype(np.float64)[chosen]
+        lights = slice(free.layout.maps.stop, None)
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
-            of_level = FreeNormals.of(level, given[chosen], sigma_of_level)
-            part = free.part_of(start, level.pixels)
-            found = rounds(run, level, part, Watch(run, start, level), of_level, at_most=at_most)
-            start[lights] = part[level.objective.layout.maps.stop :]
+            of_level = FreeNormals.of(level, given, sigma)
+            part = free.part_of(x, level.pixels)
+            watch = Watch(run, x, level)
+            found = rounds(run, level, part, watch, of_level, at_most=at_most)
+            x[lights] = part[level.objective.layout.maps.stop :]
             if found.cut_short:
                 break
-        start_from_level(free, start, level, part)
+        start_from_level(free, x, level, part)
         notes += [f"{len(level.pixels)} pixels", found.misfit.in_words()]
-    prior = TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, sigma))
-    return start, replace(prior, sigma=of_level.offsets.sigma), found
+    return replace(prior, sigma=of_level.offsets.sigma), found
 
 
 @one_blas_thread()
