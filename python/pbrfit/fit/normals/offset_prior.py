@@ -100,26 +100,6 @@ class TangentOffsetPrior:
         of_pairs = self.neighbourhood.sums(ones, self._weights)[:, 0]
         return of_pairs + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
 
-    def cost(self, offsets: Array, variance: float) -> float:
-        """The penalty."""
-        pairs = float(self._weights @ self.neighbourhood.squared_differences(offsets))
-        return float(
-            variance * (pairs + np.square(offsets).sum() / settings.NORMALS_OFFSET_SIGMA_ALONE**2)
-        )
-
-    def half_gradient(self, offsets: Array, variance: float) -> Array:
-        """Half of its gradient, (P, 2)."""
-        others = self.neighbourhood.sums(offsets, self._weights)
-        return np.asarray(variance * (self._own_weights[:, None] * offsets - others))
-
-    def diagonal(self, variance: float) -> Array:
-        """Of half of its second derivatives, (P,), the same for a and b."""
-        return np.asarray(variance * self._own_weights)
-
-    def coupling(self, variance: float) -> Array:
-        """Half of the second derivative by the offsets of each pair, (E,)."""
-        return np.asarray(-variance * self._weights)
-
     def conditional(self, offsets: Array, variance: float) -> tuple[Array, Array]:
         """Mean (P, 2) and precision (P, 2) of each pixel's offset while the others stay."""
         own = self._own_weights[:, None]

@@ -69,10 +69,6 @@ class GaussianPrior:
             return self.mean
         return np.asarray(self.mean + self.offsets(x)[self.cluster])
 
-    def deviation(self, values: Array, offsets: Array) -> Array:
-        """Of values (P, F) with these offsets (clusters, F): v − c − δ, (P, F)."""
-        return np.asarray(values - self.mean - offsets[self.cluster])
-
     def cost(self, values: Array) -> float:
         """Σ a (v − c)² at values (P, F)."""
         return float((self.precision * (values - self.mean) ** 2).sum())
