@@ -34,7 +34,7 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import descended, fit_all, place, put, retry_outliers, taken
+from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, surprise, with_lights
@@ -138,7 +138,7 @@ def ambiguous(objective: Objective) -> bool:
 
 
 def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
-    """Lights that explain a level of pixels, from those of x; see `_rounds`."""
+    """Lights that explain a level of pixels, from those of x; see `rounds`."""
     objective = run.objective
     if run.shared_state is not None:  # a tile, which is told all that pixels share
         return Lights(x, Misfit(0.0), False, None)
@@ -187,28 +187,12 @@ def rounds(
         objective, prior, fixed = level.objective, None, None
         if normals is not None:
             if number == 0:  # what the given ones can explain, first
-                found, _ = descended(
-                    objective,
-                    x,
-                    everything,
-                    steps=settings.DESCENT_STEPS,
-                    starts=settings.SUBSET_STARTS,
-                    held_normals=True,
-                )
-                place(objective, x, everything, found)
+                _fit_level(objective, x, held_normals=True)
             prior = normals.prior(objective, x, number)
             fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
         elif number < dielectric:
             prior = fixed = _dielectric(objective, objective.put_best_albedo(x, everything))
-        found, sum_sq = descended(
-            objective,
-            x,
-            everything,
-            steps=settings.DESCENT_STEPS,
-            starts=settings.SUBSET_STARTS,
-            prior=fixed,
-        )
-        place(objective, x, everything, found)
+        sum_sq = _fit_level(objective, x, fixed)
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
@@ -235,6 +219,20 @@ def rounds(
     unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()
     return Lights(x, left, exact, shared, mean_squared, objective.samples, unknowns, cut_short)
+
+
+def _fit_level(
+    objective: Objective,
+    x: Array,
+    prior: GaussianPrior | None = None,
+    *,
+    held_normals: bool = False,
+) -> Array:
+    """Give a level's pixels their best materials, from nodes too; their sums of squares (P,)."""
+    starts = settings.SUBSET_STARTS
+    sum_sq = fit_all(objective, x, starts=starts, prior=prior, held_normals=held_normals)
+    assert sum_sq is not None  # nothing stops it
+    return sum_sq
 
 
 def _dielectric(objective: Objective, sum_sq: Array) -> GaussianPrior:
@@ -269,11 +267,7 @@ def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights
     """What x leaves of a level, its pixels' materials put to their best."""
     level = level or Level.of(objective, settings.COARSE_PIXELS)
     few, part = level.objective, objective.part_of(x, level.pixels)
-    everything = np.arange(few.pixels, dtype=np.uint64)
-    found, sum_sq = descended(
-        few, part, everything, steps=settings.DESCENT_STEPS, starts=settings.SUBSET_STARTS
-    )
-    place(few, part, everything, found)
+    sum_sq = _fit_level(few, part)
     mean_squared = float(sum_sq.sum()) / few.total_weight
     shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
     left = _left(level, part, sum_sq, shared)
@@ -419,7 +413,7 @@ def _robust(run: Run, objective: Objective, x: Array) -> Objective:
     objective.robust = (
         run.robust_around(x)
         if objective is run.objective
-        else (objective.robust_around(x, run.options.robust))
+        else objective.robust_around(x, run.options.robust)
     )
     return objective.reweighted(x)
 

@@ -164,20 +164,16 @@ def eliminate(
     pixels: NDArray[np.uint64],
     held: NDArray[np.bool_],
     *,
-    precision: Array | None = None,
     damping: float = 0.0,
 ) -> Eliminated:
     """Solve some pixels' normal equations for their materials.
 
-    `precision` (P, D) is added to the diagonal of A, then the share `damping` of the diagonal to
-    itself.
+    The share `damping` of the diagonal of A is added to it.
     """
     by_material, by_light, weights = problem.derivatives(x, pixels)
     jacobian = _by_unknowns(by_material, layout)
     jacobian *= ~held[:, None, None, :]
     matrices = _products(jacobian, weights)
-    if precision is not None:
-        np.einsum("pii->pi", matrices)[:] += precision
     whiten = whitening(matrices, held, damping)
     weighted = (jacobian * weights[..., None]).reshape(len(jacobian), -1, held.shape[1])
     rows = (whiten @ weighted.transpose(0, 2, 1)).reshape(len(weighted), -1, *weights.shape[1:])

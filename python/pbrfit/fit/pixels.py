@@ -111,6 +111,7 @@ def fit_all(
     starts: int,
     steps: int = settings.DESCENT_STEPS,
     prior: GaussianPrior | None = None,
+    held_normals: bool = False,
     stop: Callable[[], bool] = lambda: False,
 ) -> Array | None:
     """Give all pixels of x their best materials for its lights; their sums of squares (P,).
@@ -123,7 +124,13 @@ def fit_all(
             return None
         rows = None if prior is None else prior.rows(chunk)
         found, sum_sq[chunk] = descended(
-            objective, x, chunk, steps=steps, starts=starts, prior=rows
+            objective,
+            x,
+            chunk,
+            steps=steps,
+            starts=starts,
+            prior=rows,
+            held_normals=held_normals,
         )
         place(objective, x, chunk, found)
     return sum_sq

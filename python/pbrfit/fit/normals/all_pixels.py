@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
+from pbrfit.fit.normals.free import offsets_of
 from pbrfit.fit.normals.noise import (
     degrees_of_freedom,
     noise_variance,
@@ -103,7 +104,7 @@ def refine_all(
     assert layout.tangent_offsets is not None
     sums = None
     for number in range(settings.NORMALS_PRIOR_UPDATES):
-        offsets = x[layout.tangent_offsets].reshape(2, -1).T
+        offsets = offsets_of(objective, x)
         variance = noise_variance(objective, pixel_sums(objective, x))
         offset_mean, offset_precision = prior.conditional(offsets, variance)
         mean, precision = np.zeros((2, len(offsets), len(layout.roughness_metallic)))
@@ -126,7 +127,7 @@ def refine_all(
         if sums is None:
             return prior, None
         prior = prior.fitted(
-            x[layout.tangent_offsets].reshape(2, -1).T,
+            offsets_of(objective, x),
             offset_variances(objective, x, pixel_prior.precision, variance),
         )
     return prior, sums

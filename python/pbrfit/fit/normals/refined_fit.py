@@ -168,10 +168,7 @@ def _start(
 ) -> tuple[Array, TangentOffsetPrior]:
     """X of the objective with free normals, from that with held ones, and the offsets' prior."""
     scene, layout, held = run.scene, free.layout, run.objective.layout
-    given = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
-    sigma = None
-    if scene.normal_sigma is not None:
-        sigma = scene.normal_sigma[scene.valid].astype(np.float64)
+    given, sigma = _given(scene)
     start = free.start()
     start[layout.materials] = x[held.materials]
     start[layout.maps.stop :] = x[held.maps.stop :]
@@ -180,21 +177,26 @@ def _start(
     return start, TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, sigma))
 
 
+def _given(scene: Scene) -> tuple[Array, Array | None]:
+    """Normals (P, 3), and how unsure they are (P,), if it is known."""
+    normals = np.asarray(scene.normals, dtype=np.float64)[scene.valid]
+    if scene.normal_sigma is None:
+        return normals, None
+    return normals, scene.normal_sigma[scene.valid].astype(np.float64)
+
+
 def _find_normals(
     run: Run, free: Objective, x: Array, prior: TangentOffsetPrior
 ) -> tuple[TangentOffsetPrior, Lights]:
     """The prior on offsets as a level found it, and what is left of that; x has what it found."""
-    scene = run.scene
     with run.stage("lights and normals") as notes, one_blas_thread():
         level = Level.of(free, settings.COARSE_PIXELS)
         chosen = level.pixels.astype(np.intp)
-        given = np.asarray(scene.normals, dtype=np.float64)[scene.valid][chosen]
-        sigma = None
-        if scene.normal_sigma is not None:
-            sigma = scene.normal_sigma[scene.valid].astype(np.float64)[chosen]
+        given, sigma = _given(run.scene)
+        sigma = None if sigma is None else sigma[chosen]
         lights = slice(free.layout.maps.stop, None)
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
-            of_level = FreeNormals.of(level, given, sigma)
+            of_level = FreeNormals.of(level, given[chosen], sigma)
             part = free.part_of(x, level.pixels)
             watch = Watch(run, x, level)
             found = rounds(run, level, part, watch, of_level, at_most=at_most)
