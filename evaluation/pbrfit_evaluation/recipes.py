@@ -108,12 +108,14 @@ def paper_start(scene: Scene) -> Materials:
     clipped to [0, 1]; roughness 0.5, metallic 0.1.
     """
     pixels = int(np.count_nonzero(scene.valid))
-    total, counts = np.zeros((pixels, 3)), np.zeros((pixels, 1))
+    total, counts = np.zeros((pixels, 3)), np.zeros((pixels, 3))
     for i in range(len(scene.images)):
-        # What has no weight, such as a clipped sample, is not known: it is left out of the mean.
-        weights = np.ones((pixels, 1))
-        if scene.weights is not None:
-            weights = scene.weights[i][scene.valid][:, None].astype(np.float64)
+        # What has no weight, or is clipped, is not known: it is left out of the mean, unless there
+        # is nothing else.
+        weights = np.ones((pixels, 3))
+        given = scene.channel_weights(i)
+        if given is not None:
+            weights = np.maximum(given[scene.valid].astype(np.float64), np.finfo(np.float32).tiny)
         total += weights * scene.samples(i)
         counts += weights
     mean = total / counts

@@ -70,7 +70,7 @@ SUITE = Suite(
         "that is painted into the albedo explains the held-out picture as well.",
         "The sum of kept pictures needs no materials: light adds up, so a factor a picture and "
         "channel is a fair competitor where lights are many and alike.",
-        "Samples that an integer file holds at its maximum are clipped and have no weight in fits "
+        "Samples that an integer file holds at its maximum are clipped and take no part in fits "
         "and errors. Known lights are not used.",
     ),
 )

@@ -162,6 +162,7 @@ def part(scene: Scene, pictures: tuple[int, ...]) -> Scene:
         scene,
         images=scene.images[of],
         weights=None if scene.weights is None else scene.weights[of],
+        limits=None if scene.limits is None else scene.limits[of],
         names=tuple(scene.names[i] for i in of),
         lighting=None,
         truth=None,
@@ -245,7 +246,8 @@ def explained_by(
     """
     normals = np.asarray(scene.normals, np.float64) if normals is None else normals
     of = list(pictures)
-    weights = None if scene.weights is None else scene.weights[of]
+    each = [_weights(scene, i) for i in pictures]
+    weights = None if each[0] is None else np.stack([one for one in each if one is not None])
     lights = fit_lights(scene.images[of], weights, materials, normals, scene.fov, model)
     return render(materials, normals, lights, scene.fov, threads, model=model)
 
@@ -286,7 +288,9 @@ def picture_scores(
 
 
 def _weights(scene: Scene, picture: int) -> NDArray[np.float32] | None:
-    return None if scene.weights is None else np.asarray(scene.weights[picture], np.float32)
+    """(H, W), 0 where some channel is: at a limit, or left out."""
+    weights = scene.channel_weights(picture)
+    return None if weights is None else weights.min(axis=-1)
 
 
 def _same(materials: Materials, *, roughness: float) -> Materials:

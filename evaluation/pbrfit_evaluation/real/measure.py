@@ -81,7 +81,9 @@ def run(task: Task, threads: int) -> Values:
         scene, which, model=task.model, iterations=task.iterations, threads=threads
     )
     valid = scene.valid
-    clipped = 0.0 if scene.weights is None else float(np.mean(scene.weights[:, valid] == 0))
+    clipped = 0.0
+    if scene.limits is not None:
+        clipped = float(np.mean([(of[valid] > 0).any(axis=-1).mean() for of in scene.limits]))
     sheet = base64.b64encode(draw_sheet(scene, which, explained)).decode("ascii")
     return {
         "size": [scene.width, scene.height],

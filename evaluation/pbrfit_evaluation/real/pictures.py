@@ -46,7 +46,7 @@ def used_part(scene: Scene) -> tuple[slice, slice]:
 
 def masked(scene: Scene, picture: int) -> NDArray[np.float64]:
     """A picture, NaN where it is not used."""
-    used = scene.valid.copy()
-    if scene.weights is not None:
-        used &= scene.weights[picture] > 0
+    used, weights = scene.valid, scene.channel_weights(picture)
+    if weights is not None:
+        used = used & (weights > 0).all(axis=-1)
     return np.where(used[..., None], scene.images[picture].astype(np.float64), np.nan)

@@ -101,11 +101,11 @@ def write_scene(source: Source, folder: Path) -> None:
 
 
 CODE_RANGE = (0, 254)
-"""Only what is surely clipped is left out: what counts here is how well the rest is explained."""
+"""Only what is surely clipped counts as clipped: what matters is how well the rest is explained."""
 
 
 def load(source: Source, max_size: int | None = None) -> Scene:
-    """Read a source. Samples that an integer file holds at its maximum get weight 0.
+    """Read a source. Samples that an integer file holds at its maximum are at a limit.
 
     Such a sample says that there was at least so much light, not how much. Where several pixels
     are averaged down to one, one of them is enough.

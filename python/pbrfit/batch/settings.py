@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.images import CODE_RANGE
 
 if TYPE_CHECKING:
     from pbrfit.scene.scene import Scene
@@ -21,7 +20,7 @@ class Reading:
     fov: float | None = None
     color_space: ColorSpace | None = None
     max_size: int | None = None
-    code_range: tuple[int, int] = CODE_RANGE
+    code_range: tuple[int, int] | None = None
 
     def load(self, path: Path) -> Scene:
         """Read a scene folder."""
@@ -31,4 +30,5 @@ class Reading:
 
     def as_json(self) -> Mapping[str, Any]:
         """What `result.json` says under `scene` beside the path."""
-        return {**asdict(self), "code_range": list(self.code_range)}
+        code_range = None if self.code_range is None else list(self.code_range)
+        return {**asdict(self), "code_range": code_range}

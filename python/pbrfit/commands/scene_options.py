@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pbrfit.batch.settings import Reading
 from pbrfit.commands.arguments import Flag, add_flags, choice, code_range, value
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.images import CODE_RANGE
 
 COLOR_SPACE = choice(
     ColorSpace,
@@ -36,9 +35,8 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         code_range=value(
             "LOW,HIGH",
             code_range,
-            "leave out samples of integer pictures with a channel above HIGH, or with all below "
-            "LOW, in 8-bit codes; 0,255 keeps all",
-            default=f"{CODE_RANGE[0]},{CODE_RANGE[1]}",
+            "values of integer pictures above HIGH or below LOW, in 8-bit codes, only bound the "
+            "radiance (default: 1,250 for JPEG, else all but 0 and the maximum; 0,255: none)",
         ),
     )
 

@@ -220,10 +220,10 @@ def _recon_rmse(scene: Scene, fit: FitOutput, model: Model, threads: int) -> flo
         )
         found = []
         for i, image in enumerate(rendered):
-            weights = None if scene.weights is None else scene.weights[i, rows, :, None]
-            total = float(np.count_nonzero(scene.valid[rows]))
+            weights = scene.channel_weights(i, rows)
+            total = 3.0 * int(np.count_nonzero(scene.valid[rows]))
             if weights is not None:
-                total = float(weights.sum(dtype=np.float64))
+                total = float(weights[scene.valid[rows]].sum(dtype=np.float64))
             if total > 0:
                 error = metrics.rmse(image, scene.images[i, rows], weights)
                 found.append((error if fit.exposures is None else error / fit.exposures[i], total))

@@ -107,7 +107,7 @@ def of_fit(
 
 def bytes_of(scene: Scene) -> int:
     """Of the arrays of a scene."""
-    arrays = scene.images, scene.normals, scene.weights, scene.normal_sigma
+    arrays = scene.images, scene.normals, scene.weights, scene.limits, scene.normal_sigma
     return sum(array.nbytes for array in arrays if array is not None)
 
 

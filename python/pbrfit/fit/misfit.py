@@ -105,8 +105,10 @@ def independent_share(objective: Objective, x: Array) -> float:
     everything = np.arange(count, dtype=np.uint64)
     residuals = objective.problem.residuals(objective.for_core(x), everything)
     of_pixels = residuals.transpose(1, 0, 2).reshape(count, -1).astype(np.float64)
-    if objective.weights is not None:
-        of_pixels *= np.repeat(np.sqrt(objective.weights.T), objective.channels, axis=1)
+    weights = objective.sample_weights
+    if weights is not None:
+        shares = np.sqrt(np.broadcast_to(weights, residuals.shape)).transpose(1, 0, 2)
+        of_pixels *= shares.reshape(count, -1)
     samples = of_pixels.shape[1]
     size = np.sqrt(np.square(of_pixels).mean(axis=1))
     of_pixels /= np.maximum(size, np.finfo(np.float64).tiny)[:, None]

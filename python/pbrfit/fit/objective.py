@@ -179,28 +179,26 @@ class Objective:
         self.channels, self.coefficients = layout.channels, layout.coefficients
         self._lay_out(layout)
         units = units or Normalization.of(scene, equal_exposures)
-        self.weights = weights = _weights(scene, units.largest_weight) if layout.weighted else None
-        self.samples = self.channels * (
-            layout.pictures * self.pixels if weights is None else int(np.count_nonzero(weights))
-        )
-        self.total_weight = (
-            float(self.samples)
-            if weights is None
-            else self.channels * float(weights.sum(dtype=np.float64))
-        )
+        self.weights = _weights(scene, units.largest_weight) if scene.weighted else None
+        # (N, P, channels): the weights of the samples, 0 at limits, times those of a robust loss
+        # that squares stand for; None without both.
+        self._factors = _ordinary(scene, self.weights, self.channels)
+        weights = self.sample_weights
+        self.samples, self.total_weight = layout.pictures * self.pixels * self.channels, 0.0
+        if weights is not None:
+            of_each = self.channels // weights.shape[-1]
+            self.samples = of_each * int(np.count_nonzero(weights))
+            self.total_weight = of_each * float(weights.sum(dtype=np.float64))
+        self.total_weight = self.total_weight or float(self.samples)
         self.scale, self.exposures = units.scale, units.exposures
         exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
-        # (N, P, channels): the weights of the samples times those of a robust loss that squares
-        # stand for; None without one.
-        self._factors: NDArray[np.float32] | None = None
-
         self._scene, self.threads = scene, threads
         # Where the pixels that take part are in a picture, row by row; None = all valid ones.
         self._places: NDArray[np.intp] | None = None
         self._exact = self._has_more_digits()
-        self.problem = self._problem(weights)
+        self.problem = self._problem(self.weights if self._factors is None else self._factors)
         self.penalties = [] if priors is None else penalties(layout, priors)
 
     def _lay_out(self, layout: ParameterLayout) -> None:
@@ -208,6 +206,13 @@ class Objective:
         self.albedo, self.roughness = layout.albedo, layout.roughness
         self.metallic, self.tangent_offsets = layout.metallic, layout.tangent_offsets
         self.lighting = layout.lighting
+
+    @property
+    def sample_weights(self) -> NDArray[np.float32] | None:
+        """(N, P, 1 or C): what samples weigh, 0 at limits; None where all weigh the same."""
+        if self._factors is None and self.weights is not None:
+            return self.weights[..., None]
+        return self._factors
 
     @property
     def bounds(self) -> NDArray[np.float64]:
@@ -335,8 +340,8 @@ class Objective:
             return self
         pixels = np.arange(self.pixels, dtype=np.uint64)
         factors = irls_weights(self.robust, self.problem.residuals(self.for_core(x), pixels))
-        if self.weights is not None:
-            factors *= self.weights[..., None]
+        if self.sample_weights is not None:
+            factors *= self.sample_weights
         found = copy.copy(self)
         found.robust, found._factors = None, factors
         found.problem = self._problem(factors)
@@ -619,6 +624,16 @@ def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
     weights /= np.float32(largest)  # so that float32 neither overflows nor loses digits
     return weights
+
+
+def _ordinary(
+    scene: Scene, weights: NDArray[np.float32] | None, channels: int
+) -> NDArray[np.float32] | None:
+    """(N, P, C): weights of the samples, 0 at limits; None where no sample is at one."""
+    if scene.limits is None:
+        return None
+    found = np.stack([of[scene.valid][:, :channels] == 0 for of in scene.limits])
+    return found.astype(np.float32) if weights is None else found * weights[..., None]
 
 
 def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -81,7 +81,7 @@ class ParameterLayout:
             light_channels=1 if mono_light else channels,
             metallic_known=metallic_known,
             lighting_known=scene.lighting is not None,
-            weighted=scene.weighted,
+            weighted=scene.weighted or scene.limits is not None,
             free_normals=free_normals,
         )
 

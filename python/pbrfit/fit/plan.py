@@ -126,11 +126,14 @@ def _data_left_out(scene: Scene, layout: ParameterLayout) -> Iterator[str]:
     masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
     if masked:
         yield f"{masked} pixels outside the mask"
-    if scene.weights is None:
-        return
     without = scene.valid.size - masked - layout.pixels
     if without:
-        yield f"{without} pixels of weight 0 in all pictures"
+        yield f"{without} pixels of weight 0 or at limits in all pictures"
+    if scene.limits is not None:
+        bounded = sum(int(np.count_nonzero(of[scene.valid])) for of in scene.limits)
+        yield f"{bounded} values at a limit"
+    if scene.weights is None:
+        return
     single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
     if single:
         yield f"{single} samples of weight 0 at other pixels"

@@ -30,6 +30,7 @@ from pbrfit.io.color import (
     near_rec709,
     to_rec709,
 )
+from pbrfit.io.limits import Limits, converted, of_codes
 from pbrfit.io.quoting import listed
 
 logger = logging.getLogger("pbrfit")
@@ -41,10 +42,10 @@ PngTag = Literal["srgb", "linear"] | None
 """What a PNG file says about its encoding."""
 
 CODE_RANGE = (1, 250)
-"""Codes of an 8-bit file that are data. 0 in all channels may be anything darker than the file can
-say, and 255 anything brighter. JPEG smears clipped areas: of samples that were clipped before a
-JPEG of quality 75 to 95 with halved colour, 15 to 22 % come back with all channels below 254, and
-5 to 9 % with all below 251, which drops 2 % of the sound samples of bright photographs."""
+"""Codes of a JPEG file that are data; of lossless files all but the first and the last are. JPEG
+smears clipped areas: of samples that were clipped before a JPEG of quality 75 to 95 with halved
+colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all below 251, which
+takes 2 % of the sound samples of bright photographs for clipped."""
 
 # fmt: off
 _RAW_SUFFIXES = frozenset({
@@ -68,11 +69,9 @@ class Picture:
     alpha: NDArray[np.float32] | None
     """(H, W), coverage in [0, 1], float32, or None. The colours are as stored: not divided and not
     multiplied by it."""
-    clipped: NDArray[np.bool_]
-    """(H, W), bool: some colour channel is above the code range, so that there may have been any
-    amount of light more. All False for float files."""
-    dark: NDArray[np.bool_]
-    """(H, W), bool: all colour channels are below the code range. All False for float files."""
+    limits: Limits | None
+    """(H, W, 3), uint8: where `pixels` bound the radiance, `AT_LEAST` or `AT_MOST`, because a code
+    is outside the code range; 0 elsewhere. None where none is, and for float files."""
     negative: NDArray[np.bool_]
     """(H, W), bool: some colour channel is below 0 in the file's own primaries. Colours outside of
     Rec.709 are negative in `pixels` without that."""
@@ -90,7 +89,7 @@ def read_picture(
     path: str | os.PathLike[str],
     color_space: ColorSpace | None = None,
     layer: str | None = None,
-    code_range: tuple[int, int] = CODE_RANGE,
+    code_range: tuple[int, int] | None = None,
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
@@ -112,9 +111,10 @@ def read_picture(
         ``layer.A`` instead of ``R``, ``G``, ``B`` (or ``Y``) and ``A``.
     code_range
         Lowest and highest code that is data, of an 8-bit file; a 16-bit file has the same shares
-        of its maximum. They mark what is `clipped` or `dark`, and do not change pixels.
+        of its maximum. None = `CODE_RANGE` of a JPEG file, of others all but 0 and the maximum.
+        What is outside is marked in `limits`, channel by channel; pixels stay as they are.
     """
-    low, high = _checked(code_range)
+    asked = None if code_range is None else _checked(code_range)
     path, data, kind = _load(path)
     chosen: Conversion | None = None
     if color_space is not None:
@@ -138,15 +138,16 @@ def read_picture(
     colors, alpha = samples, None
     if samples.shape[2] in (2, 4):
         colors, alpha = samples[..., :-1], samples[..., -1]
-    clipped = np.zeros(samples.shape[:2], dtype=np.bool_)
-    dark = np.zeros_like(clipped)
-    negative = np.zeros_like(clipped)
+    negative = np.zeros(samples.shape[:2], dtype=np.bool_)
+    limits = None
     bit_depth = 8 * samples.dtype.itemsize
     if samples.dtype.kind == "u":
         maximum = int(np.iinfo(samples.dtype).max)
         unit = maximum // 255  # 65535 is 257 times 255
-        np.any(colors > high * unit, axis=-1, out=clipped)
-        np.all(colors < low * unit, axis=-1, out=dark)
+        low, high = 1, maximum - 1
+        if asked is not None or kind == "JPEG":
+            low, high = (unit * code for code in asked or CODE_RANGE)
+        limits = of_codes(colors, low, high)
         if alpha is not None:
             alpha = np.divide(alpha, np.float32(maximum), dtype=np.float32)
     else:
@@ -155,11 +156,12 @@ def read_picture(
             alpha = alpha.astype(np.float32)
     convert = chosen or found
     pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
+    if limits is not None:
+        limits = converted(np.broadcast_to(limits, pixels.shape), convert.matrix)
     return Picture(
         pixels=pixels,
         alpha=alpha,
-        clipped=clipped,
-        dark=dark,
+        limits=limits,
         negative=negative,
         color=color,
         focal_length_35mm=focal_length,

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.limits import AT_LEAST
 from pbrfit.model.lighting import BAND_OF, rotated
 from pbrfit.model.reflection import sh_basis
 
@@ -79,12 +80,13 @@ def read(
     """
     picture = images.read_picture(path, color_space)
     _check(picture, str(path))
-    if picture.clipped.any():
+    clipped = picture.limits is not None and (picture.limits == AT_LEAST).any(axis=-1)
+    if np.any(clipped):
         log.warning(
             "%s: %.2g %% of the pixels are clipped, so lamps, windows and skies are darker in it "
             "than they were; .hdr and .exr hold them",
             path,
-            100 * picture.clipped.mean(),
+            100 * np.mean(clipped),
         )
     return picture.pixels
 

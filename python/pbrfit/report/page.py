@@ -172,7 +172,7 @@ def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen
         parts.append(paragraph(_how_to_read(pictures)))
         marks = (
             {}
-            if scene.weights is None
+            if scene.weights is None and scene.limits is None
             else {"left out: clipped, dark or of weight 0": differences.WHITE}
         )
         parts.append(figures.difference_key("residual, relative to the picture's RMS", marks))

@@ -87,13 +87,12 @@ def _one(
             for side in sides
         )
     image = scene.images[i]
-    weights = None if scene.weights is None else scene.weights[i]
-    weight = None if weights is None else weights[..., None]
-    counted = result.mask if weights is None else result.mask & (weights > 0)
+    weights = scene.channel_weights(i)
+    counted = result.mask if weights is None else result.mask & (weights > 0).any(axis=-1)
     residual = differences.residual(rendered, image, weights)
     fit = Fit(
-        rms=metrics.rmse(np.where(np.isnan(rendered), np.nan, 0.0), image, weight),
-        rmse=metrics.rmse(rendered, image, weight),
+        rms=metrics.rmse(np.where(np.isnan(rendered), np.nan, 0.0), image, weights),
+        rmse=metrics.rmse(rendered, image, weights),
         high=float(np.percentile(residual.values[counted], HIGH)),
         left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
     )

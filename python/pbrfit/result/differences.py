@@ -122,18 +122,20 @@ def residual(
 ) -> Difference:
     """Root mean square over channels of (rendered − picture), relative to the picture's RMS.
 
-    Both are (H, W, 3), and `rendered` is NaN outside the mask. Samples of weight 0 (H, W), which
-    did not take part in the fit, are white.
+    Both are (H, W, 3), and `rendered` is NaN outside the mask. Values of weight (H, W, 3) 0 took no
+    part in the fit and have none here; pixels with no others are white.
     """
-    used = np.isfinite(rendered).all(axis=-1)
-    left_out = None if weights is None else used & (weights == 0)
-    counted = used if left_out is None else used & ~left_out
-    size = rms(np.asarray(picture)[counted])
-    difference = np.zeros(used.shape)
-    both = np.asarray(rendered)[counted] - picture[counted]
-    difference[counted] = np.sqrt(np.mean(np.square(both), axis=-1)) / size
+    used: NDArray[np.bool_] = np.asarray(np.isfinite(rendered).all(axis=-1))
+    counted = np.broadcast_to(used[..., None], np.shape(picture))
+    if weights is not None:
+        counted = counted & (weights > 0)
+    channels = np.count_nonzero(counted, axis=-1)
+    squares = np.zeros(counted.shape)
+    squares[counted] = np.square(np.asarray(rendered)[counted] - np.asarray(picture)[counted])
+    difference = np.sqrt(squares.sum(axis=-1) / np.maximum(channels, 1))
+    difference /= rms(np.asarray(picture)[counted])
     difference[~used] = np.nan
-    return Difference(difference, white=left_out)
+    return Difference(difference, white=None if weights is None else used & (channels == 0))
 
 
 def turned(degrees: Map) -> Difference:

@@ -126,11 +126,11 @@ def showable(
 ) -> tuple[NDArray[np.floating[Any]], float]:
     """What can be shown of a picture (H, W, 3), and its white.
 
-    Samples that took no part in a fit, outside the mask or of weight 0, may be anything: they do
-    not decide about the exposure, and are NaN where they are not finite.
+    Values that took no part in a fit, outside the mask or of weight (H, W, 3) 0, may be anything:
+    they do not decide about the exposure, and pixels are NaN where they are not finite.
     """
-    counted = mask if weights is None else mask & (weights > 0)
-    white = white_of(np.where(counted[..., None], picture, np.nan))
+    counted = mask[..., None] if weights is None else mask[..., None] & (weights > 0)
+    white = white_of(np.where(counted, picture, np.nan))
     finite = np.isfinite(picture).all(axis=-1, keepdims=True)
     return np.where(finite, picture, np.nan), white
 

@@ -32,7 +32,8 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     of_normals = "normals" if result.normal_change is None else "normals, refined"
     rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, of_normals)])
     on_scale = ["residual, relative to the picture's RMS"] if scene is not None else []
-    white = ["not used"] if scene is not None and scene.weights is not None else []
+    left_out = scene is not None and (scene.weights is not None or scene.limits is not None)
+    white = ["not used"] if left_out else []
     marks: dict[str, tuple[float, float, float]] = {}
     truth = None if scene is None else scene.truth
     if truth is not None:
@@ -80,8 +81,7 @@ def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
     facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
     facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
-    weights = None if scene.weights is None else scene.weights[0]
-    image, white = metrics.showable(scene.images[0], scene.valid, weights)
+    image, white = metrics.showable(scene.images[0], scene.valid, scene.channel_weights(0))
     image = np.where(scene.valid[..., None], image, np.nan)
     row: Row = [
         Panel(f"picture {scene.names[0]}", displayed(image, white)),
@@ -107,7 +107,7 @@ def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
     if scene is None:
         white = metrics.white_of(reconstruction)
         return [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
-    weights = None if scene.weights is None else scene.weights[0]
+    weights = scene.channel_weights(0)
     residual = differences.residual(reconstruction, scene.images[0], weights)
     picture, white = metrics.showable(scene.images[0], result.mask, weights)
     return [

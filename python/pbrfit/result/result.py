@@ -240,13 +240,16 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
         "path": path,
         "color_space": source.color_space,
         "max_size": None if source.max_size is None else int(source.max_size),
-        "code_range": [int(code) for code in source.code_range],
+        "code_range": None if source.code_range is None else [*map(int, source.code_range)],
         "fov": None if source.fov is None else float(source.fov),
     }
 
 
 def _source(content: Mapping[str, Any], folder: Path) -> Source:
-    low, high = map(whole, content["code_range"])
+    code_range = content["code_range"]
+    if code_range is not None:
+        low, high = map(whole, code_range)
+        code_range = low, high
     fov = content.get("fov")  # earlier versions did not write it
     max_size, color_space = content["max_size"], content["color_space"]
     if color_space not in (None, *get_args(ColorSpace)):
@@ -255,7 +258,7 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
         path=(folder / path_text(content["path"])).resolve(),
         color_space=color_space,
         max_size=None if max_size is None else whole(max_size, least=1),
-        code_range=(low, high),
+        code_range=code_range,
         fov=None if fov is None else number(fov),
     )
 

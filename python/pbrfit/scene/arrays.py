@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,17 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io import limits as file_limits
 from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals
-from pbrfit.io.images import CODE_RANGE
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
+from pbrfit.scene.plateaus import plateaus
 
 if TYPE_CHECKING:
     from pbrfit.io.color import ColorSpace
 
 log = logging.getLogger("pbrfit")
+
+Counted = list[NDArray[np.bool_]] | None
+"""(H, W) bool of each picture: the samples that count; None = all."""
+
+AT_LEAST, AT_MOST = file_limits.AT_LEAST, file_limits.AT_MOST
+"""Values of `SceneArrays.limits` beside 0: the radiance is at least, or at most, what is stored."""
 
 MIN_NORMAL_LENGTH = 0.1
 """Normals shorter than this have no direction worth normalising."""
@@ -60,7 +67,7 @@ class Source:
     """The scene folder, absolute."""
     color_space: ColorSpace | None = None
     max_size: int | None = None
-    code_range: tuple[int, int] = CODE_RANGE
+    code_range: tuple[int, int] | None = None
     fov: float | None = None
     """As given to `Scene.load`."""
 
@@ -88,6 +95,11 @@ class SceneArrays:
         (N, H, W), or (H, W) for all pictures alike: how much each sample counts, 0 or more; None =
         all the same. Kept as float32. Only their ratios matter. Samples of weight 0 are no data:
         they may be NaN or infinite.
+    limits
+        (N, H, W, 3): which samples bound the radiance instead of telling it, 0 = none of these,
+        1 (`AT_LEAST`) = clipped from above, 2 (`AT_MOST`) = from below. Kept as uint8. None = those
+        at a plateau of the pictures (`pbrfit.scene.plateaus`), and afterwards: no sample is one.
+        Zeros say that none is.
     normal_sigma
         (H, W), degrees, 0 or more: how far off the given normals may be, the root mean square
         angle to the true ones; each of the two directions that a normal can tilt in has 1/√2 of
@@ -119,6 +131,7 @@ class SceneArrays:
     segments: NDArray[np.integer[Any]] | None = None
     lighting: NDArray[np.float64] | None = None
     weights: NDArray[np.floating[Any]] | None = None
+    limits: NDArray[np.uint8] | None = None
     normal_sigma: NDArray[np.floating[Any]] | None = None
     names: tuple[str, ...] = ()
     truth: Truth | None = None
@@ -164,7 +177,16 @@ class SceneArrays:
                 f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
                 f"found shape {lighting.shape}"
             )
-        valid = _valid(mask, weights, (height, width))
+        assumed, counted = self.assumed, _counted(mask, weights, n)
+        if self.limits is not None:
+            limits: NDArray[np.uint8] | None = _limits(self.limits, images.shape)
+        else:
+            limits = plateaus(images, counted, [True] * n)
+            if limits is not None:
+                assumed = {**assumed, "exposure": limits_in_words(limits, counted)}
+        if limits is not None:
+            _check_some_are_ordinary(limits, counted, names)
+        valid = _valid(mask, weights, limits, (height, width))
         if self.truth is not None:
             _check_truth(self.truth, n, height, width)
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
@@ -181,6 +203,8 @@ class SceneArrays:
             "segments": segments,
             "lighting": lighting,
             "weights": weights,
+            "limits": limits,
+            "assumed": assumed,
             "normal_sigma": normal_sigma,
             "names": names,
             "model": None if self.model is None else checked_model(self.model),
@@ -200,8 +224,11 @@ class SceneArrays:
 
     @lazy
     def valid(self) -> NDArray[np.bool_]:
-        """(H, W) bool: the pixels that are fitted, in the mask and of some weight."""
-        return _valid(self.mask, self.weights, (self.height, self.width))
+        """(H, W) bool: the pixels that are fitted.
+
+        They are in the mask, and some sample of theirs has weight and is at no limit.
+        """
+        return _valid(self.mask, self.weights, self.limits, (self.height, self.width))
 
     @lazy
     def all_valid(self) -> bool:
@@ -252,6 +279,20 @@ class SceneArrays:
         if self.weights is not None:
             samples[at(self.weights[picture]) == 0] = 0
         return samples
+
+    def channel_weights(
+        self, picture: int, rows: slice = slice(None)
+    ) -> NDArray[np.float32] | None:
+        """(h, W, 3): `weights` of some rows of a picture, 0 at limits; None = all the same."""
+        if self.limits is None:
+            if self.weights is None:
+                return None
+            weights = self.weights[picture, rows, :, None].astype(np.float32, copy=False)
+            return np.broadcast_to(weights, (*weights.shape[:2], 3))
+        ordinary: NDArray[np.float32] = (self.limits[picture, rows] == 0).astype(np.float32)
+        if self.weights is not None:
+            ordinary *= self.weights[picture, rows, :, None]
+        return ordinary
 
     def brightness(self, picture: int) -> NDArray[np.float64]:
         """(P,): the mean over the channels of `samples`."""
@@ -317,11 +358,67 @@ def _weights(
     return found
 
 
+def _limits(limits: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    given = any_array("limits", limits)
+    if given.shape != shape:
+        raise InputError(f"limits: expected shape {shape}, found {given.shape}")
+    if given.dtype.kind not in "buif" or not np.isin(given, (0, AT_LEAST, AT_MOST)).all():
+        raise InputError(f"limits: expected 0, {AT_LEAST} or {AT_MOST}, found others")
+    found: NDArray[np.uint8] = given.astype(np.uint8, copy=False)
+    # Of zeros one is kept: not None, which would have plateaus sought.
+    return found if found.any() else np.broadcast_to(np.uint8(0), shape)
+
+
+def _counted(
+    mask: NDArray[np.bool_] | None, weights: NDArray[np.float32] | None, pictures: int
+) -> Counted:
+    """(H, W) of each picture: samples in the mask and of some weight; None = all."""
+    if weights is not None:
+        return [of_picture > 0 for of_picture in weights]
+    return None if mask is None else [mask] * pictures
+
+
+def _counted_limits(limits: NDArray[np.uint8], counted: Counted) -> Iterator[NDArray[np.uint8]]:
+    """(P, 3) of each picture."""
+    for i, of_picture in enumerate(limits):
+        yield of_picture.reshape(-1, 3) if counted is None else of_picture[counted[i]]
+
+
+def _check_some_are_ordinary(
+    limits: NDArray[np.uint8], counted: Counted, names: tuple[str, ...]
+) -> None:
+    for name, of_picture in zip(names, _counted_limits(limits, counted), strict=True):
+        if of_picture.all():
+            raise InputError(
+                f"limits: expected some sample at no limit in every picture, found none in {name}"
+            )
+
+
+def limits_in_words(limits: NDArray[np.uint8], counted: Counted) -> str:
+    """Which share of the values of counted samples is bounded."""
+    total, bounded = 0, np.zeros(2)
+    for of_picture in _counted_limits(limits, counted):
+        total += of_picture.size
+        bounded += [np.count_nonzero(of_picture == limit) for limit in (AT_LEAST, AT_MOST)]
+    shares = [
+        f"{100 * count / total:.2g} % clipped {side}"
+        for count, side in zip(bounded, ("from above", "from below"), strict=True)
+        if count
+    ]
+    return f"of the values {', '.join(shares)}: they only bound the radiance"
+
+
 def _valid(
     mask: NDArray[np.bool_] | None,
     weights: NDArray[np.floating[Any]] | None,
+    limits: NDArray[np.uint8] | None,
     shape: tuple[int, int],
 ) -> NDArray[np.bool_]:
+    if limits is not None:
+        valid = np.zeros(shape, bool)
+        for i, of_picture in enumerate(limits):
+            valid |= (of_picture == 0).any(axis=-1) & (True if weights is None else weights[i] > 0)
+        return valid if mask is None else valid & mask
     if weights is not None:
         return np.asarray((weights > 0).any(axis=0))  # they are 0 outside the mask
     return np.ones(shape, bool) if mask is None else mask

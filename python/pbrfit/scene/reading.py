@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.normal_files import UNCERTAINTY, find_normals, read_normals, read_uncertainty
 from pbrfit.io.output import digest
@@ -21,7 +22,14 @@ from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import geometry
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
-from pbrfit.scene.arrays import MIN_NORMAL_LENGTH, SceneArrays, Source, Truth, unit_normals
+from pbrfit.scene.arrays import (
+    MIN_NORMAL_LENGTH,
+    SceneArrays,
+    Source,
+    Truth,
+    limits_in_words,
+    unit_normals,
+)
 from pbrfit.scene.folder import (
     SEGMENT_FILE,
     Settings,
@@ -31,6 +39,7 @@ from pbrfit.scene.folder import (
     truth_files,
     warn_of_near_misses,
 )
+from pbrfit.scene.plateaus import plateaus
 
 log = logging.getLogger("pbrfit")
 
@@ -69,7 +78,7 @@ def load(
     fov: float | None = None,
     color_space: ColorSpace | None = None,
     max_size: int | None = None,
-    code_range: tuple[int, int] = images.CODE_RANGE,
+    code_range: tuple[int, int] | None = None,
 ) -> AnyScene:
     """Read a scene folder as a scene of some class; see `Scene.load`."""
     source = Source(folder.resolve(), color_space, max_size, code_range, fov)
@@ -113,10 +122,8 @@ def load(
             # Errors of neighbouring normals are much alike, so their mean is no more certain.
             sigma = averaged(np.where(mask, sigma, 0.0), size).astype(np.float32)
         normals, mask, segments = _averaged(normals, mask, segments, size)
-    weights = _exposure_weights(read, mask, paths, code_range, assumed)
-    given = _read_weights(notes, names, mask, full_size)
-    if given is not None:
-        weights = given if weights is None else weights * given
+    weights = _read_weights(notes, names, mask, full_size)
+    limits = _limits(read, mask, paths, code_range, assumed)
 
     lighting = None
     if notes.has("lighting.json"):
@@ -141,6 +148,7 @@ def load(
             segments=segments,
             lighting=lighting,
             weights=weights,
+            limits=limits,
             normal_sigma=sigma,
             names=names,
             truth=truth,
@@ -159,9 +167,10 @@ class _Pictures:
 
     pixels: NDArray[np.float32]
     """(N, H, W, 3) at the working size."""
-    clipped: NDArray[np.bool_]
-    dark: NDArray[np.bool_]
-    """(N, H, W), bool: samples with a part in what is too bright or too dark for its file."""
+    limits: NDArray[np.uint8]
+    """(N, H, W, 3): samples with a part in what is too bright or too dark for its file."""
+    searched: list[bool]
+    """Pictures whose files say nothing about limits: floats."""
     mask: NDArray[np.bool_]
     """What alpha leaves, at the files' size."""
     focal_length: float | None = None
@@ -173,7 +182,7 @@ def _read_pictures(
     notes: _Notes,
     color_space: ColorSpace | None,
     max_size: int | None,
-    code_range: tuple[int, int],
+    code_range: tuple[int, int] | None,
 ) -> _Pictures:
     read: _Pictures | None = None
     colors: dict[str, list[str]] = {}
@@ -185,8 +194,8 @@ def _read_pictures(
             samples = (len(paths), *size)
             read = _Pictures(
                 pixels=np.empty((*samples, 3), dtype=np.float32),
-                clipped=np.empty(samples, dtype=bool),
-                dark=np.empty(samples, dtype=bool),
+                limits=np.zeros((*samples, 3), dtype=np.uint8),
+                searched=[],
                 mask=np.ones(full_size, dtype=bool),
             )
         if full_size != read.mask.shape:
@@ -197,8 +206,9 @@ def _read_pictures(
             )
         whole = size == full_size
         read.pixels[i] = picture.pixels if whole else averaged_channels(picture.pixels, size)
-        read.clipped[i] = _touched(picture.clipped, size)
-        read.dark[i] = _touched(picture.dark, size)
+        if picture.limits is not None:
+            read.limits[i] = picture.limits if whole else file_limits.averaged(picture.limits, size)
+        read.searched.append(picture.bit_depth == 32 and picture.limits is None)
         if picture.alpha is not None:
             read.mask &= picture.alpha >= 0.5
         read.focal_length = read.focal_length or picture.focal_length_35mm
@@ -214,39 +224,32 @@ def _read_pictures(
     return read
 
 
-def _exposure_weights(
+def _limits(
     read: _Pictures,
     mask: NDArray[np.bool_],
     paths: list[Path],
-    code_range: tuple[int, int],
+    code_range: tuple[int, int] | None,
     assumed: dict[str, str],
-) -> NDArray[np.float32] | None:
-    """(N, H, W), 0 where a sample of the mask is clipped or dark; None if none is."""
-    clipped, dark = read.clipped & mask, read.dark & mask
-    left_out = clipped | dark
-    if not left_out.any():
-        return None
-    low, high = code_range
-    for path, of_picture in zip(paths, left_out, strict=True):
-        if np.array_equal(of_picture, mask):
+) -> NDArray[np.uint8] | None:
+    """(N, H, W, 3): limits of the files and of plateaus; None where the files know of none."""
+    counted = [mask] * len(paths)
+    for path, limits in zip(paths, read.limits, strict=True):
+        if limits[mask].all():
+            low, high = code_range or images.CODE_RANGE
             raise InputError(
                 f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
                 "found all clipped or dark; --code-range 0,255 keeps them"
             )
-    samples = np.count_nonzero(mask) * len(paths)
-    causes = [
-        f"{100 * np.count_nonzero(samples_of) / samples:.2g} % {cause}"
-        for samples_of, cause in (
-            (clipped, f"with a channel above code {high} of 255"),
-            (dark, f"with all channels below {low}"),
-        )
-        if samples_of.any()
-    ]
-    assumed["exposure"] = f"samples left out: {', '.join(causes)}"
-    pixels = np.count_nonzero(left_out.all(axis=0))
-    if pixels:
-        assumed["exposure"] += f"; pixels left with none: {pixels}"
-    return np.where(left_out, np.float32(0), np.float32(1))
+    if not any(limits[mask].any() for limits in read.limits):
+        return None  # a Scene seeks plateaus of float pictures by itself
+    found = plateaus(read.pixels, counted, read.searched)
+    if found is not None:
+        np.maximum(read.limits, found, out=read.limits)
+    assumed["exposure"] = limits_in_words(read.limits, counted)
+    bounded = np.logical_and.reduce([limits.all(axis=-1) for limits in read.limits]) & mask
+    if bounded.any():
+        assumed["exposure"] += f"; pixels left with none: {np.count_nonzero(bounded)}"
+    return read.limits
 
 
 def _read_weights(
@@ -275,22 +278,6 @@ def _check_not_negative(path: Path, what: str, values: NDArray[np.floating[Any]]
     bad = ~(np.isfinite(values) & (values >= 0))
     if bad.any():
         raise InputError(f"{path}: expected {what}, 0 or more, found {values[bad][0]:g}")
-
-
-def _touched(marked: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Which pixels of a picture averaged down to `size` have a part in any that is marked."""
-    if marked.shape == size:
-        return marked
-    touched = np.zeros(size, dtype=bool)
-    rows, columns = np.nonzero(marked)
-    lows, highs = [], []
-    for at, full, small in zip((rows, columns), marked.shape, size, strict=True):
-        lows.append(at * small // full)
-        highs.append(np.minimum(((at + 1) * small - 1) // full, small - 1))
-    for row in (lows[0], highs[0]):
-        for column in (lows[1], highs[1]):
-            touched[row, column] = True
-    return touched
 
 
 def _read_mask(notes: _Notes, size: tuple[int, int]) -> NDArray[np.bool_]:

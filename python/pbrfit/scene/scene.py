@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.images import CODE_RANGE
 from pbrfit.scene import reading, writing
 from pbrfit.scene.arrays import SceneArrays
 
@@ -21,7 +20,7 @@ class Scene(SceneArrays):
         fov: float | None = None,
         color_space: ColorSpace | None = None,
         max_size: int | None = None,
-        code_range: tuple[int, int] = CODE_RANGE,
+        code_range: tuple[int, int] | None = None,
     ) -> Scene:
         """Read a scene folder (see docs/formats.md).
 
@@ -37,8 +36,8 @@ class Scene(SceneArrays):
             Longer side in pixels; larger pictures are averaged down.
         code_range
             Lowest and highest code of 8-bit pictures that is data, and the same shares of the
-            maximum of 16-bit ones. Samples with a channel above, or with all channels below, get
-            weight 0; (0, 255) keeps all. Float pictures are taken as they are.
+            maximum of 16-bit ones; what is outside is in `limits`. None = 1 to 250 in JPEG, all but
+            0 and the maximum in other integer pictures; (0, 255) = all are data.
 
         Raises
         ------
@@ -57,8 +56,10 @@ class Scene(SceneArrays):
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a scene folder that `load` reads back: float32 EXR, ground truth included.
 
-        The mask leaves out pixels that have no weight in any picture. Samples of weight 0 that are
-        NaN or infinite are stored as 0. Segments with ids below 0 or above 65535 are numbered anew.
+        The mask leaves out pixels that no picture tells anything of. Samples of weight 0 that are
+        NaN or infinite are stored as 0. Limits are stored beside each picture, what its file did to
+        its samples (`noise_floor`) is not. Segments with ids below 0 or above 65535 are numbered
+        anew.
 
         Raises
         ------

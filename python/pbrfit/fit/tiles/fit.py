@@ -40,15 +40,17 @@ class Totals:
         self._scale, self.channels = units.scale, channels
         self._loss_sum = self._weight_sum = 0.0
         self.pixels = int(np.count_nonzero(scene.valid))
-        if scene.weights is None or not scene.weighted:
-            self.samples = channels * len(scene.images) * self.pixels
-            self.weight = float(self.samples)
+        self.samples = channels * len(scene.images) * self.pixels
+        self.weight = float(self.samples)
+        if scene.limits is None and not scene.weighted:
             return
         self.samples, self.weight = 0, 0.0
-        for of_picture in scene.weights:
-            inside = of_picture[scene.valid]
-            self.samples += channels * int(np.count_nonzero(inside))
-            self.weight += channels * float(inside.sum(dtype=np.float64)) / units.largest_weight
+        for i in range(len(scene.images)):
+            weights = scene.channel_weights(i)
+            assert weights is not None
+            inside = weights[scene.valid][:, :channels]
+            self.samples += int(np.count_nonzero(inside))
+            self.weight += float(inside.sum(dtype=np.float64)) / units.largest_weight
 
     def add(self, objective: Objective, x: Array) -> None:
         """One more tile; pixels of its margin count twice."""

@@ -144,7 +144,7 @@ class SceneCutter:
             return None if maps is None else window.of(maps)
 
         scene = self.scene
-        weights = scene.weights
+        weights, limits = scene.weights, scene.limits
         return PartialScene(
             images=scene.images[:, window.rows, window.columns],
             normals=window.of(scene.normals),
@@ -153,6 +153,7 @@ class SceneCutter:
             segments=of(self._labels),
             lighting=scene.lighting if lighting is None else lighting,
             weights=None if weights is None else weights[:, window.rows, window.columns],
+            limits=None if limits is None else limits[:, window.rows, window.columns],
             normal_sigma=of(scene.normal_sigma),
             names=scene.names,
             truth=None if scene.truth is None else Truth(cut_maps(scene.truth.materials, window)),

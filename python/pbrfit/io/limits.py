@@ -1,0 +1,82 @@
+"""Samples at a limit of their file: what is stored bounds the radiance and does not tell it.
+
+Above the largest value that a file or a sensor holds there may have been any amount of light more.
+Below the smallest there was less, but radiance is not negative, so what is hidden there is at most
+the value of that code. Where both meet in one number, the bound from above is the one that counts.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+ORDINARY, AT_LEAST, AT_MOST = 0, 1, 2
+"""What a sample says of the true radiance: what it is; at least so much; at most so much."""
+
+Limits = NDArray[np.uint8]
+
+_NO_PART = 1e-3
+"""Share of a file's channel in a converted one up to which it has no part: the rounding that the
+matrices of profiles have."""
+
+
+def of_codes(codes: NDArray[Any], low: int, high: int) -> Limits | None:
+    """Limits of integers (H, W, C) of which `low` to `high` are data; None where all are."""
+    above, below = codes > high, codes < low
+    if not (above.any() or below.any()):
+        return None
+    limits = np.zeros(codes.shape, dtype=np.uint8)
+    limits[below], limits[above] = AT_MOST, AT_LEAST
+    return limits
+
+
+def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
+    """Limits (H, W, 3) of the colours that a matrix makes, from those of its channels.
+
+    Of a channel that is clipped from above, or several, the radiance exceeds the stored one by an
+    unknown amount, taken as the same in all of them: the sum of their coefficients tells the side.
+    What is hidden below the lowest code is small beside it, and counts where nothing else does.
+    """
+    if matrix is None:
+        return limits
+    parts = np.where(np.abs(matrix) > _NO_PART, matrix, 0.0).astype(np.float32)
+    found = np.zeros_like(limits)
+    above, below = limits == AT_LEAST, limits == AT_MOST
+    for c, row in enumerate(parts):
+        at_most, at_least = below @ row, above @ row
+        for sums, of_more, of_less in (
+            (at_most, AT_MOST, AT_LEAST),
+            (at_least, AT_LEAST, AT_MOST),
+        ):
+            found[..., c][sums > 0] = of_more
+            found[..., c][sums < 0] = of_less
+    return found
+
+
+def averaged(limits: Limits, size: tuple[int, int]) -> Limits:
+    """Limits (height, width, 3) of means over the area that falls on each pixel.
+
+    A mean that has a part in a sample of "at least" is at least what it is, whatever else it has a
+    part in; else it is "at most" if it has a part in one of those.
+    """
+    found = np.zeros((*size, limits.shape[-1]), dtype=np.uint8)
+    for limit in (AT_MOST, AT_LEAST):
+        for c in range(limits.shape[-1]):
+            found[..., c][_touched(limits[..., c] == limit, size)] = limit
+    return found
+
+
+def _touched(marked: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which pixels of a picture averaged down to `size` have a part in any that is marked."""
+    touched = np.zeros(size, dtype=bool)
+    rows, columns = np.nonzero(marked)
+    lows, highs = [], []
+    for at, full, small in zip((rows, columns), marked.shape, size, strict=True):
+        lows.append(at * small // full)
+        highs.append(np.minimum(((at + 1) * small - 1) // full, small - 1))
+    for row in (lows[0], highs[0]):
+        for column in (lows[1], highs[1]):
+            touched[row, column] = True
+    return touched
