@@ -133,6 +133,27 @@ class Conversion:
             linear[..., k] = row[0] * red + row[1] * green + row[2] * blue
         return linear
 
+    def slopes(self, linear: NDArray[np.floating[Any]], levels: int) -> NDArray[np.float32]:
+        """Radiance a code, before the matrix, at linear Rec.709 (..., 3) of an integer file.
+
+        `levels` is how many codes there are.
+        """
+        if self.matrix is not None:
+            linear = linear @ np.linalg.inv(self.matrix).T.astype(np.float32)
+        found = np.empty(linear.shape, dtype=np.float32)
+        if isinstance(self.curve, str):
+            found[:] = 1.0
+            if self.curve == "srgb":
+                # IEC 61966-2-1 by its derivative: of value 1 a code, 2.4/1.055 y^(1.4/2.4).
+                power = (2.4 / 1.055) * np.maximum(linear, 0.0031308) ** np.float32(1.4 / 2.4)
+                found = np.where(linear <= 0.0031308, np.float32(1 / 12.92), power)
+            found /= np.float32(levels - 1)
+            return found
+        for k in range(3):
+            curve = self.curve[k % len(self.curve)].astype(np.float64)
+            found[..., k] = np.interp(linear[..., k], curve, np.gradient(curve))
+        return found
+
     def _look_up(self, samples: NDArray[Any]) -> NDArray[np.float32]:
         levels = int(np.iinfo(samples.dtype).max) + 1
         table = _table(self.curve, levels) if isinstance(self.curve, str) else self.curve

@@ -30,6 +30,8 @@ from pbrfit.io.color import (
     near_rec709,
     to_rec709,
 )
+from pbrfit.io.file_noise import Stored
+from pbrfit.io.jpeg_noise import read_tables
 from pbrfit.io.limits import Limits, converted, of_codes
 from pbrfit.io.quoting import listed
 
@@ -83,6 +85,8 @@ class Picture:
     """Of the file, hexadecimal."""
     bit_depth: int
     """Bits of a sample: 8 or 16 for integer files, 32 for float files."""
+    stored: Stored | None
+    """The samples as they are in an integer file; None for float files."""
 
 
 def read_picture(
@@ -123,6 +127,7 @@ def read_picture(
         except ValueError as error:
             raise InputError(str(error)) from None
     samples: NDArray[Any]
+    raster = None
     if kind == "EXR":
         samples, found, color = _exr_picture(path, data, layer)
         focal_length = None
@@ -139,7 +144,7 @@ def read_picture(
     if samples.shape[2] in (2, 4):
         colors, alpha = samples[..., :-1], samples[..., -1]
     negative = np.zeros(samples.shape[:2], dtype=np.bool_)
-    limits = None
+    limits = stored = None
     bit_depth = 8 * samples.dtype.itemsize
     if samples.dtype.kind == "u":
         maximum = int(np.iinfo(samples.dtype).max)
@@ -155,6 +160,10 @@ def read_picture(
         if alpha is not None:
             alpha = alpha.astype(np.float32)
     convert = chosen or found
+    if raster is not None and samples.dtype.kind == "u":
+        plain = raster.samples[..., :-1] if alpha is not None else raster.samples
+        tables = read_tables(data, plain.shape[2]) if kind == "JPEG" else None
+        stored = Stored(plain, raster.orientation, convert, raster.format, tables)
     pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
     if limits is not None:
         limits = converted(np.broadcast_to(limits, pixels.shape), convert.matrix)
@@ -167,6 +176,7 @@ def read_picture(
         focal_length_35mm=focal_length,
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=bit_depth,
+        stored=stored,
     )
 
 

@@ -26,7 +26,7 @@ def averaged(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
     Parts of old pixels count by their size. Where one is NaN or infinite, those new pixels that it
     has a part in are, and no others.
     """
-    down, across = (_shares(old, new) for old, new in zip(plane.shape, size, strict=True))
+    down, across = (area_shares(old, new) for old, new in zip(plane.shape, size, strict=True))
     return np.asarray((across @ (down @ plane.astype(np.float64)).T).T)
 
 
@@ -44,7 +44,7 @@ def averaged_channels(image: NDArray[Any], size: tuple[int, int]) -> NDArray[np.
     return np.stack([averaged(image[..., c], size) for c in range(image.shape[-1])], axis=-1)
 
 
-def _shares(old: int, new: int) -> csr_array[np.float64]:
+def area_shares(old: int, new: int) -> csr_array[np.float64]:
     """(new, old): which share of a new pixel each old one has, along one side."""
     from scipy.sparse import csr_array
 

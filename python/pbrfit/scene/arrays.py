@@ -22,6 +22,7 @@ from pbrfit.scene.plateaus import plateaus
 
 if TYPE_CHECKING:
     from pbrfit.io.color import ColorSpace
+    from pbrfit.io.file_noise import FileNoise
 
 log = logging.getLogger("pbrfit")
 
@@ -100,6 +101,9 @@ class SceneArrays:
         1 (`AT_LEAST`) = clipped from above, 2 (`AT_MOST`) = from below. Kept as uint8. None = those
         at a plateau of the pictures (`pbrfit.scene.plateaus`), and afterwards: no sample is one.
         Zeros say that none is.
+    file_noise
+        What its file did to each picture, None where that was nothing, as `noise_floor` tells; None
+        = nobody knows. Pictures that have one are not searched for plateaus.
     normal_sigma
         (H, W), degrees, 0 or more: how far off the given normals may be, the root mean square
         angle to the true ones; each of the two directions that a normal can tilt in has 1/√2 of
@@ -132,6 +136,7 @@ class SceneArrays:
     lighting: NDArray[np.float64] | None = None
     weights: NDArray[np.floating[Any]] | None = None
     limits: NDArray[np.uint8] | None = None
+    file_noise: tuple[FileNoise | None, ...] | None = None
     normal_sigma: NDArray[np.floating[Any]] | None = None
     names: tuple[str, ...] = ()
     truth: Truth | None = None
@@ -177,11 +182,14 @@ class SceneArrays:
                 f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
                 f"found shape {lighting.shape}"
             )
+        file_noise = (None,) * n if self.file_noise is None else tuple(self.file_noise)
+        if len(file_noise) != n:
+            raise InputError(f"file_noise: expected {n}, found {len(file_noise)}")
         assumed, counted = self.assumed, _counted(mask, weights, n)
         if self.limits is not None:
             limits: NDArray[np.uint8] | None = _limits(self.limits, images.shape)
         else:
-            limits = plateaus(images, counted, [True] * n)
+            limits = plateaus(images, counted, [noise is None for noise in file_noise])
             if limits is not None:
                 assumed = {**assumed, "exposure": limits_in_words(limits, counted)}
         if limits is not None:
@@ -204,6 +212,7 @@ class SceneArrays:
             "lighting": lighting,
             "weights": weights,
             "limits": limits,
+            "file_noise": None if self.file_noise is None else file_noise,
             "assumed": assumed,
             "normal_sigma": normal_sigma,
             "names": names,
@@ -293,6 +302,15 @@ class SceneArrays:
         if self.weights is not None:
             ordinary *= self.weights[picture, rows, :, None]
         return ordinary
+
+    def noise_floor(self, picture: int) -> NDArray[np.float32] | None:
+        """(H, W, 3): standard deviation of what its file did to the samples of a picture.
+
+        In the pictures' units: of rounding to codes and of JPEG; not of the camera. None for
+        pictures that were floats, or are of no file.
+        """
+        noise = None if self.file_noise is None else self.file_noise[picture]
+        return None if noise is None else noise.deviation(self.images[picture])
 
     def brightness(self, picture: int) -> NDArray[np.float64]:
         """(P,): the mean over the channels of `samples`."""

@@ -14,6 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.normal_files import UNCERTAINTY, find_normals, read_normals, read_uncertainty
 from pbrfit.io.output import digest
 from pbrfit.io.quoting import quoted
@@ -149,6 +150,7 @@ def load(
             lighting=lighting,
             weights=weights,
             limits=limits,
+            file_noise=tuple(read.noise),
             normal_sigma=sigma,
             names=names,
             truth=truth,
@@ -171,6 +173,8 @@ class _Pictures:
     """(N, H, W, 3): samples with a part in what is too bright or too dark for its file."""
     searched: list[bool]
     """Pictures whose files say nothing about limits: floats."""
+    noise: list[FileNoise | None]
+    """What its file did to each picture."""
     mask: NDArray[np.bool_]
     """What alpha leaves, at the files' size."""
     focal_length: float | None = None
@@ -186,6 +190,7 @@ def _read_pictures(
 ) -> _Pictures:
     read: _Pictures | None = None
     colors: dict[str, list[str]] = {}
+    forms: dict[str, list[str]] = {}
     for i, path in enumerate(paths):
         picture = images.read_picture(path, color_space, code_range=code_range)
         full_size = picture.pixels.shape[:2]
@@ -196,6 +201,7 @@ def _read_pictures(
                 pixels=np.empty((*samples, 3), dtype=np.float32),
                 limits=np.zeros((*samples, 3), dtype=np.uint8),
                 searched=[],
+                noise=[],
                 mask=np.ones(full_size, dtype=bool),
             )
         if full_size != read.mask.shape:
@@ -209,6 +215,10 @@ def _read_pictures(
         if picture.limits is not None:
             read.limits[i] = picture.limits if whole else file_limits.averaged(picture.limits, size)
         read.searched.append(picture.bit_depth == 32 and picture.limits is None)
+        stored = picture.stored
+        read.noise.append(None if stored is None else stored.noise(size))
+        if stored is not None:
+            forms.setdefault(stored.in_words(), []).append(path.name)
         if picture.alpha is not None:
             read.mask &= picture.alpha >= 0.5
         read.focal_length = read.focal_length or picture.focal_length_35mm
@@ -217,11 +227,22 @@ def _read_pictures(
     assert read is not None
     for color, names in colors.items():
         notes.assumed["color" if len(colors) == 1 else f"color of {', '.join(names)}"] = color
+    if forms:
+        notes.assumed["encoding"] = _in_words(forms)
     if not read.mask.any():
         raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
     if not read.mask.all():
         notes.assumed["alpha"] = f"{np.count_nonzero(~read.mask)} transparent pixels left out"
     return read
+
+
+def _in_words(forms: dict[str, list[str]]) -> str:
+    """The forms of integer files, the most frequent first, and how many files have each."""
+    if len(forms) == 1:
+        return next(iter(forms))
+    often = sorted(forms, key=lambda form: -len(forms[form]))
+    more = f"; {len(often) - 3} other forms" if len(often) > 3 else ""
+    return "; ".join(f"{len(forms[form])} files {form}" for form in often[:3]) + more
 
 
 def _limits(

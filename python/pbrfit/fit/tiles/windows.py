@@ -108,6 +108,13 @@ class PartialScene(Scene):
             whole.height, whole.width, whole.fov, window.rows, window.columns
         )
 
+    def noise_floor(self, picture: int) -> NDArray[np.float32] | None:
+        """(h, w, 3): standard deviation of what its file did to the samples of a picture."""
+        noise = None if self.file_noise is None else self.file_noise[picture]
+        if noise is None:
+            return None
+        return noise.deviation(self.images[picture], self.window.rows, self.window.columns)
+
     @lazy
     def grey(self) -> bool:
         """Whether the pictures, and the lights if they are known, have three equal channels."""
@@ -154,6 +161,7 @@ class SceneCutter:
             lighting=scene.lighting if lighting is None else lighting,
             weights=None if weights is None else weights[:, window.rows, window.columns],
             limits=None if limits is None else limits[:, window.rows, window.columns],
+            file_noise=scene.file_noise,
             normal_sigma=of(scene.normal_sigma),
             names=scene.names,
             truth=None if scene.truth is None else Truth(cut_maps(scene.truth.materials, window)),
