@@ -20,6 +20,7 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
@@ -32,6 +33,7 @@ from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
+from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
@@ -42,6 +44,7 @@ from pbrfit.fit.priors.penalties import Monochrome, penalties
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Status
+from pbrfit.result.options import ROBUST_LOSSES
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
@@ -65,6 +68,10 @@ class Lights:
     """How many of each it has; unknowns that a prior holds count in part."""
     cut_short: bool = False
     """Whether a limit stopped it."""
+    noise: NoiseModel | None = None
+    """Of samples; None where squares are asked for, or nothing is left."""
+    deviance: float = -math.inf
+    """−2 ln of the likelihood of a sample, in the mean."""
 
 
 def solve(
@@ -90,6 +97,10 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
     with one_blas_thread():
         lights = lights or find_lights(run, x)
         x = lights.x
+        noise = lights.noise if run.shared_state is None else run.shared_state.noise
+        if not lights.exact and run.goes_on:
+            weigh_samples(run, run.objective, x, noise)
+            loss = run.evaluate(start)[0]
         prior = None
         if run.has_mixture_prior and run.goes_on:
             if lights.exact:
@@ -147,7 +158,7 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
         if known:
-            return judged(objective, x, level)
+            return judged(objective, x, level, run)
         x = x.copy()
         part = objective.part_of(x, level.pixels)
         if dielectric:
@@ -181,9 +192,13 @@ def rounds(
     if objective.lighting is not None:
         shared = SharedFit(LightPrior.around(objective, x))
     left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
+    noise, given = None, objective
     for number in range(at_most):
         if number >= settings.ROBUST_ROUND:
-            level = replace(level, objective=_robust(run, level.objective, x))
+            noise, weighed = weighed_around(run, given, level.objective, x)
+            level = replace(level, objective=weighed)
+            if shared is not None:
+                shared.stale = True
         objective, prior, fixed = level.objective, None, None
         if normals is not None:
             if number == 0:  # what the given ones can explain, first
@@ -207,18 +222,25 @@ def rounds(
         if normals is not None:
             assert fixed is not None
             normals.learn(objective, x, fixed, left.variance)
+        deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
+        if noise is not None:
+            deviance = noise.deviance(given, x)
         settled = (
             weight >= settings.COARSE_WEIGHT_FALL * before
-            and total > (1 - settings.COARSE_ROUND_GAIN_MIN) * last
+            and deviance > last - settings.COARSE_ROUND_GAIN_MIN
             and (normals is None or normals.is_settled(number))
         )
-        last = total
+        last = deviance
         if settled or exact or watch.stopped or run.out_of_time():
             break
     mean_squared = float(sum_sq.sum()) / objective.total_weight
     unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()
-    return Lights(x, left, exact, shared, mean_squared, objective.samples, unknowns, cut_short)
+    return Lights(
+        *(x, left, exact, shared, mean_squared, given.samples, unknowns, cut_short),
+        noise=noise,
+        deviance=deviance,
+    )
 
 
 def _fit_level(
@@ -256,18 +278,31 @@ def _left(
     share = misfit.independent_share(objective, x)
     if shared is None:
         return Misfit(variance, 1.0, share)
-    if shared.inverse is None:
+    if shared.inverse is None or shared.stale:
         shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
         shared.joint_fit(objective, x, sum_sq, prior=prior).renew_preconditioner()
     effect = misfit.design_effect(level, x, sum_sq, partial(shared.solved, objective), prior)
     return Misfit(variance, effect, share)
 
 
-def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights:
-    """What x leaves of a level, its pixels' materials put to their best."""
+def judged(
+    objective: Objective, x: Array, level: Level | None = None, run: Run | None = None
+) -> Lights:
+    """What x leaves of a level, its pixels' materials put to their best.
+
+    With a run also the noise of its samples.
+    """
     level = level or Level.of(objective, settings.COARSE_PIXELS)
     few, part = level.objective, objective.part_of(x, level.pixels)
-    sum_sq = _fit_level(few, part)
+    sum_sq, noise = _fit_level(few, part), None
+    deviance = math.log(max(float(sum_sq.sum()) / few.total_weight, settings.NOISE_VARIANCE_MIN))
+    if run is not None and run.options.robust == "auto":
+        given = few
+        for _ in range(settings.WEIGHT_ROUNDS):
+            noise, few = weighed_around(run, given, few, part)
+            sum_sq = _fit_level(few, part)
+        deviance = noise.deviance(given, part)
+        level = replace(level, objective=few)
     mean_squared = float(sum_sq.sum()) / few.total_weight
     shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
     left = _left(level, part, sum_sq, shared)
@@ -275,7 +310,11 @@ def judged(objective: Objective, x: Array, level: Level | None = None) -> Lights
         weight = left.design_effect * left.variance
         shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
     exact = mean_squared <= settings.EXACT_RMSE**2
-    return Lights(x, left, exact, shared, mean_squared, few.samples, few.size)
+    return Lights(
+        *(x, left, exact, shared, mean_squared, few.samples, few.size),
+        noise=noise,
+        deviance=deviance,
+    )
 
 
 def fit_mixture_prior(
@@ -395,7 +434,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
                 fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
                 minimize(fit, settings.GLOBAL_STEPS_MAX, settings.GAIN_MIN, watch.visit)
             more = prior is None and shared is not None
-            if run.options.robust != "none" and number < settings.ROBUST_ROUND:
+            if run.options.robust in ROBUST_LOSSES and number < settings.ROBUST_ROUND:
                 more = True  # whose weights settle
             elif total - float(sum_sq.sum()) <= settings.GAIN_MIN * misfit.variance(
                 objective, sum_sq
@@ -406,9 +445,41 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     return x
 
 
+def weighed_around(
+    run: Run, given: Objective, now: Objective, x: Array
+) -> tuple[NoiseModel | None, Objective]:
+    """The noise of samples at x, and a level's objective with their weights.
+
+    `given` is the objective without, and `now` the one that x was fitted to.
+    """
+    if run.options.robust != "auto":
+        return None, _robust(run, now, x)
+    noise = estimated(now, x)
+    weights = noise.weights(given, x)
+    return noise, given if weights is None else given.weighed(weights)
+
+
+def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | None) -> None:
+    """Weigh the samples of all pixels by their noise; the objective changes, and x.
+
+    Outliers show once pixels are fitted, and the fit is another then: so both are done in turn.
+    """
+    if noise is None or (noise.is_even and not objective.has_limits):
+        return
+    with run.stage("noise of samples") as notes:
+        weighed = objective.weighed(noise.weights(objective, None))
+        for number in range(settings.WEIGHT_ROUNDS):
+            if fit_all(weighed, x, starts=1 if number == 0 else 0, stop=run.out_of_time) is None:
+                notes.append("stopped before all pixels had their turn")
+                break
+            weighed = objective.weighed(noise.weights(objective, x))
+        objective.adopt(weighed)
+        notes.append(noise.in_words())
+
+
 def _robust(run: Run, objective: Objective, x: Array) -> Objective:
     """Squares with the weights of the robust loss at x; without one the objective as it is."""
-    if run.options.robust == "none":
+    if run.options.robust in ("auto", "none"):
         return objective
     objective.robust = (
         run.robust_around(x)

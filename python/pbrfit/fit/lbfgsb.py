@@ -20,6 +20,7 @@ from pbrfit.fit.settings import (
     TRAP_ROUGHNESS,
     TRAPPED_MARGIN,
 )
+from pbrfit.result.options import ROBUST_LOSSES
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
@@ -54,12 +55,16 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
 def _stages(run: Run, start_given: bool) -> tuple[tuple[float, float], ...]:
     if not start_given:
         return LBFGS_STAGES
-    return LBFGS_STAGES_GIVEN_START if run.options.robust == "none" else ROBUST_STAGES_GIVEN_START
+    return (
+        LBFGS_STAGES_GIVEN_START
+        if run.options.robust not in ROBUST_LOSSES
+        else ROBUST_STAGES_GIVEN_START
+    )
 
 
 def robust_around(run: Run, best: tuple[float, Array]) -> tuple[float, Array]:
     """Make the loss robust, if it is to be, with the scale at this state; returns it anew."""
-    if run.options.robust == "none":
+    if run.options.robust not in ROBUST_LOSSES:
         return best
     _, x = best
     run.objective.robust = run.robust_around(x)

@@ -73,8 +73,8 @@ class Misfit:
         return self.variance / self.independent_share
 
 
-def score(mean_squared: float, unknowns: float, effective_samples: float) -> float:
-    """−2 log likelihood, the variance at its best, and a price for each unknown; less is better.
+def score(deviance: float, unknowns: float, effective_samples: float) -> float:
+    """−2 log likelihood and a price for each unknown; less is better. `deviance` is of a sample.
 
     AICc: C. Hurvich and C.-L. Tsai, "Regression and time series model selection in small samples",
     Biometrika 76, 1989. Samples that share what is left count as fewer, n/κ; where these are no
@@ -83,9 +83,7 @@ def score(mean_squared: float, unknowns: float, effective_samples: float) -> flo
     freedom = effective_samples - unknowns - 1
     if not freedom > 0:
         return math.inf
-    least = settings.NOISE_VARIANCE_MIN
-    fits = effective_samples * math.log(max(mean_squared, least))
-    return fits + 2 * unknowns * effective_samples / freedom
+    return effective_samples * deviance + 2 * unknowns * effective_samples / freedom
 
 
 def variance(objective: Objective, sum_sq: Array) -> float:

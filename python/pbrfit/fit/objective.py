@@ -30,7 +30,7 @@ from pbrfit.fit.settings import (
 from pbrfit.io.checks import real_array
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
-from pbrfit.result.options import Priors, unit_interval
+from pbrfit.result.options import ROBUST_LOSSES, Priors, unit_interval
 from pbrfit.scene.arrays import equal_channels
 from pbrfit.scene.exposure import relative_exposures
 from pbrfit.scene.scene import Scene
@@ -182,7 +182,10 @@ class Objective:
         self.weights = _weights(scene, units.largest_weight) if scene.weighted else None
         # (N, P, channels): the weights of the samples, 0 at limits, times those of a robust loss
         # that squares stand for; None without both.
-        self._factors = _ordinary(scene, self.weights, self.channels)
+        self._scene, self.threads = scene, threads
+        # Where the pixels that take part are in a picture, row by row; None = all valid ones.
+        self._places: NDArray[np.intp] | None = None
+        self._factors = self._ordinary()
         weights = self.sample_weights
         self.samples, self.total_weight = layout.pictures * self.pixels * self.channels, 0.0
         if weights is not None:
@@ -194,9 +197,6 @@ class Objective:
         exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
-        self._scene, self.threads = scene, threads
-        # Where the pixels that take part are in a picture, row by row; None = all valid ones.
-        self._places: NDArray[np.intp] | None = None
         self._exact = self._has_more_digits()
         self.problem = self._problem(self.weights if self._factors is None else self._factors)
         self.penalties = [] if priors is None else penalties(layout, priors)
@@ -318,9 +318,9 @@ class Objective:
     def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
         """What `robust` may be at x, a fit: a loss with the scale that the residuals tell.
 
-        The name is "huber" or "cauchy"; "none" gives None.
+        The name is "huber" or "cauchy"; others give None.
         """
-        if name == "none":
+        if name not in ROBUST_LOSSES:
             return None
         pixels = evenly_spaced(self.pixels, NOISE_PIXELS_MAX)
         sigma = noise_sigma(
@@ -346,6 +346,81 @@ class Objective:
         found.robust, found._factors = None, factors
         found.problem = self._problem(factors)
         return found
+
+    def weighed(self, factors: NDArray[np.float32] | None) -> Objective:
+        """Squares in which samples weigh as much more or less, (N, P, C); None = as given.
+
+        Samples at limits count too where their factor is not 0.
+        """
+        found = copy.copy(self)
+        if factors is None:
+            factors = self._ordinary()
+        elif self.weights is not None:
+            factors = factors * self.weights[..., None]
+        found._factors = factors
+        weights = found.sample_weights
+        if weights is not None:
+            of_each = self.channels // weights.shape[-1]
+            found.samples = of_each * int(np.count_nonzero(weights))
+            found.total_weight = of_each * float(weights.sum(dtype=np.float64))
+            found.layout = replace(self.layout, weighted=True)
+        found.problem = found._problem(self.weights if factors is None else factors)
+        return found
+
+    def _ordinary(self) -> NDArray[np.float32] | None:
+        """(N, P, C): weights as given, 0 at limits; None where no sample is at one."""
+        limits = self.limits(np.arange(self.pixels, dtype=np.uint64))
+        if limits is None:
+            return None
+        found = (limits == 0).astype(np.float32)
+        return found if self.weights is None else found * self.weights[..., None]
+
+    def adopt(self, weighed: Objective) -> None:
+        """Weigh samples as an objective does that `weighed` gave, from here on."""
+        for name in ("_factors", "samples", "total_weight", "layout", "problem"):
+            setattr(self, name, getattr(weighed, name))
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether some samples of the scene are limits."""
+        return self._scene.limits is not None
+
+    def limits(self, pixels: NDArray[np.uint64]) -> NDArray[np.uint8] | None:
+        """(N, Q, C): which samples of some pixels are limits, as in `Scene`; None where none is."""
+        limits = self._scene.limits
+        if limits is None:
+            return None
+        rows = limits.reshape(len(limits), -1, limits.shape[-1])
+        return rows[:, self._all_places()[pixels], : self.channels]
+
+    def pictures(self, pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
+        """(N, Q, C): some pixels' samples in the unit of x."""
+        places = self._all_places()[pixels]
+        samples = [self._scene.samples(i, places) for i in range(self.layout.pictures)]
+        return np.stack(samples)[..., : self.channels] / self._by_picture
+
+    def file_variances(self, pixels: NDArray[np.uint64]) -> NDArray[np.float64] | None:
+        """(N, Q, C): the variances that files' encoding left, in units of x; None if none did."""
+        places, found = self._all_places()[pixels], None
+        for i, unit in enumerate(self._units):
+            sigma = self._scene.noise_floor(i)
+            if sigma is None:
+                continue
+            if found is None:
+                found = np.zeros((self.layout.pictures, len(pixels), self.channels))
+            rows = sigma.reshape(-1, 3)[places, : self.channels].astype(np.float64)
+            found[i] = np.square(rows / unit)
+        return found
+
+    def is_sample(self, pixels: NDArray[np.uint64]) -> NDArray[np.bool_]:
+        """(N, Q, C): which samples of some pixels have weight, limits or not."""
+        shape = self.layout.pictures, len(pixels), self.channels
+        if self.weights is None:
+            return np.ones(shape, bool)
+        return np.broadcast_to((self.weights[:, pixels] > 0)[..., None], shape).copy()
+
+    def _all_places(self) -> NDArray[np.intp]:
+        return np.flatnonzero(self._scene.valid) if self._places is None else self._places
 
     def restricted(
         self, pixels: NDArray[np.uint64], shares: NDArray[np.float64] | None = None
@@ -624,16 +699,6 @@ def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
     weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
     weights /= np.float32(largest)  # so that float32 neither overflows nor loses digits
     return weights
-
-
-def _ordinary(
-    scene: Scene, weights: NDArray[np.float32] | None, channels: int
-) -> NDArray[np.float32] | None:
-    """(N, P, C): weights of the samples, 0 at limits; None where no sample is at one."""
-    if scene.limits is None:
-        return None
-    found = np.stack([of[scene.valid][:, :channels] == 0 for of in scene.limits])
-    return found.astype(np.float32) if weights is None else found * weights[..., None]
 
 
 def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import tied_neighbours
 from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
-from pbrfit.result.options import Priors, prior_names
+from pbrfit.result.options import ROBUST_LOSSES, Priors, prior_names
 from pbrfit.scene.scene import Scene
 
 
@@ -116,7 +116,7 @@ def _used(layout: ParameterLayout, priors: Priors, robust: str, uncertainty: boo
             yield f"prior {name}, weight {weight:g}"
         elif weight is None:
             yield f"prior {name}, if the fitted lights are near grey"
-    if robust != "none":
+    if robust in ROBUST_LOSSES:
         yield f"robust loss: {robust}"
     if uncertainty:
         yield "uncertainty"

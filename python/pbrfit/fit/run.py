@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -65,6 +66,8 @@ class SharedState:
     """The learnt material prior; None where the fit has none."""
     robust: tuple[str, float] | None = None
     """The robust loss and its scale; None = squares."""
+    noise: NoiseModel | None = None
+    """Of samples; None where none was found."""
     cohesion: tuple[Array, float] | None = None
     """(S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
     each pixel is pulled to it with; None where the prior has no weight."""
@@ -106,6 +109,8 @@ class Run:
         """When the material prior was fitted: the monochrome weight is chosen by it."""
         self.fitted_prior: FittedPrior | None = None
         """The material prior as it was fitted last."""
+        self.noise: NoiseModel | None = None
+        """Of samples, as it was found last."""
         self._progress, self._began = progress, began
         self.unmeasured = 0.0
         """Seconds spent on comparing with the ground truth and in `progress`."""

@@ -113,6 +113,35 @@ PATCHES_MIN = 4
 hardly depends on their size."""
 
 
+# --- Noise of samples -------------------------------------------------------------------------
+
+NOISE_ESTIMATION_STEPS = 8
+"""Steps of expectation and maximisation, each of which a step of the fit follows."""
+
+NOISE_FREEDOMS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 20.0)
+NOISE_FREEDOM_START = 3.0
+"""Degrees of freedom of Student's t that are tried, beside a normal distribution, which stays
+unless another is likelier by more than a number costs; and where the steps begin."""
+
+NOISE_VARIANCE_RATIO_MIN = 1 / 256
+"""Smallest variance of a picture beside the median of all: one sixteenth of the deviation, as far
+as exposures are evened out. A black picture is explained to the last digit and says nothing."""
+
+NOISE_READ_SHARE_MIN = 1e-3
+"""Smallest share of the variance that does not depend on radiance: 3 % of the deviation, so that no
+black sample has all the weight."""
+
+WEIGHT_ROUNDS = 3
+"""Times that all pixels are fitted and their samples weighed in turn."""
+
+LEVERAGE_MAX = 0.9
+"""Largest share of a sample's noise that the fit is said to take up."""
+
+EVEN_WEIGHTS_LOSS_MAX = 0.02
+"""Share of the information (L. Kish: Σw²n/(Σw)² − 1) that equal weights may lose for being equal:
+one per cent of a standard deviation."""
+
+
 # --- Gauss-Newton: all pixels -----------------------------------------------------------------
 
 DESCENT_ROUGHNESS_NODES = (0.08, 1.0, 12)

@@ -20,8 +20,9 @@ from pbrfit.result.refinement import CHOICES, RefineNormals
 Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
-Loss = Literal["none", "huber", "cauchy"]
+Loss = Literal["auto", "none", "huber", "cauchy"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
+ROBUST_LOSSES: tuple[Loss, ...] = ("huber", "cauchy")
 
 MODELS_IN_WORDS = (
     "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
@@ -126,9 +127,10 @@ class FitOptions:
     priors
         Weights of the priors; None stands for `Priors.none()`.
     robust
-        `"huber"` or `"cauchy"`: a loss in which shadows and other outliers weigh less, its scale
-        estimated from the residuals after the first rounds or stage and again before each later
-        one; `"none"`: squares (docs/solver.md).
+        `"auto"`: samples weigh by their noise, which is found from what the fit leaves of them, by
+        picture, radiance and file, and outliers weigh less where there are some (`lbfgsb` takes
+        squares); `"huber"` or `"cauchy"`: a loss in which outliers weigh less in any case, its
+        scale estimated from the residuals; `"none"`: squares (docs/solver.md).
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
@@ -159,7 +161,7 @@ class FitOptions:
     metallic: float | None = None
     mono_light: bool = False
     priors: Priors = field(default_factory=Priors)
-    robust: Loss = "none"
+    robust: Loss = "auto"
     equal_exposures: bool | None = None
     refine_normals: RefineNormals = "auto"
     seed: int = 0
@@ -232,7 +234,9 @@ FLAGS: dict[str, Flag] = {
         values={"free": None, "0": 0.0},
     ),
     "robust": Flag(
-        "loss in which shadows and other outliers weigh less than in squares", values=LOSSES
+        "auto: samples weigh by their noise, outliers less; huber, cauchy: losses in which outliers "
+        "weigh less; none: squares (default: %(default)s)",
+        values=LOSSES,
     ),
     "equal_exposures": Flag(
         "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "

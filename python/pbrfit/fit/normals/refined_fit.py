@@ -12,6 +12,7 @@ given ones are.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -35,6 +36,7 @@ from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.run import Run
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.data import Status
+from pbrfit.result.options import ROBUST_LOSSES
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
@@ -53,9 +55,13 @@ class PixelFit:
     status: Status
     reason: str
 
-    def mean_squared_residual(self) -> float:
-        """In units of x, or what a robust loss makes of it."""
-        return self.run.objective.data_value_and_grad(self.x)[0]
+    def deviance(self, lights: Lights) -> float:
+        """Of a sample, as of the lights' level and by its noise."""
+        level = Level.of(self.run.objective, settings.COARSE_PIXELS)
+        part = self.run.objective.part_of(self.x, level.pixels)
+        if lights.noise is not None:
+            return lights.noise.deviance(level.objective, part)
+        return math.log(level.objective.data_value_and_grad(part)[0])
 
 
 def fit(
@@ -104,7 +110,7 @@ def fit(
     offsets, found = _find_normals(run, free, free_x, offsets)
     # What rounding leaves says nothing of noise.
     samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
-    scores = [misfit.score(one.mean_squared, one.unknowns, samples) for one in (lights, found)]
+    scores = [misfit.score(one.deviance, one.unknowns, samples) for one in (lights, found)]
     figures |= _figures(free, found, "after")
     figures |= dict(zip(("score_before", "score_after"), scores, strict=True))
     figures["spread_degrees"] = float(np.degrees(offsets.sigma))
@@ -132,7 +138,7 @@ def _better(
         refined.run.scene = run.scene
         why = "no other normals explain the pictures better"
         return refined, Refinement(asked, False, why, figures)
-    if not refined.mean_squared_residual() < lights.mean_squared:
+    if not refined.deviance(lights) < lights.deviance:
         return with_given(lights), Refinement(
             asked, False, "all pixels together are explained better with the given normals", figures
         )
@@ -262,7 +268,11 @@ def _fit_held(
     """
     options = run.options
     scene = replace(scene, normals=free.layout.whole(free.normals(free_x)))
-    if free.lighting is not None and options.robust == "none" and not options.priors.monochrome:
+    if (
+        free.lighting is not None
+        and options.robust not in ROBUST_LOSSES
+        and not options.priors.monochrome
+    ):
         scene = replace(scene, lighting=free.unpack(free_x)[1])
     run = run.continued(scene, make(scene, False))
     objective = run.objective

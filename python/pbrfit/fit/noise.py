@@ -1,0 +1,270 @@
+"""Noise of single samples: what each weighs in a fit, from what the fit leaves of all.
+
+Least squares is right for samples of one variance and a normal distribution. Those of cameras and
+files have neither: a picture may be darker, moved, or of something else; bright samples have more
+noise than dark ones, and those of a JPEG's busy blocks more than others; some are hot, or show a
+highlight that the model does not have. So a residual r of picture i at radiance m has Student's t
+distribution with ν degrees of freedom and the scale
+
+    V = s_i² φ(m, f),      φ = c_0 + c_1 m/m̄ + c_2 (m/m̄)² + c_3 f/f̄,      c ≥ 0, mean of φ = 1
+
+with read noise, shot noise, what grows with radiance (the model's own errors), and the variance f
+that the file's encoding left (`Scene.noise_floor`). s_i, c and ν are those of the largest
+likelihood, by expectation–maximisation (K. Lange, R. Little and J. Taylor, "Robust statistical
+modeling using the t distribution", J. Am. Stat. Assoc. 84, 1989; the variance function as in R.
+Carroll and D. Ruppert, "Transformation and Weighting in Regression", 1988):
+
+    w = (ν + 1) / (ν + r²/V)        s_i² = Σ w r²/φ / Σ (1 − h)        c from w r²/s_i² against φ
+
+A fit takes up some of the noise: h is the leverage of a sample on its own residual, by its pixel's
+unknowns and its picture's lights. Without it, pictures that weigh more would be fitted better, and
+weigh more still. In squares a sample then weighs w/V.
+
+A clipped sample says that radiance is at least (or at most) so much: it weighs what others do where
+the model is on the wrong side, and nothing where it is not.
+
+Where weights vary so little that equal ones cost almost nothing, all are equal.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import Pixels, chunks
+from pbrfit.scene.arrays import AT_LEAST, AT_MOST
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Of a scene's pictures, in units of x."""
+
+    variances: Array
+    """s_i², (N,): of an ordinary sample of each picture."""
+    shares: Array
+    """c, (4,)."""
+    mean_radiance: float
+    mean_file_variance: float
+    """m̄ and f̄; the latter is 0 where files left nothing."""
+    freedom: float
+    """ν; infinite for a normal distribution."""
+    is_even: bool
+    """Whether equal weights are as good."""
+
+    def sample_variances(self, samples: _Samples) -> Array:
+        """V, (N, Q, C)."""
+        relative = samples.radiance / self.mean_radiance
+        found = self.shares[0] + relative * (self.shares[1] + self.shares[2] * relative)
+        if samples.of_file is not None and self.mean_file_variance > 0:
+            found += self.shares[3] / self.mean_file_variance * samples.of_file
+        found *= self.variances[:, None, None]
+        return found
+
+    @property
+    def least_variance(self) -> float:
+        """What V over w is at least: that of a sample of weight 1."""
+        tails = 1.0 if math.isinf(self.freedom) else self.freedom / (self.freedom + 1)
+        return float(self.variances.min() * self.shares[0] * tails)
+
+    def weights(self, objective: Objective, x: Array | None) -> NDArray[np.float32] | None:
+        """(N, P, C) for squares around x, at most 1; None where all are equal.
+
+        Without x those of samples that lie where the model has them.
+        """
+        if self.is_even and not objective.has_limits:
+            return None
+        found = np.empty((len(self.variances), objective.pixels, objective.channels), np.float32)
+        for pixels in chunks(objective.pixels):
+            samples = _Samples.of(objective, pixels, x)
+            variances = self.sample_variances(samples)
+            weights = _downweighting(np.square(samples.residuals) / variances, self.freedom)
+            weights /= variances
+            weights *= self.least_variance
+            weights[~samples.used | samples.satisfied()] = 0.0
+            found[:, pixels] = weights
+        return found
+
+    def deviance(self, objective: Objective, x: Array) -> float:
+        """−2 ln of the likelihood of a sample at x, in the mean, less a constant."""
+        total, count = 0.0, 0
+        for pixels in chunks(objective.pixels):
+            samples = _Samples.of(objective, pixels, x)
+            variances = self.sample_variances(samples)[samples.ordinary]
+            squares = np.square(samples.residuals[samples.ordinary]) / variances
+            total += float(_deviances(squares, self.freedom).sum() + np.log(variances).sum())
+            count += variances.size
+        return total / max(count, 1)
+
+    def in_words(self) -> str:
+        """For a stage's note."""
+        sigmas = np.sqrt(self.variances)
+        tails = "normal" if math.isinf(self.freedom) else f"Student's t of {self.freedom:g} degrees"
+        return f"deviations {sigmas.min():.2g} to {sigmas.max():.2g} of the pictures, {tails}"
+
+    def outlying_shares(self, objective: Objective, x: Array) -> Array:
+        """(N,): share of each picture's samples that weigh less than half for being outliers."""
+        low, used = np.zeros((2, len(self.variances)))
+        for pixels in chunks(objective.pixels):
+            samples = _Samples.of(objective, pixels, x)
+            squares = np.square(samples.residuals) / self.sample_variances(samples)
+            is_low = _downweighting(squares, self.freedom) < 0.5
+            low += (is_low & samples.ordinary).sum(axis=(1, 2))
+            used += samples.ordinary.sum(axis=(1, 2))
+        return np.asarray(low / np.maximum(used, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Of some pixels, (N, Q, C)."""
+
+    residuals: Array
+    radiance: Array
+    """The model's; the pictures' where nothing has been fitted."""
+    of_file: Array | None
+    """Variances that the encoding left."""
+    used: NDArray[np.bool_]
+    limits: NDArray[np.uint8] | None
+
+    @classmethod
+    def of(cls, objective: Objective, pixels: Pixels, x: Array | None) -> _Samples:
+        pictures = objective.pictures(pixels)
+        residuals = np.zeros_like(pictures)
+        if x is not None:
+            of_pixels = objective.problem.residuals(objective.for_core(x), pixels)
+            residuals = of_pixels.astype(np.float64)
+        return cls(
+            residuals,
+            (pictures + residuals).clip(0),
+            objective.file_variances(pixels),
+            objective.is_sample(pixels),
+            objective.limits(pixels),
+        )
+
+    @property
+    def ordinary(self) -> NDArray[np.bool_]:
+        """Which tell the radiance."""
+        return self.used if self.limits is None else self.used & (self.limits == 0)
+
+    def satisfied(self) -> NDArray[np.bool_]:
+        """Which are at a limit that the model is beyond."""
+        if self.limits is None:
+            return np.zeros(self.residuals.shape, bool)
+        above = (self.limits == AT_LEAST) & (self.residuals >= 0)
+        return np.asarray(above | ((self.limits == AT_MOST) & (self.residuals <= 0)))
+
+
+def estimated(objective: Objective, x: Array) -> NoiseModel:
+    """From what is left of a level's pixels at x, which minimises its (weighted) squares."""
+    samples = _Samples.of(objective, np.arange(objective.pixels, dtype=np.uint64), x)
+    used, of_file = samples.ordinary, samples.of_file
+    counts = used.sum(axis=(1, 2))
+    mean_radiance = max(float(samples.radiance[used].mean()), settings.NOISE_SIGMA_MIN)
+    mean_of_file = 0.0 if of_file is None else float(of_file[used].mean())
+    relative = samples.radiance / mean_radiance
+    terms = [np.ones_like(relative), relative, relative**2]
+    if of_file is not None and mean_of_file > 0:
+        terms.append(of_file / mean_of_file)
+    features = np.stack([term[used] for term in terms], axis=-1)
+    picture = np.broadcast_to(np.arange(len(used))[:, None, None], used.shape)[used]
+    squares = np.square(samples.residuals[used])
+    kept = 1 - _leverages(objective, x)[used]
+    in_pictures = np.maximum(np.bincount(picture, kept, len(used)), 1.0)
+    least = max(settings.NOISE_VARIANCE_MIN, np.finfo(np.float32).eps ** 2)
+
+    shares = np.zeros(features.shape[1])
+    shares[0] = 1.0
+    variances = np.array([_by_median(squares[picture == i], least) for i in range(len(used))])
+    freedom = settings.NOISE_FREEDOM_START
+    for _ in range(settings.NOISE_ESTIMATION_STEPS):
+        middle = float(np.median(variances[counts > 0]))
+        variances = np.maximum(variances, settings.NOISE_VARIANCE_RATIO_MIN * middle)
+        shape = features @ shares
+        scaled = squares / (variances[picture] * shape)
+        effective = _downweighting(scaled, freedom) * squares
+        sums = np.bincount(picture, effective / shape, len(used))
+        variances = np.where(counts > 0, np.maximum(sums / in_pictures, least), middle)
+        shares = _shares(features, effective / (variances[picture] * kept), shape)
+        scaled = squares / (variances[picture] * (features @ shares))
+        freedom = _freedom(scaled)
+    inverse = _downweighting(scaled, freedom) / (variances[picture] * (features @ shares))
+    spread = float(np.square(inverse).mean() / inverse.mean() ** 2 - 1)
+    return NoiseModel(
+        variances,
+        np.append(shares, np.zeros(4 - len(shares))),
+        mean_radiance,
+        mean_of_file,
+        freedom,
+        spread < settings.EVEN_WEIGHTS_LOSS_MAX,
+    )
+
+
+def _downweighting(squares: Array, freedom: float) -> Array:
+    """w of squares in units of their variance."""
+    if math.isinf(freedom):
+        return np.ones_like(squares)
+    return np.asarray((freedom + 1) / (freedom + squares))
+
+
+def _deviances(squares: Array, freedom: float) -> Array:
+    """−2 ln t_ν of squares in units of their variance, less ln 2π."""
+    if math.isinf(freedom):
+        return squares
+    constant = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2)
+    constant -= math.log(freedom / 2) / 2
+    return np.asarray((freedom + 1) * np.log1p(squares / freedom) - 2 * constant)
+
+
+def _freedom(squares: Array) -> float:
+    """The likeliest ν of some; a normal distribution unless another is clearly likelier."""
+    costs = [float(_deviances(squares, each).sum()) for each in settings.NOISE_FREEDOMS]
+    best = int(np.argmin(costs))
+    normal = float(squares.sum())
+    return settings.NOISE_FREEDOMS[best] if costs[best] + 2 < normal else math.inf
+
+
+def _by_median(squares: Array, least: float) -> float:
+    """A variance that outliers hardly move: half of normal noise is below 0.6745 σ in size."""
+    return max(float(np.median(squares)) / 0.6745**2, least) if squares.size else least
+
+
+def _shares(features: Array, squares: Array, shape: Array) -> Array:
+    """c ≥ 0 of squares, whose own variance is that of χ²: 2 φ²."""
+    from scipy.optimize import nnls
+
+    scaled = features / shape[:, None]
+    gram, right = scaled.T @ scaled, scaled.T @ (squares / shape)
+    factor = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(len(gram)))
+    found = nnls(factor.T, np.linalg.solve(factor, right))[0]
+    # What no term explains is read noise: nothing is known for sure.
+    found[0] = max(found[0], settings.NOISE_READ_SHARE_MIN)
+    return np.asarray(found / (features @ found).mean())
+
+
+def _leverages(objective: Objective, x: Array) -> Array:
+    """H, (N, P, C)."""
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    derivatives, _, weights = objective.problem.derivatives(objective.for_core(x), everything)
+    pixels, pictures, channels, rest = derivatives.shape
+    unknowns = channels + rest - 1
+    found = np.zeros((pixels, pictures, channels))
+    rows = np.zeros((pixels, pictures, channels, unknowns))
+    for channel in range(channels):
+        rows[:, :, channel, channel] = derivatives[:, :, channel, 0]
+        rows[:, :, channel, channels:] = derivatives[:, :, channel, 1:]
+    weighted = rows * weights[..., None]
+    gram = np.einsum("pncd,pnce->pde", weighted, rows, optimize=True)
+    gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(unknowns)
+    gram += np.finfo(np.float64).tiny * np.eye(unknowns)
+    solved = np.linalg.solve(gram, weighted.reshape(pixels, -1, unknowns).transpose(0, 2, 1))
+    found = np.einsum("psd,pds->ps", rows.reshape(pixels, -1, unknowns), solved)
+    found = found.reshape(pixels, pictures, channels).transpose(1, 0, 2)
+    if objective.lighting is not None:
+        found = found + objective.coefficients / pixels
+    return np.asarray(np.minimum(found, settings.LEVERAGE_MAX))
