@@ -226,7 +226,8 @@ def rounds(
         if noise is not None:
             deviance = noise.deviance(given, x)
         settled = (
-            weight >= settings.COARSE_WEIGHT_FALL * before
+            number >= settings.ROBUST_ROUND
+            and weight >= settings.COARSE_WEIGHT_FALL * before
             and deviance > last - settings.COARSE_ROUND_GAIN_MIN
             and (normals is None or normals.is_settled(number))
         )
