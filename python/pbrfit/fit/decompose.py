@@ -264,6 +264,8 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str
         assumed["model"] = f"{DEFAULT_MODEL}, the default"
     else:
         assumed.setdefault("model", f"{scene.model}, with which the pictures were rendered")
+    if fit.noise is not None and (remarks := fit.noise.remarks(scene.names, fit.exposures)):
+        assumed["noise"] = remarks
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)
     return assumed

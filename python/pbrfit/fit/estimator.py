@@ -98,6 +98,7 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
         lights = lights or find_lights(run, x)
         x = lights.x
         noise = lights.noise if run.shared_state is None else run.shared_state.noise
+        run.noise = noise
         if not lights.exact and run.goes_on:
             weigh_samples(run, run.objective, x, noise)
             loss = run.evaluate(start)[0]

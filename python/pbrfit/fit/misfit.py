@@ -69,8 +69,8 @@ class Misfit:
 
     @property
     def of_likelihood(self) -> float:
-        """s²/τ: the variance in the likelihood of a pixel."""
-        return self.variance / self.independent_share
+        """s² max(κ, 1)/τ: the variance in the likelihood of a pixel, which its neighbours' share."""
+        return self.variance / self.independent_share * max(self.design_effect, 1.0)
 
 
 def score(deviance: float, unknowns: float, effective_samples: float) -> float:

@@ -29,6 +29,7 @@ Where weights vary so little that equal ones cost almost nothing, all are equal.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,16 +109,20 @@ class NoiseModel:
         tails = "normal" if math.isinf(self.freedom) else f"Student's t of {self.freedom:g} degrees"
         return f"deviations {sigmas.min():.2g} to {sigmas.max():.2g} of the pictures, {tails}"
 
-    def outlying_shares(self, objective: Objective, x: Array) -> Array:
-        """(N,): share of each picture's samples that weigh less than half for being outliers."""
-        low, used = np.zeros((2, len(self.variances)))
-        for pixels in chunks(objective.pixels):
-            samples = _Samples.of(objective, pixels, x)
-            squares = np.square(samples.residuals) / self.sample_variances(samples)
-            is_low = _downweighting(squares, self.freedom) < 0.5
-            low += (is_low & samples.ordinary).sum(axis=(1, 2))
-            used += samples.ordinary.sum(axis=(1, 2))
-        return np.asarray(low / np.maximum(used, 1))
+    def remarks(self, names: Sequence[str], exposures: Array | None) -> str:
+        """Which pictures weigh less than the others and why, for `Result.assumed`; may be empty."""
+        deviations = np.sqrt(self.variances / np.median(self.variances))
+        found = [
+            f"{name} weighs 1/{ratio**2:.3g} of the others: what is left of it is "
+            f"{ratio:.2g} times as large" + ("" if exposures is None else ", at its own exposure")
+            for name, ratio in zip(names, deviations, strict=True)
+            if ratio > settings.PICTURE_DEVIATION_NAMED
+        ]
+        if not math.isinf(self.freedom):
+            found.append(
+                f"outliers weigh less (Student's t of {self.freedom:g} degrees of freedom)"
+            )
+        return "; ".join(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +240,7 @@ def _by_median(squares: Array, least: float) -> float:
 
 
 def _shares(features: Array, squares: Array, shape: Array) -> Array:
-    """c ≥ 0 of squares, whose own variance is that of χ²: 2 φ²."""
+    """The c ≥ 0 of squares, whose own variance is that of χ²: 2 φ²."""
     from scipy.optimize import nnls
 
     scaled = features / shape[:, None]

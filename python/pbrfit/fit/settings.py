@@ -131,6 +131,10 @@ NOISE_READ_SHARE_MIN = 1e-3
 """Smallest share of the variance that does not depend on radiance: 3 % of the deviation, so that no
 black sample has all the weight."""
 
+PICTURE_DEVIATION_NAMED = 2.0
+"""Ratio of a picture's deviation to the median from which the result names it: it weighs a quarter.
+"""
+
 WEIGHT_ROUNDS = 3
 """Times that all pixels are fitted and their samples weighed in turn."""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.parameters import ParameterLayout
@@ -108,6 +109,8 @@ class FitOutput:
     """As in `Objective`."""
     measured_lighting: Array | None
     """Lights by which the monochrome weight was chosen; None = it was not."""
+    noise: NoiseModel | None = None
+    """Of samples; None where all weigh as given."""
 
 
 def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
@@ -134,6 +137,7 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         refinement=refinement,
         exposures=run.objective.exposures,
         measured_lighting=run.measured_lighting,
+        noise=run.noise,
     )
 
 

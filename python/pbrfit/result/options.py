@@ -234,8 +234,8 @@ FLAGS: dict[str, Flag] = {
         values={"free": None, "0": 0.0},
     ),
     "robust": Flag(
-        "auto: samples weigh by their noise, outliers less; huber, cauchy: losses in which outliers "
-        "weigh less; none: squares (default: %(default)s)",
+        "auto: samples weigh by their noise, and outliers less; huber, cauchy: losses in which "
+        "outliers weigh less; none: squares (default: %(default)s)",
         values=LOSSES,
     ),
     "equal_exposures": Flag(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.estimator import Lights, Watch, find_lights, rounds, solve
 from pbrfit.fit.levels import Level
+from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
     restore_given,
@@ -93,7 +94,7 @@ def fit(
     if run.shared_state is not None:  # a tile of a picture whose subset has decided
         free = make(run.scene, True)
         free_x, offsets = _start(run, x, free, normals)
-        refined = _refine(run, free, free_x, offsets, make)
+        refined = _refine(run, free, free_x, offsets, make, run.shared_state.noise)
         if refined is None:
             return with_given(), Refinement(asked, False, OUT_OF_TIME)
         return refined, Refinement(asked, True, "asked for")
@@ -117,7 +118,7 @@ def fit(
     if asked == "auto" and not scores[1] < scores[0]:
         why = "what other normals explain does not outweigh how many unknowns they are"
         return with_given(lights), Refinement(asked, False, why, figures)
-    refined = _refine(run, free, free_x, offsets, make)
+    refined = _refine(run, free, free_x, offsets, make, found.noise)
     if refined is None:
         return with_given(lights), Refinement(asked, False, OUT_OF_TIME, figures)
     return _better(run, refined, lights, with_given, asked, figures)
@@ -221,13 +222,19 @@ def _refine(
     free_x: Array,
     prior: TangentOffsetPrior,
     make: Callable[[Scene, bool], Objective],
+    noise: NoiseModel | None,
 ) -> PixelFit | None:
-    """The fit of all pixels with refined normals, from an x of `free`; None if time ran out."""
+    """The fit of all pixels with refined normals, from an x of `free`; None if time ran out.
+
+    With the noise of samples: which of them are outliers shows after the first pass.
+    """
     scene = run.scene
     ended: tuple[Status, str] | None = None
     roughness_metallic, starts = None, 1
     for number in range(settings.NORMALS_PASSES):
         before = free_x.copy()
+        if noise is not None:
+            free.adopt(free.weighed(noise.weights(free, free_x if number else None)))
         with run.stage("normals of all pixels"):
             prior, sums = refine_all(
                 free, free_x, prior, roughness_metallic, starts, run.out_of_time

@@ -154,6 +154,7 @@ def fit_tiles(
         refinement=subset.refinement,
         exposures=units.exposures,
         measured_lighting=clock.measured_lighting,
+        noise=clock.noise,
     )
 
 

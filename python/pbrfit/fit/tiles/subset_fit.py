@@ -82,6 +82,7 @@ def fit_subset(
         shared_state=SharedState(
             material=material,
             robust=objective.robust,
+            noise=run.noise,
             cohesion=_segment_means(objective, x, priors.cohesion),
         ),
         priors=priors,
