@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 SUITES = {
     "ablation": "what each prior is worth, where it holds and where it does not",
     "convergence": "error against run time, for every solver, start and peer",
+    "everyday": "8 bits, JPEG, clipping, bad pictures and unknown cameras beside clean floats",
     "gap": "the reflection models against full reflection integrals and Cycles",
     "normals": "what wrong normals cost, and how much of it refining wins back",
     "peers": "networks that see one picture, beside our fit of all",

@@ -1,0 +1,366 @@
+"""Scenes as users have them: a synthetic scene after one thing that cameras and files do to it.
+
+All are made of a scene of 16 pictures with a mean radiance of 0.4 and white noise of `NOISE`, in
+float32; those of JPEG files, with their twins, of the scene without noise. What a file format does
+is done by files of that format, which `Scene.load` reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit.io.color import encode_srgb
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import chosen_model, render
+from pbrfit.scene.arrays import Truth
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import make_scene
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
+
+Kind = Literal["room", "furnished", "detailed"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+Disturbance = Literal[
+    "noise",
+    "clean",
+    "png",
+    "jpeg-90-444",
+    "white-90-444",
+    "jpeg-90-420",
+    "white-90-420",
+    "jpeg-75-444",
+    "white-75-444",
+    "jpeg-75-420",
+    "white-75-420",
+    "hot",
+    "black",
+    "clipped",
+    "brightest",
+    "shifted",
+    "another",
+    "gamma",
+    "vignetting",
+    "grey",
+    "fov-true",
+    "fov-unknown",
+    "fov-wrong",
+]
+DISTURBANCES: tuple[Disturbance, ...] = get_args(Disturbance)
+
+TITLES: dict[Disturbance, str] = {
+    "noise": "float32, 1 % noise",
+    "clean": "float32, no noise",
+    "png": "PNG, 8-bit sRGB",
+    "jpeg-90-444": "JPEG 90, 4:4:4",
+    "white-90-444": "white noise as JPEG 90, 4:4:4",
+    "jpeg-90-420": "JPEG 90, 4:2:0",
+    "white-90-420": "white noise as JPEG 90, 4:2:0",
+    "jpeg-75-444": "JPEG 75, 4:4:4",
+    "white-75-444": "white noise as JPEG 75, 4:4:4",
+    "jpeg-75-420": "JPEG 75, 4:2:0",
+    "white-75-420": "white noise as JPEG 75, 4:2:0",
+    "hot": "0.2 % hot samples",
+    "black": "one picture black",
+    "clipped": "floats clipped at 0.9",
+    "brightest": "brightest 0.2 % clipped",
+    "shifted": "one picture shifted",
+    "another": "one of another scene",
+    "gamma": "gamma 1.1",
+    "vignetting": "vignetting of 30 %",
+    "grey": "grey scene and lights",
+    "fov-true": "90° wide, known",
+    "fov-unknown": "90° wide, unknown",
+    "fov-wrong": "90° wide, 60° given",
+}
+"""What tables and plots say."""
+
+PICTURES = 16
+"""Of a scene; as many are held out."""
+
+NOISE = 0.01
+"""Standard deviation in radiance: 1 % of a radiance of 1, 2.5 % of the mean."""
+
+UNCLIPPED = 0.995
+"""Share of the samples below white in files of 8 bits: the brightest 0.5 % clip."""
+
+HOT_SHARE, HOT_RANGE = 0.002, 10.0
+"""Share of the samples that are hot, and how far they reach, in mean radiances."""
+
+CLIPPED_AT, UNCLIPPED_FLOATS = 0.9, 0.998
+"""Radiance above which floats are clipped; share of the samples that are below the other limit."""
+
+BAD_PICTURE = 5
+"""Number of the picture that is black, shifted or of another scene."""
+
+SHIFT = 2
+"""Pixels that a picture is shifted to the right."""
+
+OTHER_SEED = 500
+"""Added to the seed of a scene: that of another, which is in no run of fewer scenes than this."""
+
+GAMMA, VIGNETTING = 1.1, 0.3
+"""Exponent of radiance over white; share of the light that the corners lose, by the square of the
+distance to the middle."""
+
+FOV_TRUE, FOV_WRONG = 90.0, 60.0
+"""Degrees: that of the pictures, and that which is given."""
+
+
+class NotRunError(Exception):
+    """Such a scene cannot be given to this version of the package; says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbed:
+    """A scene as a user has it, and what is true of it.
+
+    Attributes
+    ----------
+    scene
+        What is fitted, with its ground truth.
+    fov
+        True field of view in degrees.
+    expected
+        (N, H, W, 3): its pictures as they would be without noise and without what spoils single
+        samples or pictures, in their own units; NaN where a picture is not of the scene.
+    """
+
+    scene: Scene
+    fov: float
+    expected: Floats
+
+
+def disturbed(disturbance: Disturbance, kind: Kind, seed: int, size: int) -> Disturbed:
+    """Make a scene after a disturbance.
+
+    Parameters
+    ----------
+    disturbance
+        One of `DISTURBANCES`.
+    kind, seed, size
+        Of the scene, as for `pbrfit.synthetic.make_scene`; what is drawn here has a stream of its
+        own.
+
+    Raises
+    ------
+    NotRunError
+        If this version of the package cannot be given such a scene.
+    """
+    made = partial(_made, kind, seed, size)
+    rng = np.random.default_rng([seed, 3])
+    format_, _, rest = disturbance.partition("-")
+    match format_:
+        case "jpeg":
+            return _in_files(made(0.0), _jpeg(rest))
+        case "white":
+            return _with_noise_of(made(0.0), _jpeg(rest), rng)
+        case "fov":
+            return _of_another_view(made(NOISE, fov=FOV_TRUE), rest)
+        case "clean":
+            return made(0.0)
+        case "png":
+            return _in_files(made(NOISE), _write_png)
+        case "grey":
+            return _grey(made(0.0), rng)
+    given = made(NOISE)
+    pictures: Floats = given.scene.images.copy()
+    expected: Floats = given.expected
+    valid = given.scene.valid
+    match disturbance:
+        case "hot":
+            hot = rng.random(pictures.shape) < HOT_SHARE
+            pictures[hot] = HOT_RANGE * expected[:, valid].mean() * rng.random(hot.sum())
+        case "black":
+            expected[BAD_PICTURE] = 0
+            pictures[BAD_PICTURE] = NOISE * rng.standard_normal(pictures.shape[1:])
+        case "clipped":
+            pictures = np.minimum(pictures, np.float32(CLIPPED_AT))
+        case "brightest":
+            pictures = np.minimum(pictures, np.quantile(pictures[:, valid], UNCLIPPED_FLOATS))
+        case "shifted":
+            pictures[BAD_PICTURE] = shifted(pictures[BAD_PICTURE])
+        case "another":
+            other = _made(kind, seed + OTHER_SEED, size, NOISE)
+            pictures[BAD_PICTURE] = other.scene.images[BAD_PICTURE]
+            expected[BAD_PICTURE] = np.nan
+        case "gamma":
+            white = _white(given.scene)
+            pictures, expected = (curved(of / white) * white for of in (pictures, expected))
+        case "vignetting":
+            pictures, expected = (vignetted(of) for of in (pictures, expected))
+    scene = replace(given.scene, images=pictures.astype(np.float32))
+    return replace(given, scene=scene, expected=expected)
+
+
+def shifted(picture: Floats) -> Floats:
+    """Move a picture (H, W, 3) to the right; its first column is repeated."""
+    width = picture.shape[1]
+    return np.pad(picture, ((0, 0), (SHIFT, 0), (0, 0)), mode="edge")[:, :width]
+
+
+def curved(radiance: Floats) -> Floats:
+    """What a tone curve makes of radiance over white; noise below black becomes black."""
+    found: Floats = np.maximum(radiance, 0) ** GAMMA
+    return found
+
+
+def vignetted(pictures: Floats) -> Floats:
+    """Darken the corners of pictures (N, H, W, 3)."""
+    height, width = pictures.shape[1:3]
+    y, x = np.mgrid[:height, :width] + 0.5
+    squared = (x / width - 0.5) ** 2 + (y / height - 0.5) ** 2
+    found: Floats = pictures * (1 - VIGNETTING * squared / 0.5)[..., None]
+    return found
+
+
+# --------------------------------------------------------------------------------------- scenes
+
+
+def _made(kind: Kind, seed: int, size: int, noise: float, *, fov: float = FOV_WRONG) -> Disturbed:
+    scene = make_scene(
+        kind,
+        size=size,
+        lights=PICTURES,
+        held_out=PICTURES,
+        seed=seed,
+        noise=noise,
+        fov=fov,
+    )
+    truth = _truth(scene)
+    assert truth.lighting is not None
+    expected = _rendered(scene, truth.materials, truth.lighting, fov)
+    return Disturbed(replace(scene, images=scene.images.astype(np.float32)), fov, expected)
+
+
+def _truth(scene: Scene) -> Truth:
+    assert scene.truth is not None
+    return scene.truth
+
+
+def _rendered(scene: Scene, materials: Materials, lighting: Array, fov: float) -> Array:
+    """(N, H, W, 3): the view under lights (N, 16, 3), without noise."""
+    model = chosen_model(None, scene.model)
+    return render(materials, scene.normals, lighting, fov, model=model)
+
+
+def _white(scene: Scene) -> float:
+    """Radiance that an exposure of the pictures makes white."""
+    return float(np.quantile(scene.images[:, scene.valid], UNCLIPPED))
+
+
+def _grey(clean: Disturbed, rng: Generator) -> Disturbed:
+    """Materials and lights without colour, at the same mean radiance; grey pictures with noise.
+
+    Each is the mean over its channels, also of what a camera gives with noise in each of them.
+    """
+
+    def mean(values: Floats | None) -> Array:
+        assert values is not None
+        return np.repeat(values.mean(axis=-1, keepdims=True, dtype=np.float64), 3, axis=-1)
+
+    scene, colored = clean.scene, _truth(clean.scene)
+    materials = replace(colored.materials, albedo=mean(colored.materials.albedo))
+    lighting, relight_lighting = mean(colored.lighting), mean(colored.relight_lighting)
+    unexposed = _rendered(scene, materials, lighting, clean.fov)
+    exposure = float(np.nanmean(clean.expected) / np.nanmean(unexposed))
+    expected = exposure * unexposed
+    truth = Truth(
+        materials,
+        exposure * lighting,
+        exposure * _rendered(scene, materials, relight_lighting, clean.fov),
+        exposure * relight_lighting,
+    )
+    pictures = expected + mean(NOISE * rng.standard_normal(expected.shape))
+    scene = replace(scene, images=pictures.astype(np.float32), truth=truth)
+    return replace(clean, scene=scene, expected=expected)
+
+
+def _of_another_view(given: Disturbed, said: str) -> Disturbed:
+    """With the field of view that is given: the true one, a wrong one, or none."""
+    if said == "wrong":
+        return replace(given, scene=replace(given.scene, fov=FOV_WRONG))
+    if said == "unknown":
+        scene = _read_back(given.scene, say_fov=False)
+        assumed: float | None = scene.fov
+        if assumed is not None:
+            raise NotRunError(
+                f"an unknown field of view cannot be asked for: Scene.load took {assumed:g} degrees"
+            )
+        return replace(given, scene=scene)
+    return given
+
+
+# ---------------------------------------------------------------------------------------- files
+
+Write = Callable[[Path, NDArray[np.uint8]], None]
+"""Writes codes (H, W, 3) to a path without its suffix."""
+
+
+def _write_png(path: Path, codes: NDArray[np.uint8]) -> None:
+    Image.fromarray(codes).save(path.with_suffix(".png"))
+
+
+def _write_jpeg(path: Path, codes: NDArray[np.uint8], *, quality: int, chroma: str) -> None:
+    Image.fromarray(codes).save(path.with_suffix(".jpg"), quality=quality, subsampling=chroma)
+
+
+def _jpeg(said: str) -> Write:
+    """Of quality and chroma subsampling, such as "90-420"."""
+    quality, _, chroma = said.partition("-")
+    return partial(_write_jpeg, quality=int(quality), chroma=":".join(chroma))
+
+
+def _in_files(given: Disturbed, write: Write) -> Disturbed:
+    """Exposed, encoded as sRGB of 8 bits, written, and read; held-out pictures stay."""
+    white = _white(given.scene)
+    truth = _truth(given.scene)
+    assert truth.lighting is not None
+    # Held-out lights and pictures are not those of the files, and need no exposure.
+    truth = replace(truth, lighting=truth.lighting / white)
+    scene = _read_back(replace(given.scene, images=given.scene.images / white), write)
+    return replace(given, scene=replace(scene, truth=truth), expected=given.expected / white)
+
+
+def _with_noise_of(clean: Disturbed, write: Write, rng: Generator) -> Disturbed:
+    """Float pictures with white noise of the RMS that files leave in the samples they can hold."""
+    white, valid = _white(clean.scene), clean.scene.valid
+    error = _in_files(clean, write).scene.images - clean.expected / white
+    held = error[(clean.expected < white) & valid[..., None]]
+    sigma = white * float(np.sqrt(np.mean(np.square(held, dtype=np.float64))))
+    pictures = clean.expected + sigma * rng.standard_normal(clean.expected.shape)
+    return replace(clean, scene=replace(clean.scene, images=pictures.astype(np.float32)))
+
+
+def _read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True) -> Scene:
+    """As `Scene.load` reads it from a folder, with its ground truth as it was.
+
+    Pictures are float32 EXR, or what `write` makes of their sRGB codes. A folder need not say the
+    field of view.
+    """
+    with TemporaryDirectory() as parent:
+        folder = Path(parent) / "scene"
+        replace(scene, truth=None).save(folder)
+        if write is not None:
+            for name, picture in zip(scene.names, scene.images, strict=True):
+                path = folder / "images" / name
+                path.with_suffix(".exr").unlink()
+                shown = np.clip(np.nan_to_num(picture), 0.0, 1.0)
+                write(path, np.round(255 * encode_srgb(shown)).astype(np.uint8))
+        settings = folder / "scene.toml"
+        if not say_fov:
+            lines = settings.read_text(encoding="utf-8").splitlines(keepends=True)
+            kept = (line for line in lines if not line.startswith("fov"))
+            settings.write_text("".join(kept), encoding="utf-8")
+        return replace(Scene.load(folder), truth=scene.truth)
