@@ -110,12 +110,14 @@ def test_errors_of_jpeg_are_predicted(tmp_path: Path, kind: str, chroma: str, qu
         ranks += [spearmanr(of_true[:, c], of_found[:, c])[0] for c in range(3)]
     ratio = np.sqrt(found_squares / true_squares)
     print(f"{kind} {chroma} {quality}: {ratio:.2f} of the errors, ranks {np.mean(ranks):.2f}")
-    assert ratio == pytest.approx(1, abs=0.2)
+    # What was lost with chroma is extrapolated.
+    assert ratio == pytest.approx(1, abs=0.2 if chroma == "4:4:4" else 0.3)
     assert np.mean(ranks) > 0.6
 
 
-@pytest.mark.parametrize("size", [64, 50, 16, 9])
-def test_errors_of_averaged_jpeg_are_predicted(tmp_path: Path, size: int) -> None:
+@pytest.mark.parametrize(("size", "off"), [(64, 0.1), (50, 0.1), (16, 0.3), (9, 0.4)])
+def test_errors_of_averaged_jpeg_are_predicted(tmp_path: Path, size: int, off: float) -> None:
+    """In means of many samples the bias counts that the curve makes of large errors."""
     true = rendered("textured")[0]
     Image.fromarray(codes_of(true)).save(tmp_path / "a.jpg", quality=75, subsampling=0)
     picture = images.read_picture(tmp_path / "a.jpg")
@@ -123,7 +125,7 @@ def test_errors_of_averaged_jpeg_are_predicted(tmp_path: Path, size: int) -> Non
     deviation = noise_of(picture, (size, size)).deviation(pixels)
     ratio = np.sqrt(np.square(deviation).mean() / np.square(pixels - expected).mean())
     print(f"{size}: {ratio:.2f}")
-    assert ratio == pytest.approx(1, abs=0.3)
+    assert ratio == pytest.approx(1, abs=off)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
