@@ -182,7 +182,7 @@ def test_held_out_pictures_are_not_seen_by_the_fit(scene: Scene) -> None:
 # Sources
 
 
-def test_clipped_samples_have_no_weight(scene: Scene, tmp_path: Path) -> None:
+def test_clipped_samples_are_limits(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "images").mkdir()
     pictures = np.full((3, 16, 16, 3), 0.25)
     pictures[1, 5, 7, 2] = 1.0
@@ -195,12 +195,12 @@ def test_clipped_samples_have_no_weight(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text("fov = 60\n", encoding="utf-8")
     [source] = sources.find_sources(tmp_path)
     loaded = sources.load(source)
-    assert loaded.weights is not None
-    assert np.argwhere(loaded.weights == 0).tolist() == [[1, 5, 7]]
+    assert loaded.limits is not None
+    assert np.argwhere(loaded.limits).tolist() == [[1, 5, 7, 2]]
     small = sources.load(source, max_size=6)
-    assert small.weights is not None
+    assert small.limits is not None
     # 16 pixels become 6: row 5 falls on 1.9 to 2.2, column 7 on 2.6 to 3.
-    assert np.argwhere(small.weights == 0).tolist() == [[1, 1, 2], [1, 2, 2]]
+    assert np.argwhere(small.limits).tolist() == [[1, 1, 2, 2], [1, 2, 2, 2]]
 
 
 def test_sphere_normals() -> None:

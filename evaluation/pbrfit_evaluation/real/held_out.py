@@ -163,6 +163,7 @@ def part(scene: Scene, pictures: tuple[int, ...]) -> Scene:
         images=scene.images[of],
         weights=None if scene.weights is None else scene.weights[of],
         limits=None if scene.limits is None else scene.limits[of],
+        file_noise=None if scene.file_noise is None else tuple(scene.file_noise[i] for i in of),
         names=tuple(scene.names[i] for i in of),
         lighting=None,
         truth=None,

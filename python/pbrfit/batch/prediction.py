@@ -21,8 +21,9 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import PICTURES_MIN
 from pbrfit.scene import folder as scene_folder
 
-DECODING_BYTES = 48
-"""Bytes a pixel of a file while it is read: its content, samples, float32 and what is marked."""
+DECODING_BYTES = 64
+"""Bytes a pixel of a file while it is read: its content, samples, float32, and the components of a
+JPEG file in float32 with their coefficients."""
 
 _HEAD = 1 << 20
 """Bytes of an EXR or HDR file in which its size is sought."""
@@ -53,14 +54,15 @@ def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitM
         lighting_known=(folder / "lighting.json").exists(),
         weighted=weighted,
     )
-    # Pictures and weights in float32, normals in float64, how far off they may be.
-    held = pixels * (4 * pictures * (3 + weighted) + 24 + 4 * (folder / "normals.exr").exists())
+    # Pictures and weights in float32, limits, normals in float64, how far off they may be.
+    of_samples = 12 + 4 * (folder / WEIGHT_FILE).exists() + 3 * integers
+    held = pixels * (pictures * of_samples + 24 + 4 * (folder / "normals.exr").exists())
     refining = options.refine_normals != "off" and pictures >= PICTURES_MIN
     optional = options.refine_normals == "auto"
     found = memory.plan(
         layout, options.solver, held=held, refine_normals=refining, optional=optional
     ).needed
-    reading_takes = held + 2 * pictures * pixels + DECODING_BYTES * full[0] * full[1]
+    reading_takes = held + DECODING_BYTES * full[0] * full[1]
     return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0, 0, 0)
 
 

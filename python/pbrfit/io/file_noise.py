@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit.io.color import Conversion
 from pbrfit.io.jpeg_noise import SIDE, Tables, block_variances
-from pbrfit.io.resampling import area_shares, at_centres
+from pbrfit.io.resampling import area_shares
 
 ROUNDING = 1 / 12
 """Variance of rounding, in codes²."""
@@ -91,8 +91,8 @@ class Stored:
         blocks = None
         if self.tables is not None:
             variances = block_variances(self.codes, self.tables, small)
-            if any(of > to for of, to in zip(variances.shape, small, strict=False)):
-                variances = at_centres(variances, small)
+            if variances.shape[0] > small[0] or variances.shape[1] > small[1]:
+                variances = variances[np.ix_(*places)]
                 places = [np.arange(to, dtype=np.int32) for to in small]
             blocks = np.sqrt(variances).astype(np.float16)
         rows, columns = places

@@ -32,7 +32,7 @@ from pbrfit.io.color import (
 )
 from pbrfit.io.file_noise import Stored
 from pbrfit.io.jpeg_noise import read_tables
-from pbrfit.io.limits import Limits, converted, of_codes
+from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits, converted, of_codes
 from pbrfit.io.quoting import listed
 
 logger = logging.getLogger("pbrfit")
@@ -42,6 +42,9 @@ PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 PngTag = Literal["srgb", "linear"] | None
 """What a PNG file says about its encoding."""
+
+LIMITS = "limits"
+"""Layer of an EXR file whose channels R, G and B are the limits of the picture's samples."""
 
 CODE_RANGE = (1, 250)
 """Codes of a JPEG file that are data; of lossless files all but the first and the last are. JPEG
@@ -73,7 +76,8 @@ class Picture:
     multiplied by it."""
     limits: Limits | None
     """(H, W, 3), uint8: where `pixels` bound the radiance, `AT_LEAST` or `AT_MOST`, because a code
-    is outside the code range; 0 elsewhere. None where none is, and for float files."""
+    is outside the code range, or because an EXR file has them in a layer; 0 elsewhere. None where
+    no code is, and for other float files."""
     negative: NDArray[np.bool_]
     """(H, W), bool: some colour channel is below 0 in the file's own primaries. Colours outside of
     Rec.709 are negative in `pixels` without that."""
@@ -127,9 +131,9 @@ def read_picture(
         except ValueError as error:
             raise InputError(str(error)) from None
     samples: NDArray[Any]
-    raster = None
+    raster = stored = limits = None
     if kind == "EXR":
-        samples, found, color = _exr_picture(path, data, layer)
+        samples, limits, found, color = _exr_picture(path, data, layer)
         focal_length = None
     else:
         _refuse_layer(path, kind, layer)
@@ -144,7 +148,6 @@ def read_picture(
     if samples.shape[2] in (2, 4):
         colors, alpha = samples[..., :-1], samples[..., -1]
     negative = np.zeros(samples.shape[:2], dtype=np.bool_)
-    limits = stored = None
     bit_depth = 8 * samples.dtype.itemsize
     if samples.dtype.kind == "u":
         maximum = int(np.iinfo(samples.dtype).max)
@@ -391,29 +394,38 @@ def _raster_color(path: Path, raster: _core.Raster, decide: bool) -> tuple[Conve
 
 def _exr_picture(
     path: Path, data: bytes, layer: str | None
-) -> tuple[NDArray[np.float32], Conversion, str]:
-    """Find samples (H, W, 1 to 4), conversion and its sentence."""
+) -> tuple[NDArray[np.float32], Limits | None, Conversion, str]:
+    """Find samples (H, W, 1 to 4), their limits if it has any, conversion and its sentence."""
     channels, chromaticities = _core.decode_exr(data, path)
     prefix = f"{layer}." if layer else ""
     found = _pick(channels, prefix, ("RGBA", "RGB", "YA", "Y"))
     if not found:
         raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or {prefix}Y")
     samples = np.stack(found, axis=-1)
-    del channels, found
+    limits = None
+    stored = _pick(channels, f"{prefix}{LIMITS}.", ("RGB",))
+    if stored:
+        if not np.isin(stored, (ORDINARY, AT_LEAST, AT_MOST)).all():
+            raise InputError(
+                f"{path}: expected 0, 1 or 2 in channels {prefix}{LIMITS}, found others"
+            )
+        limits = np.stack(stored, axis=-1).astype(np.uint8)
+    del channels, found, stored
     linear = Conversion("linear")
     if chromaticities is None:
-        return samples, linear, "linear Rec.709 (EXR without chromaticities)"
+        return samples, limits, linear, "linear Rec.709 (EXR without chromaticities)"
     x_y = [(chromaticities[k], chromaticities[k + 1]) for k in range(0, 8, 2)]
     primaries = Primaries(*x_y)
     if near_rec709(primaries):
-        return samples, linear, "linear Rec.709 (chromaticities of the EXR)"
+        return samples, limits, linear, "linear Rec.709 (chromaticities of the EXR)"
     if samples.shape[2] < 3:
-        return samples, linear, "linear grey (EXR)"
+        return samples, limits, linear, "linear grey (EXR)"
     try:
         matrix = to_rec709(primaries)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
-    return samples, Conversion("linear", matrix), "linear, converted from the EXR's chromaticities"
+    converted_colors = "linear, converted from the EXR's chromaticities"
+    return samples, limits, Conversion("linear", matrix), converted_colors
 
 
 def _pick(

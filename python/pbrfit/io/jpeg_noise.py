@@ -29,11 +29,15 @@ averaged over the levels that block b may have. Two roundings to integers, befor
 after the inverse one, add 1/12 each.
 
 **Chroma at half resolution** was averaged over pairs of samples and is interpolated by (3, 1)/4.
-With ω = π u / 8 for frequency u, an amplitude 1 is stored as p = cos(ω/4) and comes back as p G,
-G = ¾ exp(iω/4) + ¼ exp(−3iω/4), so that errors of coefficients count |G|², and a stored c lost
-|p G − 1|² c²/p². What lies beyond the stored frequencies is lost as a whole. By the power law
-g ∝ f^−γ an octave has 2^(2 − 2γ) times the energy of the one below it, which is the upper half of
-the stored block.
+With ω = π u / 8 for frequency u, an amplitude A is stored as p A, p = cos(ω/4), and with it the
+aliased one of frequency 2π − ω, times sin(ω/4). By a power that falls with the square of the
+frequency that has the energy a A², a = (ω / (2π − ω))². So what is stored has
+E c² = (p² + a (1 − p²)) A². It comes back times G = ¾ exp(iω/4) + ¼ exp(−3iω/4): errors of
+coefficients count |G|², and lost is |p G − 1|² A² + |G|² a (1 − p²) A². What lies beyond the stored
+frequencies is lost as a whole: by a power law g ∝ f^−γ an octave has 2^(2 − 2γ) times the energy of
+the one below it, which is the upper half of the stored block. The loss is shared among the blocks
+of luma under a block of chroma by the variance that luma has in them, and is correlated between Cb
+and Cr as their slopes are.
 """
 
 from __future__ import annotations
@@ -134,21 +138,65 @@ def block_variances(
         to_ycc = np.linalg.inv(to_rgb).astype(np.float32)
         rgb = [codes[..., c].astype(np.float32) for c in range(3)]
         planes = [row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2] for row in to_ycc]
+        del rgb
     found = np.zeros((*grid, 3), dtype=np.float32)
+    lost = []
     for plane, steps, sampling, column in zip(
         planes, tables.steps, tables.sampling, to_rgb.T, strict=True
     ):
-        of_blocks = _of_component(plane, steps, sampling, size)
-        for axis, times in enumerate(sampling):
-            of_blocks = np.repeat(of_blocks, times, axis=axis)
-        found += of_blocks[: grid[0], : grid[1], None] * np.square(column).astype(np.float32)
+        errors, loss = (
+            _on_grid(variances, sampling, grid)
+            for variances in _of_component(plane, steps, sampling, size)
+        )
+        found += errors[..., None] * np.square(column).astype(np.float32)
+        if max(sampling) > 1:
+            within = _shares_of_activity(planes[0], sampling)[: grid[0], : grid[1]]
+            lost.append(column.astype(np.float32) * np.sqrt(within * loss)[..., None])
+    for of_component in lost:
+        found += np.square(of_component)
+    if len(lost) == 2:
+        found += 2 * _correlation(planes[1], planes[2]) * lost[0] * lost[1]
     return found
+
+
+def _on_grid(
+    of_blocks: NDArray[np.float32], sampling: tuple[int, int], grid: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """Values of a component's blocks at those of the picture."""
+    for axis, times in enumerate(sampling):
+        of_blocks = np.repeat(of_blocks, times, axis=axis)
+    return of_blocks[: grid[0], : grid[1]]
+
+
+def _shares_of_activity(
+    luma: NDArray[np.float32], sampling: tuple[int, int]
+) -> NDArray[np.float32]:
+    """(rows, columns): variances of luma in blocks, over the mean of those that share a block.
+
+    Chroma has its edges where luma has. 1 where luma is flat.
+    """
+    multiple = [SIDE * times for times in sampling]
+    pad = [(0, -length % of) for length, of in zip(luma.shape, multiple, strict=True)]
+    activity = _blocks(np.pad(luma, pad, mode="edge"), (1, 1)).var(axis=(2, 3)) + np.float32(1)
+    (down, across), (rows, columns) = sampling, activity.shape
+    mean = activity.reshape(rows // down, down, columns // across, across).mean(axis=(1, 3))
+    return np.asarray(activity / _on_grid(mean, sampling, activity.shape))
+
+
+def _correlation(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    """Of the slopes of two planes."""
+    products = np.zeros(3)
+    for axis in (0, 1):
+        a, b = (np.diff(plane, axis=axis).ravel() for plane in (one, other))
+        products += [np.sum(p * q, dtype=np.float64) for p, q in ((a, b), (a, a), (b, b))]
+    size = float(np.sqrt(products[1] * products[2]))
+    return float(products[0]) / size if size > 0 else 0.0
 
 
 def _of_component(
     plane: NDArray[np.float32], steps: Array, sampling: tuple[int, int], size: tuple[int, int]
-) -> NDArray[np.float32]:
-    """(rows, columns): variances of one component, in its blocks."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(rows, columns): variances of a component's errors and of what was lost, in its blocks."""
     from scipy.fft import dctn
 
     gains = [
@@ -172,8 +220,13 @@ def _of_component(
     constant = errors[0, 0] * steps[0, 0] ** 2 / 12 + 2 / 12 * float(kept.sum())
     model = _Model.fitted(counts, steps.ravel()[1:])
     if model is None:
-        return np.full((rows, columns), constant, dtype=np.float32)
-    losses = kept * np.abs(np.multiply.outer(axes[0].back, axes[1].back) - 1) ** 2
+        nothing = np.zeros((rows, columns), dtype=np.float32)
+        return nothing + np.float32(constant), nothing
+    aliased = np.multiply.outer(axes[0].stored, axes[1].stored)
+    stored = aliased.copy()
+    aliased -= np.multiply.outer(axes[0].passed, axes[1].passed) ** 2
+    back = np.abs(np.multiply.outer(axes[0].back, axes[1].back) - 1) ** 2
+    losses = kept * back + errors * aliased
     upper = np.zeros((SIDE, SIDE))
     octaves = 0.0
     for axis, times in enumerate(sampling):
@@ -183,12 +236,14 @@ def _of_component(
             upper[tuple(half)] = 1
             octaves = max(octaves, sum(model.octave**k for k in range(1, times.bit_length())))
     losses += octaves * upper * kept[-1, -1]
-    losses /= np.multiply.outer(axes[0].stored, axes[1].stored) ** 2
-    found = np.empty(len(flat), dtype=np.float32)
+    losses /= stored
+    parts = np.stack([errors.ravel()[1:], losses.ravel()[1:]])
+    found = np.empty((2, len(flat)), dtype=np.float32)
     for first in range(0, len(flat), _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        found[chunk] = model.variances(counts[chunk], errors.ravel()[1:], losses.ravel()[1:])
-    return (found + np.float32(constant)).reshape(rows, columns)
+        found[:, chunk] = model.variances(counts[chunk], *parts)
+    found[0] += np.float32(constant)
+    return found[0].reshape(rows, columns), found[1].reshape(rows, columns)
 
 
 class _Axis:
@@ -197,11 +252,14 @@ class _Axis:
     def __init__(self, times: int) -> None:
         omega = np.pi * np.arange(SIDE) / SIDE
         whole = np.ones(SIDE)
-        self.stored, self.back, self.energy, self.seen = whole, whole + 0j, whole, whole
+        self.passed, self.stored, self.energy, self.seen = whole, whole, whole, whole
+        self.back = whole + 0j
         if times > 1:
             gain = 0.75 * np.exp(0.25j * omega) + 0.25 * np.exp(-0.75j * omega)
-            self.stored = np.cos(omega / 4)
-            self.back = self.stored * gain
+            self.passed = np.cos(omega / 4)
+            alias = (omega / (2 * np.pi - omega)) ** 2
+            self.stored = self.passed**2 + alias * np.sin(omega / 4) ** 2
+            self.back = self.passed * gain
             self.energy = np.abs(gain) ** 2
             self.seen = 0.75 + 0.25 * np.cos(omega)  # of interpolated samples averaged again
 
@@ -301,17 +359,20 @@ class _Model:
         found = np.exp(log)
         return np.asarray(found / found.sum(axis=1, keepdims=True))
 
-    def variances(self, counts: NDArray[np.float32], errors: Array, losses: Array) -> Array:
-        """(blocks,): Σ_k of the square of coefficient k's error times `errors`, its own `losses`."""
+    def variances(
+        self, counts: NDArray[np.float32], errors: Array, losses: Array
+    ) -> tuple[Array, Array]:
+        """(blocks,) each: Σ_k of E (c − nq)² times `errors`, and of E c² times `losses`."""
         posterior, other = self._posterior(counts), counts > 0
-        zero, inside = _squares(self._u)
-        unit = self.steps**2
-        at_zero, at_other = zero * unit * (errors + losses), inside * unit * errors
-        by_level = at_zero.sum(axis=1) + _product(other, (at_other - at_zero).T)
-        found = (posterior * by_level).sum(axis=1)
-        if losses.any():
-            found += _product(np.square(counts), (unit * losses)[:, None])[:, 0]
-        return np.asarray(found)
+        zero, inside = (squares * self.steps**2 for squares in _squares(self._u))
+        of_errors = (errors * zero).sum(axis=1) + _product(other, (errors * (inside - zero)).T)
+        found = (posterior * of_errors).sum(axis=1)
+        if not losses.any():
+            return found, np.zeros_like(found)
+        weights = losses * self.steps**2
+        of_losses = (losses * zero).sum(axis=1) - _product(other, (losses * zero).T)
+        stored = _product(np.square(counts), weights[:, None])[:, 0]
+        return found, (posterior * of_losses).sum(axis=1) + stored
 
 
 def _equal_shares() -> Array:
@@ -335,9 +396,9 @@ def _power_law(log_frequency: Array, scales: Array, weights: Array) -> tuple[Arr
     return np.exp(mean_y - exponent * x), exponent
 
 
-_FLAT = 0.05
-"""u below which densities are flat inside their bin to better than 1e-3, and the formulas below
-lose their digits."""
+_FLAT = 1e-3
+"""u below which densities are flat inside their bin to better than u/5, and the formulas below lose
+their digits."""
 
 
 def _means(u: Array) -> tuple[Array, Array]:

@@ -150,7 +150,7 @@ def load(
             lighting=lighting,
             weights=weights,
             limits=limits,
-            file_noise=tuple(read.noise),
+            file_noise=tuple(read.noise) if any(read.noise) else None,
             normal_sigma=sigma,
             names=names,
             truth=truth,
@@ -173,6 +173,8 @@ class _Pictures:
     """(N, H, W, 3): samples with a part in what is too bright or too dark for its file."""
     searched: list[bool]
     """Pictures whose files say nothing about limits: floats."""
+    said: bool
+    """Whether a float file has limits."""
     noise: list[FileNoise | None]
     """What its file did to each picture."""
     mask: NDArray[np.bool_]
@@ -201,6 +203,7 @@ def _read_pictures(
                 pixels=np.empty((*samples, 3), dtype=np.float32),
                 limits=np.zeros((*samples, 3), dtype=np.uint8),
                 searched=[],
+                said=False,
                 noise=[],
                 mask=np.ones(full_size, dtype=bool),
             )
@@ -214,7 +217,9 @@ def _read_pictures(
         read.pixels[i] = picture.pixels if whole else averaged_channels(picture.pixels, size)
         if picture.limits is not None:
             read.limits[i] = picture.limits if whole else file_limits.averaged(picture.limits, size)
-        read.searched.append(picture.bit_depth == 32 and picture.limits is None)
+        is_float = picture.bit_depth == 32
+        read.searched.append(is_float and picture.limits is None)
+        read.said |= is_float and picture.limits is not None
         stored = picture.stored
         read.noise.append(None if stored is None else stored.noise(size))
         if stored is not None:
@@ -252,7 +257,7 @@ def _limits(
     code_range: tuple[int, int] | None,
     assumed: dict[str, str],
 ) -> NDArray[np.uint8] | None:
-    """(N, H, W, 3): limits of the files and of plateaus; None where the files know of none."""
+    """(N, H, W, 3): limits of the files and of plateaus; None = a Scene has to seek them."""
     counted = [mask] * len(paths)
     for path, limits in zip(paths, read.limits, strict=True):
         if limits[mask].all():
@@ -262,7 +267,9 @@ def _limits(
                 "found all clipped or dark; --code-range 0,255 keeps them"
             )
     if not any(limits[mask].any() for limits in read.limits):
-        return None  # a Scene seeks plateaus of float pictures by itself
+        # Plateaus of float pictures are sought when the Scene is made, unless their files say that
+        # there are none.
+        return np.broadcast_to(np.uint8(0), read.limits.shape) if read.said else None
     found = plateaus(read.pixels, counted, read.searched)
     if found is not None:
         np.maximum(read.limits, found, out=read.limits)

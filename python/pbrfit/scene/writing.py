@@ -23,8 +23,9 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
     """Write a scene folder; see `Scene.save`."""
     with new_folder(path, overwrite=overwrite, contains=CONTAINS) as folder:
         (folder / "images").mkdir()
-        for name, image in zip(scene.names, scene.images, strict=True):
-            _write_picture(folder / "images" / f"{name}.exr", image)
+        for i, (name, image) in enumerate(zip(scene.names, scene.images, strict=True)):
+            limits = None if scene.limits is None else scene.limits[i]
+            _write_picture(folder / "images" / f"{name}.exr", image, limits)
         normals = np.where(scene.valid[..., None], scene.normals, 0.0).astype(np.float32)
         sigma = scene.normal_sigma
         uncertainty = None if sigma is None else np.where(scene.valid, sigma, np.float32(0))
@@ -59,9 +60,14 @@ def _write_truth(truth: Truth, scene: SceneArrays, folder: Path) -> None:
     Lighting(names, truth.relight_lighting).save(folder / "relight" / "lighting.json")
 
 
-def _write_picture(path: Path, image: NDArray[Any]) -> None:
+def _write_picture(
+    path: Path, image: NDArray[Any], limits: NDArray[np.uint8] | None = None
+) -> None:
     finite = np.where(np.isfinite(image), image, 0.0).astype(np.float32)
-    images.write_exr(path, {name: finite[..., c] for c, name in enumerate("RGB")})
+    channels: dict[str, NDArray[Any]] = {name: finite[..., c] for c, name in enumerate("RGB")}
+    if limits is not None:
+        channels |= {f"{images.LIMITS}.{name}": limits[..., c] for c, name in enumerate("RGB")}
+    images.write_exr(path, channels)
 
 
 def _ids(segments: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:

@@ -73,7 +73,8 @@ def test_decompose_says_what_it_assumed(tmp_path: Path) -> None:
     assumed = outcome(out)["assumed"]
     assert assumed["fov"].startswith("60 degrees: neither")
     assert assumed["size"] == "averaged down from 16 × 16 to 8 × 8 pixels"
-    assert "code 250 of 255" in assumed["exposure"]  # the room's brightest pixel is 255
+    assert "% clipped from above" in assumed["exposure"]  # the room's brightest pixel is 255
+    assert assumed["encoding"] == "8-bit PNG"
     arguments = ("--fov", 40, "--color-space", "linear", "--code-range", "0,255", "--overwrite")
     assert ran(*fit, *arguments).err == ""
     assumed = outcome(out)["assumed"]

@@ -22,15 +22,20 @@ from PIL import Image, ImageCms, ImageOps
 
 from pbrfit._core import InputError
 from pbrfit.io import color, images
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 
 DATA = Path(os.environ.get("PBRFIT_DATA", Path(__file__).parents[3] / "../shared/data"))
 RNG = np.random.default_rng(0)
 RGB8: NDArray[np.uint8] = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
-RGB8[0, 0], RGB8[0, 1] = (255, 0, 0), (254, 254, 254)
+RGB8[0, 0], RGB8[0, 1], RGB8[0, 2] = (255, 0, 0), (254, 254, 254), (255, 9, 99)
 RGB16: NDArray[np.uint16] = RNG.integers(0, 65536, (6, 9, 3), dtype=np.uint16)
 RGB16[0, 0], RGB16[0, 1] = (0, 65535, 0), (65534, 0, 0)
 GREY8, GREY16 = RGB8[..., 0], RGB16[..., 1]
 FLOAT: NDArray[np.float32] = (RNG.random((6, 9, 3), dtype=np.float32) * 4 - 1).astype(np.float32)
+
+
+def limits_of(codes: NDArray[Any], low: int, high: int) -> NDArray[np.uint8]:
+    return np.where(codes > high, AT_LEAST, np.where(codes < low, AT_MOST, 0)).astype(np.uint8)
 
 
 def linear(samples: NDArray[Any]) -> NDArray[np.float32]:
@@ -116,8 +121,8 @@ def test_integer_files_are_read_to_the_last_bit(tmp_path: Path, name: str) -> No
     np.testing.assert_array_equal(picture.pixels, linear(rgb))
     assert picture.pixels.dtype == np.float32
     assert picture.pixels.flags.c_contiguous
-    clipped = rgb > 250 * (np.iinfo(codes.dtype).max // 255)
-    np.testing.assert_array_equal(picture.clipped, clipped.any(axis=-1))
+    limits = limits_of(rgb, 1, np.iinfo(rgb.dtype).max - 1)
+    np.testing.assert_array_equal(picture.limits, limits if limits.any() else None)
     assert picture.alpha is None
     assert picture.bit_depth == 8 * codes.itemsize
     assert picture.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -128,7 +133,7 @@ def test_integer_files_are_read_to_the_last_bit(tmp_path: Path, name: str) -> No
 
 @pytest.mark.parametrize(("low", "high"), [(1, 250), (0, 255), (17, 18), (254, 255)])
 def test_codes_at_the_thresholds(tmp_path: Path, low: int, high: int) -> None:
-    """The lowest and the highest code are data; one channel clips, but only all are dark."""
+    """The lowest and the highest code are data; others are limits, each channel by itself."""
     for dtype, unit in ((np.uint8, 1), (np.uint16, 257)):
         codes = np.clip(
             np.array([low * unit - 1, low * unit, high * unit, high * unit + 1]), 0, 255 * unit
@@ -137,15 +142,47 @@ def test_codes_at_the_thresholds(tmp_path: Path, low: int, high: int) -> None:
         rgb = np.stack([first, second, second], axis=-1).astype(dtype)
         images.write_png(tmp_path / "a.png", rgb, tag="srgb")
         picture = images.read_picture(tmp_path / "a.png", code_range=(low, high))
-        np.testing.assert_array_equal(picture.clipped, rgb.max(axis=-1) > high * unit)
-        np.testing.assert_array_equal(picture.dark, rgb.max(axis=-1) < low * unit)
-        assert picture.dark.any() == (low > 0)
-        assert picture.clipped.any() == (high < 255)
+        if (low, high) == (0, 255):
+            assert picture.limits is None
+        else:
+            assert picture.limits is not None
+            np.testing.assert_array_equal(picture.limits, limits_of(rgb, low * unit, high * unit))
+            assert (AT_MOST in picture.limits) == (low > 0)
+            assert (AT_LEAST in picture.limits) == (high < 255)
         whole = images.read_picture(tmp_path / "a.png", code_range=(0, 255))
         np.testing.assert_array_equal(picture.pixels, whole.pixels)
 
 
-@pytest.mark.parametrize("codes", [(-1, 250), (1, 256), (7, 7), (9, 3), (0.5, 3), (1,), "no", None])
+def test_only_the_ends_of_lossless_files_are_limits_and_more_of_jpeg(tmp_path: Path) -> None:
+    codes = np.repeat(np.array([0, 1, 250, 251, 254, 255]), 16)[None].repeat(16, 0)
+    grey = codes.astype(np.uint8)
+    of_png = images.read_picture(save_png(tmp_path / "a.png", grey)).limits
+    np.testing.assert_array_equal(of_png, np.stack([limits_of(grey, 1, 254)] * 3, axis=-1))
+    Image.fromarray(grey).save(tmp_path / "a.jpg", quality=100)
+    stored = np.asarray(Image.open(tmp_path / "a.jpg"))
+    assert set(np.unique(stored)) == {0, 1, 250, 251, 254, 255}
+    of_jpeg = images.read_picture(tmp_path / "a.jpg").limits
+    np.testing.assert_array_equal(of_jpeg, np.stack([limits_of(stored, 1, 250)] * 3, axis=-1))
+    grey16 = np.array([[0, 1, 65534, 65535]], dtype=np.uint16)
+    images.write_png(tmp_path / "b.png", grey16, tag="srgb")
+    of_16_bits = images.read_picture(tmp_path / "b.png").limits
+    assert of_16_bits is not None
+    assert of_16_bits[0, :, 0].tolist() == [AT_MOST, 0, 0, AT_LEAST]
+
+
+def test_an_exr_file_can_say_its_limits(tmp_path: Path) -> None:
+    plane, limits = np.full((1, 3), 0.5), np.array([[0.0, 1.0, 2.0]])
+    channels = dict.fromkeys("RGB", plane) | {f"limits.{c}": limits for c in "RGB"}
+    images.write_exr(tmp_path / "a.exr", channels)
+    picture = images.read_picture(tmp_path / "a.exr")
+    assert picture.limits is not None
+    assert picture.limits[0, :, 1].tolist() == [0, AT_LEAST, AT_MOST]
+    images.write_exr(tmp_path / "a.exr", channels | {"limits.G": limits + 1})
+    with pytest.raises(InputError, match="expected 0, 1 or 2 in channels limits"):
+        images.read_picture(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("codes", [(-1, 250), (1, 256), (7, 7), (9, 3), (0.5, 3), (1,), "no"])
 def test_a_code_range_that_is_none_is_refused(tmp_path: Path, codes: Any) -> None:
     path = save_png(tmp_path / "a.png", RGB8)
     with pytest.raises(InputError, match="code_range: expected two 8-bit codes"):
@@ -159,7 +196,7 @@ def test_alpha_is_straight(tmp_path: Path) -> None:
         picture = images.read_picture(tmp_path / name)
         np.testing.assert_array_equal(picture.pixels, linear(RGB8))
         np.testing.assert_array_equal(picture.alpha, np.float32(GREY8) / np.float32(255))
-        np.testing.assert_array_equal(picture.clipped, (RGB8 > 250).any(axis=-1))
+        np.testing.assert_array_equal(picture.limits, limits_of(RGB8, 1, 254))
 
     la = np.ascontiguousarray(RGB8[..., :2])
     picture = images.read_picture(save_png(tmp_path / "la.png", la))
@@ -200,7 +237,7 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
         seen = images.read_picture(tmp_path / name)
         assert seen.pixels.shape == expected.shape
         assert seen.pixels.flags.c_contiguous
-        assert seen.clipped.shape == expected.shape[:2]
+        assert seen.limits is None or seen.limits.shape == expected.shape
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
@@ -283,7 +320,12 @@ def test_a_display_p3_profile_is_converted(tmp_path: Path) -> None:
     named = images.read_picture(tmp_path / "a.png", color_space="display-p3")
     np.testing.assert_allclose(tagged.pixels, named.pixels, atol=1e-4)
     assert tagged.pixels.min() < -0.01  # colours outside Rec.709 are kept
-    np.testing.assert_array_equal(tagged.clipped, (RGB8 > 250).any(axis=-1))
+    # P3 red is 1.22 R − 0.22 G in Rec.709, and P3 green −0.04 R + 1.04 G: what is clipped in R is
+    # missing in the first and too much in the second.
+    assert tagged.limits is not None
+    only_red = (RGB8[..., 0] == 255) & ((RGB8[..., 1:] > 0) & (RGB8[..., 1:] < 255)).all(axis=-1)
+    assert only_red.any()
+    assert (tagged.limits[only_red][:, :2] == [AT_LEAST, AT_MOST]).all()
 
 
 def test_a_gamma_profile_with_acescg_primaries_at_16_bits(tmp_path: Path) -> None:
@@ -377,7 +419,7 @@ def test_float_tiff_is_linear(
     picture = images.read_picture(path)
     np.testing.assert_array_equal(picture.pixels, pixels)
     np.testing.assert_array_equal(images.read_data(path), pixels)
-    assert not picture.clipped.any()
+    assert picture.limits is None
     assert (picture.bit_depth, picture.color) == (32, "linear Rec.709 (float TIFF)")
     tifffile.imwrite(path, pixels[..., 0], compression="deflate")
     np.testing.assert_array_equal(images.read_picture(path).pixels[..., 2], pixels[..., 0])

@@ -59,7 +59,7 @@ def test_a_residual_is_a_share_of_the_pictures_rms() -> None:
 def test_samples_without_weight_are_white_and_do_not_count_in_the_rms() -> None:
     picture = np.full((1, 3, 3), 2.0)
     picture[0, 2] = np.nan
-    weights = np.array([[1.0, 0.5, 0.0]], dtype=np.float32)
+    weights = np.array([[[1.0] * 3, [0.5, 0.0, 0.0], [0.0] * 3]], dtype=np.float32)
     found = residual(np.full((1, 3, 3), 3.0), picture, weights)
     np.testing.assert_allclose(found.values, [[0.5, 0.5, 0.0]])
     assert found.white is not None

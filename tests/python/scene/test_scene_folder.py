@@ -19,6 +19,7 @@ from PIL import Image
 from pbrfit import InputError, Scene, Truth
 from pbrfit.io import images, normal_files
 from pbrfit.model.lighting import Lighting
+from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 from pbrfit.synthetic import make_scene
 from scene_files import (
     FORMATS,
@@ -170,39 +171,44 @@ def grey_codes() -> NDArray[np.uint8]:
     return np.full((LIGHTS, SIZE, SIZE, 3), 128, dtype=np.uint8)
 
 
-def test_clipped_and_dark_samples_have_no_weight(folder: Path) -> None:
+def test_codes_outside_the_range_are_limits_by_channel(folder: Path) -> None:
     codes = grey_codes()
-    codes[0, 2, 3] = (251, 9, 9)
-    codes[0, 2, 4] = (250, 250, 250)
+    codes[0, 2, 3] = (255, 9, 9)
+    codes[0, 2, 4] = (254, 254, 254)
     codes[1, 5, 5:7] = 0
     codes[1, 5, 8] = (0, 0, 1)
     codes[:, 7, 7] = 255
     write_codes(folder, codes)
-    expected = np.ones((LIGHTS, SIZE, SIZE), dtype=np.float32)
-    expected[0, 2, 3] = expected[1, 5, 5] = expected[1, 5, 6] = 0
-    expected[:, 7, 7] = 0
+    expected = np.zeros((LIGHTS, SIZE, SIZE, 3), dtype=np.uint8)
+    expected[0, 2, 3, 0] = AT_LEAST
+    expected[:, 7, 7] = AT_LEAST
+    expected[1, 5, 5:7] = expected[1, 5, 8, :2] = AT_MOST
     scene = Scene.load(folder)
-    assert scene.weights is not None
-    np.testing.assert_array_equal(scene.weights, expected)
+    np.testing.assert_array_equal(scene.limits, expected)
+    assert scene.weights is None
     assert not scene.valid[7, 7]
-    share = 100 / (LIGHTS * SIZE * SIZE)
+    assert np.count_nonzero(~scene.valid) == 1
+    share = 100 / (LIGHTS * SIZE * SIZE * 3)
     assert scene.assumed["exposure"] == (
-        f"samples left out: {(1 + LIGHTS) * share:.2g} % with a channel above code 250 of 255, "
-        f"{2 * share:.2g} % with all channels below 1; pixels left with none: 1"
+        f"of the values {(1 + 3 * LIGHTS) * share:.2g} % clipped from above, "
+        f"{8 * share:.2g} % clipped from below: they only bound the radiance; "
+        "pixels left with none: 1"
     )
 
-    scene = Scene.load(folder, code_range=(0, 254))
-    assert scene.weights is not None
-    np.testing.assert_array_equal(np.argwhere(scene.weights == 0)[:, 1:], [[7, 7]] * LIGHTS)
+    scene = Scene.load(folder, code_range=(0, 253))
+    assert scene.limits is not None
+    assert scene.limits[0, 2, 4].tolist() == [AT_LEAST] * 3
+    assert not (scene.limits == AT_MOST).any()
     scene = Scene.load(folder, code_range=(0, 255))
-    assert scene.weights is None
+    assert scene.limits is None
     assert "exposure" not in scene.assumed
+    assert dataclasses.replace(scene, fov=50.0).limits is None
 
 
-def test_weights_only_where_something_is_left_out(folder: Path) -> None:
+def test_limits_only_where_something_is_used(folder: Path) -> None:
     codes = grey_codes()
     write_codes(folder, codes)
-    assert Scene.load(folder).weights is None
+    assert Scene.load(folder).limits is None
 
     codes[:, 0] = 255  # where the mask is not
     write_codes(folder, codes)
@@ -210,16 +216,16 @@ def test_weights_only_where_something_is_left_out(folder: Path) -> None:
     white[0] = False
     write_mask(folder / "mask.png", white)
     scene = Scene.load(folder)
-    assert scene.weights is None
+    assert scene.limits is None
     assert "exposure" not in scene.assumed
     np.testing.assert_array_equal(scene.valid, white)
 
 
-def test_float_pictures_are_taken_as_they_are(folder: Path) -> None:
+def test_float_pictures_of_few_values_are_taken_as_they_are(folder: Path) -> None:
     image = np.zeros((SIZE, SIZE, 3))
     image[1:] = 70000.0
     write_exr(folder / "images" / f"{room().names[0]}.exr", image)
-    assert Scene.load(folder).weights is None
+    assert Scene.load(folder).limits is None
 
 
 def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
@@ -233,25 +239,55 @@ def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
     )
     with pytest.raises(InputError, match=message):
         Scene.load(folder)
-    assert Scene.load(folder, code_range=(0, 255)).weights is None
+    assert Scene.load(folder, code_range=(0, 255)).limits is None
 
 
-def test_one_clipped_pixel_spoils_what_it_is_averaged_into(folder: Path) -> None:
+def test_one_clipped_value_bounds_what_it_is_averaged_into(folder: Path) -> None:
     codes = grey_codes()
-    codes[0, 5, 9] = 255
+    codes[0, 5, 9, 1] = 255
     codes[2, 15, 0] = 0
+    codes[2, 14, 1, 2] = 255  # beside it: "at least" holds for a mean of both
     write_codes(folder, codes)
     for size in (8, 5, 3):
         scene = Scene.load(folder, max_size=size)
-        assert scene.weights is not None
-        expected = np.ones_like(scene.weights)
-        for picture, row, column in ((0, 5, 9), (2, 15, 0)):
+        assert scene.limits is not None
+        expected = np.zeros_like(scene.limits)
+        for picture, row, column, channels, limit in (
+            (2, 15, 0, slice(None), AT_MOST),
+            (2, 14, 1, 2, AT_LEAST),
+            (0, 5, 9, 1, AT_LEAST),
+        ):
             # Pixel i of the file covers [i, i + 1] · size / SIZE of the reduced picture.
             rows, columns = (
                 slice(at * size // SIZE, -(-(at + 1) * size // SIZE)) for at in (row, column)
             )
-            expected[picture, rows, columns] = 0
-        np.testing.assert_array_equal(scene.weights, expected)
+            expected[picture, rows, columns, channels] = limit
+        np.testing.assert_array_equal(scene.limits, expected)
+
+
+def test_clipped_floats_are_found_beside_integers(folder: Path) -> None:
+    rng = np.random.default_rng(5)
+    codes = grey_codes()
+    codes[1, 5, 6] = 255
+    write_codes(folder, codes)
+    (folder / "images" / f"{room().names[0]}.png").unlink()
+    image = np.minimum(rng.random((SIZE, SIZE, 3)), 0.8)
+    write_exr(folder / "images" / f"{room().names[0]}.exr", image)
+    scene = Scene.load(folder)
+    assert scene.limits is not None
+    np.testing.assert_array_equal(scene.limits[0] == AT_LEAST, image == 0.8)
+    assert np.argwhere(scene.limits[1:]).tolist() == [[0, 5, 6, c] for c in range(3)]
+
+
+@pytest.mark.parametrize("limit", [0, AT_LEAST, AT_MOST])
+def test_limits_are_saved_with_the_pictures(tmp_path: Path, limit: int) -> None:
+    limits = np.zeros(room().images.shape, np.uint8)
+    limits[1, 2, 3, 1] = limit
+    dataclasses.replace(room(), limits=limits).save(tmp_path / "saved")
+    loaded = Scene.load(tmp_path / "saved")
+    np.testing.assert_array_equal(loaded.limits, limits)
+    room().save(tmp_path / "none")
+    assert Scene.load(tmp_path / "none").limits is None
 
 
 # --- Weights ---
@@ -295,15 +331,17 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
         Scene.load(folder)
 
 
-def test_weights_multiply_those_of_exposure(folder: Path) -> None:
+def test_weights_and_limits_are_apart(folder: Path) -> None:
     codes = grey_codes()
     codes[1, 5, 6] = 255
     write_codes(folder, codes)
     images.write_exr(folder / "weights.exr", {"Y": some_weights()})
     scene = Scene.load(folder)
-    expected = np.repeat(some_weights()[None], LIGHTS, axis=0)
-    expected[1, 5, 6] = 0
-    np.testing.assert_array_equal(scene.weights, expected)
+    np.testing.assert_array_equal(scene.weights, np.repeat(some_weights()[None], LIGHTS, axis=0))
+    given = scene.channel_weights(1, slice(5, 6))
+    assert given is not None
+    np.testing.assert_array_equal(given[0, 6], 0)
+    np.testing.assert_array_equal(given[0, 7], some_weights()[5, 7])
 
 
 def test_averaged_samples_have_the_weight_of_their_variance(folder: Path) -> None:

@@ -1,0 +1,49 @@
+"""Limits of samples: through a matrix, and averaged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pbrfit.io import color
+from pbrfit.io.limits import AT_LEAST, AT_MOST, averaged, converted, of_codes
+
+
+def test_codes_at_both_ends_of_the_range_are_data() -> None:
+    codes = np.array([[[3, 4, 5], [9, 10, 11]]], dtype=np.uint8)
+    found = of_codes(codes, 4, 10)
+    assert found is not None
+    assert found.tolist() == [[[AT_MOST, 0, 0], [0, 0, AT_LEAST]]]
+    assert of_codes(codes, 3, 11) is None
+
+
+# Display P3 to Rec.709: rows (1.22, −0.22, 0), (−0.04, 1.04, 0), (−0.02, −0.08, 1.10).
+@pytest.mark.parametrize(
+    ("stored", "expected"),
+    [
+        ((AT_LEAST, 0, 0), (AT_LEAST, AT_MOST, AT_MOST)),
+        ((0, 0, AT_LEAST), (0, 0, AT_LEAST)),
+        ((AT_MOST, 0, 0), (AT_MOST, AT_LEAST, AT_LEAST)),
+        # All three exceed by the same: so does what they make.
+        ((AT_LEAST, AT_LEAST, AT_LEAST), (AT_LEAST, AT_LEAST, AT_LEAST)),
+        # What is hidden above may be any amount, what is below at most a code.
+        ((AT_LEAST, AT_MOST, 0), (AT_LEAST, AT_MOST, AT_MOST)),
+        ((0, 0, 0), (0, 0, 0)),
+    ],
+)
+def test_limits_of_colours_of_other_primaries(
+    stored: tuple[int, ...], expected: tuple[int, ...]
+) -> None:
+    limits = np.array([[stored]], dtype=np.uint8)
+    matrix = color.to_rec709(color.DISPLAY_P3)
+    assert tuple(converted(limits, matrix)[0, 0].tolist()) == expected
+    assert converted(limits, None) is limits
+
+
+def test_a_mean_of_clipped_and_dark_is_at_least_what_it_is() -> None:
+    limits = np.zeros((4, 4, 3), dtype=np.uint8)
+    limits[0, 0] = (AT_LEAST, AT_MOST, AT_MOST)
+    limits[1, 1] = (AT_MOST, AT_MOST, AT_LEAST)
+    small = averaged(limits, (2, 2))
+    assert small[0, 0].tolist() == [AT_LEAST, AT_MOST, AT_LEAST]
+    assert np.count_nonzero(small) == 3
