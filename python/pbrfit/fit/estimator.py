@@ -20,6 +20,7 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
@@ -33,6 +34,7 @@ from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.normals.free import FreeNormals
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
 from pbrfit.fit.plan import FitPlan
@@ -88,7 +90,9 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
     """X of the fit, and why it ended."""
     start, rows, loss = x, len(run.rows), run.rows[-1].loss
     with one_blas_thread():
-        lights = lights or find_lights(run, x)
+        if lights is None:
+            lights = find_lights(run, x)
+            doubt_camera(run, x, lights)
         x = lights.x
         prior = None
         if run.has_mixture_prior and run.goes_on:
@@ -146,7 +150,8 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
         level = Level.of(objective, settings.COARSE_PIXELS)
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
-        if known:
+        unknown = [] if run.camera.how != "assumed" or dielectric else [FIELD_OF_VIEW]
+        if known and not unknown:
             return judged(objective, x, level)
         x = x.copy()
         part = objective.part_of(x, level.pixels)
@@ -154,10 +159,58 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
             notes.append("as if all were dielectric")
         watch = Watch(run, x, level)
         first = settings.DIELECTRIC_ROUNDS if dielectric else 0
-        found = rounds(run, level, part, watch, dielectric=first)
+        nuisances = Nuisances(run.scene, unknown) if unknown else None
+        found = rounds(run, level, part, watch, dielectric=first, nuisances=nuisances)
         objective.put_part(x, level.pixels, part)
+        if nuisances is not None:
+            run.see(nuisances)
+            notes.append(f"field of view {run.camera.in_words()}")
         notes.append(found.misfit.in_words())
     return replace(found, x=x)
+
+
+def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
+    """What another field of view than the given one leaves, where the pictures contradict that.
+
+    `lights` are those that were found from x. The given one stays: `run.camera` tells of the other.
+    It is fitted where what is left under `lights` is no noise and the score test asks for it; from
+    x again, because materials have bent to the given one. It contradicts the given one where the
+    score is lower and most of the misfit is gone: wrong normals ask for another one too, but it
+    does not help them much.
+    """
+    shared = lights.shared
+    if run.camera.how != "given" or run.camera.figures or shared is None:
+        return None
+    if lights.exact or lights.misfit.is_noise or lights.cut_short:
+        return None
+    with run.stage("field of view") as notes:
+        level = Level.of(run.objective, settings.COARSE_PIXELS)
+        part = run.objective.part_of(lights.x, level.pixels)
+        fit = shared.joint_fit(level.objective, part, _fit_level(level.objective, part))
+        nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
+        nuisances.estimate(level.objective, part, fit, lights.misfit)
+        notes.append(f"score test of the given one {nuisances.gain:.3g}")
+        figures = {"score_test": nuisances.gain}
+        run.camera = replace(run.camera, figures=figures)
+        if nuisances.gain < settings.CAMERA_GAIN_MIN:
+            return None
+        nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
+        part = run.objective.part_of(x, level.pixels)
+        found = rounds(run, level, part, Watch(run, x, level), nuisances=nuisances)
+        notes += [nuisances.fov_in_words(), found.misfit.in_words()]
+        samples = found.samples * found.misfit.effective_share
+        unknowns = found.unknowns + len(nuisances.fitted)
+        figures["score_given"] = misfit.score(lights.mean_squared, lights.unknowns, samples)
+        figures["score_other"] = misfit.score(found.mean_squared, unknowns, samples)
+        figures["other_fov_degrees"] = nuisances.scene.fov
+        figures["other_fov_sigma"] = nuisances.fov_sigma
+        share = found.misfit.of_lights / lights.misfit.of_lights
+        contradicted = (
+            figures["score_other"] < figures["score_given"]
+            and share <= settings.CAMERA_MISFIT_SHARE_MAX
+        )
+        run.camera = replace(run.camera, figures=figures, contradicted=contradicted)
+    return replace(found, unknowns=unknowns) if contradicted else None
 
 
 def rounds(
@@ -169,11 +222,13 @@ def rounds(
     *,
     at_most: int = settings.COARSE_ROUNDS_MAX,
     dielectric: int = 0,
+    nuisances: Nuisances | None = None,
 ) -> Lights:
     """Rounds of materials and joint steps of a level's pixels, whose x changes.
 
     `normals` is for an objective that has them free. Without, pixels have a prior around a
-    dielectric of middle roughness in the first rounds, as many as `dielectric` says.
+    dielectric of middle roughness in the first rounds, as many as `dielectric` says. `nuisances`
+    are fitted too; the level's objective then sees through what they were found to be.
     """
     objective = level.objective
     everything = np.arange(objective.pixels, dtype=np.uint64)
@@ -181,6 +236,8 @@ def rounds(
     if objective.lighting is not None:
         shared = SharedFit(LightPrior.around(objective, x))
     left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
+    if nuisances is not None:
+        level = replace(level, objective=copy(objective))  # whose camera changes
     for number in range(at_most):
         if number >= settings.ROBUST_ROUND:
             level = replace(level, objective=_robust(run, level.objective, x))
@@ -196,7 +253,7 @@ def rounds(
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
-        left, before = _left(level, x, sum_sq, shared, fixed), weight
+        left, before, fit = _left(level, x, sum_sq, shared, fixed), weight, None
         total = float(sum_sq.sum())
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
@@ -207,10 +264,13 @@ def rounds(
         if normals is not None:
             assert fixed is not None
             normals.learn(objective, x, fixed, left.variance)
+        if nuisances is not None:
+            nuisances.advance(objective, x, fit, left)
         settled = (
             weight >= settings.COARSE_WEIGHT_FALL * before
             and total > (1 - settings.COARSE_ROUND_GAIN_MIN) * last
             and (normals is None or normals.is_settled(number))
+            and (nuisances is None or nuisances.is_settled)
         )
         last = total
         if settled or exact or watch.stopped or run.out_of_time():

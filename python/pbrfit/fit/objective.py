@@ -342,6 +342,12 @@ class Objective:
         found.problem = self._problem(factors)
         return found
 
+    def see(self, scene: Scene) -> None:
+        """Take the pictures and the camera of the same scene through another instrument."""
+        self._scene = scene
+        del self.problem  # before there is another one, which is as large
+        self.problem = self._problem(self.weights if self._factors is None else self._factors)
+
     def restricted(
         self, pixels: NDArray[np.uint64], shares: NDArray[np.float64] | None = None
     ) -> Objective:

@@ -21,7 +21,14 @@ from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import geometry
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
-from pbrfit.scene.arrays import MIN_NORMAL_LENGTH, SceneArrays, Source, Truth, unit_normals
+from pbrfit.scene.arrays import (
+    FIRST_FOV,
+    MIN_NORMAL_LENGTH,
+    SceneArrays,
+    Source,
+    Truth,
+    unit_normals,
+)
 from pbrfit.scene.folder import (
     SEGMENT_FILE,
     Settings,
@@ -124,7 +131,7 @@ def load(
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
-    fov, assumed["fov"] = decided_fov(folder, fov, settings, read.focal_length, full_size)
+    decided, assumed["fov"] = decided_fov(folder, fov, settings, read.focal_length, full_size)
 
     if settings.model is not None:
         assumed["model"] = f"{settings.model}, with which the pictures were rendered (scene.toml)"
@@ -136,7 +143,8 @@ def load(
         return kind(
             images=read.pixels,
             normals=normals,
-            fov=fov,
+            fov=FIRST_FOV if decided is None else decided,
+            fov_known=decided is not None,
             mask=mask,
             segments=segments,
             lighting=lighting,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.estimator import Lights, Watch, find_lights, rounds, solve
+from pbrfit.fit.estimator import Lights, Watch, doubt_camera, find_lights, rounds, solve
 from pbrfit.fit.levels import Level
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
@@ -42,6 +42,7 @@ from pbrfit.threads import one_blas_thread
 Array = NDArray[np.float64]
 
 OUT_OF_TIME = "the time limit came first"
+OTHER_CAMERA = "another field of view explains the pictures better than other normals"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +77,9 @@ def fit(
     """
 
     def with_given(lights: Lights | None = None) -> PixelFit:
+        if lights is None and run.camera.how == "assumed" and run.left > 0:
+            with one_blas_thread():
+                lights = find_lights(run, x)
         return PixelFit(run, *solve(run, x.copy(), start_given=start_given, lights=lights))
 
     why = "not asked for" if asked == "off" else hindered
@@ -93,8 +97,9 @@ def fit(
         return refined, Refinement(asked, True, "asked for")
     with one_blas_thread():
         lights = find_lights(run, x)
+        other = doubt_camera(run, x, lights)
     figures = _figures(run.objective, lights, "before")
-    why = _keeps_given(run, lights) if asked == "auto" else None
+    why = _keeps_given(run, lights, other) if asked == "auto" else None
     if why is None and run.out_of_time():
         why = OUT_OF_TIME
     if why is not None:
@@ -104,12 +109,18 @@ def fit(
     offsets, found = _find_normals(run, free, free_x, offsets)
     # What rounding leaves says nothing of noise.
     samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
-    scores = [misfit.score(one.mean_squared, one.unknowns, samples) for one in (lights, found)]
-    figures |= _figures(free, found, "after")
-    figures |= dict(zip(("score_before", "score_after"), scores, strict=True))
+    tried = {"before": lights, "after": found, "other_camera": other}
+    scores = {
+        f"score_{name}": misfit.score(one.mean_squared, one.unknowns, samples)
+        for name, one in tried.items()
+        if one is not None
+    }
+    figures |= _figures(free, found, "after") | scores
     figures["spread_degrees"] = float(np.degrees(offsets.sigma))
-    if asked == "auto" and not scores[1] < scores[0]:
+    if asked == "auto" and scores["score_after"] > min(scores.values()):
         why = "what other normals explain does not outweigh how many unknowns they are"
+        if other is not None and scores["score_other_camera"] == min(scores.values()):
+            why = OTHER_CAMERA
         return with_given(lights), Refinement(asked, False, why, figures)
     refined = _refine(run, free, free_x, offsets, make)
     if refined is None:
@@ -140,13 +151,15 @@ def _better(
     return refined, Refinement(asked, True, why, figures)
 
 
-def _keeps_given(run: Run, lights: Lights) -> str | None:
+def _keeps_given(run: Run, lights: Lights, other: Lights | None) -> str | None:
     """Why given normals are kept without trying others; None if others are to be tried."""
     objective = run.objective
     if lights.exact:
         return "the given normals explain the pictures up to rounding"
     if objective.lighting is not None and lights.misfit.is_noise:
         return "the given normals explain the pictures up to noise"
+    if other is not None and other.misfit.is_noise:
+        return OTHER_CAMERA
     unknowns = objective.layout.maps.stop + 2 * objective.pixels
     if objective.samples < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN * unknowns:
         return "too few pictures to tell wrong normals from materials"
