@@ -197,7 +197,7 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
         nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
         part = run.objective.part_of(x, level.pixels)
         found = rounds(run, level, part, Watch(run, x, level), nuisances=nuisances)
-        notes += [nuisances.fov_in_words(), found.misfit.in_words()]
+        notes += [nuisances.camera().in_words(), found.misfit.in_words()]
         samples = found.samples * found.misfit.effective_share
         unknowns = found.unknowns + len(nuisances.fitted)
         figures["score_given"] = misfit.score(lights.mean_squared, lights.unknowns, samples)

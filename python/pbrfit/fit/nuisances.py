@@ -106,9 +106,9 @@ class Nuisances:
         sigma = min(math.sqrt(self.covariance[0, 0]), FIELD_OF_VIEW.sigma)
         return math.degrees(math.sin(math.radians(self.scene.fov)) * sigma)
 
-    def fov_in_words(self) -> str:
-        """The field of view with its deviation."""
-        return Camera(self.scene.fov, "fitted", self.fov_sigma).in_words()
+    def camera(self) -> Camera:
+        """As it was fitted."""
+        return Camera(self.scene.fov, "fitted", self.fov_sigma)
 
     def moved(self, by: Array) -> Scene:
         """The scene with all numbers moved by (J,)."""
@@ -139,7 +139,7 @@ class Nuisances:
             gradient, solve = fit.inverse()
             by_light[:, 0] = gradient
             moves = np.stack([solve(column) for column in by_light.T], axis=-1)
-            gram = gram - by_light.T @ moves
+            gram -= by_light.T @ moves
         # What a round begins with, before its joint steps, can be far above what there is.
         self._noise = min(self._noise, left.variance)
         self._misfit = min(self._misfit, left.of_lights)
@@ -211,7 +211,8 @@ def _eliminated(
     )
     whiten = whitening(matrices, held, 0.0)
     solved = whiten @ slopes
-    gram = np.einsum("pnci,pncj->ij", columns, weighted) - np.einsum("pdi,pdj->ij", solved, solved)
+    gram: Array = np.einsum("pnci,pncj->ij", columns, weighted)
+    gram -= np.einsum("pdi,pdj->ij", solved, solved)
     moved = whiten.transpose(0, 2, 1) @ solved
     left = weighted - weights[..., None] * (jacobian @ moved).reshape(columns.shape)
     of_lights = np.einsum("pck,pnci->cnki", by_light, left, optimize=True)
@@ -221,6 +222,7 @@ def _eliminated(
     if "cluster" in of_core:
         cluster, clusters = of_core["cluster"]
         of_offsets = np.zeros((clusters, *of_core["precision"].shape[1:], columns.shape[-1]))
-        np.add.at(of_offsets, cluster.astype(np.intp), of_core["precision"][..., None] * moved[:, c:])
+        of_pixels = of_core["precision"][..., None] * moved[:, c:]
+        np.add.at(of_offsets, cluster.astype(np.intp), of_pixels)
         parts.append(of_offsets.reshape(-1, columns.shape[-1]))
     return gram, np.concatenate(parts)

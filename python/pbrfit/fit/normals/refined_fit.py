@@ -30,6 +30,7 @@ from pbrfit.fit.normals.all_pixels import (
 )
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.run import Run
@@ -106,7 +107,7 @@ def fit(
         return with_given(lights), Refinement(asked, False, why, figures)
     free = make(run.scene, True)
     free_x, offsets = _start(run, x, free, normals)
-    offsets, found = _find_normals(run, free, free_x, offsets)
+    offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
     # What rounding leaves says nothing of noise.
     samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
     tried = {"before": lights, "after": found, "other_camera": other}
@@ -122,7 +123,11 @@ def fit(
         if other is not None and scores["score_other_camera"] == min(scores.values()):
             why = OTHER_CAMERA
         return with_given(lights), Refinement(asked, False, why, figures)
-    refined = _refine(run, free, free_x, offsets, make)
+    refining = run
+    if nuisances is not None:
+        refining = run.continued(nuisances.scene, free)
+        refining.see(nuisances)
+    refined = _refine(refining, free, free_x, offsets, make)
     if refined is None:
         return with_given(lights), Refinement(asked, False, OUT_OF_TIME, figures)
     return _better(run, refined, lights, with_given, asked, figures)
@@ -140,7 +145,7 @@ def _better(
     turned = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid].max()
     if turned < CHANGE_DEGREES_MIN:
         # All pixels were given theirs back, or found that they had been right.
-        refined.run.scene = run.scene
+        refined.run.scene = run.scene.through(refined.run.scene.fov)
         why = "no other normals explain the pictures better"
         return refined, Refinement(asked, False, why, figures)
     if not refined.mean_squared_residual() < lights.mean_squared:
@@ -200,25 +205,34 @@ def _given(scene: Scene) -> tuple[Array, Array | None]:
 
 def _find_normals(
     run: Run, free: Objective, x: Array, prior: TangentOffsetPrior
-) -> tuple[TangentOffsetPrior, Lights]:
-    """The prior on offsets as a level found it, and what is left of that; x has what it found."""
+) -> tuple[TangentOffsetPrior, Lights, Nuisances | None]:
+    """The prior on offsets as a level found it, and what is left of that; x has what it found.
+
+    A field of view that nobody told is fitted with the normals once more, for it was found with the
+    given ones.
+    """
     with run.stage("lights and normals") as notes, one_blas_thread():
         level = Level.of(free, settings.COARSE_PIXELS)
         chosen = level.pixels.astype(np.intp)
         given, sigma = _given(run.scene)
         sigma = None if sigma is None else sigma[chosen]
         lights = slice(free.layout.maps.stop, None)
+        nuisances = None
+        if run.camera.how == "fitted":
+            nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
             of_level = FreeNormals.of(level, given[chosen], sigma)
             part = free.part_of(x, level.pixels)
             watch = Watch(run, x, level)
-            found = rounds(run, level, part, watch, of_level, at_most=at_most)
+            found = rounds(run, level, part, watch, of_level, at_most=at_most, nuisances=nuisances)
             x[lights] = part[level.objective.layout.maps.stop :]
             if found.cut_short:
                 break
         start_from_level(free, x, level, part)
         notes += [f"{len(level.pixels)} pixels", found.misfit.in_words()]
-    return replace(prior, sigma=of_level.offsets.sigma), found
+        if nuisances is not None:
+            notes.append(f"field of view {nuisances.camera().in_words()}")
+    return replace(prior, sigma=of_level.offsets.sigma), found, nuisances
 
 
 @one_blas_thread()
