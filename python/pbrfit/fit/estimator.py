@@ -175,8 +175,8 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
     `lights` are those that were found from x. The given one stays: `run.camera` tells of the other.
     It is fitted where what is left under `lights` is no noise and the score test asks for it; from
     x again, because materials have bent to the given one. It contradicts the given one where the
-    score is lower and most of the misfit is gone: wrong normals ask for another one too, but it
-    does not help them much.
+    score is lower and most of the misfit is gone, or all: wrong normals ask for another one too,
+    but it does not help them much.
     """
     shared = lights.shared
     if run.camera.how != "given" or run.camera.figures or shared is None:
@@ -205,9 +205,8 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
         figures["other_fov_degrees"] = nuisances.scene.fov
         figures["other_fov_sigma"] = nuisances.fov_sigma
         share = found.misfit.of_lights / lights.misfit.of_lights
-        contradicted = (
-            figures["score_other"] < figures["score_given"]
-            and share <= settings.CAMERA_MISFIT_SHARE_MAX
+        contradicted = figures["score_other"] < figures["score_given"] and (
+            found.misfit.is_noise or share <= settings.CAMERA_MISFIT_SHARE_MAX
         )
         run.camera = replace(run.camera, figures=figures, contradicted=contradicted)
     return replace(found, unknowns=unknowns) if contradicted else None
@@ -275,6 +274,9 @@ def rounds(
         last = total
         if settled or exact or watch.stopped or run.out_of_time():
             break
+    if nuisances is not None:  # with the camera as it is now, after joint steps
+        sum_sq = _fit_level(objective, x, fixed)
+        left = _left(level, x, sum_sq, shared, fixed)
     mean_squared = float(sum_sq.sum()) / objective.total_weight
     unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()

@@ -10,13 +10,14 @@ solved for, which leaves
 
 and with a normal distribution of θ around μ as prior, of precision Λ,
 
-    δθ = −(H + W Λ)⁻¹ (g + W Λ (θ − μ))        δL = −S⁻¹ (s + Σ_j δθ_j s_j)
+    δθ = −(H + W Λ)⁻¹ (g + W Λ (θ − μ))        δL = −S⁻¹ Σ_j δθ_j s_j
 
-W = max(κ, 1) s² is the variance that what is left of the pixels stands for (`pbrfit.fit.misfit`),
-and W (H + W Λ)⁻¹ the covariance of θ. The gain gᵀ H⁻¹ g / W is C. R. Rao's score test (Math. Proc.
-Cambridge Phil. Soc. 44, 1948): χ² with as many degrees of freedom as there are numbers where none
-of them has to change. It takes no fit with them. As all else is solved for, a wrong camera that
-materials and lights have bent to is seen as well as one that they have not.
+beside what joint steps move the lights by. W = max(κ, 1) s² is the variance that what is left of
+the pixels stands for (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the covariance of θ. The gain
+gᵀ H⁻¹ g / W is C. R. Rao's score test (Math. Proc. Cambridge Phil. Soc. 44, 1948): χ² with as many
+degrees of freedom as there are numbers where none of them has to change. It takes no fit with them.
+As all else is solved for, a wrong camera that materials and lights have bent to is seen as well as
+one that they have not.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ class Nuisances:
             gradient, solve = fit.inverse()
             by_light[:, 0] = gradient
             moves = np.stack([solve(column) for column in by_light.T], axis=-1)
-            gram -= by_light.T @ moves
+            gram = np.asarray(gram - by_light.T @ moves)
         # What a round begins with, before its joint steps, can be far above what there is.
         self._noise = min(self._noise, left.variance)
         self._misfit = min(self._misfit, left.of_lights)
@@ -148,7 +149,7 @@ class Nuisances:
         means = np.array([one.mean for one in self.fitted])
         slope = gram[1:, 0] + precision * (self.values - means)
         inverse = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
-        self.step, self.covariance = -inverse @ slope, variance * inverse
+        self.step, self.covariance = -(inverse @ slope), np.asarray(variance * inverse)
         gain = float(slope @ inverse @ slope)
         self._gain_before = self.sum_gain
         self.sum_gain, self.gain = gain / self._noise, gain / variance
@@ -161,7 +162,7 @@ class Nuisances:
         taken = self.step * min(1.0, settings.NUISANCE_STEP_MAX / max(largest, 1e-300))
         self.scene = self.moved(taken)
         if moves is not None:
-            by_light = -moves @ np.concatenate([[1.0], taken])
+            by_light = -moves[:, 1:] @ taken
             count = x[objective.layout.lighting].size
             x[objective.layout.lighting] += as_in_x(by_light[:count], objective.layout)
         objective.see(self.scene)
