@@ -5,6 +5,7 @@ from __future__ import annotations
 FILES = ["history.csv", "lighting.json", "materials.exr", "preview.png", "result.json"]
 KEYS = [
     *("version", "status", "stop_reason", "fov", "model", "iterations", "evaluations"),
-    *("seconds", "protocol", "metrics", "uncertainty", "normals", "options", "assumed", "left_out"),
+    *("seconds", "protocol", "metrics", "uncertainty", "normals", "camera"),
+    *("options", "assumed", "left_out"),
     *("stages", "inputs", "scene", "files"),
 ]

@@ -33,7 +33,7 @@ from pbrfit.io.normal_files import write_normals
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model import geometry
 from pbrfit.result.sheet import as_png
-from pbrfit.scene.folder import DEFAULT_FOV
+from pbrfit.scene.arrays import FIRST_FOV
 
 log = logging.getLogger("pbrfit")
 
@@ -178,9 +178,9 @@ def _field_of_view(photo: Photo, asked: float | None) -> tuple[float, dict[str, 
     if photo.fov is not None:
         return photo.fov, {"fov": f"{photo.fov:.2f} degrees, from EXIF"}
     log.warning(
-        "%s: field of view unknown, assumed %g degrees (--fov sets it)", photo.path, DEFAULT_FOV
+        "%s: field of view unknown, assumed %g degrees (--fov sets it)", photo.path, FIRST_FOV
     )
-    return DEFAULT_FOV, {"fov": f"{DEFAULT_FOV:g} degrees: neither --fov nor EXIF says"}
+    return FIRST_FOV, {"fov": f"{FIRST_FOV:g} degrees: neither --fov nor EXIF says"}
 
 
 def _segments(

@@ -73,7 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     cli.add_flags(parser, json=cli.switch("print review.json as the summary"))
     cli.add_flags(
         parser.add_argument_group("the photograph"),
-        fov=field_of_view(cli.number, "EXIF"),
+        fov=field_of_view(cli.number, "EXIF, else 60"),
         color_space=cli.choice(
             ColorSpace,
             "of the photograph (default: its ICC profile, else sRGB, of float files linear)",

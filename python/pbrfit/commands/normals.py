@@ -57,7 +57,7 @@ FLAGS: dict[str, Flags] = {
             "what a number says, up to any factor: the distance along the optical axis, that along "
             "the pixel's ray, or the inverse of the first (default: z)",
         ),
-        "fov": field_of_view(cli.number, "scene.toml, EXIF"),
+        "fov": field_of_view(cli.number, "scene.toml, EXIF, else 60"),
         "view_width": cli.value(
             "WIDTH",
             cli.number,

@@ -18,16 +18,14 @@ COLOR_SPACE = choice(
 
 def field_of_view(kind: Callable[[str], float], otherwise: str) -> Flag:
     """`--fov`, and where it comes from without it."""
-    return value(
-        "DEG", kind, f"horizontal field of view, 0 = orthographic (default: {otherwise}, else 60)"
-    )
+    return value("DEG", kind, f"horizontal field of view, 0 = orthographic (default: {otherwise})")
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:
     """Add them; `reading` reads them."""
     add_flags(
         parser,
-        fov=field_of_view(float, "scene.toml, EXIF"),
+        fov=field_of_view(float, "scene.toml, EXIF, else fitted"),
         color_space=COLOR_SPACE,
         max_size=value(
             "PIXELS", int, "average larger pictures down to this longer side (default: as they are)"

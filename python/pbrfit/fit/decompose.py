@@ -133,6 +133,7 @@ def decompose(
         uncertainty=options.uncertainty,
         lighting=found.measured_lighting,
     )
+    scene = scene.through(found.camera.fov_degrees)
     given = np.asarray(scene.normals, dtype=np.float64)
     refinement = found.refinement
     if refinement.refined:
@@ -159,6 +160,7 @@ def decompose(
         stages=found.stages,
         uncertainty=found.uncertainty,
         refinement=refinement,
+        camera=found.camera,
         given_normals=given if refinement.refined else None,
     )
     log.info(
@@ -256,6 +258,13 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
 
 def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str]:
     assumed = dict(scene.assumed)
+    camera = fit.camera
+    if camera.how == "fitted":
+        assumed["fov"] = camera.in_words()
+    elif camera.contradicted:
+        given = assumed.get("fov", camera.in_words())
+        assumed["fov"] = f"{given}; {camera.contradiction()}"
+        log.warning("field of view: %s", assumed["fov"])
     if model is not None:
         assumed["model"] = f"{model}, asked for"
         if scene.model not in (None, model):

@@ -21,6 +21,7 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
@@ -35,6 +36,7 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.normals.free import FreeNormals
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
 from pbrfit.fit.plan import FitPlan
@@ -95,7 +97,9 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
     """X of the fit, and why it ended."""
     start, rows, loss = x, len(run.rows), run.rows[-1].loss
     with one_blas_thread():
-        lights = lights or find_lights(run, x)
+        if lights is None:
+            lights = find_lights(run, x)
+            doubt_camera(run, x, lights)
         x = lights.x
         noise = lights.noise if run.shared_state is None else run.shared_state.noise
         run.noise = noise
@@ -158,7 +162,8 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
         level = Level.of(objective, settings.COARSE_PIXELS)
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
-        if known:
+        unknown = [] if run.camera.how != "assumed" or dielectric else [FIELD_OF_VIEW]
+        if known and not unknown:
             return judged(objective, x, level, run)
         x = x.copy()
         part = objective.part_of(x, level.pixels)
@@ -166,10 +171,61 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
             notes.append("as if all were dielectric")
         watch = Watch(run, x, level)
         first = settings.DIELECTRIC_ROUNDS if dielectric else 0
-        found = rounds(run, level, part, watch, dielectric=first)
+        nuisances = Nuisances(run.scene, unknown) if unknown else None
+        found = rounds(run, level, part, watch, dielectric=first, nuisances=nuisances)
         objective.put_part(x, level.pixels, part)
+        if nuisances is not None:
+            run.see(nuisances)
+            notes.append(f"field of view {run.camera.in_words()}")
         notes.append(found.misfit.in_words())
     return replace(found, x=x)
+
+
+def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
+    """What another field of view than the given one leaves, where the pictures contradict that.
+
+    `lights` are those that were found from x. The given one stays: `run.camera` tells of the other.
+    It is fitted where what is left under `lights` is no noise and the score test asks for it; from
+    x again, because materials have bent to the given one. It contradicts the given one where the
+    score is lower and most of the misfit is gone, or all: wrong normals ask for another one too,
+    but it does not help them much.
+    """
+    shared = lights.shared
+    if run.camera.how != "given" or run.camera.figures or shared is None:
+        return None
+    if lights.exact or lights.misfit.is_noise or lights.cut_short:
+        return None
+    with run.stage("field of view") as notes:
+        level = Level.of(run.objective, settings.COARSE_PIXELS)
+        part = run.objective.part_of(lights.x, level.pixels)
+        weighed = level.objective
+        if lights.noise is not None:
+            weighed = weighed.weighed(lights.noise.weights(weighed, part))
+        fit = shared.joint_fit(weighed, part, _fit_level(weighed, part))
+        nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
+        nuisances.estimate(weighed, part, fit, lights.misfit)
+        notes.append(f"score test of the given one {nuisances.gain:.3g}")
+        figures = {"score_test": nuisances.gain}
+        run.camera = replace(run.camera, figures=figures)
+        if nuisances.gain < settings.CAMERA_GAIN_MIN:
+            return None
+        nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
+        part = run.objective.part_of(x, level.pixels)
+        found = rounds(run, level, part, Watch(run, x, level), nuisances=nuisances)
+        notes += [nuisances.camera().in_words(), found.misfit.in_words()]
+        samples = found.samples * found.misfit.effective_share
+        unknowns = found.unknowns + len(nuisances.fitted)
+        figures["score_given"] = misfit.score(lights.deviance, lights.unknowns, samples)
+        figures["score_other"] = misfit.score(found.deviance, unknowns, samples)
+        figures["other_fov_degrees"] = nuisances.scene.fov
+        figures["other_fov_sigma"] = nuisances.fov_sigma
+        share = math.exp(found.deviance - lights.deviance)
+        share *= max(found.misfit.design_effect, 1.0) / max(lights.misfit.design_effect, 1.0)
+        contradicted = figures["score_other"] < figures["score_given"] and (
+            found.misfit.is_noise or share <= settings.CAMERA_MISFIT_SHARE_MAX
+        )
+        run.camera = replace(run.camera, figures=figures, contradicted=contradicted)
+    return replace(found, unknowns=unknowns) if contradicted else None
 
 
 def rounds(
@@ -181,11 +237,13 @@ def rounds(
     *,
     at_most: int = settings.COARSE_ROUNDS_MAX,
     dielectric: int = 0,
+    nuisances: Nuisances | None = None,
 ) -> Lights:
     """Rounds of materials and joint steps of a level's pixels, whose x changes.
 
     `normals` is for an objective that has them free. Without, pixels have a prior around a
-    dielectric of middle roughness in the first rounds, as many as `dielectric` says.
+    dielectric of middle roughness in the first rounds, as many as `dielectric` says. `nuisances`
+    are fitted too; the level's objective then sees through what they were found to be.
     """
     objective = level.objective
     everything = np.arange(objective.pixels, dtype=np.uint64)
@@ -194,6 +252,9 @@ def rounds(
         shared = SharedFit(LightPrior.around(objective, x))
     left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
     noise, given = None, objective
+    if nuisances is not None:
+        given = copy(objective)  # whose camera changes
+        level = replace(level, objective=given)
     for number in range(at_most):
         if number >= settings.ROBUST_ROUND:
             noise, weighed = weighed_around(run, given, level.objective, x)
@@ -212,7 +273,7 @@ def rounds(
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
-        left, before = _left(level, x, sum_sq, shared, fixed), weight
+        left, before, fit = _left(level, x, sum_sq, shared, fixed), weight, None
         total = float(sum_sq.sum())
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
@@ -226,15 +287,23 @@ def rounds(
         deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
         if noise is not None:
             deviance = noise.deviance(given, x)
+        if nuisances is not None:
+            nuisances.advance(objective, x, fit, left)
+            if given is not objective:
+                given.see(nuisances.scene)
         settled = (
             number >= settings.ROBUST_ROUND
             and weight >= settings.COARSE_WEIGHT_FALL * before
             and deviance > last - settings.COARSE_ROUND_GAIN_MIN
             and (normals is None or normals.is_settled(number))
+            and (nuisances is None or nuisances.is_settled)
         )
         last = deviance
         if settled or exact or watch.stopped or run.out_of_time():
             break
+    if nuisances is not None:  # with the camera as it is now, after joint steps
+        sum_sq = _fit_level(objective, x, fixed)
+        left = _left(level, x, sum_sq, shared, fixed)
     mean_squared = float(sum_sq.sum()) / objective.total_weight
     unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()
@@ -303,6 +372,7 @@ def judged(
         for _ in range(settings.WEIGHT_ROUNDS):
             noise, few = weighed_around(run, given, few, part)
             sum_sq = _fit_level(few, part)
+        assert noise is not None
         deviance = noise.deviance(given, part)
         level = replace(level, objective=few)
     mean_squared = float(sum_sq.sum()) / few.total_weight

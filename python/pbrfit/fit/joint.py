@@ -234,8 +234,23 @@ class JointFit:
                 self._secants.append(_Secant(moved, change, curvature))
         self._gradient, self._last_step = gradient, None
 
+    def inverse(self) -> tuple[Array, Callable[[Array], Array]]:
+        """The gradient s of all pixels, and S⁻¹ v."""
+        system = self._system()
+        if self.shared.stale:
+            self.renew_preconditioner()
+        if system is None:  # stopped
+            return np.zeros(self.shared.size), np.zeros_like
+        gradient, product = system
+        ratio = settings.NUISANCE_ERROR_RATIO
+        return gradient, lambda v: self._conjugate_gradients(v, product, 0.0, ratio)
+
     def _conjugate_gradients(
-        self, right: Array, product: Callable[[Array], Array], enough: float
+        self,
+        right: Array,
+        product: Callable[[Array], Array],
+        enough: float,
+        ratio: float = settings.CG_ERROR_RATIO,
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
         residual, moves = right.copy(), np.zeros_like(right)
@@ -255,7 +270,7 @@ class JointFit:
             residual -= length * along
             preconditioned = self._solved(residual)
             size_before, size_now = size_now, float(residual @ preconditioned)
-            if size_now <= max(settings.CG_ERROR_RATIO**2 * first, settings.CG_GAIN_SHARE * enough):
+            if size_now <= max(ratio**2 * first, settings.CG_GAIN_SHARE * enough):
                 break
             direction = preconditioned + size_now / size_before * direction
         self.shared.stale = number >= settings.CG_RENEW

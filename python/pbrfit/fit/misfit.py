@@ -62,6 +62,11 @@ class Misfit:
         """Share of the samples that would say as much if they were independent."""
         return min(1 / max(self.design_effect, 1.0), self.independent_share)
 
+    @property
+    def of_lights(self) -> float:
+        """κ s², no less than s²: the variance that lights and a camera are uncertain by."""
+        return self.variance * max(self.design_effect, 1.0)
+
     def in_words(self) -> str:
         """For a stage's note."""
         independent = f"independent share {self.independent_share:.2f}"
@@ -69,8 +74,8 @@ class Misfit:
 
     @property
     def of_likelihood(self) -> float:
-        """s² max(κ, 1)/τ: the variance in the likelihood of a pixel, which its neighbours' share."""
-        return self.variance / self.independent_share * max(self.design_effect, 1.0)
+        """s² max(κ, 1)/τ: the variance in the likelihood of a pixel among others."""
+        return self.of_lights / self.independent_share
 
 
 def score(deviance: float, unknowns: float, effective_samples: float) -> float:

@@ -65,8 +65,7 @@ class NoiseModel:
         found = self.shares[0] + relative * (self.shares[1] + self.shares[2] * relative)
         if samples.of_file is not None and self.mean_file_variance > 0:
             found += self.shares[3] / self.mean_file_variance * samples.of_file
-        found *= self.variances[:, None, None]
-        return found
+        return np.asarray(found * self.variances[:, None, None])
 
     @property
     def least_variance(self) -> float:
@@ -181,7 +180,7 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
     squares = np.square(samples.residuals[used])
     kept = 1 - _leverages(objective, x)[used]
     in_pictures = np.maximum(np.bincount(picture, kept, len(used)), 1.0)
-    least = max(settings.NOISE_VARIANCE_MIN, np.finfo(np.float32).eps ** 2)
+    least = max(settings.NOISE_VARIANCE_MIN, float(np.finfo(np.float32).eps) ** 2)
 
     shares = np.zeros(features.shape[1])
     shares[0] = 1.0
@@ -211,7 +210,7 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
 
 
 def _downweighting(squares: Array, freedom: float) -> Array:
-    """w of squares in units of their variance."""
+    """The w of squares in units of their variance."""
     if math.isinf(freedom):
         return np.ones_like(squares)
     return np.asarray((freedom + 1) / (freedom + squares))

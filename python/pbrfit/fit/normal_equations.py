@@ -171,9 +171,9 @@ def eliminate(
     The share `damping` of the diagonal of A is added to it.
     """
     by_material, by_light, weights = problem.derivatives(x, pixels)
-    jacobian = _by_unknowns(by_material, layout)
+    jacobian = by_unknowns(by_material, layout)
     jacobian *= ~held[:, None, None, :]
-    matrices = _products(jacobian, weights)
+    matrices = products(jacobian, weights)
     whiten = whitening(matrices, held, damping)
     weighted = (jacobian * weights[..., None]).reshape(len(jacobian), -1, held.shape[1])
     rows = (whiten @ weighted.transpose(0, 2, 1)).reshape(len(weighted), -1, *weights.shape[1:])
@@ -185,18 +185,19 @@ def chunks(count: int, bytes_each: int) -> list[slice]:
     return slices(count, max(1, WORKING_SET // bytes_each))
 
 
-def _by_unknowns(by_material: Array, layout: ParameterLayout) -> Array:
-    """(P, N, C, D) from (P, N, C, 3): the albedo of a channel changes that channel alone."""
+def by_unknowns(by_material: Array, layout: ParameterLayout) -> Array:
+    """(P, N, C, D) from (P, N, C, 3 or 5): the albedo of a channel changes that channel alone."""
     c = layout.channels
-    unknowns = c + (1 if layout.metallic_known else 2)
-    jacobian = np.zeros((*by_material.shape[:3], unknowns))
+    others = [1] if layout.metallic_known else [1, 2]
+    others += [3, 4] if layout.free_normals else []
+    jacobian = np.zeros((*by_material.shape[:3], c + len(others)))
     for channel in range(c):
         jacobian[:, :, channel, channel] = by_material[:, :, channel, 0]
-    jacobian[..., c:] = by_material[..., 1 : 1 + unknowns - c]
+    jacobian[..., c:] = by_material[..., others]
     return jacobian
 
 
-def _products(jacobian: Array, weights: Array) -> Array:
+def products(jacobian: Array, weights: Array) -> Array:
     """Jᵀ Ω J, (P, D, D)."""
     pixels, unknowns = len(jacobian), jacobian.shape[-1]
     rows = jacobian.reshape(pixels, -1, unknowns)

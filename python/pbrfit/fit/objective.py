@@ -372,8 +372,10 @@ class Objective:
         limits = self.limits(np.arange(self.pixels, dtype=np.uint64))
         if limits is None:
             return None
-        found = (limits == 0).astype(np.float32)
-        return found if self.weights is None else found * self.weights[..., None]
+        found: NDArray[np.float32] = (limits == 0).astype(np.float32)
+        if self.weights is not None:
+            found *= self.weights[..., None]
+        return found
 
     def adopt(self, weighed: Objective) -> None:
         """Weigh samples as an objective does that `weighed` gave, from here on."""
@@ -421,6 +423,12 @@ class Objective:
 
     def _all_places(self) -> NDArray[np.intp]:
         return np.flatnonzero(self._scene.valid) if self._places is None else self._places
+
+    def see(self, scene: Scene) -> None:
+        """Take the pictures and the camera of the same scene through another instrument."""
+        self._scene = scene
+        del self.problem  # before there is another one, which is as large
+        self.problem = self._problem(self.weights if self._factors is None else self._factors)
 
     def restricted(
         self, pixels: NDArray[np.uint64], shares: NDArray[np.float64] | None = None

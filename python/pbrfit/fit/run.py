@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.noise import NoiseModel
+from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -20,6 +21,7 @@ from pbrfit.fit.priors.mixture import FittedPrior
 from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
+from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
@@ -111,6 +113,8 @@ class Run:
         """The material prior as it was fitted last."""
         self.noise: NoiseModel | None = None
         """Of samples, as it was found last."""
+        self.camera = Camera(scene.fov, "given" if scene.fov_known else "assumed")
+        """What has been decided about it."""
         self._progress, self._began = progress, began
         self.unmeasured = 0.0
         """Seconds spent on comparing with the ground truth and in `progress`."""
@@ -129,6 +133,12 @@ class Run:
         later._iteration_limit = self.iteration + self.options.iterations
         later._last = math.nan, math.nan
         return later
+
+    def see(self, nuisances: Nuisances) -> None:
+        """Take the camera that was fitted: from here on all pixels see through it."""
+        self.scene = nuisances.scene
+        self.objective.see(self.scene)
+        self.camera = nuisances.camera()
 
     @property
     def left(self) -> int:

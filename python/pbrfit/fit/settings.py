@@ -144,6 +144,38 @@ LEVERAGE_MAX = 0.9
 EVEN_WEIGHTS_LOSS_MAX = 0.02
 """Share of the information (L. Kish: Σw²n/(Σw)² − 1) that equal weights may lose for being equal:
 one per cent of a standard deviation."""
+# --- The camera -------------------------------------------------------------------------------
+
+LOG_FOCAL_LENGTH_SIGMA = 0.45
+"""Standard deviation of the logarithm of the focal length around that of `FIRST_FOV`, 31 mm on a 35
+mm camera: lenses from 13 mm to 77 mm, which are those of telephones and of common zooms (from the
+widest to the longest), are within two of them. It decides where the pictures do not say."""
+
+FOV_MIN = 1.0
+"""Degrees that a narrower field of view, and an orthographic one, counts as while it is moved."""
+
+NUISANCE_DIFFERENCE = 0.02
+"""Change of a number of the camera, a logarithm, for derivatives: what float32 rounds is then 1e-5
+of it, and the third derivative as little."""
+
+NUISANCE_STEP_MAX = 0.3
+"""Largest change of such a number in a round: steps are of a linear model, and a lens a third
+longer is as far as it holds."""
+
+NUISANCE_GAIN_MIN = 1.0
+"""Gain in χ² of a step, at which these numbers count as found: one standard deviation."""
+
+CAMERA_GAIN_MIN = 25.0
+"""χ² of the score test, five standard deviations, from which on a given field of view is doubted
+and another fitted: less may come from lights that are not quite found."""
+
+CAMERA_MISFIT_SHARE_MAX = 0.5
+"""Share of the misfit κ s² that another field of view may leave to contradict the given one. Where
+that is 30 degrees off it leaves a twentieth, where normals are 10 degrees off nine tenths."""
+
+NUISANCE_ERROR_RATIO = 0.02
+"""As `CG_ERROR_RATIO`, where what the lights take is subtracted: the rest is some tenths of the
+whole, and is right to a hundredth."""
 
 
 # --- Gauss-Newton: all pixels -----------------------------------------------------------------

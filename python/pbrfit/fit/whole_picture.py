@@ -15,6 +15,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.run import Progress, Run, SharedState
 from pbrfit.fit.uncertainty import estimate
 from pbrfit.model.materials import Materials
+from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions, Priors
@@ -104,7 +105,8 @@ class FitOutput:
     seconds: float
     """Since it began, without those of the uncertainty and of `progress`."""
     refinement: Refinement
-    """What was decided about normals."""
+    camera: Camera
+    """What was decided about normals, and about the camera."""
     exposures: Array | None
     """As in `Objective`."""
     measured_lighting: Array | None
@@ -135,6 +137,7 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         stages=tuple(run.stages),
         seconds=seconds,
         refinement=refinement,
+        camera=run.camera,
         exposures=run.objective.exposures,
         measured_lighting=run.measured_lighting,
         noise=run.noise,

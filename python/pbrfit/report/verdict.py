@@ -31,6 +31,9 @@ NOT_TOLD = 0.005
 SCALE_UNKNOWN = 0.1
 """Relative deviation of the scale between albedo and light above which a sentence says so."""
 
+FOV_UNKNOWN = 5.0
+"""Standard deviation of a fitted field of view, in degrees, above which it is doubted."""
+
 NEGATIVE_LIGHT = 0.5
 """Negative over positive luminance of a light above which a sentence warns. Light from a single
 direction, cut off at l = 3, has 0.445."""
@@ -122,12 +125,25 @@ def _uncertain(result: Result) -> str:
     return text
 
 
+def _doubts_about_fov(result: Result) -> list[str]:
+    camera = result.camera
+    if camera is None:  # of an earlier version
+        guessed = "neither" in result.assumed.get("fov", "")
+    else:
+        guessed = camera.how == "assumed"
+    if guessed:
+        return [f"the field of view is a guess ({result.fov:g} degrees)"]
+    if camera is not None and camera.contradicted:
+        return [f"the field of view is {camera.in_words()}; {camera.contradiction()}"]
+    if camera is not None and camera.fov_sigma is not None and camera.fov_sigma > FOV_UNKNOWN:
+        return [f"the field of view is hardly known: {camera.in_words()}"]
+    return []
+
+
 def _doubts(result: Result, pictures: Sequence[Picture]) -> str:
     """Assumptions that may make the maps wrong without a trace in the residual."""
     doubts = []
-    fov = result.assumed.get("fov", "")
-    if "neither" in fov:
-        doubts.append(f"the field of view is a guess ({result.fov:g} degrees)")
+    doubts += _doubts_about_fov(result)
     given = result.normals if result.given_normals is None else result.given_normals
     if (given[result.mask] == (0.0, 0.0, 1.0)).all():
         doubts.append(

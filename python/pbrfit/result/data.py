@@ -14,6 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
+from pbrfit.result.camera import Camera
 from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
@@ -85,6 +86,9 @@ class ResultData:
         Where the scene was read from and how; None where it was made of arrays.
     refinement
         Whether normals were refined, why, and the figures of that decision.
+    camera
+        What was decided about the field of view, and what the pictures say of it; None in results
+        of versions that did not say.
     given_normals
         (H, W, 3), the scene's normals where they were refined; else None. NaN outside the mask.
 
@@ -116,6 +120,7 @@ class ResultData:
     stages: tuple[Stage, ...] = ()
     refinement: Refinement = NOT_ASKED
     given_normals: NDArray[np.float64] | None = None
+    camera: Camera | None = None
 
     def __post_init__(self) -> None:
         if self.refinement.refined != (self.given_normals is not None):

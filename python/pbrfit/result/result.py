@@ -32,6 +32,7 @@ from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, read_materials, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
+from pbrfit.result.camera import Camera
 from pbrfit.result.data import GIVEN_NORMALS, ResultData, Stage, Status
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
@@ -109,6 +110,7 @@ class Result(ResultData):
             "metrics": dict(self.metrics),
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
             "normals": self.refinement.as_json(),
+            "camera": None if self.camera is None else self.camera.as_json(),
             "options": self.options.to_json(),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
@@ -143,8 +145,9 @@ class Result(ResultData):
             fov = number(content["fov"])
             check_fov(fov)
             summary = content.get("uncertainty")
-            # Earlier versions wrote neither of these.
+            # Earlier versions wrote none of these.
             source, of_normals = content.get("scene"), content.get("normals")
+            camera = content.get("camera")
             refinement = NOT_ASKED if of_normals is None else Refinement.from_json(of_normals)
             return cls(
                 materials=materials,
@@ -168,6 +171,7 @@ class Result(ResultData):
                 uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
                 source=None if source is None else _source(source, folder),
                 refinement=refinement,
+                camera=None if camera is None else Camera.from_json(table(camera)),
                 given_normals=_given_normals(folder, mask) if refinement.refined else None,
             )
         except UNFIT as error:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,9 @@ Counted = list[NDArray[np.bool_]] | None
 
 AT_LEAST, AT_MOST = file_limits.AT_LEAST, file_limits.AT_MOST
 """Values of `SceneArrays.limits` beside 0: the radiance is at least, or at most, what is stored."""
+FIRST_FOV = 60.0
+"""Horizontal field of view in degrees that stands for one that nobody told, until a fit finds it:
+that of a lens of 31 mm on a 35 mm camera."""
 
 MIN_NORMAL_LENGTH = 0.1
 """Normals shorter than this have no direction worth normalising."""
@@ -85,7 +89,8 @@ class SceneArrays:
         (H, W, 3), camera space (X right, Y up, Z towards the viewer); normalised here, NaN outside
         the mask.
     fov
-        Horizontal field of view in degrees, 0 = orthographic.
+        Horizontal field of view in degrees, 0 = orthographic; None = unknown, then it reads
+        `FIRST_FOV`, and a fit finds it.
     mask
         (H, W) bool, True = use; None = all pixels.
     segments
@@ -121,6 +126,8 @@ class SceneArrays:
     model
         The reflection model that the pictures were rendered with, "paper" or "principled": a fit
         takes it too, unless told otherwise. None = neither of them, or unknown.
+    fov_known
+        Whether somebody told the field of view; False where `fov` is a number to start from.
 
     Raises
     ------
@@ -130,7 +137,7 @@ class SceneArrays:
 
     images: NDArray[np.floating[Any]]
     normals: NDArray[np.floating[Any]]
-    fov: float = 60.0
+    fov: float = None  # type: ignore[assignment]  # a number once the scene is made
     mask: NDArray[np.bool_] | None = None
     segments: NDArray[np.integer[Any]] | None = None
     lighting: NDArray[np.float64] | None = None
@@ -144,6 +151,7 @@ class SceneArrays:
     inputs: Mapping[str, str] = field(default_factory=dict)
     source: Source | None = None
     model: Model | None = None
+    fov_known: bool = True
 
     def __post_init__(self) -> None:
         images = any_array("images", self.images)
@@ -156,7 +164,8 @@ class SceneArrays:
             )
         n, height, width = images.shape[:3]
         names = _names(self.names, n)
-        fov = real_number("fov", self.fov)
+        told: Any = self.fov
+        fov = FIRST_FOV if told is None else real_number("fov", told)
         geometry.check_fov(fov)
         mask = _mask(self.mask, (height, width))
         weights = _weights(self.weights, names, (height, width), mask)
@@ -217,6 +226,7 @@ class SceneArrays:
             "normal_sigma": normal_sigma,
             "names": names,
             "model": None if self.model is None else checked_model(self.model),
+            "fov_known": bool(self.fov_known and told is not None),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -319,6 +329,15 @@ class SceneArrays:
         mean += blue
         mean /= 3
         return mean
+
+    def through(self, fov: float) -> Self:
+        """The same scene through a lens of another field of view, in degrees; it shares all else.
+
+        The new number is not told by anybody: whether it was known stays as it is.
+        """
+        found = copy.copy(self)
+        object.__setattr__(found, "fov", fov)
+        return found
 
     @property
     def views(self) -> NDArray[np.float64]:

@@ -21,11 +21,9 @@ from pbrfit.io.quoting import quoted, shown
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.model import geometry
 from pbrfit.model.reflection import MODELS, Model
+from pbrfit.scene.arrays import FIRST_FOV
 
 log = logging.getLogger("pbrfit")
-
-DEFAULT_FOV = 60.0
-"""Horizontal field of view in degrees where neither user, `scene.toml` nor EXIF says one."""
 
 CONTAINS = ("scene.toml", "truth")
 """What a scene folder must hold to be replaced: ground truth tells it from somebody's pictures."""
@@ -78,7 +76,8 @@ def field_of_view(folder: Path, fov: float | None) -> float:
     settings = read_settings(folder / "scene.toml")
     first = images.read_picture(find_pictures(folder)[0])
     size = first.pixels.shape[:2]
-    return decided_fov(folder, fov, settings, first.focal_length_35mm, size)[0]
+    decided, _ = decided_fov(folder, fov, settings, first.focal_length_35mm, size)
+    return FIRST_FOV if decided is None else decided
 
 
 def find_pictures(folder: Path) -> list[Path]:
@@ -185,8 +184,8 @@ def decided_fov(
     settings: Settings,
     focal_length: float | None,
     size: tuple[int, ...],
-) -> tuple[float, str]:
-    """In degrees, and in words."""
+) -> tuple[float | None, str]:
+    """In degrees, None where nothing says it, and in words."""
     if fov is not None:
         return fov, f"{fov:g} degrees, asked for"
     if settings.fov is not None:
@@ -195,9 +194,9 @@ def decided_fov(
         fov = geometry.fov_from_focal_length(focal_length, size[0], size[1])
         return fov, f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
     log.warning(
-        "%s: field of view unknown, assumed %g degrees (--fov sets it)", folder, DEFAULT_FOV
+        "%s: field of view unknown, fitted from %g degrees on (--fov sets it)", folder, FIRST_FOV
     )
-    return DEFAULT_FOV, f"{DEFAULT_FOV:g} degrees: neither --fov, scene.toml nor EXIF says"
+    return None, f"{FIRST_FOV:g} degrees: neither --fov, scene.toml nor EXIF says"
 
 
 def _fov(path: Path, content: dict[str, Any]) -> float | None:

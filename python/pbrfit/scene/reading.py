@@ -24,6 +24,7 @@ from pbrfit.model import geometry
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
 from pbrfit.scene.arrays import (
+    FIRST_FOV,
     MIN_NORMAL_LENGTH,
     SceneArrays,
     Source,
@@ -132,7 +133,7 @@ def load(
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
-    fov, assumed["fov"] = decided_fov(folder, fov, settings, read.focal_length, full_size)
+    decided, assumed["fov"] = decided_fov(folder, fov, settings, read.focal_length, full_size)
 
     if settings.model is not None:
         assumed["model"] = f"{settings.model}, with which the pictures were rendered (scene.toml)"
@@ -144,7 +145,8 @@ def load(
         return kind(
             images=read.pixels,
             normals=normals,
-            fov=fov,
+            fov=FIRST_FOV if decided is None else decided,
+            fov_known=decided is not None,
             mask=mask,
             segments=segments,
             lighting=lighting,

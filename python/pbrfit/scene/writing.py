@@ -30,8 +30,9 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
         sigma = scene.normal_sigma
         uncertainty = None if sigma is None else np.where(scene.valid, sigma, np.float32(0))
         write_normals(folder / "normals.exr", normals, uncertainty)
+        fov = f"fov = {float(scene.fov)!r}\n" if scene.fov_known else ""
         model = "" if scene.model is None else f'model = "{scene.model}"\n'
-        (folder / "scene.toml").write_text(f"fov = {float(scene.fov)!r}\n{model}", encoding="utf-8")
+        (folder / "scene.toml").write_text(fov + model, encoding="utf-8")
         if not scene.valid.all():
             images.write_png(
                 folder / "mask.png", np.where(scene.valid, 255, 0).astype(np.uint8), tag=None

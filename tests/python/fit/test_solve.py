@@ -178,7 +178,7 @@ def test_radiance_beyond_float32_is_fitted_all_the_same(factor: float, solver: S
     exact = np.log2(factor) % 1 == 0
     results = [
         pbrfit.decompose(
-            pbrfit.Scene(scene.images * f, scene.normals),
+            pbrfit.Scene(scene.images * f, scene.normals, scene.fov),
             solver=solver,
             iterations=20,
             refine_normals="auto" if exact else "off",

@@ -26,6 +26,7 @@ from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import Model, render
 from pbrfit.report import budget, lights, originals, write_report
 from pbrfit.report.page import REFLECTION
+from pbrfit.result.camera import Camera
 from pbrfit.result.data import Status
 from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.history import History, HistoryRow
@@ -386,14 +387,33 @@ def test_grey_pictures_and_one_picture_of_known_light(tmp_path: Path) -> None:
 def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path) -> None:
     flat = np.zeros((SIZE, SIZE, 3))
     flat[..., 2] = 1.0
-    scene, result = in_memory(
-        normals=flat, assumed={"fov": "60 degrees: neither --fov, scene.toml nor EXIF says"}
-    )
+    scene, result = in_memory(normals=flat)
+    result = dataclasses.replace(result, camera=Camera(60.0, "assumed"))
     text = written(result, tmp_path / "page.html", scene).text
     whose = "all normals" if result.given_normals is None else "all given normals"
     doubts = f"Warning: the field of view is a guess (60 degrees); {whose} face the camera"
     assert doubts in text
     assert "Warning" not in written(in_memory()[1], tmp_path / "other.html").text
+
+
+@pytest.mark.parametrize(
+    ("camera", "doubt"),
+    [
+        (Camera(62.0, "fitted", 4.9), ""),
+        (Camera(62.0, "fitted", 5.1), "hardly known: 62 ± 5 degrees, fitted"),
+        (
+            Camera(60.0, "given", None, True, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}),
+            "60 degrees, given; the pictures fit far better with about 88 ± 2",
+        ),
+    ],
+)
+def test_a_field_of_view_that_pictures_doubt_is_said(
+    camera: Camera, doubt: str, tmp_path: Path
+) -> None:
+    result = dataclasses.replace(in_memory()[1], camera=camera)
+    text = written(result, tmp_path / "page.html").text
+    assert ("Warning: the field of view is" in text) == bool(doubt)
+    assert doubt in text
 
 
 def test_lights_that_are_mostly_negative_are_doubted(tmp_path: Path) -> None:

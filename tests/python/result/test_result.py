@@ -46,6 +46,7 @@ def masked_scene(*, truth: bool) -> Scene:
     return Scene(
         images=made.images,
         normals=made.normals,
+        fov=made.fov,
         mask=mask,
         names=("a", "b", "ç"),
         truth=made.truth if truth else None,

@@ -109,9 +109,12 @@ def test_fov_of_flag_then_scene_toml_then_exif_then_60(
     assert focal.fov == pytest.approx(80.718201)
     assert focal.assumed["fov"] == "80.72 degrees, from EXIF (18 mm equivalent)"
     assert default.fov == 60.0
+    assert [one.fov_known for one in (asked, stated, focal, default)] == [True, True, True, False]
     assert "neither --fov, scene.toml nor EXIF" in default.assumed["fov"]
     [record] = caplog.records
-    assert f"{tmp_path / 'other'}: field of view unknown, assumed 60" in record.message
+    assert (
+        f"{tmp_path / 'other'}: field of view unknown, fitted from 60 degrees on" in record.message
+    )
 
 
 # 2 atan(19.349 / 18) along the longer and 2 atan(9.6747 / 18) along the shorter side

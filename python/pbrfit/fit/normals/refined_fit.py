@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.estimator import Lights, Watch, find_lights, rounds, solve
+from pbrfit.fit.estimator import Lights, Watch, doubt_camera, find_lights, rounds, solve
 from pbrfit.fit.levels import Level
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.all_pixels import (
@@ -32,6 +32,7 @@ from pbrfit.fit.normals.all_pixels import (
 )
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.run import Run
@@ -45,6 +46,7 @@ from pbrfit.threads import one_blas_thread
 Array = NDArray[np.float64]
 
 OUT_OF_TIME = "the time limit came first"
+OTHER_CAMERA = "another field of view explains the pictures better than other normals"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +85,9 @@ def fit(
     """
 
     def with_given(lights: Lights | None = None) -> PixelFit:
+        if lights is None and run.camera.how == "assumed" and run.left > 0:
+            with one_blas_thread():
+                lights = find_lights(run, x)
         return PixelFit(run, *solve(run, x.copy(), start_given=start_given, lights=lights))
 
     why = "not asked for" if asked == "off" else hindered
@@ -100,25 +105,36 @@ def fit(
         return refined, Refinement(asked, True, "asked for")
     with one_blas_thread():
         lights = find_lights(run, x)
+        other = doubt_camera(run, x, lights)
     figures = _figures(run.objective, lights, "before")
-    why = _keeps_given(run, lights) if asked == "auto" else None
+    why = _keeps_given(run, lights, other) if asked == "auto" else None
     if why is None and run.out_of_time():
         why = OUT_OF_TIME
     if why is not None:
         return with_given(lights), Refinement(asked, False, why, figures)
     free = make(run.scene, True)
     free_x, offsets = _start(run, x, free, normals)
-    offsets, found = _find_normals(run, free, free_x, offsets)
+    offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
     # What rounding leaves says nothing of noise.
     samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
-    scores = [misfit.score(one.deviance, one.unknowns, samples) for one in (lights, found)]
-    figures |= _figures(free, found, "after")
-    figures |= dict(zip(("score_before", "score_after"), scores, strict=True))
+    tried = {"before": lights, "after": found, "other_camera": other}
+    scores = {
+        f"score_{name}": misfit.score(one.deviance, one.unknowns, samples)
+        for name, one in tried.items()
+        if one is not None
+    }
+    figures |= _figures(free, found, "after") | scores
     figures["spread_degrees"] = float(np.degrees(offsets.sigma))
-    if asked == "auto" and not scores[1] < scores[0]:
+    if asked == "auto" and scores["score_after"] > min(scores.values()):
         why = "what other normals explain does not outweigh how many unknowns they are"
+        if other is not None and scores["score_other_camera"] == min(scores.values()):
+            why = OTHER_CAMERA
         return with_given(lights), Refinement(asked, False, why, figures)
-    refined = _refine(run, free, free_x, offsets, make, found.noise)
+    refining = run
+    if nuisances is not None:
+        refining = run.continued(nuisances.scene, free)
+        refining.see(nuisances)
+    refined = _refine(refining, free, free_x, offsets, make, found.noise)
     if refined is None:
         return with_given(lights), Refinement(asked, False, OUT_OF_TIME, figures)
     return _better(run, refined, lights, with_given, asked, figures)
@@ -136,7 +152,7 @@ def _better(
     turned = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid].max()
     if turned < CHANGE_DEGREES_MIN:
         # All pixels were given theirs back, or found that they had been right.
-        refined.run.scene = run.scene
+        refined.run.scene = run.scene.through(refined.run.scene.fov)
         why = "no other normals explain the pictures better"
         return refined, Refinement(asked, False, why, figures)
     if not refined.deviance(lights) < lights.deviance:
@@ -147,13 +163,15 @@ def _better(
     return refined, Refinement(asked, True, why, figures)
 
 
-def _keeps_given(run: Run, lights: Lights) -> str | None:
+def _keeps_given(run: Run, lights: Lights, other: Lights | None) -> str | None:
     """Why given normals are kept without trying others; None if others are to be tried."""
     objective = run.objective
     if lights.exact:
         return "the given normals explain the pictures up to rounding"
     if objective.lighting is not None and lights.misfit.is_noise:
         return "the given normals explain the pictures up to noise"
+    if other is not None and other.misfit.is_noise:
+        return OTHER_CAMERA
     unknowns = objective.layout.maps.stop + 2 * objective.pixels
     if objective.samples < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN * unknowns:
         return "too few pictures to tell wrong normals from materials"
@@ -194,25 +212,34 @@ def _given(scene: Scene) -> tuple[Array, Array | None]:
 
 def _find_normals(
     run: Run, free: Objective, x: Array, prior: TangentOffsetPrior
-) -> tuple[TangentOffsetPrior, Lights]:
-    """The prior on offsets as a level found it, and what is left of that; x has what it found."""
+) -> tuple[TangentOffsetPrior, Lights, Nuisances | None]:
+    """The prior on offsets as a level found it, and what is left of that; x has what it found.
+
+    A field of view that nobody told is fitted with the normals once more, for it was found with the
+    given ones.
+    """
     with run.stage("lights and normals") as notes, one_blas_thread():
         level = Level.of(free, settings.COARSE_PIXELS)
         chosen = level.pixels.astype(np.intp)
         given, sigma = _given(run.scene)
         sigma = None if sigma is None else sigma[chosen]
         lights = slice(free.layout.maps.stop, None)
+        nuisances = None
+        if run.camera.how == "fitted":
+            nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
             of_level = FreeNormals.of(level, given[chosen], sigma)
             part = free.part_of(x, level.pixels)
             watch = Watch(run, x, level)
-            found = rounds(run, level, part, watch, of_level, at_most=at_most)
+            found = rounds(run, level, part, watch, of_level, at_most=at_most, nuisances=nuisances)
             x[lights] = part[level.objective.layout.maps.stop :]
             if found.cut_short:
                 break
         start_from_level(free, x, level, part)
         notes += [f"{len(level.pixels)} pixels", found.misfit.in_words()]
-    return replace(prior, sigma=of_level.offsets.sigma), found
+        if nuisances is not None:
+            notes.append(f"field of view {nuisances.camera().in_words()}")
+    return replace(prior, sigma=of_level.offsets.sigma), found, nuisances
 
 
 @one_blas_thread()

@@ -87,6 +87,7 @@ def fit_tiles(
     cutter = SceneCutter(scene)
     window = strided_window(scene.valid, *subset_pixels)
     subset = fit_subset(cutter, window, setup, units, start)
+    cutter.scene = scene.through(subset.run.camera.fov_degrees)
     layout = setup.layout(scene)
     maps = TiledMaps(scene, layout, uncertain=options.uncertainty)
     smooth = options.priors.smoothness or subset.refinement.refined
@@ -152,6 +153,7 @@ def fit_tiles(
         stages=tuple(clock.stages),
         seconds=seconds,
         refinement=subset.refinement,
+        camera=subset.run.camera,
         exposures=units.exposures,
         measured_lighting=clock.measured_lighting,
         noise=clock.noise,

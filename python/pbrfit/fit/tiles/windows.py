@@ -105,7 +105,7 @@ class PartialScene(Scene):
         """(h, w, 3) unit vectors from the surface to the camera."""
         whole, window = self.whole, self.window
         return geometry.view_directions(
-            whole.height, whole.width, whole.fov, window.rows, window.columns
+            whole.height, whole.width, self.fov, window.rows, window.columns
         )
 
     def noise_floor(self, picture: int) -> NDArray[np.float32] | None:
@@ -156,6 +156,7 @@ class SceneCutter:
             images=scene.images[:, window.rows, window.columns],
             normals=window.of(scene.normals),
             fov=scene.fov,
+            fov_known=scene.fov_known,
             mask=of(scene.mask),
             segments=of(self._labels),
             lighting=scene.lighting if lighting is None else lighting,

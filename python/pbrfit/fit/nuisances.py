@@ -1,0 +1,229 @@
+"""Numbers of the camera that are the same for all pixels, fitted with lights and materials.
+
+Each of them, θ_j, is a direction d_j = ∂r/∂θ_j of the residuals r of a level's pixels at the same
+x. With J, B, S, s and Q as in `pbrfit.fit.joint` and P = 1 − J (JᵀJ)⁻¹ Jᵀ, pixels and lights are
+solved for, which leaves
+
+    s_j  = Σ_p Bᵀ P d_j
+    g_j  = Σ_p d_jᵀ P r − s_jᵀ S⁻¹ s
+    H_jk = Σ_p d_jᵀ P d_k − s_jᵀ S⁻¹ s_k
+
+and with a normal distribution of θ around μ as prior, of precision Λ,
+
+    δθ = −(H + W Λ)⁻¹ (g + W Λ (θ − μ))        δL = −S⁻¹ Σ_j δθ_j s_j
+
+beside what joint steps move the lights by. W = max(κ, 1) s² is the variance that what is left of
+the pixels stands for (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the covariance of θ. The gain
+gᵀ H⁻¹ g / W is C. R. Rao's score test (Math. Proc. Cambridge Phil. Soc. 44, 1948): χ² with as many
+degrees of freedom as there are numbers where none of them has to change. It takes no fit with them.
+As all else is solved for, a wrong camera that materials and lights have bent to is seen as well as
+one that they have not.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.joint import JointFit
+from pbrfit.fit.misfit import Misfit
+from pbrfit.fit.normal_equations import as_in_x, by_unknowns, products, whitening
+from pbrfit.fit.objective import Objective
+from pbrfit.result.camera import Camera
+from pbrfit.scene.arrays import FIRST_FOV
+from pbrfit.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """A number that all pixels share."""
+
+    of: Callable[[Scene], float]
+    put: Callable[[Scene, float], Scene]
+    """What it is in a scene, and the scene with another."""
+    mean: float
+    sigma: float
+    """Of its prior."""
+
+
+def log_tangent(fov: float) -> float:
+    """θ of a field of view in degrees: its tangent is as the focal length, of which factors count.
+
+    Ln tan(fov/2); finite, because orthographic cameras are only ever given.
+    """
+    return math.log(math.tan(math.radians(max(fov, settings.FOV_MIN)) / 2))
+
+
+def degrees(theta: float) -> float:
+    """Undo `log_tangent`."""
+    return math.degrees(2 * math.atan(math.exp(theta)))
+
+
+FIELD_OF_VIEW = Nuisance(
+    lambda scene: log_tangent(scene.fov),
+    lambda scene, theta: scene.through(degrees(theta)),
+    log_tangent(FIRST_FOV),
+    settings.LOG_FOCAL_LENGTH_SIGMA,
+)
+
+
+@dataclass(eq=False)
+class Nuisances:
+    """Those of a level, from round to round."""
+
+    scene: Scene
+    """With the numbers as they are now."""
+    fitted: Sequence[Nuisance]
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    step: Array = field(default_factory=lambda: np.zeros(0))
+    """(J, J), and δθ (J,) of the last step, before it was shortened."""
+    sum_gain: float = math.inf
+    gain: float = math.inf
+    _noise: float = field(default=math.inf, init=False)
+    _misfit: float = field(default=math.inf, init=False)
+    _gain_before: float = field(default=math.inf, init=False)
+    """By how much that lowers the sum, over s² and over W: the latter is χ²."""
+
+    @property
+    def values(self) -> Array:
+        """(J,): θ."""
+        return np.array([one.of(self.scene) for one in self.fitted])
+
+    @property
+    def fov_sigma(self) -> float:
+        """Standard deviation of the field of view, the first of them, in degrees.
+
+        dφ = sin φ d ln tan(φ/2); no larger than the prior's.
+        """
+        sigma = min(math.sqrt(self.covariance[0, 0]), FIELD_OF_VIEW.sigma)
+        return math.degrees(math.sin(math.radians(self.scene.fov)) * sigma)
+
+    def camera(self) -> Camera:
+        """As it was fitted."""
+        return Camera(self.scene.fov, "fitted", self.fov_sigma)
+
+    def moved(self, by: Array) -> Scene:
+        """The scene with all numbers moved by (J,)."""
+        scene = self.scene
+        for one, value in zip(self.fitted, self.values + by, strict=True):
+            scene = one.put(scene, float(value))
+        return scene
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether nothing was left to gain by the last two steps.
+
+        By the first of them pixels and lights are not yet where the misfit can be told.
+        """
+        return max(self.sum_gain, self._gain_before) <= settings.NUISANCE_GAIN_MIN
+
+    def estimate(
+        self, objective: Objective, x: Array, fit: JointFit | None, left: Misfit
+    ) -> Array | None:
+        """Find the step and its covariance; returned is how the lights go with it, (M, 1 + J).
+
+        Columns are S⁻¹ s and S⁻¹ s_j; None where lights are known. `fit` is of this x.
+        """
+        directions = [self._direction(objective, x, j) for j in range(len(self.fitted))]
+        gram, by_light = _eliminated(objective, x, directions, fit)
+        moves = None
+        if fit is not None:
+            gradient, solve = fit.inverse()
+            by_light[:, 0] = gradient
+            moves = np.stack([solve(column) for column in by_light.T], axis=-1)
+            gram = np.asarray(gram - by_light.T @ moves)
+        # What a round begins with, before its joint steps, can be far above what there is.
+        self._noise = min(self._noise, left.variance)
+        self._misfit = min(self._misfit, left.of_lights)
+        variance = self._misfit
+        precision = variance / np.array([one.sigma**2 for one in self.fitted])
+        means = np.array([one.mean for one in self.fitted])
+        slope = gram[1:, 0] + precision * (self.values - means)
+        inverse = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
+        self.step, self.covariance = -(inverse @ slope), np.asarray(variance * inverse)
+        gain = float(slope @ inverse @ slope)
+        self._gain_before = self.sum_gain
+        self.sum_gain, self.gain = gain / self._noise, gain / variance
+        return moves
+
+    def advance(self, objective: Objective, x: Array, fit: JointFit | None, left: Misfit) -> None:
+        """Take a step: scene, pictures and camera of the objective, and lights of x change."""
+        moves = self.estimate(objective, x, fit, left)
+        largest = float(np.abs(self.step).max())
+        taken = self.step * min(1.0, settings.NUISANCE_STEP_MAX / max(largest, 1e-300))
+        self.scene = self.moved(taken)
+        if moves is not None:
+            by_light = -moves[:, 1:] @ taken
+            count = x[objective.layout.lighting].size
+            x[objective.layout.lighting] += as_in_x(by_light[:count], objective.layout)
+        objective.see(self.scene)
+
+    def _direction(self, objective: Objective, x: Array, j: int) -> Array:
+        """d_j, (P, N, C), by central differences."""
+        everything = np.arange(objective.pixels, dtype=np.uint64)
+        step = settings.NUISANCE_DIFFERENCE * np.eye(len(self.fitted))[j]
+        sides = []
+        for by in (step, -step):
+            other = copy.copy(objective)
+            other.see(self.moved(by))
+            sides.append(other.problem.residuals(objective.for_core(x), everything))
+        change = sides[0].astype(np.float64) - sides[1]
+        return change.transpose(1, 0, 2) / (2 * settings.NUISANCE_DIFFERENCE)
+
+
+def _eliminated(
+    objective: Objective, x: Array, directions: list[Array], fit: JointFit | None
+) -> tuple[Array, Array]:
+    """Σ vᵀ P v' of r and the directions, (1 + J, 1 + J), and Σ Bᵀ P v of each, (M, 1 + J).
+
+    Unknowns on a bound that the slope by r pushes against are held.
+    """
+    layout, count = objective.layout, objective.pixels
+    everything = np.arange(count, dtype=np.uint64)
+    for_core = objective.for_core(x)
+    by_material, by_light, weights = objective.problem.derivatives(for_core, everything)
+    residuals = objective.problem.residuals(for_core, everything).transpose(1, 0, 2)
+    columns = np.stack([residuals.astype(np.float64), *directions], axis=-1)
+    weighted = columns * weights[..., None]
+    jacobian = by_unknowns(by_material, layout).reshape(count, -1, layout.maps.stop // count)
+    of_core: dict[str, Any] = {}
+    if fit is not None:
+        of_core = fit.options(objective, x, everything, everything)
+    slopes = jacobian.transpose(0, 2, 1) @ weighted.reshape(count, -1, columns.shape[-1])
+    matrices = products(jacobian.reshape(*weights.shape, -1), weights)
+    c = layout.channels
+    if "precision" in of_core:
+        slopes[:, c:, 0] += of_core["precision"] * of_core["deviation"]
+        np.einsum("pii->pi", matrices)[:, c:] += of_core["precision"]
+    held = np.zeros(matrices.shape[:2], bool)
+    materials = x[layout.materials].reshape(-1, count).T
+    bounded = slopes[:, : materials.shape[1], 0]
+    held[:, : materials.shape[1]] = ((materials <= 0) & (bounded > 0)) | (
+        (materials >= 1) & (bounded < 0)
+    )
+    whiten = whitening(matrices, held, 0.0)
+    solved = whiten @ slopes
+    gram: Array = np.einsum("pnci,pncj->ij", columns, weighted)
+    gram -= np.einsum("pdi,pdj->ij", solved, solved)
+    moved = whiten.transpose(0, 2, 1) @ solved
+    left = weighted - weights[..., None] * (jacobian @ moved).reshape(columns.shape)
+    of_lights = np.einsum("pck,pnci->cnki", by_light, left, optimize=True)
+    if layout.light_channels < c:
+        of_lights = of_lights.sum(axis=0, keepdims=True)
+    parts = [of_lights.reshape(-1, columns.shape[-1])]
+    if "cluster" in of_core:
+        cluster, clusters = of_core["cluster"]
+        of_offsets = np.zeros((clusters, *of_core["precision"].shape[1:], columns.shape[-1]))
+        of_pixels = of_core["precision"][..., None] * moved[:, c:]
+        np.add.at(of_offsets, cluster.astype(np.intp), of_pixels)
+        parts.append(of_offsets.reshape(-1, columns.shape[-1]))
+    return gram, np.concatenate(parts)

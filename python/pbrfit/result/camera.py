@@ -1,0 +1,79 @@
+"""What a fit decided about the camera, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from pbrfit.io.json_files import flag, number, table
+from pbrfit.io.quoting import quoted
+
+How = Literal["given", "fitted", "assumed"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The field of view of a fit, and what the pictures say of it."""
+
+    fov_degrees: float
+    """Horizontal, 0 = orthographic."""
+    how: How
+    """"given" to the fit; "fitted" with all else, because nobody told it; or "assumed", because
+    there was no time to fit it."""
+    fov_sigma: float | None = None
+    """Standard deviation of what was fitted, in degrees; else None."""
+    contradicted: bool = False
+    """Whether the pictures fit far better with another than was given."""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    """What that rests on, where more than noise was left: `score_test`, χ² of one degree that a
+    change of the given one promised; where another was fitted `other_fov_degrees` with
+    `other_fov_sigma`, and `score_given` and `score_other`, of which the lower is likelier. Infinite
+    and NaN ones are null in a file."""
+
+    def in_words(self) -> str:
+        """The field of view, and how it was found."""
+        if self.fov_sigma is None:
+            return f"{self.fov_degrees:g} degrees, {self.how}"
+        return f"{_with_sigma(self.fov_degrees, self.fov_sigma)} degrees, {self.how}"
+
+    def contradiction(self) -> str:
+        """What the pictures say against what was given."""
+        found = _with_sigma(self.figures["other_fov_degrees"], self.figures["other_fov_sigma"])
+        return f"the pictures fit far better with about {found}"
+
+    def as_json(self) -> dict[str, Any]:
+        """What `result.json` holds under `camera`."""
+        return {
+            "fov_degrees": self.fov_degrees,
+            "fov_sigma": self.fov_sigma,
+            "how": self.how,
+            "contradicted": self.contradicted,
+            "figures": {
+                name: value if math.isfinite(value) else None
+                for name, value in self.figures.items()
+            },
+        }
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Camera:
+        """Undo `as_json`; ValueError, KeyError or TypeError if it is something else."""
+        how, sigma = content["how"], content["fov_sigma"]
+        if how not in get_args(How):
+            raise ValueError(f"camera {quoted(how)}")
+        figures = {
+            name: math.nan if value is None else number(value)
+            for name, value in table(content["figures"]).items()
+        }
+        sigma = None if sigma is None else number(sigma)
+        contradicted = flag(content["contradicted"])
+        if contradicted and not {"other_fov_degrees", "other_fov_sigma"} <= set(figures):
+            raise ValueError("camera contradicted by nothing")
+        return cls(number(content["fov_degrees"]), how, sigma, contradicted, figures)
+
+
+def _with_sigma(degrees: float, sigma: float) -> str:
+    """Both to the digit that the deviation has."""
+    digits = 0 if sigma >= 2 else 1 if sigma >= 0.2 else 2
+    return f"{degrees:.{digits}f} ± {max(sigma, 0.01):.{digits}f}"

@@ -1,0 +1,203 @@
+"""The camera as a number that all pixels share: its derivatives, its estimate, its score test."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit import Objective, Result, Scene, decompose
+from pbrfit.fit import memory, misfit, settings
+from pbrfit.fit.joint import JointFit, SharedFit, minimize
+from pbrfit.fit.light_prior import LightPrior
+from pbrfit.fit.misfit import Misfit
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, degrees, log_tangent
+from pbrfit.fit.pixels import fit_all
+from pbrfit.result.camera import Camera
+from pbrfit.synthetic import make_scene
+from scene_kinds import at_truth
+
+Array = NDArray[np.float64]
+
+FAST: dict[str, Any] = {"uncertainty": False, "threads": 1}
+
+
+def room(fov: float = 60.0, size: int = 32, seed: int = 1, noise: float = 0.01) -> Scene:
+    return make_scene("room", size=size, lights=8, noise=noise, seed=seed, held_out=1, fov=fov)
+
+
+def unknown(scene: Scene) -> Scene:
+    return replace(scene, fov=60.0, fov_known=False)
+
+
+def minimum(objective: Objective, x: Array, lights: LightPrior, rounds: int = 4) -> JointFit:
+    """Where pixels and lights have settled; x changes."""
+    shared = SharedFit(lights)
+    for _ in range(rounds):
+        sum_sq = fit_all(objective, x, starts=0)
+        assert sum_sq is not None
+        fit = shared.joint_fit(objective, x, sum_sq)
+        minimize(fit, 20, 1e-4)
+    return fit
+
+
+def test_gradient_and_curvature_are_those_of_refits() -> None:
+    """With F the lowest sum for a θ: dF/dθ = 2 g, and d²F/dθ² = 2 H where residuals are small."""
+    scene = room(size=16)
+    objective = Objective(scene, threads=1)
+    lights = LightPrior.around(objective, at_truth(objective, scene))
+    lights = lights.weighing(1e-4, 1e-4, objective.pixels)
+    x = at_truth(objective, scene)
+    minimum(objective, x, lights)
+    offset = 0.03
+    scene = scene.through(degrees(log_tangent(scene.fov) + offset))
+    objective.see(scene)
+    fit = minimum(objective, x, lights)
+    nuisances = Nuisances(scene, [replace(FIELD_OF_VIEW, sigma=1e6)])
+    nuisances.estimate(objective, x, fit, Misfit(1e-4))
+    precision = 1e-4 / nuisances.covariance[0, 0]
+    slope = -nuisances.step[0] * precision
+    step, totals = 0.01, []
+    for by in (-step, 0.0, step):
+        other, moved = Objective(nuisances.moved(np.array([by])), threads=1), x.copy()
+        ended = minimum(other, moved, lights)
+        totals.append(ended.total(moved, ended.sum_sq, None))
+    assert (totals[2] - totals[0]) / (4 * step) == pytest.approx(slope, rel=0.05)
+    curvature = (totals[2] - 2 * totals[1] + totals[0]) / (2 * step**2)
+    assert curvature == pytest.approx(precision, rel=0.25)
+
+
+@pytest.mark.parametrize(("fov", "seed"), [(90.0, 1), (40.0, 2), (60.0, 3)])
+def test_a_field_of_view_that_nobody_told_is_found(fov: float, seed: int) -> None:
+    scene = room(fov, size=48, seed=seed)
+    found = decompose(unknown(scene), **FAST)
+    told = decompose(scene, **FAST)
+    assert found.camera is not None
+    assert found.camera.how == "fitted"
+    assert found.fov == found.camera.fov_degrees == pytest.approx(fov, abs=2.0)
+    assert found.camera.fov_sigma is not None
+    assert abs(found.fov - fov) < 4 * found.camera.fov_sigma < 4
+    assert found.assumed["fov"] == found.camera.in_words()
+    assert found.assumed["fov"].endswith("degrees, fitted")
+    for name in ("roughness_rmse", "albedo_scaled_rmse", "relight_rmse"):
+        assert found.metrics[name] < 1.3 * told.metrics[name] + 0.002
+
+
+def test_what_pictures_do_not_say_the_lens_prior_does() -> None:
+    """A single pixel is seen straight on, whatever the lens."""
+    scene = room(size=16)
+    scene = Scene(images=scene.images[:, :1, :1], normals=scene.normals[:1, :1])
+    found = decompose(scene, refine_normals="off", **FAST)
+    sigma = np.degrees(np.sin(np.radians(60)) * settings.LOG_FOCAL_LENGTH_SIGMA)
+    assert found.camera is not None
+    assert found.camera.fov_degrees == pytest.approx(60)
+    assert found.camera.fov_sigma == pytest.approx(sigma)
+
+
+def test_score_test_tells_a_right_camera_from_a_wrong_one() -> None:
+    scene = room()
+
+    def gain(fov: float) -> float:
+        objective = Objective(scene.through(fov), threads=1)
+        x = at_truth(objective, scene)
+        lights = LightPrior.around(objective, x).weighing(1e-4, 1e-4, objective.pixels)
+        fit = minimum(objective, x, lights)
+        nuisances = Nuisances(scene.through(fov), [FIELD_OF_VIEW])
+        left = Misfit(misfit.variance(objective, fit.sum_sq))
+        nuisances.estimate(objective, x, fit, left)
+        return nuisances.gain
+
+    assert gain(60.0) < settings.CAMERA_GAIN_MIN < gain(70.0)
+
+
+def test_a_given_field_of_view_is_contradicted_where_pictures_do(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    scene = room(90.0, size=48, noise=0.01)
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        found = decompose(replace(scene, fov=60.0), **FAST)
+    assert found.camera is not None
+    assert found.fov == 60.0
+    assert not found.refinement.refined
+    assert found.camera.contradicted
+    assert found.camera.figures["other_fov_degrees"] == pytest.approx(90.0, abs=2.0)
+    assert found.camera.figures["score_other"] < found.camera.figures["score_given"]
+    assert found.assumed["fov"].startswith("60 degrees, given; the pictures fit far better with")
+    assert any(found.assumed["fov"] in record.message for record in caplog.records)
+    caplog.clear()
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        right = decompose(scene, **FAST)
+    assert right.camera == Camera(90.0, "given")
+    assert not [record for record in caplog.records if "field of view" in record.message]
+
+
+@pytest.mark.parametrize(("most", "contradicted"), [(0.9, False), (1.1, True)])
+def test_a_camera_has_to_take_most_of_the_misfit(
+    most: float, contradicted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = replace(room(90.0), fov=60.0)
+    monkeypatch.setattr(settings, "NOISE_DESIGN_EFFECT_MAX", 0.1)  # else none has to
+    shares: list[float] = []
+    of_lights = Misfit.of_lights
+
+    def seen(left: Misfit) -> float:
+        shares.append(of_lights.fget(left))  # type: ignore[attr-defined]
+        return shares[-1]
+
+    monkeypatch.setattr(Misfit, "of_lights", property(seen))
+    decompose(scene, refine_normals="off", **FAST)
+    share = shares[-2] / shares[-1]  # the last that is asked for is that of the given camera
+    monkeypatch.setattr(settings, "CAMERA_MISFIT_SHARE_MAX", most * share)
+    found = decompose(scene, refine_normals="off", **FAST)
+    assert found.camera is not None
+    assert found.camera.contradicted == contradicted
+
+
+def test_unknown_stays_unknown_on_the_way_through_a_folder(tmp_path: Path) -> None:
+    made = room(size=8)
+    scene = Scene(images=made.images, normals=made.normals)
+    assert (scene.fov, scene.fov_known) == (60.0, False)
+    assert Scene(images=made.images, normals=made.normals, fov=60).fov_known
+    assert not replace(scene, images=made.images).fov_known
+    scene.save(tmp_path / "scene")
+    assert not Scene.load(tmp_path / "scene").fov_known
+    assert Scene.load(tmp_path / "scene", fov=50).fov_known
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(60.0, "given"),
+        Camera(62.25, "fitted", 1.1),
+        Camera(60.0, "assumed"),
+        Camera(60.0, "given", None, True, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}),
+    ],
+)
+def test_result_json_holds_the_camera(camera: Camera, tmp_path: Path) -> None:
+    result = decompose(room(size=8), iterations=2, **FAST)
+    replace(result, camera=camera).save(tmp_path / "out")
+    assert Result.load(tmp_path / "out").camera == camera
+
+
+def test_words() -> None:
+    assert Camera(62.25, "fitted", 1.1).in_words() == "62.2 ± 1.1 degrees, fitted"
+    assert Camera(62.25, "fitted", 12.0).in_words() == "62 ± 12 degrees, fitted"
+    assert Camera(0.0, "given").in_words() == "0 degrees, given"
+
+
+def test_tiles_take_the_camera_of_the_subset(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = unknown(room(90.0, size=48))
+    monkeypatch.setattr(memory, "plan", _tiled(memory.plan))
+    found = decompose(scene, refine_normals="off", **FAST)
+    assert any("tiles" in stage.name for stage in found.stages)
+    assert found.fov == pytest.approx(90.0, abs=2.0)
+    assert found.metrics["recon_rmse"] < 0.02
+
+
+def _tiled(plan: Any) -> Any:
+    return lambda *arguments, **options: replace(plan(*arguments, **options), tiled=True)
