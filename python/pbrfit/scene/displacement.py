@@ -148,7 +148,7 @@ class Level:
         self._values[i], self._used[i] = self._cut(i, affine if affine.any() else None)
 
     def _cut(self, i: int, affine: Array | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Blurred windows (n, h, w) of a picture, of mean 1, and which of the P pixels are data."""
+        """Blurred windows (n, h, w) of a picture, of RMS 1, and which of the P pixels hold data."""
         from scipy.ndimage import gaussian_filter, map_coordinates
 
         grey, used = self._pictures.of(i, self._size)
@@ -165,9 +165,10 @@ class Level:
             values = np.where(sound, values, around / np.maximum(weight, 1e-6))
             sound = gaussian_filter(sound.astype(np.float32), (0, self._blur, self._blur)) > 0.99
         values = gaussian_filter(values.astype(np.float32), (0, self._blur, self._blur))
-        sound = self._inner(sound)
-        mean = float(self._inner(values)[sound].mean()) if sound.any() else 0.0
-        return values / max(mean, 1e-30), sound
+        sound = np.asarray(self._inner(sound), bool)
+        # Not the mean, which may be 0 where there is only noise.
+        square = float(np.mean(self._inner(values)[sound] ** 2)) if sound.any() else 0.0
+        return (values / max(square**0.5, 1e-15)).astype(np.float32), sound
 
     @staticmethod
     def _inner(windows: NDArray[Any]) -> NDArray[Any]:
@@ -297,7 +298,7 @@ def _normal_equations(known: Array, wanted: Array, weights: Array) -> tuple[Arra
     matrix = weighted @ known.T
     diagonal = np.diag_indices(len(matrix))
     matrix[diagonal] += 1e-9 * np.trace(matrix) + 1e-30
-    return np.linalg.solve(matrix, weighted @ wanted), matrix
+    return np.asarray(np.linalg.solve(matrix, weighted @ wanted)), np.asarray(matrix)
 
 
 def _f(found: Array, covariance: Array) -> float:

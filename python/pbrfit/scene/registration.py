@@ -10,6 +10,7 @@ it (`LEAST_EVIDENCE`).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -30,6 +31,8 @@ from pbrfit.scene.displacement import (
 )
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
+
+log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
 
@@ -117,6 +120,10 @@ def aligned(scene: Scene) -> Scene:
     if "alignment" in scene.assumed:
         return scene
     found = register(scene)
+    for one in found.placements:
+        if not one.in_line:
+            place = "" if scene.source is None else f"{scene.source.path}: "
+            log.warning("%s%s", place, one.in_words())
     assumed = {**scene.assumed, "alignment": found.in_words()}
     if found.in_line:
         return replace(scene, assumed=assumed)
@@ -285,10 +292,10 @@ class _Register:
         ):
             self._fine.move(i, none)
             return none
-        whole = shift.round()
+        whole = np.asarray(shift.round())
         if not found[:, 1:].any() and np.abs(shift - whole).max() <= ROUNDED:
             found = whole
-        return found
+        return np.asarray(found)
 
 
 # --- Putting back ------------------------------------------------------------------------------
