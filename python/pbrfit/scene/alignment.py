@@ -132,7 +132,8 @@ class Shift:
     @property
     def displaced(self) -> bool:
         """Whether the peak is clearly another place."""
-        return np.hypot(*self.shift) > _MOVED and self.agreement - self.in_place > _GAIN
+        clear = self.agreement > _SURE and self.agreement - self.in_place > _GAIN
+        return bool(clear and np.hypot(*self.shift) > _MOVED)
 
 
 def shift_between(reference: Field, field: Field) -> Shift | None:

@@ -33,7 +33,7 @@ LEAST_DISPLACEMENT = 0.2
 """Root mean square displacement in pixels from which a picture is out of line. Specular light that
 the other pictures do not explain moves the estimate by less."""
 
-LEAST_SHARE = 0.1
+LEAST_SHARE = 0.2
 """Share of the unexplained squares that a displacement has to explain."""
 
 LEAST_EVIDENCE = 25.0
