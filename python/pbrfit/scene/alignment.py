@@ -178,6 +178,12 @@ MOST_SHIFT = 1.0
 MOST_MOVED = 0.25
 
 
+def in_place(a: Field, b: Field) -> float:
+    """Correlation of two fields without a shift, 0 without edges."""
+    scale = np.sqrt(_energy(a) * _energy(b))
+    return float(np.sum((a.conj() * b).real, dtype=np.float64) / scale) if scale > 0 else 0.0
+
+
 def _energy(field: NDArray[np.complex64]) -> float:
     return float(np.sum(np.abs(field) ** 2, dtype=np.float64))
 

@@ -56,9 +56,16 @@ SETTLED = 0.02
 ROUNDS_MAX = 6
 
 OTHER_AGREEMENT = 0.15
+"""Agreement of edges below which a picture shows something else."""
+
 SURE_AGREEMENT = 0.5
-"""Agreement of edges below which a picture shows something else, if that of the median picture is
-above the second: the edges of a smooth body are all of light."""
+"""Agreement of edges that the median picture has to have for pictures to be registered, and that a
+picture has to have where it is put. On smooth bodies under hard lamps it is 0 to 0.4: their edges
+are all of light, and what would move a highlight onto another is no displacement."""
+
+LARGEST_SHIFT, LARGEST_TURN = 1 / 8, 1 / 16
+"""Largest displacement as a share of the longer side, and largest slope of one: 3.6 degrees, or 6 %
+in scale. What has moved further is no picture of a view that was to stay."""
 
 NEIGHBOURS_AGREE = 0.8
 """Correlation of neighbouring pixels from which what a picture shows is not its noise."""
@@ -66,6 +73,7 @@ NEIGHBOURS_AGREE = 0.8
 _BLUR = 0.7  # pixels
 _BLURS_COARSE = (2.0, 1.0)
 _STEPS = 4  # on a level
+_AGREEMENT_NOISE = 0.05
 _LONGEST_STEP = 2.0  # pixels of a level
 
 
@@ -103,7 +111,9 @@ class Registration:
     """What was found of the pictures of a scene."""
 
     placements: tuple[Placement, ...] = ()
-    """One a picture; none where pictures are too small."""
+    """One a picture; none where it cannot be told."""
+    hindrance: str = ""
+    """Why it cannot be told."""
 
     @property
     def in_line(self) -> bool:
@@ -113,7 +123,7 @@ class Registration:
     def in_words(self) -> str:
         """For `Scene.assumed`."""
         if not self.placements:
-            return f"not checked: pictures below {LEAST_SIDE} pixels"
+            return f"not checked: {self.hindrance}"
         moved = [one.in_words() for one in self.placements if not one.in_line]
         return "; ".join(moved) or "pictures line up"
 
@@ -143,8 +153,10 @@ def register(scene: Scene) -> Registration:
     Where most lie in one place, others are put there; where few do, as with a camera in the hand,
     all are put to their middle (the median of each part of the displacement).
     """
-    if min(scene.height, scene.width) < LEAST_SIDE or len(scene.images) < 2:
-        return Registration()
+    if len(scene.images) < 2:
+        return Registration(hindrance="there is one picture")
+    if min(scene.height, scene.width) < LEAST_SIDE:
+        return Registration(hindrance=f"pictures below {LEAST_SIDE} pixels")
     with one_blas_thread():
         return _Register(scene).run()
 
@@ -161,6 +173,8 @@ class _Register:
     def run(self) -> Registration:
         """How all pictures lie."""
         peaks = self._peaks()
+        if self._usual < SURE_AGREEMENT:
+            return Registration(hindrance="the pictures' edges are mostly of light")
         suspects = self._suspects(peaks)
         if suspects:
             self._settle(suspects, peaks)
@@ -176,22 +190,15 @@ class _Register:
 
         Pictures of something else are left out here.
         """
-        fields = []
-        for i in self._all:
-            grey, used = self._pictures.of(i, self._small)
-            fields.append(alignment.edges(grey[..., None], used))
+        fields = self._fields = [self._edges(i) for i in self._all]
         found = {
             i: peak
             for i, of_others in enumerate(alignment.of_the_others(fields))
             if (peak := alignment.shift_between(of_others, fields[i])) is not None
         }
-        usual = float(np.median([peak.agreement for peak in found.values()] or [0.0]))
+        self._usual = usual = float(np.median([one.agreement for one in found.values()] or [0.0]))
         for i, peak in found.items():
-            if (
-                usual > SURE_AGREEMENT
-                and peak.agreement < OTHER_AGREEMENT
-                and self._neighbours_agree(i)
-            ):
+            if peak.agreement < OTHER_AGREEMENT and self._neighbours_agree(i):
                 self._reasons[i] = (
                     f"its edges agree with those of the others to {max(peak.agreement, 0):.2f} of "
                     f"1, the median picture's to {usual:.2f}"
@@ -199,6 +206,18 @@ class _Register:
         if len(self._all) - len(self._reasons) < 2:
             self._reasons.clear()
         return found
+
+    def _edges(self, i: int, affine: Array | None = None) -> alignment.Field:
+        """Edges of picture i averaged down, taken from x + u(x)."""
+        from scipy.ndimage import map_coordinates
+
+        grey, used = self._pictures.of(i, self._small)
+        if affine is not None:
+            pixel = max(self._pictures.shape) / max(self._small)
+            places = _displaced(self._small, affine / pixel)
+            grey = map_coordinates(grey, places, order=3, mode="nearest")
+            used = map_coordinates(used.astype(np.float32), places, order=1) > 0.999
+        return alignment.edges(grey[..., None], used)
 
     def _neighbours_agree(self, i: int) -> bool:
         """Whether a picture shows more than noise."""
@@ -259,8 +278,17 @@ class _Register:
         if len(suspects) > len(self._all) // 2:
             middle = np.median(self._affine[self._others(-1, self._all)], axis=0)
             self._affine[self._others(-1, self._all)] -= middle
+        now = [
+            self._edges(i, self._affine[i]) if self._affine[i].any() else field
+            for i, field in enumerate(self._fields)
+        ]
         for i in self._others(-1, self._all):
-            self._affine[i] = self._believed(i)
+            if self._affine[i].any():
+                others = np.mean([now[j] for j in self._others(i, self._all)], axis=0)
+                before, after = (alignment.in_place(others, of[i]) for of in (self._fields, now))
+                agree = after > SURE_AGREEMENT and after > before - _AGREEMENT_NOISE
+                self._affine[i] = self._believed(i) if agree else 0.0
+            self._fine.move(i, self._affine[i])
 
     def _descend(self, level: Level, i: int, others: list[int], components: int) -> None:
         """Move picture i to where the others explain it best."""
@@ -290,14 +318,16 @@ class _Register:
             self._fine.move(i, affine)
             fits.append(self._fine.fit(i, others))
         before, after = fits
+        longer = max(self._pictures.shape)
         if (
             before is None
             or after is None
             or self._fine.rms(found) < LEAST_DISPLACEMENT
+            or np.abs(found[:, 0]).max() > LARGEST_SHIFT * longer
+            or np.abs(found[:, 1:]).max() > LARGEST_TURN * longer / 2
             or before.share_explained_by(after) < LEAST_SHARE
             or after.out_of_line
         ):
-            self._fine.move(i, none)
             return none
         whole = np.asarray(shift.round())
         if not found[:, 1:].any() and np.abs(shift - whole).max() <= ROUNDED:
