@@ -186,26 +186,42 @@ class _Register:
         )
 
     def _peaks(self) -> dict[int, alignment.Shift]:
-        """Of pictures with edges: where their edges agree best with those of the others.
+        """Of pictures that are shifted far: where their edges agree with those of the others.
 
-        Pictures of something else are left out here.
+        The others are taken from where they agree best, found in rounds. Pictures of something else
+        are left out here.
         """
         fields = self._fields = [self._edges(i) for i in self._all]
-        found = {
-            i: peak
-            for i, of_others in enumerate(alignment.of_the_others(fields))
-            if (peak := alignment.shift_between(of_others, fields[i])) is not None
-        }
+        place = np.zeros((len(fields), 2), int)
+        found: dict[int, alignment.Shift] = {}
+        for _ in range(ROUNDS_MAX):
+            there = [np.roll(f, -at, (0, 1)) for f, at in zip(fields, place, strict=True)]
+            peaks = [
+                alignment.shift_between(reference, field)
+                for reference, field in zip(alignment.of_the_others(there), there, strict=True)
+            ]
+            found = {
+                i: replace(peak, shift=(peak.shift[0] + at[0], peak.shift[1] + at[1]))
+                for i, (peak, at) in enumerate(zip(peaks, place, strict=True))
+                if peak is not None
+            }
+            was = place.copy()
+            for i, peak in enumerate(peaks):
+                if peak is not None and peak.displaced:
+                    place[i] = np.rint(found[i].shift)
+            place -= np.rint(np.median(place, axis=0)).astype(int)
+            if (place == was).all():
+                break
         self._usual = usual = float(np.median([one.agreement for one in found.values()] or [0.0]))
-        for i, peak in found.items():
-            if peak.agreement < OTHER_AGREEMENT and self._neighbours_agree(i):
+        for i, one in found.items():
+            if one.agreement < OTHER_AGREEMENT and self._neighbours_agree(i):
                 self._reasons[i] = (
-                    f"its edges agree with those of the others to {max(peak.agreement, 0):.2f} of "
+                    f"its edges agree with those of the others to {max(one.agreement, 0):.2f} of "
                     f"1, the median picture's to {usual:.2f}"
                 )
         if len(self._all) - len(self._reasons) < 2:
             self._reasons.clear()
-        return found
+        return {i: one for i, one in found.items() if place[i].any()}
 
     def _edges(self, i: int, affine: Array | None = None) -> alignment.Field:
         """Edges of picture i averaged down, taken from x + u(x)."""
@@ -242,7 +258,7 @@ class _Register:
                 for fit in fits
                 if fit is not None and fit.out_of_line
             ]
-            if i in peaks and peaks[i].displaced:
+            if i in peaks:
                 shares.append(1.0)
             if shares:
                 evident[i] = max(shares)
@@ -254,17 +270,20 @@ class _Register:
         scale = max(self._pictures.shape) / max(self._small)
         placed = set(self._others(-1, self._all)) - set(suspects)
         for i in suspects:
-            if i in peaks and peaks[i].displaced:
+            if i in peaks:
                 self._affine[i, :, 0] = scale * np.array(peaks[i].shift)
         components = COMPONENTS if len(placed) > len(self._all) // 2 else COMPONENTS // 3
         for number in range(ROUNDS_MAX):
             before = self._affine.copy()
-            for i in suspects:
+            for i in list(suspects):
                 others = self._others(i, placed)
                 if len(others) < max(2, len(self._all) // 3):
                     others = self._others(i, self._all)
                 for level in [*coarse, self._fine] if number == 0 else [self._fine]:
                     self._descend(level, i, others, components)
+                if self._too_far(self._affine[i]):
+                    self._affine[i] = 0.0
+                    suspects.remove(i)
                 placed.add(i)
                 for level in [*coarse, self._fine]:
                     level.move(i, self._affine[i])
@@ -275,20 +294,21 @@ class _Register:
                 break
             if change < LEAST_DISPLACEMENT:
                 components = COMPONENTS
-        if len(suspects) > len(self._all) // 2:
-            middle = np.median(self._affine[self._others(-1, self._all)], axis=0)
-            self._affine[self._others(-1, self._all)] -= middle
+        everything = self._others(-1, self._all)
         now = [
             self._edges(i, self._affine[i]) if self._affine[i].any() else field
             for i, field in enumerate(self._fields)
         ]
-        for i in self._others(-1, self._all):
-            if self._affine[i].any():
-                others = np.mean([now[j] for j in self._others(i, self._all)], axis=0)
-                before, after = (alignment.in_place(others, of[i]) for of in (self._fields, now))
-                agree = after > SURE_AGREEMENT and after > before - _AGREEMENT_NOISE
-                self._affine[i] = self._believed(i) if agree else 0.0
-            self._fine.move(i, self._affine[i])
+        believed = np.zeros_like(self._affine)
+        for i in suspects:
+            others = np.mean([now[j] for j in self._others(i, everything)], axis=0)
+            was, there = (alignment.in_place(others, of[i]) for of in (self._fields, now))
+            if there > max(SURE_AGREEMENT, was - _AGREEMENT_NOISE):
+                believed[i] = self._believed(i)
+        if len(suspects) > len(everything) // 2:
+            believed[everything] -= np.median(believed[everything], axis=0)
+        for i in everything:
+            self._affine[i] = self._simplest(believed[i])
 
     def _descend(self, level: Level, i: int, others: list[int], components: int) -> None:
         """Move picture i to where the others explain it best."""
@@ -305,34 +325,36 @@ class _Register:
             if length < SETTLED:
                 return
 
+    def _too_far(self, affine: Array) -> bool:
+        """Whether no camera that was to stand still moves so."""
+        longer = max(self._pictures.shape)
+        shift, slope = np.abs(affine[:, 0]).max(), np.abs(affine[:, 1:]).max()
+        return bool(shift > LARGEST_SHIFT * longer or slope > LARGEST_TURN * longer / 2)
+
     def _believed(self, i: int) -> Array:
-        """The displacement of picture i where it is one, else 0."""
-        none = np.zeros((2, 3))
-        found = self._affine[i]
-        shift = np.column_stack([found[:, 0], none[:, 1:]])
-        if self._fine.rms(found - shift) < LEAST_DISPLACEMENT:
-            found = shift
-        others = self._others(i, self._all)
+        """The displacement of picture i where it explains enough, else 0."""
+        found, none = self._affine[i], np.zeros((2, 3))
         fits = []
         for affine in (none, found):
             self._fine.move(i, affine)
-            fits.append(self._fine.fit(i, others))
+            fits.append(self._fine.fit(i, self._others(i, self._all)))
         before, after = fits
-        longer = max(self._pictures.shape)
-        if (
-            before is None
-            or after is None
-            or self._fine.rms(found) < LEAST_DISPLACEMENT
-            or np.abs(found[:, 0]).max() > LARGEST_SHIFT * longer
-            or np.abs(found[:, 1:]).max() > LARGEST_TURN * longer / 2
-            or before.share_explained_by(after) < LEAST_SHARE
-            or after.out_of_line
-        ):
-            return none
-        whole = np.asarray(shift.round())
-        if not found[:, 1:].any() and np.abs(shift - whole).max() <= ROUNDED:
-            found = whole
-        return np.asarray(found)
+        explains = (
+            before is not None
+            and after is not None
+            and before.share_explained_by(after) >= LEAST_SHARE
+        )
+        return found.copy() if explains and not self._too_far(found) else none
+
+    def _simplest(self, affine: Array) -> Array:
+        """A displacement without what is too small: an affine part, parts of a pixel, or all."""
+        shift = np.column_stack([affine[:, 0], np.zeros((2, 2))])
+        if self._fine.rms(affine) < LEAST_DISPLACEMENT:
+            return np.zeros((2, 3))
+        if self._fine.rms(affine - shift) >= LEAST_DISPLACEMENT:
+            return affine
+        near = np.abs(shift - shift.round()).max() <= ROUNDED
+        return np.asarray(shift.round() if near else shift)
 
 
 # --- Putting back ------------------------------------------------------------------------------
