@@ -50,8 +50,8 @@ CLUSTERS = 8
 """Parts along each axis of a small picture that tell the scatter of the estimate."""
 
 COMPONENTS = 8
-"""Principal components of the others that explain a picture, at most, and at most half of them: all
-would also explain a displacement, where several pictures are displaced."""
+"""Principal components of the others that explain a picture, at most. Where several pictures are
+displaced, many would also explain a displacement."""
 
 _HALO = 4  # pixels around a window that blur and differences need
 _FLOOR = 0.2  # of the mean: darker pixels weigh as this
@@ -182,7 +182,7 @@ class Level:
         used = self._used[i] & self._used[list(others)].all(axis=0)
         mean = values.mean(axis=0)
         parts = [mean * self._harmonics]
-        components = min(components, len(others) // 2)
+        components = min(components, len(others))
         if components:
             flat = values.reshape(len(others), -1)
             _, vectors = np.linalg.eigh((flat @ flat.T).astype(np.float64))

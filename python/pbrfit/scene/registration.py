@@ -25,6 +25,7 @@ from pbrfit.scene.displacement import (
     COMPONENTS,
     LEAST_DISPLACEMENT,
     LEAST_SHARE,
+    Fit,
     Greys,
     Level,
     displacement_at,
@@ -310,7 +311,9 @@ class _Register:
         for i in everything:
             self._affine[i] = self._simplest(believed[i])
 
-    def _descend(self, level: Level, i: int, others: list[int], components: int) -> None:
+    def _descend(
+        self, level: Level, i: int, others: list[int], components: int, *, bend: bool = True
+    ) -> None:
         """Move picture i to where the others explain it best."""
         for _ in range(_STEPS):
             level.move(i, self._affine[i])
@@ -318,7 +321,7 @@ class _Register:
             if fit is None:
                 return
             step = fit.shift.affine
-            if fit.bend.believed or self._affine[i, :, 1:].any():
+            if bend and (fit.bend.believed or self._affine[i, :, 1:].any()):
                 step = step + fit.bend.affine
             length = level.rms(step) / level.pixel
             self._affine[i] += step * min(1.0, _LONGEST_STEP / max(length, 1e-9))
@@ -332,19 +335,25 @@ class _Register:
         return bool(shift > LARGEST_SHIFT * longer or slope > LARGEST_TURN * longer / 2)
 
     def _believed(self, i: int) -> Array:
-        """The displacement of picture i where it explains enough, else 0."""
-        found, none = self._affine[i], np.zeros((2, 3))
-        fits = []
-        for affine in (none, found):
+        """The displacement of picture i where it explains enough: all, its shift alone, or 0."""
+        others = self._others(i, self._all)
+
+        def fit(affine: Array) -> Fit | None:
             self._fine.move(i, affine)
-            fits.append(self._fine.fit(i, self._others(i, self._all)))
-        before, after = fits
-        explains = (
-            before is not None
-            and after is not None
-            and before.share_explained_by(after) >= LEAST_SHARE
-        )
-        return found.copy() if explains and not self._too_far(found) else none
+            return self._fine.fit(i, others)
+
+        found, none = self._affine[i].copy(), np.zeros((2, 3))
+        before, after = fit(none), fit(found)
+        if before is None or after is None or self._too_far(found):
+            return none
+        if found[:, 1:].any():
+            self._affine[i, :, 1:] = 0.0
+            self._descend(self._fine, i, others, COMPONENTS, bend=False)
+            shifted = fit(self._affine[i])
+            if shifted is not None and shifted.share_explained_by(after) < LEAST_SHARE:
+                found, after = self._affine[i].copy(), shifted
+            self._fine.move(i, found)
+        return found if before.share_explained_by(after) >= LEAST_SHARE else none
 
     def _simplest(self, affine: Array) -> Array:
         """A displacement without what is too small: an affine part, parts of a pixel, or all."""

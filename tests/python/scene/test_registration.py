@@ -53,8 +53,8 @@ def with_picture(original: Scene, picture: NDArray[Any], i: int = MOVED) -> Scen
     return replace(original, images=images)
 
 
-def shaken(by: NDArray[Any], kind: str = "furnished", size: int = 64) -> Scene:
-    one = scene(kind, size)
+def shaken(by: NDArray[Any], kind: str = "furnished", size: int = 64, lights: int = 8) -> Scene:
+    one = scene(kind, size, lights)
     return with_picture(one, moved(one.images[MOVED], by))
 
 
@@ -81,8 +81,10 @@ def root_mean_square(by: NDArray[Any]) -> float:
 def test_a_displacement_is_found_to_a_tenth_of_a_pixel_under_other_lights(
     kind: str, by: NDArray[Any]
 ) -> None:
-    found = register(shaken(by, kind)).placements
-    assert [not one.in_line for one in found] == [i == MOVED for i in range(8)]
+    lights = 16 if kind == "room" else 8  # mirrors, which eight pictures do not explain
+    seed = scene(kind, 64, lights, seed=13)
+    found = register(with_picture(seed, moved(seed.images[MOVED], by))).placements
+    assert [not one.in_line for one in found] == [i == MOVED for i in range(lights)]
     assert root_mean_square(found[MOVED].affine - by) < 0.1
 
 
@@ -144,6 +146,7 @@ def test_resampling_gives_back_a_band_limited_picture() -> None:
     assert back.weights is not None
     inside = back.weights[0] > 0
     assert 0.85 < inside.mean() < 0.97
+    inside[:4] = inside[-4:] = inside[:, :4] = inside[:, -4:] = False  # splines end there
     expected = picture(rows + there[0], columns + there[1])
     np.testing.assert_allclose(back.images[0][inside], expected[inside], atol=2e-3)
 
