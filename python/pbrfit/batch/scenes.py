@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
     from pbrfit.result.result import Result
     from pbrfit.scene.scene import Scene
-
-log = logging.getLogger("pbrfit")
 
 LIBRARIES_BYTES = 200 * 2**20
 """Bytes a process with numpy, scipy and the rest takes: whole processes took 103 to 158 MiB more
@@ -85,7 +82,7 @@ def decompose_scene(
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.result.result import CONTAINS
-    from pbrfit.scene import alignment
+    from pbrfit.scene.registration import aligned
 
     wanted = _Wanted(task, show)
     wanted.check()
@@ -111,8 +108,8 @@ def decompose_scene(
         temporaries=task.temporaries,
     ) as folder:
         scene = task.reading.load(task.scene)
-        for complaint in alignment.complaints(scene):
-            log.warning("%s: %s: pictures must line up pixel by pixel", task.scene, complaint)
+        if task.options.align == "auto":
+            scene = aligned(scene)
         result = decompose(
             scene, task.options, threads=task.threads or threads, progress=wanted.show
         )

@@ -38,6 +38,7 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
 from pbrfit.scene import exposure
+from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 
@@ -100,6 +101,9 @@ def decompose(
     # Here and not above: scipy.optimize would double the time of `import pbrfit`. Before the clock
     # starts: loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
+    began = time.perf_counter()
+    if options.align == "auto":
+        scene = aligned(scene)
     refining = options.refine_normals != "off"
     hindered = hindrance(scene) if refining else None
     if hindered and options.refine_normals == "on":
@@ -108,7 +112,7 @@ def decompose(
         options=replace(options, model=model),
         threads=threads,
         progress=progress,
-        began=time.perf_counter(),
+        began=began,
         normals_hindrance=hindered,
     )
     layout = setup.layout(scene)

@@ -12,7 +12,7 @@ from pbrfit.model import geometry
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.result.options import Priors
 from pbrfit.result.refinement import hindrance
-from pbrfit.scene import alignment
+from pbrfit.scene.registration import register
 from pbrfit.scene.scene import Scene
 
 
@@ -44,12 +44,11 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
 
 def _aligned(scene: Scene) -> list[tuple[str, str]]:
     """Whether the pictures line up, a line for each that does not."""
-    if min(scene.height, scene.width) < alignment.LEAST_SIDE:
-        return [("aligned", f"not checked: pictures below {alignment.LEAST_SIDE} pixels")]
-    found = alignment.complaints(scene)
-    if not found:
-        return [("aligned", "yes, by their edges")]
-    return [("aligned", f"NO: {found[0]}"), *(("", complaint) for complaint in found[1:])]
+    found = register(scene)
+    if found.in_line:
+        return [("aligned", found.in_words())]
+    said = [f"NO: {one.in_words()}" for one in found.placements if not one.in_line]
+    return [("aligned", said[0]), *(("", one) for one in said[1:])]
 
 
 def _normal_sigma(scene: Scene) -> str:

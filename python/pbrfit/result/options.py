@@ -24,6 +24,9 @@ Loss = Literal["auto", "none", "huber", "cauchy"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
 ROBUST_LOSSES: tuple[Loss, ...] = ("huber", "cauchy")
 
+Align = Literal["auto", "off"]
+ALIGNMENTS: tuple[Align, ...] = get_args(Align)
+
 MODELS_IN_WORDS = (
     "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
     "glTF and game engines, integrated exactly"
@@ -141,6 +144,10 @@ class FitOptions:
         is not enough memory. `Result.refinement` tells what was decided and why.
     seed
         Seed of what is drawn at random, which is nothing now: it changes no result.
+    align
+        `"auto"`: pictures that are out of line with the others are put back, by a shift or an
+        affine map, and pictures of something else left out (`pbrfit.scene.registration`);
+        `"off"`: pictures are taken as they are. `Result.assumed` says what was done.
     model
         How surfaces reflect light (docs/model.md): "paper", its eq. 12; "principled", the BRDF of
         Blender's Principled node. None = that which the scene says its pictures were rendered
@@ -164,6 +171,7 @@ class FitOptions:
     robust: Loss = "auto"
     equal_exposures: bool | None = None
     refine_normals: RefineNormals = "auto"
+    align: Align = "auto"
     seed: int = 0
     model: Model | None = None
     uncertainty: bool = True
@@ -173,6 +181,7 @@ class FitOptions:
             solver=_one_of("solver", self.solver, SOLVERS),
             robust=_one_of("robust", self.robust, LOSSES),
             refine_normals=_one_of("refine_normals", self.refine_normals, CHOICES),
+            align=_one_of("align", self.align, ALIGNMENTS),
             iterations=whole_number("iterations", self.iterations),
             seed=whole_number("seed", self.seed),
             sh_order=whole_number("sh_order", self.sh_order),
@@ -207,9 +216,9 @@ class FitOptions:
     def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
         """Undo `to_json`; ValueError or TypeError if it is something else.
 
-        Results of versions that had no `refine_normals` were fitted without.
+        Results of versions that had no `refine_normals` or `align` were fitted without.
         """
-        values = {"refine_normals": "off", **table(content)}
+        values = {"refine_normals": "off", "align": "off", **table(content)}
         if "priors" in values:
             values["priors"] = Priors(**table(values["priors"]))
         unknown = sorted(set(values) - {one.name for one in fields(cls)})
@@ -249,6 +258,11 @@ FLAGS: dict[str, Flag] = {
         "fit the normals too, from three pictures on; auto: where the pictures say that the given "
         "ones are wrong (default: %(default)s)",
         values=CHOICES,
+    ),
+    "align": Flag(
+        "auto: pictures that are out of line with the others are put back, those of something else "
+        "left out; off: pictures are taken as they are (default: %(default)s)",
+        values=ALIGNMENTS,
     ),
     "seed": Flag(
         "of what a fit draws at random, which is nothing now (default: %(default)s)",

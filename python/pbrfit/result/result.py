@@ -41,6 +41,7 @@ from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.arrays import Source
 from pbrfit.scene.folder import is_scene
+from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 
 CONTAINS = ("result.json", "materials.exr")
@@ -86,6 +87,8 @@ class Result(ResultData):
 
         from pbrfit.result.preview import preview
 
+        if scene is not None and self.options.align == "auto":
+            scene = aligned(scene)
         uncertainty = self.uncertainty
         write_materials(
             folder / "materials.exr",

@@ -20,15 +20,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.resampling import averaged, reduced_size
-
-if TYPE_CHECKING:
-    from pbrfit.scene.scene import Scene
 
 Field = NDArray[np.complex64]
 
@@ -122,99 +119,67 @@ def of_the_others(fields: Sequence[Field]) -> list[Field]:
     return [((total - field) / others).astype(np.complex64) for field in fields]
 
 
-def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:
-    """Say how the picture of `field` lies relative to that of `reference`.
+@dataclass(frozen=True)
+class Shift:
+    """Where the edges of two pictures agree best."""
 
-    Both are fields of `edges`, of one size; `pixel` is in pixels of the picture per pixel of the
-    fields. Returns None if there are no edges to tell by.
+    shift: tuple[float, float]
+    """Pixels of the fields (down, right); 0 where the peak is too far to be looked for."""
+    agreement: float
+    in_place: float
+    """Correlations there, and without a shift."""
+
+    @property
+    def displaced(self) -> bool:
+        """Whether the peak is clearly another place."""
+        clear = self.agreement > _SURE and self.agreement - self.in_place > _GAIN
+        return bool(clear and np.hypot(*self.shift) > _MOVED)
+
+
+def shift_between(reference: Field, field: Field) -> Shift | None:
+    """Where the edges of `field` agree best with those of `reference`.
+
+    Both are fields of `edges`, of one size. Returns None if there are no edges to tell by.
     """
     if min(_energy(reference), _energy(field)) < _LEAST_EDGES * reference.size:
         return None
     # On small pictures a large shift leaves nothing to compare.
     reach = min(REACH, min(reference.shape) // 4)
     found = _correlation(reference[None], field[None], reach)
-    shift, agreement = (part[0] for part in _peak(found))
-    if np.abs(shift).max() > reach - 1:  # the peak, if there is one, is beyond
-        shift, agreement = np.zeros(2), found[0, reach, reach]
+    place, height = (part[0] for part in _peak(found))
+    in_place = float(found[0, reach, reach])
+    if np.abs(place).max() > reach - 1:  # the peak, if there is one, is beyond
+        place, height = np.zeros(2), in_place
+    return Shift((float(place[0]), float(place[1])), float(height), in_place)
+
+
+def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:
+    """Say how the picture of `field` lies relative to that of `reference`.
+
+    Both are fields of `edges`, of one size; `pixel` is in pixels of the picture per pixel of the
+    fields. Returns None if there are no edges to tell by.
+    """
+    found = shift_between(reference, field)
+    if found is None:
+        return None
     warp, moved = _tiles(reference, field)
     return Alignment(
-        shift=(float(pixel * shift[1]), float(pixel * shift[0])),
-        agreement=float(agreement),
+        shift=(pixel * found.shift[1], pixel * found.shift[0]),
+        agreement=found.agreement,
         warp=float(pixel * warp),
         moved=float(moved),
         pixel=pixel,
     )
 
 
-def of_scene(scene: Scene) -> tuple[str, dict[str, Alignment]]:
-    """Say how the pictures of a scene lie relative to the one that is most like all others.
-
-    Returns the name of that picture, and the others by name: those that have edges to tell by.
-    """
-    fields = [edges(image, scene.mask) for image in scene.images]
-    alike = [
-        _in_place(others, field)
-        for others, field in zip(of_the_others(fields), fields, strict=True)
-    ]
-    middle = int(np.argmax(alike))
-    pixel = max(scene.height, scene.width) / max(fields[0].shape)
-    found = {
-        name: compare(fields[middle], field, pixel=pixel)
-        for i, (name, field) in enumerate(zip(scene.names, fields, strict=True))
-        if i != middle
-    }
-    told = {name: one for name, one in found.items() if one is not None}
-    return scene.names[middle], told
-
-
-LEAST_SIDE = 64
-"""Pixels: on smaller pictures it cannot be told whether they line up."""
-
 MOST_SHIFT = 1.0
 """Pixels that were compared."""
 
 MOST_MOVED = 0.25
-SURE = 0.5
-"""Agreement from which a displacement is believed: the edges of a smooth body are all of light."""
-
-OTHER = 0.15
-"""Agreement below which a picture shows something else, if most of the others are sure."""
 
 
-def complaints(scene: Scene) -> list[str]:
-    """Say which pictures of a scene do not line up with the others, a sentence each.
-
-    Photographs from a hand that moved, and pictures of something else.
-    """
-    if min(scene.height, scene.width) < LEAST_SIDE:
-        return []
-    middle, others = of_scene(scene)
-    agreement = [one.agreement for one in others.values()]
-    mostly_sure = len(agreement) > 1 and float(np.median(agreement)) > SURE
-    found = []
-    for name, one in others.items():
-        right, down = one.shift
-        sure = one.agreement > SURE
-        if sure and one.distance > MOST_SHIFT * one.pixel:
-            found.append(
-                f"{name} is shifted by {one.distance:.1f} pixels against {middle} "
-                f"({right:+.1f} right, {down:+.1f} down)"
-            )
-        elif sure and one.moved > MOST_MOVED:
-            found.append(
-                f"{name} is bent against {middle}: {100 * one.moved:.0f} % of its edges are "
-                "displaced"
-            )
-        elif mostly_sure and one.agreement < OTHER:
-            found.append(
-                f"{name} shows something else than {middle}: their edges agree to "
-                f"{max(one.agreement, 0):.2f} of 1"
-            )
-    return found
-
-
-def _in_place(a: Field, b: Field) -> float:
-    """Correlation without a shift, 0 without edges."""
+def in_place(a: Field, b: Field) -> float:
+    """Correlation of two fields without a shift, 0 without edges."""
     scale = np.sqrt(_energy(a) * _energy(b))
     return float(np.sum((a.conj() * b).real, dtype=np.float64) / scale) if scale > 0 else 0.0
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import logging
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from command_runs import done
 from pbrfit.scene import alignment
 from pbrfit.scene.alignment import Alignment
 from pbrfit.scene.scene import Scene
@@ -119,59 +115,3 @@ def test_others_are_all_but_one() -> None:
     for i, found in enumerate(alignment.of_the_others(fields)):
         rest = [field for j, field in enumerate(fields) if j != i]
         np.testing.assert_allclose(found, np.mean(rest, axis=0), atol=1e-6)
-
-
-def shaken(picture: int = 2) -> Scene:
-    """A room with one picture that does not line up."""
-    images = room().images.copy()
-    images[picture] = moved(images[picture], 4, -3)
-    return dataclasses.replace(room(), images=images)
-
-
-def test_sound_scenes_give_no_reason_to_complain() -> None:
-    assert alignment.complaints(room()) == []
-    for kind in ("room", "spheres", "textured"):
-        assert not alignment.complaints(make_scene(kind, size=96, lights=4, held_out=1, seed=4))
-
-
-def test_the_picture_that_moved_is_named() -> None:
-    (complaint,) = alignment.complaints(shaken())
-    assert complaint.startswith("light_02 is shifted by ")
-    assert "+4.0 right, -3.0 down" in complaint
-
-
-def test_a_picture_of_something_else_is_named() -> None:
-    images = room().images.copy()
-    images[3] = make_scene("textured", size=192, lights=2, held_out=1, seed=5).images[0]
-    (complaint,) = alignment.complaints(dataclasses.replace(room(), images=images))
-    assert complaint.startswith("light_03 shows something else than ")
-
-
-def test_small_pictures_are_not_judged() -> None:
-    scene = make_scene("furnished", size=32, lights=3, held_out=1, seed=1)
-    images = scene.images.copy()
-    images[1] = moved(images[1], 3, 3)
-    assert alignment.complaints(dataclasses.replace(scene, images=images)) == []
-
-
-def test_inspect_says_whether_pictures_line_up(tmp_path: Path) -> None:
-    small = make_scene("furnished", size=32, lights=3, held_out=1, seed=1)
-    for name, scene, said in (
-        ("shaken", shaken(), "aligned           NO: light_02 is shifted"),
-        ("sound", room(), "aligned           yes"),
-        ("small", small, "aligned           not checked: pictures below 64"),
-    ):
-        scene.save(tmp_path / name)
-        assert said in done("inspect", tmp_path / name)
-
-
-@pytest.mark.slow
-def test_decompose_says_what_does_not_line_up(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    shaken().save(tmp_path / "shaken")
-    options = ("--iterations", 1, "--solver", "lbfgsb", "--quiet")
-    out = tmp_path / "out"
-    with caplog.at_level(logging.WARNING, "pbrfit"):
-        done("decompose", tmp_path / "shaken", "--out", out, *options)
-    assert "light_02 is shifted" in caplog.text

@@ -1,0 +1,479 @@
+"""Registration: pictures that are out of line with the others are found and put back.
+
+Where a picture lies is told by least squares (`displacement`); displacements that are too large for
+these by the correlation of edges (`alignment`), and whether it shows the same view at all.
+
+A displacement is believed where three numbers agree: it is long enough (`LEAST_DISPLACEMENT`), it
+explains a share of what the light leaves (`LEAST_SHARE`), and the windows of the picture agree on
+it (`LEAST_EVIDENCE`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.io.resampling import reduced_size
+from pbrfit.scene import alignment
+from pbrfit.scene.displacement import (
+    COARSE_SIDE,
+    COMPONENTS,
+    LEAST_DISPLACEMENT,
+    LEAST_SHARE,
+    Fit,
+    Greys,
+    Level,
+    displacement_at,
+)
+from pbrfit.scene.scene import Scene
+from pbrfit.threads import one_blas_thread
+
+log = logging.getLogger("pbrfit")
+
+Array = NDArray[np.float64]
+
+LEAST_SIDE = 24
+"""Pixels along the shorter side, below which pictures are not registered: windows need some."""
+
+ROUNDED = 0.05
+"""Distance in pixels from a whole number up to which a shift is taken for it: the estimate is not
+surer, and whole shifts need no interpolation."""
+
+INTERPOLATION_ERROR = 0.02
+"""Error of interpolation, as a share of the picture's mean radiance, at which a sample counts half:
+about that of an everyday picture's noise. The error is taken for the difference between cubic and
+linear interpolation, which is large only at edges as sharp as a pixel. With all samples at full
+weight, one of 16 pictures that was put back by half a pixel makes the errors of a fit 2 to 8 times
+as large, where it does so by a whole pixel 1.0 times."""
+
+SETTLED = 0.02
+"""Change in pixels of all displacements at which rounds end."""
+
+ROUNDS_MAX = 6
+
+OTHER_AGREEMENT = 0.15
+"""Agreement of edges below which a picture shows something else."""
+
+SURE_AGREEMENT = 0.5
+"""Agreement of edges that the median picture has to have for pictures to be registered, and that a
+picture has to have where it is put. On smooth bodies under hard lamps it is 0 to 0.4: their edges
+are all of light, and what would move a highlight onto another is no displacement."""
+
+LARGEST_SHIFT, LARGEST_TURN = 1 / 8, 1 / 16
+"""Largest displacement as a share of the longer side, and largest slope of one: 3.6 degrees, or 6 %
+in scale. What has moved further is no picture of a view that was to stay."""
+
+NEIGHBOURS_AGREE = 0.8
+"""Correlation of neighbouring pixels from which what a picture shows is not its noise."""
+
+_BLUR = 0.7  # pixels
+_BLURS_COARSE = (2.0, 1.0)
+_STEPS = 4  # on a level
+_AGREEMENT_NOISE = 0.05
+_LONGEST_STEP = 2.0  # pixels of a level
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """How a picture lies relative to the others, or why it is left out."""
+
+    name: str
+    affine: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    """(2, 3): displacement (down, right) in pixels at (1, y, x), with y and x from the middle of
+    the picture in halves of its longer side."""
+    left_out: str = ""
+    """Why it is left out; empty if it is not."""
+
+    @property
+    def in_line(self) -> bool:
+        """Whether it stays as it is."""
+        return not self.affine.any() and not self.left_out
+
+    def in_words(self) -> str:
+        """What was found and done, a sentence without its full stop."""
+        if self.left_out:
+            return f"{self.name} is left out: {self.left_out}"
+        down, right = self.affine[:, 0]
+        found = f"{self.name} was shifted by ({right:.1f}, {down:.1f}) pixels"
+        (yy, yx), (xy, xx) = self.affine[:, 1:]
+        if yy or yx or xy or xx:
+            most = np.hypot(*np.abs(self.affine[:, 1:]).sum(axis=1))
+            found += f" and turned or scaled by up to {most:.1f} pixels at the corners"
+        return f"{found}, and put back"
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """What was found of the pictures of a scene."""
+
+    placements: tuple[Placement, ...] = ()
+    """One a picture; none where it cannot be told."""
+    hindrance: str = ""
+    """Why it cannot be told."""
+
+    @property
+    def in_line(self) -> bool:
+        """Whether nothing is to be done."""
+        return all(one.in_line for one in self.placements)
+
+    def in_words(self) -> str:
+        """For `Scene.assumed`."""
+        if not self.placements:
+            return f"not checked: {self.hindrance}"
+        moved = [one.in_words() for one in self.placements if not one.in_line]
+        return "; ".join(moved) or "pictures line up"
+
+
+def aligned(scene: Scene) -> Scene:
+    """The scene with pictures that are out of line put back or left out.
+
+    `assumed["alignment"]` says what was done; a scene that has it is returned as it is. Where
+    nothing is to be done, all arrays are the given ones.
+    """
+    if "alignment" in scene.assumed:
+        return scene
+    found = register(scene)
+    for one in found.placements:
+        if not one.in_line:
+            place = "" if scene.source is None else f"{scene.source.path}: "
+            log.warning("%s%s", place, one.in_words())
+    assumed = {**scene.assumed, "alignment": found.in_words()}
+    if found.in_line:
+        return replace(scene, assumed=assumed)
+    return replace(put_back(scene, found), assumed=assumed)
+
+
+def register(scene: Scene) -> Registration:
+    """Find how the pictures of a scene lie relative to each other.
+
+    Where most lie in one place, others are put there; where few do, as with a camera in the hand,
+    all are put to their middle (the median of each part of the displacement).
+    """
+    if len(scene.images) < 2:
+        return Registration(hindrance="there is one picture")
+    if min(scene.height, scene.width) < LEAST_SIDE:
+        return Registration(hindrance=f"pictures below {LEAST_SIDE} pixels")
+    with one_blas_thread():
+        return _Register(scene).run()
+
+
+class _Register:
+    def __init__(self, scene: Scene) -> None:
+        self._scene, self._pictures = scene, Greys(scene)
+        self._all = range(len(scene.images))
+        self._small = reduced_size(self._pictures.shape, COARSE_SIDE)
+        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
+        self._reasons: dict[int, str] = {}
+        self._affine = np.zeros((len(self._all), 2, 3))
+
+    def run(self) -> Registration:
+        """How all pictures lie."""
+        peaks = self._peaks()
+        if self._usual < SURE_AGREEMENT:
+            return Registration(hindrance="the pictures' edges are mostly of light")
+        suspects = self._suspects(peaks)
+        if suspects:
+            self._settle(suspects, peaks)
+        return Registration(
+            tuple(
+                Placement(name, self._affine[i], self._reasons.get(i, ""))
+                for i, name in enumerate(self._scene.names)
+            )
+        )
+
+    def _peaks(self) -> dict[int, alignment.Shift]:
+        """Of pictures that are shifted far: where their edges agree with those of the others.
+
+        The others are taken from where they agree best, found in rounds. Pictures of something else
+        are left out here.
+        """
+        fields = self._fields = [self._edges(i) for i in self._all]
+        place = np.zeros((len(fields), 2), int)
+        found: dict[int, alignment.Shift] = {}
+        for _ in range(ROUNDS_MAX):
+            there = [np.roll(f, -at, (0, 1)) for f, at in zip(fields, place, strict=True)]
+            peaks = [
+                alignment.shift_between(reference, field)
+                for reference, field in zip(alignment.of_the_others(there), there, strict=True)
+            ]
+            found = {
+                i: replace(peak, shift=(peak.shift[0] + at[0], peak.shift[1] + at[1]))
+                for i, (peak, at) in enumerate(zip(peaks, place, strict=True))
+                if peak is not None
+            }
+            was = place.copy()
+            for i, peak in enumerate(peaks):
+                if peak is not None and peak.displaced:
+                    place[i] = np.rint(found[i].shift)
+            place -= np.rint(np.median(place, axis=0)).astype(int)
+            if (place == was).all():
+                break
+        self._usual = usual = float(np.median([one.agreement for one in found.values()] or [0.0]))
+        for i, one in found.items():
+            if one.agreement < OTHER_AGREEMENT and self._neighbours_agree(i):
+                self._reasons[i] = (
+                    f"its edges agree with those of the others to {max(one.agreement, 0):.2f} of "
+                    f"1, the median picture's to {usual:.2f}"
+                )
+        if len(self._all) - len(self._reasons) < 2:
+            self._reasons.clear()
+        return {i: one for i, one in found.items() if place[i].any()}
+
+    def _edges(self, i: int, affine: Array | None = None) -> alignment.Field:
+        """Edges of picture i averaged down, taken from x + u(x)."""
+        from scipy.ndimage import map_coordinates
+
+        grey, used = self._pictures.of(i, self._small)
+        if affine is not None:
+            pixel = max(self._pictures.shape) / max(self._small)
+            places = _displaced(self._small, affine / pixel)
+            grey = map_coordinates(grey, places, order=3, mode="nearest")
+            used = map_coordinates(used.astype(np.float32), places, order=1) > 0.999
+        return alignment.edges(grey[..., None], used)
+
+    def _neighbours_agree(self, i: int) -> bool:
+        """Whether a picture shows more than noise."""
+        grey, used = self._pictures.of(i, self._pictures.shape)
+        pairs = used[:, 1:] & used[:, :-1]
+        left, right = grey[:, :-1][pairs], grey[:, 1:][pairs]
+        return bool(np.corrcoef(left, right)[0, 1] > NEIGHBOURS_AGREE)
+
+    def _others(self, i: int, among: Iterable[int]) -> list[int]:
+        return [j for j in among if j != i and j not in self._reasons]
+
+    def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
+        """Pictures that seem out of line, the most evident first."""
+        levels = [self._fine]
+        if self._small != self._pictures.shape:
+            levels.append(Level(self._pictures, self._small, _BLUR))
+        evident: dict[int, float] = {}
+        for i in self._others(-1, self._all):
+            fits = [level.fit(i, self._others(i, self._all)) for level in levels]
+            shares = [
+                max(fit.shift.share, fit.bend.share)
+                for fit in fits
+                if fit is not None and fit.out_of_line
+            ]
+            if i in peaks:
+                shares.append(1.0)
+            if shares:
+                evident[i] = max(shares)
+        return sorted(evident, key=lambda i: -evident[i])
+
+    def _settle(self, suspects: list[int], peaks: dict[int, alignment.Shift]) -> None:
+        """Find the places of the suspects, in rounds."""
+        coarse = [Level(self._pictures, self._small, blur) for blur in _BLURS_COARSE]
+        scale = max(self._pictures.shape) / max(self._small)
+        placed = set(self._others(-1, self._all)) - set(suspects)
+        for i in suspects:
+            if i in peaks:
+                self._affine[i, :, 0] = scale * np.array(peaks[i].shift)
+        components = COMPONENTS if len(placed) > len(self._all) // 2 else COMPONENTS // 3
+        for number in range(ROUNDS_MAX):
+            before = self._affine.copy()
+            for i in list(suspects):
+                others = self._others(i, placed)
+                if len(others) < max(2, len(self._all) // 3):
+                    others = self._others(i, self._all)
+                for level in [*coarse, self._fine] if number == 0 else [self._fine]:
+                    self._descend(level, i, others, components)
+                if self._too_far(self._affine[i]):
+                    self._affine[i] = 0.0
+                    suspects.remove(i)
+                placed.add(i)
+                for level in [*coarse, self._fine]:
+                    level.move(i, self._affine[i])
+            change = max(
+                self._fine.rms(after - was) for after, was in zip(self._affine, before, strict=True)
+            )
+            if number > 0 and change < SETTLED and components == COMPONENTS:
+                break
+            if change < LEAST_DISPLACEMENT:
+                components = COMPONENTS
+        everything = self._others(-1, self._all)
+        now = [
+            self._edges(i, self._affine[i]) if self._affine[i].any() else field
+            for i, field in enumerate(self._fields)
+        ]
+        believed = np.zeros_like(self._affine)
+        for i in suspects:
+            others = np.mean([now[j] for j in self._others(i, everything)], axis=0)
+            was, there = (alignment.in_place(others, of[i]) for of in (self._fields, now))
+            if there > max(SURE_AGREEMENT, was - _AGREEMENT_NOISE):
+                believed[i] = self._believed(i)
+        if len(suspects) > len(everything) // 2:
+            believed[everything] -= np.median(believed[everything], axis=0)
+        for i in everything:
+            self._affine[i] = self._simplest(believed[i])
+
+    def _descend(
+        self, level: Level, i: int, others: list[int], components: int, *, bend: bool = True
+    ) -> None:
+        """Move picture i to where the others explain it best."""
+        for _ in range(_STEPS):
+            level.move(i, self._affine[i])
+            fit = level.fit(i, others, components)
+            if fit is None:
+                return
+            step = fit.shift.affine
+            if bend and (fit.bend.believed or self._affine[i, :, 1:].any()):
+                step = step + fit.bend.affine
+            length = level.rms(step) / level.pixel
+            self._affine[i] += step * min(1.0, _LONGEST_STEP / max(length, 1e-9))
+            if length < SETTLED:
+                return
+
+    def _too_far(self, affine: Array) -> bool:
+        """Whether no camera that was to stand still moves so."""
+        longer = max(self._pictures.shape)
+        shift, slope = np.abs(affine[:, 0]).max(), np.abs(affine[:, 1:]).max()
+        return bool(shift > LARGEST_SHIFT * longer or slope > LARGEST_TURN * longer / 2)
+
+    def _believed(self, i: int) -> Array:
+        """The displacement of picture i where it explains enough: all, its shift alone, or 0."""
+        others = self._others(i, self._all)
+
+        def fit(affine: Array) -> Fit | None:
+            self._fine.move(i, affine)
+            return self._fine.fit(i, others)
+
+        found, none = self._affine[i].copy(), np.zeros((2, 3))
+        before, after = fit(none), fit(found)
+        if before is None or after is None or self._too_far(found):
+            return none
+        if found[:, 1:].any():
+            self._affine[i, :, 1:] = 0.0
+            self._descend(self._fine, i, others, COMPONENTS, bend=False)
+            shifted = fit(self._affine[i])
+            if shifted is not None and shifted.share_explained_by(after) < LEAST_SHARE:
+                found, after = self._affine[i].copy(), shifted
+            self._fine.move(i, found)
+        return found if before.share_explained_by(after) >= LEAST_SHARE else none
+
+    def _simplest(self, affine: Array) -> Array:
+        """A displacement without what is too small: an affine part, parts of a pixel, or all."""
+        shift = np.column_stack([affine[:, 0], np.zeros((2, 2))])
+        if self._fine.rms(affine) < LEAST_DISPLACEMENT:
+            return np.zeros((2, 3))
+        if self._fine.rms(affine - shift) >= LEAST_DISPLACEMENT:
+            return affine
+        near = np.abs(shift - shift.round()).max() <= ROUNDED
+        return np.asarray(shift.round() if near else shift)
+
+
+# --- Putting back ------------------------------------------------------------------------------
+
+
+def put_back(scene: Scene, registration: Registration) -> Scene:
+    """The scene with each picture where the others are, without those that are left out.
+
+    Between pixels by cubic splines in linear radiance; whole shifts are exact. Samples that come
+    from outside, or from one that has no weight, get weight 0.
+    """
+    kept = [i for i, one in enumerate(registration.placements) if not one.left_out]
+    everything = np.ones(scene.valid.shape, np.float32)
+    images, weights = scene.images[kept], None
+    if scene.weights is not None or any(registration.placements[i].affine.any() for i in kept):
+        mask = everything if scene.mask is None else scene.mask
+        given = np.broadcast_to(mask, scene.images.shape[:3])
+        given = given if scene.weights is None else scene.weights
+        weights = given[kept].astype(np.float32)
+    limits = getattr(scene, "limits", None)
+    limits = None if limits is None else limits[kept]
+    for to, i in enumerate(kept):
+        affine = registration.placements[i].affine
+        if affine.any():
+            assert weights is not None
+            used = (weights[to] > 0) & np.isfinite(images[to]).all(axis=-1)
+            images[to], weights[to] = _resampled(images[to], used, weights[to], affine)
+            if limits is not None:
+                limits[to] = _touched(limits[to], affine)
+    if weights is not None and scene.mask is not None:
+        weights *= scene.mask
+    truth = scene.truth
+    if truth is not None and truth.lighting is not None:
+        truth = replace(truth, lighting=truth.lighting[kept])
+    changed: dict[str, Any] = {} if limits is None else {"limits": limits}
+    return replace(
+        scene,
+        images=images,
+        weights=weights,
+        names=tuple(scene.names[i] for i in kept),
+        lighting=None if scene.lighting is None else scene.lighting[kept],
+        truth=truth,
+        **changed,
+    )
+
+
+def _whole(affine: Array) -> tuple[int, int] | None:
+    """The shift in whole pixels, if it is one."""
+    down, right = affine[:, 0]
+    if affine[:, 1:].any() or down != round(down) or right != round(right):
+        return None
+    return round(down), round(right)
+
+
+def _resampled(
+    image: NDArray[Any], used: NDArray[np.bool_], weights: NDArray[np.float32], affine: Array
+) -> tuple[NDArray[Any], NDArray[np.float32]]:
+    """Picture and weights at x + u(x); weights are 0 where a sample that is not used has a part."""
+    from scipy.ndimage import map_coordinates
+
+    places = _displaced(used.shape, affine)
+    shape = np.array(used.shape)[:, None, None]
+    inside = ((places >= 0) & (places <= shape - 1)).all(axis=0)
+    shift = _whole(affine)
+    filled = np.where(used[..., None], image, 0)
+    if shift is not None:
+        rows, columns = (
+            np.clip(np.arange(n) + d, 0, n - 1) for n, d in zip(used.shape, shift, strict=True)
+        )
+        return filled[np.ix_(rows, columns)], np.where(inside, weights[np.ix_(rows, columns)], 0)
+    # The splines' prefilter spreads values that are not used a little: they are made like others.
+    filled = _filled(image, used)
+
+    def at(order: Literal[1, 3]) -> NDArray[Any]:
+        planes = [
+            map_coordinates(filled[..., c], places, order=order, mode="nearest") for c in range(3)
+        ]
+        return np.stack(planes, axis=-1)
+
+    moved = at(3)
+    error = np.abs(moved - at(1)).max(axis=-1)
+    half = INTERPOLATION_ERROR * max(float(np.abs(image[used]).mean()), 1e-30)
+    near = map_coordinates(weights, places, order=1, mode="nearest") / (1 + (error / half) ** 2)
+    unused = _touched((~used).astype(np.uint8)[..., None], affine)[..., 0] > 0
+    return moved.astype(image.dtype), np.where(inside & ~unused, near, 0).astype(np.float32)
+
+
+def _filled(image: NDArray[Any], used: NDArray[np.bool_]) -> NDArray[Any]:
+    """A picture with what is not used replaced by its nearest sample that is."""
+    from scipy.ndimage import distance_transform_edt
+
+    if used.all() or not used.any():
+        return np.where(used[..., None], image, 0)
+    nearest = distance_transform_edt(~used, return_distances=False, return_indices=True)
+    return np.asarray(image[tuple(nearest)])
+
+
+def _touched(kinds: NDArray[np.uint8], affine: Array) -> NDArray[np.uint8]:
+    """Largest kind (H, W, C) among the four samples around x + u(x)."""
+    rows, columns = _displaced(kinds.shape[:2], affine)
+    found = np.zeros_like(kinds)
+    for around_row in (np.floor(rows), np.ceil(rows)):
+        for around_column in (np.floor(columns), np.ceil(columns)):
+            row = around_row.clip(0, kinds.shape[0] - 1).astype(np.intp)
+            column = around_column.clip(0, kinds.shape[1] - 1).astype(np.intp)
+            np.maximum(found, kinds[row, column], out=found)
+    return found
+
+
+def _displaced(shape: Sequence[int], affine: Array) -> Array:
+    """(2, H, W): rows and columns x + u(x)."""
+    grid = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij")).astype(np.float64)
+    return grid + displacement_at(affine, grid, shape)
