@@ -75,6 +75,16 @@ class Lights:
     deviance: float = -math.inf
     """−2 ln of the likelihood of a sample, in the mean."""
 
+    @property
+    def is_noise(self) -> bool:
+        """Whether what is left can be noise: of samples by themselves, or of their files.
+
+        The blocks of a JPEG file share theirs.
+        """
+        of_file = self.noise is not None and self.noise.is_of_files
+        shared = self.misfit.design_effect <= settings.FILE_DESIGN_EFFECT_MAX
+        return self.misfit.is_noise or (of_file and shared)
+
 
 def solve(
     run: Run, x: Array, *, start_given: bool, lights: Lights | None = None
@@ -193,7 +203,7 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
     shared = lights.shared
     if run.camera.how != "given" or run.camera.figures or shared is None:
         return None
-    if lights.exact or lights.misfit.is_noise or lights.cut_short:
+    if lights.exact or lights.is_noise or lights.cut_short:
         return None
     with run.stage("field of view") as notes:
         level = Level.of(run.objective, settings.COARSE_PIXELS)
@@ -222,7 +232,7 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
         share = math.exp(found.deviance - lights.deviance)
         share *= max(found.misfit.design_effect, 1.0) / max(lights.misfit.design_effect, 1.0)
         contradicted = figures["score_other"] < figures["score_given"] and (
-            found.misfit.is_noise or share <= settings.CAMERA_MISFIT_SHARE_MAX
+            found.is_noise or share <= settings.CAMERA_MISFIT_SHARE_MAX
         )
         run.camera = replace(run.camera, figures=figures, contradicted=contradicted)
     return replace(found, unknowns=unknowns) if contradicted else None

@@ -68,6 +68,12 @@ class NoiseModel:
         return np.asarray(found * self.variances[:, None, None])
 
     @property
+    def is_of_files(self) -> bool:
+        """Whether most of it varies as what files' encoding left, and is no more than that."""
+        mean = float(self.variances.mean())
+        return bool(self.shares[3] > 0.5 and mean <= self.mean_file_variance)
+
+    @property
     def least_variance(self) -> float:
         """What V over w is at least: that of a sample of weight 1."""
         tails = 1.0 if math.isinf(self.freedom) else self.freedom / (self.freedom + 1)
@@ -187,13 +193,14 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
     variances = np.array([_by_median(squares[picture == i], least) for i in range(len(used))])
     freedom = settings.NOISE_FREEDOM_START
     for _ in range(settings.NOISE_ESTIMATION_STEPS):
-        middle = float(np.median(variances[counts > 0]))
-        variances = np.maximum(variances, settings.NOISE_VARIANCE_RATIO_MIN * middle)
         shape = features @ shares
         scaled = squares / (variances[picture] * shape)
         effective = _downweighting(scaled, freedom) * squares
         sums = np.bincount(picture, effective / shape, len(used))
-        variances = np.where(counts > 0, np.maximum(sums / in_pictures, least), middle)
+        variances = np.maximum(sums / in_pictures, least)
+        middle = float(np.median(variances[counts > 0]))
+        variances = np.maximum(variances, settings.NOISE_VARIANCE_RATIO_MIN * middle)
+        variances[counts == 0] = middle
         shares = _shares(features, effective / (variances[picture] * kept), shape)
         scaled = squares / (variances[picture] * (features @ shares))
         freedom = _freedom(scaled)

@@ -168,9 +168,9 @@ def _keeps_given(run: Run, lights: Lights, other: Lights | None) -> str | None:
     objective = run.objective
     if lights.exact:
         return "the given normals explain the pictures up to rounding"
-    if objective.lighting is not None and lights.misfit.is_noise:
+    if objective.lighting is not None and lights.is_noise:
         return "the given normals explain the pictures up to noise"
-    if other is not None and other.misfit.is_noise:
+    if other is not None and other.is_noise:
         return OTHER_CAMERA
     unknowns = objective.layout.maps.stop + 2 * objective.pixels
     if objective.samples < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN * unknowns:

@@ -1,0 +1,146 @@
+"""Noise of samples: found from what a fit leaves, and what it makes samples weigh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pbrfit import Scene, decompose
+from pbrfit.fit import settings
+from pbrfit.fit.noise import NoiseModel, estimated
+from pbrfit.fit.objective import Objective
+from pbrfit.result.metrics import rmse
+from pbrfit.scene.arrays import AT_LEAST, AT_MOST
+from pbrfit.synthetic import make_scene
+
+SIGMA = 0.01
+
+
+def noisy(sigma: float | np.ndarray = SIGMA, seed: int = 3, size: int = 24) -> Scene:
+    scene = make_scene("room", size=size, lights=12, held_out=2, seed=seed)
+    noise = np.random.default_rng(seed).standard_normal(scene.images.shape)
+    images = scene.images + np.reshape(sigma, (-1, 1, 1, 1)) * noise
+    return replace(scene, images=images.astype(np.float32))
+
+
+def at_truth(scene: Scene) -> tuple[Objective, np.ndarray]:
+    """The objective with all pixels, and x of the truth."""
+    objective = Objective(scene)
+    assert scene.truth is not None and scene.truth.lighting is not None
+    of = scene.truth.materials
+    return objective, objective.pack(of.albedo, of.roughness, of.metallic, scene.truth.lighting)
+
+
+def test_noise_of_one_kind_is_even_and_normal() -> None:
+    objective, x = at_truth(noisy())
+    model = estimated(objective, x)
+    assert model.is_even
+    assert np.isinf(model.freedom)
+    assert model.weights(objective, x) is None
+
+
+def test_each_picture_has_its_own_variance() -> None:
+    sigmas = np.where(np.arange(12) == 5, 4 * SIGMA, SIGMA)
+    objective, x = at_truth(noisy(sigmas))
+    model = estimated(objective, x)
+    ratio = model.variances / np.median(model.variances)
+    # Nothing has been fitted to these residuals, and leverages are subtracted: a sixth at most.
+    assert ratio[5] == pytest.approx(16, rel=0.1)
+    assert np.delete(ratio, 5) == pytest.approx(np.ones(11), rel=0.25)
+    assert not model.is_even
+    weights = model.weights(objective, x)
+    assert weights is not None
+    assert weights.max() <= 1
+    assert weights[5].mean() == pytest.approx(weights[4].mean() / 16, rel=0.15)
+    remark = model.remarks(tuple(map(str, range(12))), None)
+    assert remark.startswith("5 weighs 1/1")
+
+
+def test_named_only_from_twice_the_deviation() -> None:
+    model = NoiseModel(np.array([1.0, 1.0, 1.0, 0.0]), np.eye(4)[0], 1.0, 0.0, np.inf, False)
+    ratio = settings.PICTURE_DEVIATION_NAMED
+    for factor, named in ((0.99, False), (1.01, True)):
+        variances = np.array([1.0, 1.0, 1.0, (factor * ratio) ** 2])
+        assert bool(replace(model, variances=variances).remarks("abcd", None)) == named
+
+
+def test_noise_that_grows_with_radiance() -> None:
+    scene = make_scene("room", size=24, lights=12, held_out=2, seed=3)
+    noise = np.random.default_rng(0).standard_normal(scene.images.shape)
+    images = scene.images + 0.01 * np.sqrt(np.abs(scene.images)) * noise
+    objective, x = at_truth(replace(scene, images=images.astype(np.float32)))
+    shares = estimated(objective, x).shares
+    assert shares[1] > 0.7
+    assert shares[0] + shares[2] < 0.3
+
+
+def test_outliers_show_in_the_degrees_of_freedom_and_weigh_nothing() -> None:
+    scene = noisy()
+    hot = np.random.default_rng(1).random(scene.images.shape) < 0.002
+    objective, x = at_truth(replace(scene, images=np.where(hot, 3.0, scene.images)))
+    model = estimated(objective, x)
+    assert model.freedom <= 10
+    assert np.sqrt(model.variances * objective.scale**2) == pytest.approx(
+        np.full(12, SIGMA), rel=0.2
+    )
+    weights = model.weights(objective, x)
+    assert weights is not None
+    is_hot = np.stack([of[scene.valid] for of in hot])
+    assert weights[is_hot].max() < 0.01 * weights[~is_hot].mean()
+
+
+def test_limits_count_where_the_model_is_on_the_wrong_side() -> None:
+    scene = noisy()
+    limits = np.zeros(scene.images.shape, np.uint8)
+    limits[0, :4], limits[1, :4] = AT_LEAST, AT_MOST
+    objective, x = at_truth(replace(scene, limits=limits))
+    weights = estimated(objective, x).weights(objective, x)
+    assert weights is not None
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    residuals = objective.problem.residuals(objective.for_core(x), everything)
+    for picture, sign in ((0, -1), (1, 1)):
+        at_limit = limits[picture][scene.valid] > 0
+        wrong = (sign * residuals[picture] > 0) & at_limit
+        right = (sign * residuals[picture] < 0) & at_limit
+        assert wrong.any() and right.any()
+        assert (weights[picture][wrong] > 0).all()
+        assert (weights[picture][right] == 0).all()
+
+
+def test_black_picture_does_not_have_all_the_weight() -> None:
+    scene = noisy()
+    images = scene.images.copy()
+    images[4] = 0
+    objective, x = at_truth(replace(scene, images=images))
+    x[objective.layout.lighting].reshape(12, -1)[4] = 0
+    model = estimated(objective, x)
+    middle = np.median(model.variances)
+    assert model.variances.min() >= 0.99 * settings.NOISE_VARIANCE_RATIO_MIN * middle
+
+
+@pytest.mark.parametrize("kind", ["hot", "other", "black"])
+def test_fits_stand_bad_samples_and_pictures(kind: str) -> None:
+    scene = noisy(size=32)
+    images = scene.images.copy()
+    if kind == "hot":
+        images[np.random.default_rng(1).random(images.shape) < 0.002] = 3.0
+    elif kind == "other":
+        images[4] = noisy(size=32, seed=9).images[4]
+    else:
+        images[4] = np.random.default_rng(2).normal(0, SIGMA, images[4].shape)
+    assert scene.truth is not None
+    truth = scene.truth.materials.albedo
+    errors = {}
+    for name, of in (("sound", scene), (kind, replace(scene, images=images))):
+        found = decompose(of, refine_normals="off", align="off", uncertainty=False)
+        errors[name] = rmse(found.albedo, truth)
+    squares = decompose(
+        replace(scene, images=images),
+        refine_normals="off",
+        align="off",
+        uncertainty=False,
+        robust="none",
+    )
+    assert errors[kind] <= 1.5 * errors["sound"] + 0.002
+    assert errors[kind] < rmse(squares.albedo, truth)
