@@ -23,6 +23,9 @@ SOLVERS: tuple[Solver, ...] = get_args(Solver)
 Loss = Literal["none", "huber", "cauchy"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
 
+Response = Literal["auto", "srgb", "linear", "fit"]
+RESPONSES: tuple[Response, ...] = get_args(Response)
+
 MODELS_IN_WORDS = (
     "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
     "glTF and game engines, integrated exactly"
@@ -132,6 +135,11 @@ class FitOptions:
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
+    response
+        The tone curve of the pictures, beside what files were decoded by: `"fit"`, a monotone curve
+        common to all is fitted; `"auto"`, only where a score test asks for it; in both it is kept
+        where the score says so. `"srgb"` and `"linear"`: none is fitted; on the command line they
+        also say how integer files are decoded.
     refine_normals
         Whether to refine the given normals together with materials and lights (docs/normals.md):
         `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
@@ -161,6 +169,7 @@ class FitOptions:
     priors: Priors = field(default_factory=Priors)
     robust: Loss = "none"
     equal_exposures: bool | None = None
+    response: Response = "auto"
     refine_normals: RefineNormals = "auto"
     seed: int = 0
     model: Model | None = None
@@ -170,6 +179,7 @@ class FitOptions:
         self._keep(
             solver=_one_of("solver", self.solver, SOLVERS),
             robust=_one_of("robust", self.robust, LOSSES),
+            response=_one_of("response", self.response, RESPONSES),
             refine_normals=_one_of("refine_normals", self.refine_normals, CHOICES),
             iterations=whole_number("iterations", self.iterations),
             seed=whole_number("seed", self.seed),
@@ -233,6 +243,12 @@ FLAGS: dict[str, Flag] = {
     ),
     "robust": Flag(
         "loss in which shadows and other outliers weigh less than in squares", values=LOSSES
+    ),
+    "response": Flag(
+        "tone curve of the pictures. srgb, linear: how integer files are decoded, and none is "
+        "fitted beside; fit: fit one common to all, and keep it where that explains them better; "
+        "auto: only where a test asks for it (default: %(default)s)",
+        values=RESPONSES,
     ),
     "equal_exposures": Flag(
         "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "
