@@ -173,10 +173,10 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
     """Lights, with a correction of the pictures if they ask for it; and with another field of view.
 
     `lights` are those that were found from x. The numbers whose score test promises most are fitted
-    first; a field of view from x again, because materials have bent to the given one. They are kept where
-    the score is lower and most of the misfit is gone, or all: wrong normals ask for another camera
-    too, but it does not help them much. A correction is `run`'s from then on. A given field of view
-    stays: `run.camera` tells of the other one, and what that leaves is returned beside.
+    first, and kept where the score is lower and only noise is left; of a field of view it is enough
+    if most of the misfit is gone. Wrong normals and bad pictures ask for another camera too, but it
+    does not help them much. A correction is `run`'s from then on. A given field of view stays:
+    `run.camera` tells of the other one, and what that leaves is returned beside.
     """
     untried = {"fov": (FIELD_OF_VIEW,), "response": RESPONSE, "vignetting": VIGNETTING}
     if run.camera.how != "given":
@@ -199,9 +199,13 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
             if tests[name] < least[name] or run.out_of_time():
                 break
             notes.append(f"score test of {name} {tests[name]:.3g}")
-            found, nuisances = _with_camera(run, x if name == "fov" else lights.x, numbers)
-            kept = _keeps(lights, found, name, figures)
-            if "fov" in name:
+            at_most = settings.CORRECTION_ROUNDS_MAX
+            start = lights.x
+            if name == "fov":  # from the start, because materials have bent to the given one
+                at_most, start = settings.COARSE_ROUNDS_MAX, x
+            found, nuisances = _with_camera(run, start, numbers, at_most)
+            kept = _keeps(lights, found, name, nuisances.surprise(), figures)
+            if name == "fov":
                 figures["other_fov_degrees"] = nuisances.scene.fov
                 figures["other_fov_sigma"] = nuisances.fov_sigma
             notes.append(f"{found.misfit.in_words()}{'' if kept else ', not kept'}")
@@ -233,7 +237,9 @@ def _score_tests(
     return {name: nuisances.test(group) for name, group in groups.items()}
 
 
-def _with_camera(run: Run, x: Array, numbers: Sequence[Nuisance]) -> tuple[Lights, Nuisances]:
+def _with_camera(
+    run: Run, x: Array, numbers: Sequence[Nuisance], at_most: int
+) -> tuple[Lights, Nuisances]:
     """What the level leaves with other numbers of the camera, from x; its x is of the level."""
     level = Level.of(run.objective, settings.COARSE_PIXELS)
     part = run.objective.part_of(x, level.pixels)
@@ -243,19 +249,22 @@ def _with_camera(run: Run, x: Array, numbers: Sequence[Nuisance]) -> tuple[Light
     fitted += [one for one in numbers if one not in fitted]
     nuisances = Nuisances(run.scene, fitted)
     nuisances.pixels = level.pixels
-    found = rounds(run, level, part, Watch(run, x, level), nuisances=nuisances)
+    watch = Watch(run, x, level)
+    found = rounds(run, level, part, watch, nuisances=nuisances, at_most=at_most)
     return replace(found, x=part, unknowns=found.unknowns + len(numbers)), nuisances
 
 
-def _keeps(before: Lights, found: Lights, name: str, figures: dict[str, float]) -> bool:
-    """Whether other numbers explain the pictures better, and most of what was left."""
+def _keeps(
+    before: Lights, found: Lights, name: str, surprise: float, figures: dict[str, float]
+) -> bool:
+    """Whether other numbers, as unlikely as they are by their prior, are better ones."""
     samples = found.samples * found.misfit.effective_share
     scores = [misfit.score(one.mean_squared, one.unknowns, samples) for one in (before, found)]
+    scores[1] += surprise
     figures["score_given"], figures[f"score_other_{name}"] = scores
     share = found.misfit.of_lights / before.misfit.of_lights
-    return scores[1] < scores[0] and (
-        found.misfit.is_noise or share <= settings.CAMERA_MISFIT_SHARE_MAX
-    )
+    told = name == "fov" and share <= settings.CAMERA_MISFIT_SHARE_MAX
+    return scores[1] < scores[0] and (found.misfit.is_noise or told)
 
 
 def rounds(

@@ -149,6 +149,11 @@ class Nuisances:
             found = replace(found, fov_degrees=fov, how="fitted", fov_sigma=sigma)
         return found
 
+    def surprise(self) -> float:
+        """−2 ln of their prior, less a constant."""
+        means, sigmas = np.array([(one.mean, one.sigma) for one in self.fitted]).T
+        return float(np.square((self.values - means) / sigmas).sum())
+
     def mean_squared(self, objective: Objective, x: Array, mean: float) -> float:
         """The mean squared residual as pictures have it, before they are corrected.
 
