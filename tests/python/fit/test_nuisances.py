@@ -133,7 +133,9 @@ def test_a_given_field_of_view_is_contradicted_where_pictures_do(
     caplog.clear()
     with caplog.at_level(logging.WARNING, "pbrfit"):
         right = decompose(scene, **FAST)
-    assert right.camera == Camera(90.0, "given")
+    assert right.camera is not None
+    assert right.camera.in_words() == "90 degrees, given"
+    assert not right.camera.contradicted
     assert not [record for record in caplog.records if "field of view" in record.message]
 
 
@@ -217,7 +219,9 @@ CURVE, SHADE = (0.1, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -0.35, 0.0)
 
 
 @pytest.mark.parametrize(("numbers", "topic"), [(CURVE, "response"), (SHADE, "vignetting")])
-def test_what_a_camera_does_to_pictures_is_undone(numbers: tuple[float, ...], topic: str) -> None:
+def test_what_a_camera_does_to_pictures_is_undone(
+    numbers: tuple[float, ...], topic: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = make_scene("furnished", size=64, lights=16, noise=0.01, seed=301, held_out=2)
     plain = decompose(scene, **FAST)
     found = decompose(bent(scene, numbers), **FAST)
@@ -233,8 +237,9 @@ def test_what_a_camera_does_to_pictures_is_undone(numbers: tuple[float, ...], to
     else:
         assert sum(fitted[3:]) == pytest.approx(0.35, abs=0.15)
     assert topic in found.assumed
-    for name in ("albedo_rmse", "roughness_rmse"):
-        assert found.metrics[name] < 2 * plain.metrics[name]
+    monkeypatch.setattr(settings, "CAMERA_GAIN_MIN", np.inf)
+    held = decompose(bent(scene, numbers), **FAST)
+    assert found.metrics["albedo_rmse"] < 0.8 * held.metrics["albedo_rmse"]
     assert Camera.from_json(found.camera.as_json()) == found.camera
 
 

@@ -18,9 +18,11 @@ NUMBERS = (-0.2, 0.1, 0.15, 0.3, 0.05)
 def shown(correction: Correction, radiance: np.ndarray, rho: np.ndarray) -> np.ndarray:
     """As the module's formula has it."""
     first, second = correction.numbers[3:]
-    l = np.log(radiance / correction.reference * np.exp(-first * rho - second * rho**2)[..., None])
+    shade = np.exp(-first * rho - second * rho**2)[..., None]
+    log = np.log(radiance / correction.reference * shade)
     a, b, c = correction.numbers[:3]
-    curve = l - a * l - b * np.minimum(l - np.log(1 / 3), 0) - c * np.maximum(l - np.log(3), 0)
+    curve = log - a * log - b * np.minimum(log - np.log(1 / 3), 0)
+    curve -= c * np.maximum(log - np.log(3), 0)
     return np.asarray(correction.reference * np.exp(curve))
 
 
