@@ -41,9 +41,11 @@ def add_input(parser: argparse.ArgumentParser) -> None:
 
 def reading(options: argparse.Namespace) -> Reading:
     """How a scene folder is to be read."""
+    response = getattr(options, "response", None)
+    decoded: ColorSpace | None = response if response in ("srgb", "linear") else None
     return Reading(
         fov=options.fov,
-        color_space=options.color_space,
+        color_space=options.color_space or decoded,
         max_size=options.max_size,
         code_range=options.code_range,
     )

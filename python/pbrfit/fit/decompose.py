@@ -137,7 +137,7 @@ def decompose(
         uncertainty=options.uncertainty,
         lighting=found.measured_lighting,
     )
-    scene = scene.through(found.camera.fov_degrees)
+    scene = scene.through(found.camera.fov_degrees, found.camera.correction)
     given = np.asarray(scene.normals, dtype=np.float64)
     refinement = found.refinement
     if refinement.refined:
@@ -231,7 +231,7 @@ def _recon_rmse(scene: Scene, fit: FitOutput, model: Model, threads: int) -> flo
             if weights is not None:
                 total = float(weights[scene.valid[rows]].sum(dtype=np.float64))
             if total > 0:
-                error = metrics.rmse(image, scene.images[i, rows], weights)
+                error = metrics.rmse(image, scene.picture(i, rows), weights)
                 found.append((error if fit.exposures is None else error / fit.exposures[i], total))
         return found
 
@@ -269,6 +269,8 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str
         given = assumed.get("fov", camera.in_words())
         assumed["fov"] = f"{given}; {camera.contradiction()}"
         log.warning("field of view: %s", assumed["fov"])
+    if camera.correction is not None:
+        assumed |= camera.correction.in_words()
     if model is not None:
         assumed["model"] = f"{model}, asked for"
         if scene.model not in (None, model):

@@ -21,6 +21,7 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,7 +37,7 @@ from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.normals.free import FreeNormals
-from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, VIGNETTING, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
 from pbrfit.fit.plan import FitPlan
@@ -108,8 +109,7 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
     start, rows, loss = x, len(run.rows), run.rows[-1].loss
     with one_blas_thread():
         if lights is None:
-            lights = find_lights(run, x)
-            doubt_camera(run, x, lights)
+            lights, _ = doubt_camera(run, x, find_lights(run, x))
         x = lights.x
         noise = lights.noise if run.shared_state is None else run.shared_state.noise
         run.noise = noise
@@ -191,51 +191,105 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
     return replace(found, x=x)
 
 
-def doubt_camera(run: Run, x: Array, lights: Lights) -> Lights | None:
-    """What another field of view than the given one leaves, where the pictures contradict that.
+def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | None]:
+    """Lights, with a correction of the pictures if they ask for it; and with another field of view.
 
-    `lights` are those that were found from x. The given one stays: `run.camera` tells of the other.
-    It is fitted where what is left under `lights` is no noise and the score test asks for it; from
-    x again, because materials have bent to the given one. It contradicts the given one where the
-    score is lower and most of the misfit is gone, or all: wrong normals ask for another one too,
-    but it does not help them much.
+    `lights` are those that were found from x. The numbers whose score test promises most are fitted
+    first, and kept where the score is lower and only noise is left; of a field of view it is enough
+    if most of the misfit is gone. Wrong normals and bad pictures ask for another camera too, but it
+    does not help them much. A correction is `run`'s from then on. A given field of view stays:
+    `run.camera` tells of the other one, and what that leaves is returned beside.
     """
-    shared = lights.shared
-    if run.camera.how != "given" or run.camera.figures or shared is None:
-        return None
-    if lights.exact or lights.is_noise or lights.cut_short:
-        return None
-    with run.stage("field of view") as notes:
-        level = Level.of(run.objective, settings.COARSE_PIXELS)
-        part = run.objective.part_of(lights.x, level.pixels)
-        weighed = level.objective
-        if lights.noise is not None:
-            weighed = weighed.weighed(lights.noise.weights(weighed, part))
-        fit = shared.joint_fit(weighed, part, _fit_level(weighed, part))
-        nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
-        nuisances.estimate(weighed, part, fit, lights.misfit)
-        notes.append(f"score test of the given one {nuisances.gain:.3g}")
-        figures = {"score_test": nuisances.gain}
-        run.camera = replace(run.camera, figures=figures)
-        if nuisances.gain < settings.CAMERA_GAIN_MIN:
-            return None
-        nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
-        part = run.objective.part_of(x, level.pixels)
-        found = rounds(run, level, part, Watch(run, x, level), nuisances=nuisances)
-        notes += [nuisances.camera().in_words(), found.misfit.in_words()]
-        samples = found.samples * found.misfit.effective_share
-        unknowns = found.unknowns + len(nuisances.fitted)
-        figures["score_given"] = misfit.score(lights.deviance, lights.unknowns, samples)
-        figures["score_other"] = misfit.score(found.deviance, unknowns, samples)
-        figures["other_fov_degrees"] = nuisances.scene.fov
-        figures["other_fov_sigma"] = nuisances.fov_sigma
-        share = math.exp(found.deviance - lights.deviance)
-        share *= max(found.misfit.design_effect, 1.0) / max(lights.misfit.design_effect, 1.0)
-        contradicted = figures["score_other"] < figures["score_given"] and (
-            found.is_noise or share <= settings.CAMERA_MISFIT_SHARE_MAX
-        )
-        run.camera = replace(run.camera, figures=figures, contradicted=contradicted)
-    return replace(found, unknowns=unknowns) if contradicted else None
+    untried = {"fov": (FIELD_OF_VIEW,), "response": RESPONSE, "vignetting": VIGNETTING}
+    if run.camera.how != "given":
+        del untried["fov"]
+    if run.options.solver != "gauss-newton" or run.options.response in ("srgb", "linear"):
+        del untried["response"]
+    told = run.camera.figures or lights.shared is None or run.camera.how == "assumed"
+    if told or lights.exact or lights.cut_short:
+        return lights, None
+    least = dict.fromkeys(untried, settings.CAMERA_GAIN_MIN)
+    least["response"] = 0.0 if run.options.response == "fit" else settings.CAMERA_GAIN_MIN
+    figures: dict[str, float] = {}
+    with run.stage("camera") as notes:
+        other = None
+        tests = _score_tests(run, lights, untried)
+        figures |= {f"score_test_{name}": gain for name, gain in tests.items()}
+        while untried:
+            name = max(untried, key=lambda name: tests[name] / max(least[name], 1e-300))
+            numbers = untried.pop(name)
+            if tests[name] < least[name] or run.out_of_time():
+                break
+            notes.append(f"score test of {name} {tests[name]:.3g}")
+            at_most = settings.CORRECTION_ROUNDS_MAX
+            start = lights.x
+            if name == "fov":  # from the start, because materials have bent to the given one
+                at_most, start = settings.COARSE_ROUNDS_MAX, x
+            found, nuisances = _with_camera(run, start, numbers, at_most)
+            kept = _keeps(lights, found, name, nuisances.surprise(), figures)
+            if name == "fov":
+                figures["other_fov_degrees"] = nuisances.scene.fov
+                figures["other_fov_sigma"] = nuisances.fov_sigma
+            notes.append(f"{found.misfit.in_words()}{'' if kept else ', not kept'}")
+            if kept and name == "fov":
+                other = found
+                break
+            if kept:
+                run.see(nuisances)
+                lights = replace(found, x=x.copy())
+                run.objective.put_part(lights.x, nuisances.pixels, found.x)
+                tests = _score_tests(run, lights, untried)
+        run.camera = replace(run.camera, figures=figures, contradicted=other is not None)
+        if not notes:
+            notes.append("as given, by the score tests")
+    return lights, other
+
+
+def _score_tests(
+    run: Run, lights: Lights, groups: Mapping[str, Sequence[Nuisance]]
+) -> dict[str, float]:
+    """What each group of numbers promises under some lights, χ²."""
+    assert lights.shared is not None
+    level = Level.of(run.objective, settings.COARSE_PIXELS)
+    few, part = level.objective, run.objective.part_of(lights.x, level.pixels)
+    if lights.noise is not None:
+        few = few.weighed(lights.noise.weights(few, part))
+    fit = lights.shared.joint_fit(few, part, _fit_level(few, part))
+    nuisances = Nuisances(run.scene, [one for group in groups.values() for one in group])
+    if groups:
+        nuisances.estimate(few, part, fit, lights.misfit)
+    return {name: nuisances.test(group) for name, group in groups.items()}
+
+
+def _with_camera(
+    run: Run, x: Array, numbers: Sequence[Nuisance], at_most: int
+) -> tuple[Lights, Nuisances]:
+    """What the level leaves with other numbers of the camera, from x; its x is of the level."""
+    level = Level.of(run.objective, settings.COARSE_PIXELS)
+    part = run.objective.part_of(x, level.pixels)
+    fitted = [] if run.camera.how == "given" else [FIELD_OF_VIEW]
+    if run.scene.correction is not None:  # another was fitted before
+        fitted += [*RESPONSE, *VIGNETTING]
+    fitted += [one for one in numbers if one not in fitted]
+    nuisances = Nuisances(run.scene, fitted)
+    nuisances.pixels = level.pixels
+    watch = Watch(run, x, level)
+    found = rounds(run, level, part, watch, nuisances=nuisances, at_most=at_most)
+    return replace(found, x=part, unknowns=found.unknowns + len(numbers)), nuisances
+
+
+def _keeps(
+    before: Lights, found: Lights, name: str, surprise: float, figures: dict[str, float]
+) -> bool:
+    """Whether other numbers, as unlikely as they are by their prior, are better ones."""
+    samples = found.samples * found.misfit.effective_share
+    scores = [misfit.score(one.deviance, one.unknowns, samples) for one in (before, found)]
+    scores[1] += surprise
+    figures["score_given"], figures[f"score_other_{name}"] = scores
+    share = math.exp(found.deviance - before.deviance)
+    share *= max(found.misfit.design_effect, 1.0) / max(before.misfit.design_effect, 1.0)
+    told = name == "fov" and share <= settings.CAMERA_MISFIT_SHARE_MAX
+    return scores[1] < scores[0] and (found.is_noise or told)
 
 
 def rounds(
@@ -315,6 +369,8 @@ def rounds(
         sum_sq = _fit_level(objective, x, fixed)
         left = _left(level, x, sum_sq, shared, fixed)
     mean_squared = float(sum_sq.sum()) / objective.total_weight
+    if nuisances is not None:
+        deviance += nuisances.log_slope(objective, x)
     unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()
     return Lights(

@@ -90,9 +90,14 @@ class NoiseModel:
         for pixels in chunks(objective.pixels):
             samples = _Samples.of(objective, pixels, x)
             variances = self.sample_variances(samples)
-            weights = _downweighting(np.square(samples.residuals) / variances, self.freedom)
-            weights /= variances
-            weights *= self.least_variance
+            squares = np.square(samples.residuals) / variances
+            weights = _downweighting(squares, self.freedom)
+            if samples.limits is not None:  # a hot pixel at its maximum must not pull
+                bounded = samples.limits > 0
+                freedom = min(self.freedom, settings.NOISE_FREEDOM_START)
+                weights[bounded] = _downweighting(squares[bounded], freedom)
+                weights[bounded] *= freedom / (freedom + 1)
+            weights *= self.least_variance / variances
             weights[~samples.used | samples.satisfied()] = 0.0
             found[:, pixels] = weights
         return found

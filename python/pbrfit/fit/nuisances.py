@@ -25,7 +25,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ from pbrfit.fit.normal_equations import as_in_x, by_unknowns, products, whitenin
 from pbrfit.fit.objective import Objective
 from pbrfit.result.camera import Camera
 from pbrfit.scene.arrays import FIRST_FOV
+from pbrfit.scene.correction import FALLOFF, SLOPES, Correction
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -53,6 +54,8 @@ class Nuisance:
     mean: float
     sigma: float
     """Of its prior."""
+    correction: int | None = None
+    """Which number of the pictures' correction it is; None = the field of view."""
 
 
 def log_tangent(fov: float) -> float:
@@ -70,10 +73,26 @@ def degrees(theta: float) -> float:
 
 FIELD_OF_VIEW = Nuisance(
     lambda scene: log_tangent(scene.fov),
-    lambda scene, theta: scene.through(degrees(theta)),
+    lambda scene, theta: scene.through(degrees(theta), scene.correction),
     log_tangent(FIRST_FOV),
     settings.LOG_FOCAL_LENGTH_SIGMA,
 )
+
+
+def _of_correction(index: int, sigma: float) -> Nuisance:
+    def of(scene: Scene) -> float:
+        assert scene.correction is not None
+        return scene.correction.numbers[index]
+
+    def put(scene: Scene, value: float) -> Scene:
+        assert scene.correction is not None
+        return scene.through(scene.fov, scene.correction.changed(index, value))
+
+    return Nuisance(of, put, 0.0, sigma, index)
+
+
+RESPONSE = tuple(map(_of_correction, SLOPES, settings.RESPONSE_SIGMAS))
+VIGNETTING = tuple(map(_of_correction, FALLOFF, settings.VIGNETTING_SIGMAS))
 
 
 @dataclass(eq=False)
@@ -83,6 +102,10 @@ class Nuisances:
     scene: Scene
     """With the numbers as they are now."""
     fitted: Sequence[Nuisance]
+    information: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    slope: Array = field(default_factory=lambda: np.zeros(0))
+    pixels: NDArray[np.uint64] = field(default_factory=lambda: np.zeros(0, np.uint64))
+    """Of the level."""
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     step: Array = field(default_factory=lambda: np.zeros(0))
     """(J, J), and δθ (J,) of the last step, before it was shortened."""
@@ -92,6 +115,17 @@ class Nuisances:
     _misfit: float = field(default=math.inf, init=False)
     _gain_before: float = field(default=math.inf, init=False)
     """By how much that lowers the sum, over s² and over W: the latter is χ²."""
+
+    def __post_init__(self) -> None:
+        if self.scene.correction is None and any(one.correction is not None for one in self.fitted):
+            none = Correction(self.scene.mean_brightness())
+            self.scene = self.scene.through(self.scene.fov, none)
+
+    def test(self, of: Sequence[Nuisance]) -> float:
+        """The score test of some of them alone, the others as they are: χ²."""
+        chosen = [self.fitted.index(one) for one in of]
+        slope, information = self.slope[chosen], self.information[np.ix_(chosen, chosen)]
+        return float(slope @ np.linalg.solve(information, slope)) / self._misfit
 
     @property
     def values(self) -> Array:
@@ -107,9 +141,29 @@ class Nuisances:
         sigma = min(math.sqrt(self.covariance[0, 0]), FIELD_OF_VIEW.sigma)
         return math.degrees(math.sin(math.radians(self.scene.fov)) * sigma)
 
-    def camera(self) -> Camera:
-        """As it was fitted."""
-        return Camera(self.scene.fov, "fitted", self.fov_sigma)
+    def camera(self, before: Camera) -> Camera:
+        """As it was fitted, beside what is known of it."""
+        found = replace(before, correction=self.scene.correction)
+        if FIELD_OF_VIEW in self.fitted:
+            fov, sigma = self.scene.fov, self.fov_sigma
+            found = replace(found, fov_degrees=fov, how="fitted", fov_sigma=sigma)
+        return found
+
+    def surprise(self) -> float:
+        """−2 ln of their prior, less a constant."""
+        means, sigmas = np.array([(one.mean, one.sigma) for one in self.fitted]).T
+        return float(np.square((self.values - means) / sigmas).sum())
+
+    def log_slope(self, objective: Objective, x: Array) -> float:
+        """Mean of 2 ln of the slope of pictures by corrected ones.
+
+        What it adds to the deviance of corrected pictures is that of pictures as they are: only
+        these can be compared between corrections.
+        """
+        if self.scene.correction is None:
+            return 0.0
+        slope = objective.correction_directions(x, self.scene.correction)[1]
+        return 2 * float(np.log(np.abs(slope) + 1e-12).mean())
 
     def moved(self, by: Array) -> Scene:
         """The scene with all numbers moved by (J,)."""
@@ -133,7 +187,7 @@ class Nuisances:
 
         Columns are S⁻¹ s and S⁻¹ s_j; None where lights are known. `fit` is of this x.
         """
-        directions = [self._direction(objective, x, j) for j in range(len(self.fitted))]
+        directions = self._directions(objective, x)
         gram, by_light = _eliminated(objective, x, directions, fit)
         moves = None
         if fit is not None:
@@ -148,7 +202,8 @@ class Nuisances:
         precision = variance / np.array([one.sigma**2 for one in self.fitted])
         means = np.array([one.mean for one in self.fitted])
         slope = gram[1:, 0] + precision * (self.values - means)
-        inverse = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
+        self.slope, self.information = slope, gram[1:, 1:] + np.diag(precision)
+        inverse = np.linalg.inv(self.information)
         self.step, self.covariance = -(inverse @ slope), np.asarray(variance * inverse)
         gain = float(slope @ inverse @ slope)
         self._gain_before = self.sum_gain
@@ -167,7 +222,19 @@ class Nuisances:
             x[objective.layout.lighting] += as_in_x(by_light[:count], objective.layout)
         objective.see(self.scene)
 
-    def _direction(self, objective: Objective, x: Array, j: int) -> Array:
+    def _directions(self, objective: Objective, x: Array) -> list[Array]:
+        """d_j, (P, N, C) each; those of a correction at what the model shows."""
+        of_correction: list[Array] = []
+        if self.scene.correction is not None:
+            of_correction = objective.correction_directions(x, self.scene.correction)[0]
+        return [
+            self._by_camera(objective, x, j)
+            if one.correction is None
+            else -of_correction[one.correction]
+            for j, one in enumerate(self.fitted)
+        ]
+
+    def _by_camera(self, objective: Objective, x: Array, j: int) -> Array:
         """d_j, (P, N, C), by central differences."""
         everything = np.arange(objective.pixels, dtype=np.uint64)
         step = settings.NUISANCE_DIFFERENCE * np.eye(len(self.fitted))[j]

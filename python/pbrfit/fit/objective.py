@@ -32,6 +32,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
 from pbrfit.result.options import ROBUST_LOSSES, Priors, unit_interval
 from pbrfit.scene.arrays import equal_channels
+from pbrfit.scene.correction import Correction
 from pbrfit.scene.exposure import relative_exposures
 from pbrfit.scene.scene import Scene
 
@@ -429,6 +430,21 @@ class Objective:
         self._scene = scene
         del self.problem  # before there is another one, which is as large
         self.problem = self._problem(self.weights if self._factors is None else self._factors)
+
+    def correction_directions(
+        self, x: NDArray[np.float64], correction: Correction
+    ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
+        """As `Correction.directions` at what the model shows, (P, N, C), in units of x."""
+        everything = np.arange(self.pixels, dtype=np.uint64)
+        shown = self.problem.residuals(self.for_core(x), everything).astype(np.float64)
+        for i in range(self.layout.pictures):
+            shown[i] = (shown[i] + self._image(i)) * self._units[i]
+        scene = self._scene
+        places = np.flatnonzero(scene.valid) if self._places is None else self._places
+        rho = scene.radius_squared[np.divmod(places, scene.width)]
+        found, slope = correction.directions(shown, rho)
+        units = self._by_picture
+        return [(one / units).transpose(1, 0, 2) for one in found], slope.transpose(1, 0, 2)
 
     def restricted(
         self, pixels: NDArray[np.uint64], shares: NDArray[np.float64] | None = None

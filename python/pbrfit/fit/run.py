@@ -138,7 +138,7 @@ class Run:
         """Take the camera that was fitted: from here on all pixels see through it."""
         self.scene = nuisances.scene
         self.objective.see(self.scene)
-        self.camera = nuisances.camera()
+        self.camera = nuisances.camera(self.camera)
 
     @property
     def left(self) -> int:

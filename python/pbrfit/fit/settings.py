@@ -156,6 +156,15 @@ LOG_FOCAL_LENGTH_SIGMA = 0.45
 mm camera: lenses from 13 mm to 77 mm, which are those of telephones and of common zooms (from the
 widest to the longest), are within two of them. It decides where the pictures do not say."""
 
+RESPONSE_SIGMAS = (0.3, 0.1, 0.1)
+"""Standard deviations of the exponent of a tone curve around 1, and of how far it differs in
+shadows and in lights: gammas of displays and cameras, 1.8 to 2.6, differ by factors of 0.8 to 1.2
+from what a file is decoded with, and filmic curves bend at both ends."""
+
+VIGNETTING_SIGMAS = (0.5, 0.2)
+"""Standard deviations of the logarithm of falloff in the corners, by ρ² and by ρ⁴: common lenses
+lose half a stop to two stops there, ln 1.4 to ln 4, most of it by the first."""
+
 FOV_MIN = 1.0
 """Degrees that a narrower field of view, and an orthographic one, counts as while it is moved."""
 
@@ -177,6 +186,10 @@ and another fitted: less may come from lights that are not quite found."""
 CAMERA_MISFIT_SHARE_MAX = 0.5
 """Share of the misfit κ s² that another field of view may leave to contradict the given one. Where
 that is 30 degrees off it leaves a twentieth, where normals are 10 degrees off nine tenths."""
+
+CORRECTION_ROUNDS_MAX = 6
+"""Rounds of the coarse level with a correction of the pictures, at most, from lights without it:
+gammas of 1.1 are found in four; what takes longer is no tone curve."""
 
 NUISANCE_ERROR_RATIO = 0.02
 """As `CG_ERROR_RATIO`, where what the lights take is subtracted: the rest is some tenths of the

@@ -151,6 +151,7 @@ def fit_pixels(
 
     `units` as for `Objective`.
     """
+    units = units or Normalization.of(scene, setup.options.equal_exposures)
 
     def make(of: Scene, free_normals: bool) -> Objective:
         return setup.objective(of, free_normals=free_normals, units=units)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 from pbrfit.io.json_files import flag, number, table
 from pbrfit.io.quoting import quoted
+from pbrfit.scene.correction import Correction
 
 How = Literal["given", "fitted", "assumed"]
 
@@ -26,11 +27,13 @@ class Camera:
     """Standard deviation of what was fitted, in degrees; else None."""
     contradicted: bool = False
     """Whether the pictures fit far better with another than was given."""
+    correction: Correction | None = None
+    """Tone curve and vignetting that were undone in the pictures; None = nothing."""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """What that rests on, where more than noise was left: `score_test`, χ² of one degree that a
-    change of the given one promised; where another was fitted `other_fov_degrees` with
-    `other_fov_sigma`, and `score_given` and `score_other`, of which the lower is likelier. Infinite
-    and NaN ones are null in a file."""
+    """What that rests on: `score_test_fov`, `score_test_response` and `score_test_vignetting`, χ²
+    of one, three and two degrees that a change of what was given promised. Where others were
+    fitted, `score_given` and `score_other_fov` and so on, of which the lower is likelier, and
+    `other_fov_degrees` with `other_fov_sigma`. Infinite and NaN ones are null in a file."""
 
     def in_words(self) -> str:
         """The field of view, and how it was found."""
@@ -50,6 +53,7 @@ class Camera:
             "fov_sigma": self.fov_sigma,
             "how": self.how,
             "contradicted": self.contradicted,
+            "correction": None if self.correction is None else asdict(self.correction),
             "figures": {
                 name: value if math.isfinite(value) else None
                 for name, value in self.figures.items()
@@ -70,7 +74,14 @@ class Camera:
         contradicted = flag(content["contradicted"])
         if contradicted and not {"other_fov_degrees", "other_fov_sigma"} <= set(figures):
             raise ValueError("camera contradicted by nothing")
-        return cls(number(content["fov_degrees"]), how, sigma, contradicted, figures)
+        correction = content["correction"]
+        if correction is not None:
+            numbers = tuple(map(number, correction["numbers"]))
+            if len(numbers) != len(Correction.numbers):
+                raise ValueError(f"camera corrected by {len(numbers)} numbers")
+            correction = Correction(number(correction["reference"]), numbers)
+        fov = number(content["fov_degrees"])
+        return cls(fov, how, sigma, contradicted, correction, figures)
 
 
 def _with_sigma(degrees: float, sigma: float) -> str:

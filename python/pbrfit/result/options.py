@@ -27,6 +27,9 @@ ROBUST_LOSSES: tuple[Loss, ...] = ("huber", "cauchy")
 Align = Literal["auto", "off"]
 ALIGNMENTS: tuple[Align, ...] = get_args(Align)
 
+Response = Literal["auto", "srgb", "linear", "fit"]
+RESPONSES: tuple[Response, ...] = get_args(Response)
+
 MODELS_IN_WORDS = (
     "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
     "glTF and game engines, integrated exactly"
@@ -137,6 +140,11 @@ class FitOptions:
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
+    response
+        The tone curve of the pictures, beside what files were decoded by: `"fit"`, a monotone curve
+        common to all is fitted; `"auto"`, only where a score test asks for it; in both it is kept
+        where the score says so. `"srgb"` and `"linear"`: none is fitted; on the command line they
+        also say how integer files are decoded.
     refine_normals
         Whether to refine the given normals together with materials and lights (docs/normals.md):
         `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
@@ -170,6 +178,7 @@ class FitOptions:
     priors: Priors = field(default_factory=Priors)
     robust: Loss = "auto"
     equal_exposures: bool | None = None
+    response: Response = "auto"
     refine_normals: RefineNormals = "auto"
     align: Align = "auto"
     seed: int = 0
@@ -180,6 +189,7 @@ class FitOptions:
         self._keep(
             solver=_one_of("solver", self.solver, SOLVERS),
             robust=_one_of("robust", self.robust, LOSSES),
+            response=_one_of("response", self.response, RESPONSES),
             refine_normals=_one_of("refine_normals", self.refine_normals, CHOICES),
             align=_one_of("align", self.align, ALIGNMENTS),
             iterations=whole_number("iterations", self.iterations),
@@ -246,6 +256,12 @@ FLAGS: dict[str, Flag] = {
         "auto: samples weigh by their noise, and outliers less; huber, cauchy: losses in which "
         "outliers weigh less; none: squares (default: %(default)s)",
         values=LOSSES,
+    ),
+    "response": Flag(
+        "tone curve of the pictures. srgb, linear: how integer files are decoded, and none is "
+        "fitted beside; fit: fit one common to all, and keep it where that explains them better; "
+        "auto: only where a test asks for it (default: %(default)s)",
+        values=RESPONSES,
     ),
     "equal_exposures": Flag(
         "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "

@@ -19,6 +19,7 @@ from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
+from pbrfit.scene.correction import Correction, radius_squared
 from pbrfit.scene.plateaus import plateaus
 
 if TYPE_CHECKING:
@@ -128,6 +129,9 @@ class SceneArrays:
         takes it too, unless told otherwise. None = neither of them, or unknown.
     fov_known
         Whether somebody told the field of view; False where `fov` is a number to start from.
+    correction
+        What undoes the camera's tone curve and vignetting in `samples`; None = nothing. A fit finds
+        it.
 
     Raises
     ------
@@ -152,6 +156,7 @@ class SceneArrays:
     source: Source | None = None
     model: Model | None = None
     fov_known: bool = True
+    correction: Correction | None = None
 
     def __post_init__(self) -> None:
         images = any_array("images", self.images)
@@ -294,9 +299,12 @@ class SceneArrays:
                 return values.reshape(-1, *values.shape[2:])
             return np.asarray(values[self.valid])
 
-        samples = at(self.images[picture])
+        samples: NDArray[np.floating[Any]] = at(self.images[picture])
         if self.weights is not None:
             samples[at(self.weights[picture]) == 0] = 0
+        if self.correction is not None:
+            corrected = self.correction.applied(samples, at(self.radius_squared))
+            samples = corrected.astype(self.images.dtype)
         return samples
 
     def channel_weights(
@@ -330,14 +338,31 @@ class SceneArrays:
         mean /= 3
         return mean
 
-    def through(self, fov: float) -> Self:
-        """The same scene through a lens of another field of view, in degrees; it shares all else.
+    def through(self, fov: float, correction: Correction | None = None) -> Self:
+        """The same scene by another camera, of a field of view in degrees; it shares all else.
 
         The new number is not told by anybody: whether it was known stays as it is.
         """
         found = copy.copy(self)
         object.__setattr__(found, "fov", fov)
+        object.__setattr__(found, "correction", correction)
         return found
+
+    @lazy
+    def radius_squared(self) -> NDArray[np.float64]:
+        """(H, W): squared distance of pixels from the middle, 1 in the corners."""
+        return radius_squared(self.height, self.width)
+
+    def picture(self, i: int, rows: slice) -> NDArray[np.floating[Any]]:
+        """Some rows of a picture, (h, W, 3), corrected."""
+        if self.correction is None:
+            return self.images[i, rows]
+        return self.correction.applied(self.images[i, rows], self.radius_squared[rows])
+
+    def mean_brightness(self) -> float:
+        """Of all samples, as they came."""
+        raw = self.through(self.fov)
+        return float(np.mean([raw.brightness(i).mean() for i in range(len(self.images))]))
 
     @property
     def views(self) -> NDArray[np.float64]:

@@ -103,7 +103,8 @@ def test_limits_count_where_the_model_is_on_the_wrong_side() -> None:
         at_limit = limits[picture][scene.valid] > 0
         wrong = (sign * residuals[picture] > 0) & at_limit
         right = (sign * residuals[picture] < 0) & at_limit
-        assert wrong.any() and right.any()
+        assert wrong.any()
+        assert right.any()
         assert (weights[picture][wrong] > 0).all()
         assert (weights[picture][right] == 0).all()
 
@@ -143,4 +144,5 @@ def test_fits_stand_bad_samples_and_pictures(kind: str) -> None:
         robust="none",
     )
     assert errors[kind] <= 1.5 * errors["sound"] + 0.002
-    assert errors[kind] < rmse(squares.albedo, truth)
+    if kind != "black":
+        assert 2 * errors[kind] < rmse(squares.albedo, truth)

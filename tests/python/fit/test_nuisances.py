@@ -19,6 +19,7 @@ from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, degrees, log_tangent
 from pbrfit.fit.pixels import fit_all
 from pbrfit.result.camera import Camera
+from pbrfit.scene.correction import Correction
 from pbrfit.synthetic import make_scene
 from scene_kinds import at_truth
 
@@ -132,7 +133,9 @@ def test_a_given_field_of_view_is_contradicted_where_pictures_do(
     caplog.clear()
     with caplog.at_level(logging.WARNING, "pbrfit"):
         right = decompose(scene, **FAST)
-    assert right.camera == Camera(90.0, "given")
+    assert right.camera is not None
+    assert right.camera.in_words() == "90 degrees, given"
+    assert not right.camera.contradicted
     assert not [record for record in caplog.records if "field of view" in record.message]
 
 
@@ -175,7 +178,9 @@ def test_unknown_stays_unknown_on_the_way_through_a_folder(tmp_path: Path) -> No
         Camera(60.0, "given"),
         Camera(62.25, "fitted", 1.1),
         Camera(60.0, "assumed"),
-        Camera(60.0, "given", None, True, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}),
+        Camera(
+            60.0, "given", None, True, None, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}
+        ),
     ],
 )
 def test_result_json_holds_the_camera(camera: Camera, tmp_path: Path) -> None:
@@ -201,3 +206,64 @@ def test_tiles_take_the_camera_of_the_subset(monkeypatch: pytest.MonkeyPatch) ->
 
 def _tiled(plan: Any) -> Any:
     return lambda *arguments, **options: replace(plan(*arguments, **options), tiled=True)
+
+
+def bent(scene: Scene, numbers: tuple[float, ...]) -> Scene:
+    """As a camera with the inverse of a correction shows it."""
+    correction = Correction(scene.mean_brightness(), numbers)
+    images = correction.applied(scene.images, scene.radius_squared)
+    return replace(scene, images=images.astype(np.float32))
+
+
+CURVE, SHADE = (0.1, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -0.35, 0.0)
+
+
+@pytest.mark.parametrize(("numbers", "topic"), [(CURVE, "response"), (SHADE, "vignetting")])
+def test_what_a_camera_does_to_pictures_is_undone(
+    numbers: tuple[float, ...], topic: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_scene("furnished", size=64, lights=16, noise=0.01, seed=301, held_out=2)
+    plain = decompose(scene, **FAST)
+    found = decompose(bent(scene, numbers), **FAST)
+    assert plain.camera is not None
+    assert plain.camera.correction is None
+    assert plain.camera.figures[f"score_test_{topic}"] < settings.CAMERA_GAIN_MIN
+    assert found.camera is not None
+    assert found.camera.correction is not None
+    assert found.camera.figures[f"score_test_{topic}"] > settings.CAMERA_GAIN_MIN
+    fitted = found.camera.correction.numbers
+    if topic == "response":
+        assert fitted[0] == pytest.approx(-0.1, abs=0.03)
+    else:
+        assert sum(fitted[3:]) == pytest.approx(0.35, abs=0.15)
+    assert topic in found.assumed
+    monkeypatch.setattr(settings, "CAMERA_GAIN_MIN", np.inf)
+    held = decompose(bent(scene, numbers), **FAST)
+    assert found.metrics["albedo_rmse"] < 0.8 * held.metrics["albedo_rmse"]
+    assert Camera.from_json(found.camera.as_json()) == found.camera
+
+
+def test_a_tone_curve_is_fitted_where_it_is_asked_for_and_not_where_none_is_wanted() -> None:
+    scene = room(size=24)
+    stages = {
+        response: [
+            stage.note
+            for stage in decompose(scene, response=response, **FAST).stages
+            if stage.name == "camera"
+        ]
+        for response in ("auto", "fit", "linear")
+    }
+    assert "response" not in stages["auto"][0]
+    assert "score test of response" in stages["fit"][0]
+    assert "response" not in stages["linear"][0]
+    assert decompose(bent(scene, CURVE), response="srgb", **FAST).assumed.get("response") is None
+
+
+def test_units_are_those_of_the_pictures_as_they_came() -> None:
+    """A correction changes the mean; what x counts in stays."""
+    scene = bent(room(size=24), CURVE)
+    objective = Objective(scene, threads=1)
+    scale, x = objective.scale, objective.start()
+    objective.see(scene.through(scene.fov, Correction(scene.mean_brightness(), (-0.1, 0, 0, 0, 0))))
+    assert objective.scale == scale
+    assert np.isfinite(objective.value_and_grad(x)[0])

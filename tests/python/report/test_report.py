@@ -402,7 +402,9 @@ def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path
         (Camera(62.0, "fitted", 4.9), ""),
         (Camera(62.0, "fitted", 5.1), "hardly known: 62 ± 5 degrees, fitted"),
         (
-            Camera(60.0, "given", None, True, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}),
+            Camera(
+                60.0, "given", None, True, None, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}
+            ),
             "60 degrees, given; the pictures fit far better with about 88 ± 2",
         ),
     ],

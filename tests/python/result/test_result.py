@@ -108,6 +108,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "robust": "none",
         "equal_exposures": None,
         "seed": 0,
+        "response": "auto",
         "refine_normals": "auto",
         "model": None,
         "uncertainty": True,

@@ -87,7 +87,7 @@ def fit(
     def with_given(lights: Lights | None = None) -> PixelFit:
         if lights is None and run.camera.how == "assumed" and run.left > 0:
             with one_blas_thread():
-                lights = find_lights(run, x)
+                lights, _ = doubt_camera(run, x, find_lights(run, x))
         return PixelFit(run, *solve(run, x.copy(), start_given=start_given, lights=lights))
 
     why = "not asked for" if asked == "off" else hindered
@@ -104,8 +104,7 @@ def fit(
             return with_given(), Refinement(asked, False, OUT_OF_TIME)
         return refined, Refinement(asked, True, "asked for")
     with one_blas_thread():
-        lights = find_lights(run, x)
-        other = doubt_camera(run, x, lights)
+        lights, other = doubt_camera(run, x, find_lights(run, x))
     figures = _figures(run.objective, lights, "before")
     why = _keeps_given(run, lights, other) if asked == "auto" else None
     if why is None and run.out_of_time():
@@ -238,7 +237,7 @@ def _find_normals(
         start_from_level(free, x, level, part)
         notes += [f"{len(level.pixels)} pixels", found.misfit.in_words()]
         if nuisances is not None:
-            notes.append(f"field of view {nuisances.camera().in_words()}")
+            notes.append(f"field of view {nuisances.camera(run.camera).in_words()}")
     return replace(prior, sigma=of_level.offsets.sigma), found, nuisances
 
 

@@ -87,7 +87,8 @@ def fit_tiles(
     cutter = SceneCutter(scene)
     window = strided_window(scene.valid, *subset_pixels)
     subset = fit_subset(cutter, window, setup, units, start)
-    cutter.scene = scene.through(subset.run.camera.fov_degrees)
+    camera = subset.run.camera
+    cutter.scene = scene.through(camera.fov_degrees, camera.correction)
     layout = setup.layout(scene)
     maps = TiledMaps(scene, layout, uncertain=options.uncertainty)
     smooth = options.priors.smoothness or subset.refinement.refined

@@ -116,6 +116,11 @@ class PartialScene(Scene):
         return noise.deviation(self.images[picture], self.window.rows, self.window.columns)
 
     @lazy
+    def radius_squared(self) -> NDArray[np.float64]:
+        """(h, w): squared distance of pixels from the middle of the whole, 1 in its corners."""
+        return self.window.of(self.whole.radius_squared)
+
+    @lazy
     def grey(self) -> bool:
         """Whether the pictures, and the lights if they are known, have three equal channels."""
         return self.whole.grey and (self.lighting is None or equal_channels(self.lighting))
@@ -157,6 +162,7 @@ class SceneCutter:
             normals=window.of(scene.normals),
             fov=scene.fov,
             fov_known=scene.fov_known,
+            correction=scene.correction,
             mask=of(scene.mask),
             segments=of(self._labels),
             lighting=scene.lighting if lighting is None else lighting,
