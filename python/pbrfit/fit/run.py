@@ -17,6 +17,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import FittedPrior
 from pbrfit.fit.priors.penalties import Penalty
+from pbrfit.fit.scale import Scale
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.result.data import Stage, Status
@@ -106,6 +107,8 @@ class Run:
         """When the material prior was fitted: the monochrome weight is chosen by it."""
         self.fitted_prior: FittedPrior | None = None
         """The material prior as it was fitted last."""
+        self.scale: Scale | None = None
+        """What is known of the common scale of lights and albedo."""
         self._progress, self._began = progress, began
         self.unmeasured = 0.0
         """Seconds spent on comparing with the ground truth and in `progress`."""
