@@ -19,6 +19,7 @@ from pbrfit.fit import memory
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
+from pbrfit.fit.scale import checked_white
 from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
@@ -108,8 +109,14 @@ def decompose(
     hindered = hindrance(scene) if refining else None
     if hindered and options.refine_normals == "on":
         log.warning("normals are not refined: %s", hindered)
+    white = options.white
+    if white is not None:
+        if scene.lighting is not None:
+            raise InputError("white: expected unknown lights, found known ones, which have a scale")
+        size = None if scene.source is None else scene.source.size
+        white = checked_white(white, scene.valid, size or scene.valid.shape)
     setup = FitSetup(
-        options=replace(options, model=model),
+        options=replace(options, model=model, white=white),
         threads=threads,
         progress=progress,
         began=began,
@@ -281,6 +288,7 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str
         assumed.setdefault("model", f"{scene.model}, with which the pictures were rendered")
     if fit.noise is not None and (remarks := fit.noise.remarks(scene.names, fit.exposures)):
         assumed["noise"] = remarks
+    assumed["scale"] = fit.scale
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)
     return assumed

@@ -10,7 +10,8 @@
    together with the lights by as many pixels, evenly spread over the segments.
    Where pictures are so few that lights are ambiguous, both come from two starts, and the
    likelier stay.
-3. **All pixels**: each by itself under these lights, from the grid and around its prior; without
+3. **Scale** (`scale`): lights get the scale that the marginal likelihood says.
+4. **All pixels**: each by itself under these lights, from the grid and around its prior; without
    one, joint steps of all pixels and lights follow.
 
 A scene that the model fits and one that it does not go the same way. Where lights are known, steps
@@ -30,7 +31,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import lbfgsb, misfit, settings
+from pbrfit.fit import lbfgsb, misfit, scale, settings
 from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
@@ -465,8 +466,13 @@ def fit_mixture_prior(
     that were found with it.
     """
     objective, x, held = run.objective, lights.x, []
+    if lights.shared is not None:
+        with run.stage("material prior") as notes:
+            lights = _with_prior(run, (lights, *others), notes)
+        with run.stage("scale") as notes:
+            lights = _with_scale(run, lights, notes)
     with run.stage("material prior") as notes:
-        found = _fitted_prior(run, (lights, *others), notes)
+        found = _fitted_prior(run, lights)
         if found is None:
             notes.append("stopped before all pixels had theirs")
             return x, None
@@ -485,37 +491,57 @@ def fit_mixture_prior(
     return x, prior
 
 
-def _fitted_prior(
-    run: Run, candidates: tuple[Lights, ...], notes: list[str]
-) -> tuple[Array, GaussianPrior] | None:
-    """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
-    strength, x = run.options.priors.material, candidates[0].x
-    objective = _robust(run, run.objective, x)
-    if run.shared_state is not None:
-        assert run.shared_state.material is not None
-        return run.shared_state.material.applied(objective, x, run.out_of_time)
+def _with_prior(run: Run, candidates: tuple[Lights, ...], notes: list[str]) -> Lights:
+    """The likeliest of some lights, each as it is with the material prior."""
+    strength = run.options.priors.material
+    objective = _robust(run, run.objective, candidates[0].x)
     variance = min(each.misfit.of_likelihood for each in candidates)
-    scores: list[tuple[float, Array]] = []
+    scores: list[tuple[float, Lights]] = []
     for each in candidates:
-        found = each.x
-        if each.shared is not None:
-            of_pixel = each.misfit.of_likelihood
-            found = with_lights(objective, found, strength, of_pixel, each.shared, run.out_of_time)
+        assert each.shared is not None
+        of_pixel = each.misfit.of_likelihood
+        x = with_lights(objective, each.x, strength, of_pixel, each.shared, run.out_of_time)
         if scores and run.out_of_time():
             break
         score = 0.0
         if len(candidates) > 1 and not run.out_of_time():
-            assert each.shared is not None
             lights = each.shared.lights.weighing(variance, variance, objective.pixels)
-            score = surprise(objective, found, variance, lights)
-        scores.append((score, found))
-    x = min(scores, key=itemgetter(0))[1]
+            score = surprise(objective, x, variance, lights)
+        scores.append((score, replace(each, x=x)))
     if len(scores) > 1:
         notes.append(
             "-2 ln of the likelihood of lights: "
             + ", ".join(f"{score - scores[0][0]:+.0f}" for score, _ in scores[1:])
             + " from the second start"
         )
+    surest = min((each.misfit for each in candidates), key=lambda one: one.of_likelihood)
+    return replace(min(scores, key=itemgetter(0))[1], misfit=surest)
+
+
+def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
+    """Lights with the scale that the marginal likelihood says."""
+    assert lights.shared is not None
+    strength, variance = run.options.priors.material, lights.misfit.of_likelihood
+    objective = _robust(run, run.objective, lights.x)
+    found = None
+    if not run.out_of_time():
+        found = scale.find(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
+    if found is None:
+        notes.append("stopped before it was found")
+        return lights
+    x, run.scale = found
+    notes.append(run.scale.note)
+    return replace(lights, x=x)
+
+
+def _fitted_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior] | None:
+    """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
+    strength, x = run.options.priors.material, lights.x
+    objective = _robust(run, run.objective, x)
+    if run.shared_state is not None:
+        assert run.shared_state.material is not None
+        return run.shared_state.material.applied(objective, x, run.out_of_time)
+    variance = lights.misfit.of_likelihood
     steps = run.options.solver == "gauss-newton"
     # Penalties that follow have to weigh against the data as they are.
     once = steps and not _beyond_squares(run, None)

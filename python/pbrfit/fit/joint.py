@@ -169,7 +169,7 @@ class JointFit:
         self.shared.size = self.lights.mean.size + len(others)
         self.shared.stale = False
 
-    def _solved(self, v: Array) -> Array:
+    def solved(self, v: Array) -> Array:
         """S⁻¹ v by the preconditioner."""
         assert self.shared.inverse is not None
         return self.shared.inverse(v) / self.objective.pixels
@@ -254,7 +254,7 @@ class JointFit:
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
         residual, moves = right.copy(), np.zeros_like(right)
-        direction = preconditioned = self._solved(residual)
+        direction = preconditioned = self.solved(residual)
         first = size_now = float(residual @ preconditioned)
         if not first >= enough:
             return moves
@@ -268,7 +268,7 @@ class JointFit:
             length = size_now / curvature
             moves += length * direction
             residual -= length * along
-            preconditioned = self._solved(residual)
+            preconditioned = self.solved(residual)
             size_before, size_now = size_now, float(residual @ preconditioned)
             if size_now <= max(ratio**2 * first, settings.CG_GAIN_SHARE * enough):
                 break

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.sampling import slices
 
@@ -73,6 +74,20 @@ def whitening(matrices: Array, held: NDArray[np.bool_], damping: float) -> Array
     np.einsum("pii->pi", scaled)[:] += damping
     # A⁻¹ = S (L Lᵀ)⁻¹ S with Cholesky's L, so U = L⁻¹ S.
     return np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)) * scale[:, None, :])
+
+
+def albedo_solved_for(objective: Objective, x: Array) -> tuple[Array, Array]:
+    """Jᵀ(1 − P)J (P, F, F) and Jᵀ(1 − P)r (P, F) of what pixels have beside albedo.
+
+    P projects on what albedos between their bounds can do.
+    """
+    pixels, c = np.arange(objective.pixels, dtype=np.uint64), objective.channels
+    matrices, gradient, _ = objective.problem.normal_equations(objective.for_core(x), pixels)
+    across, diagonal = matrices[:, :c, c:], np.einsum("pii->pi", matrices[:, :c, :c])
+    free = ~held_at_bounds(x, objective.layout)[:, :c] & (diagonal > 0)
+    inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=free)
+    left = matrices[:, c:, c:] - np.einsum("pca,pc,pcb->pab", across, inverse, across)
+    return left, gradient[:, c:] - np.einsum("pca,pc,pc->pa", across, inverse, gradient[:, :c])
 
 
 def held_at_bounds(x: Array, layout: ParameterLayout) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import FittedPrior
 from pbrfit.fit.priors.penalties import Penalty
+from pbrfit.fit.scale import Scale
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.result.camera import Camera
@@ -115,6 +116,8 @@ class Run:
         """Of samples, as it was found last."""
         self.camera = Camera(scene.fov, "given" if scene.fov_known else "assumed")
         """What has been decided about it."""
+        self.scale: Scale | None = None
+        """What is known of the common scale of lights and albedo."""
         self._progress, self._began = progress, began
         self.unmeasured = 0.0
         """Seconds spent on comparing with the ground truth and in `progress`."""

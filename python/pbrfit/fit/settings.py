@@ -361,6 +361,54 @@ OFFSET_PRECISION_SHARE = 1e-3
 small that clusters move almost freely."""
 
 
+# --- Scale ------------------------------------------------------------------------------------
+
+SCALE_PIXELS = 4096
+SCALE_STEPS = 8
+"""Pixels that find the common scale of lights and albedo, and joint steps at most: as in the last
+round of the material prior, and twice the steps, because the softest direction settles last."""
+
+SPREAD_MIN = 0.002
+"""Smallest standard deviation of roughness and metallic in a group of pixels of one material. It is
+below what pixels tell together: 0.1/√1000 of a thousand dielectric ones."""
+
+SCALE_DIFFERENCE = 0.02
+"""Relative change of the scale on either side, in the differences that tell how determinants change
+with it: about its standard deviation, far above rounding."""
+
+SCALE_STEP_MAX = 0.1
+"""Largest relative step of the scale by a linear change of the lights: its square leaves 1 %."""
+
+SCALE_PATCHES = 8
+"""Patches along the longer side of the picture, the groups of its jackknife: 64 tell a variance to
+a fifth, and are larger than what a shadow or a JPEG's block has in common."""
+
+LEVERAGE_MAX = 0.5
+"""Share of the information on the scale that a group counts as having, at most: where one has
+nearly all, there are no others to compare it with."""
+
+FREEDOM_MIN = 3.0
+"""Smallest degrees of freedom of a jackknife's variance. With fewer the 95 % of Student's t are a
+statement on its tails, and not on the groups."""
+
+UNIFORM_PRECISION = 12.0
+"""1/variance of a number that may lie anywhere in [0, 1]."""
+
+WHITE_RADIUS = 1
+"""Rows and columns on each side of a reference's pixel that belong to it: 3 × 3."""
+
+WHITE_TOLERANCE = 0.02
+"""Relative standard deviation of a reference's albedo: what printed charts are made to."""
+
+WHITE_ERROR = 1e-4
+WHITE_STEPS_MAX = 40
+"""Relative error of a reference's albedo at which lights are left, and steps towards it, of
+`SCALE_STEP_MAX` at most: a factor of 50."""
+
+WHITE_ALBEDO_MIN = 1e-3
+"""Albedo below which a reference's pixels count as that: they were taken for something else."""
+
+
 # --- Normals ----------------------------------------------------------------------------------
 
 STRIDED_SUBSET_EXCESS = 1.25

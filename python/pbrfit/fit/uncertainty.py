@@ -48,11 +48,13 @@ def estimate(
     x: Array,
     *,
     priors: bool = False,
+    albedo_scale: Array | None = None,
     light_pixels: int = LIGHT_PIXELS_MAX,
 ) -> Uncertainty:
     """Uncertainty of a fit that ended at x; the lights' covariance is from so many pixels at most.
 
-    `priors`, whether priors took part in the fit, is passed on to `Uncertainty`.
+    `priors`, whether priors took part in the fit, and the relative deviation of the scale, by
+    `pbrfit.fit.scale`, are passed on to `Uncertainty`.
     """
     lights = light_modes(objective, x, light_pixels)
     return of_variances(
@@ -62,6 +64,7 @@ def estimate(
         samples=objective.samples,
         scale=objective.scale,
         priors=priors,
+        albedo_scale=albedo_scale,
     )
 
 
@@ -132,6 +135,7 @@ def of_variances(
     samples: int,
     scale: float,
     priors: bool,
+    albedo_scale: Array | None,
 ) -> Uncertainty:
     """The uncertainty with the noise that is left, from those of all pixels, which change.
 
@@ -150,12 +154,12 @@ def of_variances(
         np.minimum(variances, SIGMA_MAX, out=variances)
         return variances
 
-    albedo_scale = np.zeros(3)
-    if lights is not None:
-        albedo_scale[:] = (
-            np.minimum(lights.scale * noise, SIGMA_MAX) if noise is not None else SIGMA_MAX
-        )
-    red, green, blue = albedo_scale.tolist()
+    if lights is None:
+        albedo_scale = np.zeros(1)
+    elif albedo_scale is None or noise is None:
+        albedo_scale = np.full(1, SIGMA_MAX)
+    deviation = np.minimum(albedo_scale, SIGMA_MAX)
+    red, green, blue = np.broadcast_to(deviation, 3).tolist()
     of_conditional = _materials(deviations(found.conditional), layout)
     marginal = deviations(found.marginal)
     return Uncertainty(
@@ -180,8 +184,6 @@ class LightModes:
     """(R, N, K, C): those that matter to materials."""
     free: Array
     """(F, N, K, C), as strong as the lights themselves: those that materials can make up for."""
-    scale: Array
-    """(C,) or (1,): relative deviation of the scale of a channel's lights."""
     pixels: int
     """How many they are from."""
     omitted: float
@@ -234,29 +236,9 @@ def light_modes(
     return LightModes(
         modes=modes[:used],
         free=in_x(vectors[:, is_free] * np.linalg.norm(in_units)),
-        scale=_scale_deviation(
-            in_units.reshape(layout.pictures, light_channels, k), vectors, deviation, more
-        ),
         pixels=len(pixels),
         omitted=_omitted(objective, for_core, pixels, own_held, modes, used),
     )
-
-
-def _scale_deviation(in_units: Array, vectors: Array, deviation: Array, more: float) -> Array:
-    """(light channels,): relative deviation of the lights' size in each channel.
-
-    A change d of the lights l changes their size by the share lᵀd / lᵀl. In directions that were
-    not computed λ is 1.
-    """
-    found = []
-    for channel in range(in_units.shape[1]):
-        lights = np.zeros_like(in_units)
-        lights[:, channel] = in_units[:, channel]
-        size = max(float(np.linalg.norm(lights)), np.finfo(np.float64).tiny)
-        along = lights.ravel() @ vectors / size
-        others = max(0.0, 1 - float(np.square(along).sum()))
-        found.append(np.sqrt(np.square(along * deviation).sum() + others / more) / size)
-    return np.array(found)
 
 
 def _omitted(

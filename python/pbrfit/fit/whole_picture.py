@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import scale
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Progress, Run, SharedState
 from pbrfit.fit.uncertainty import estimate
 from pbrfit.model.materials import Materials
@@ -22,6 +24,7 @@ from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.refinement import Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -109,6 +112,8 @@ class FitOutput:
     """What was decided about normals, and about the camera."""
     exposures: Array | None
     """As in `Objective`."""
+    scale: str
+    """What the scale between lights and albedo rests on, in words."""
     measured_lighting: Array | None
     """Lights by which the monochrome weight was chosen; None = it was not."""
     noise: NoiseModel | None = None
@@ -122,7 +127,12 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     seconds = run.elapsed
     uncertainty = None
     if setup.options.uncertainty:
-        uncertainty = estimate(run.objective, x, priors=setup.options.priors != Priors.none())
+        uncertainty = estimate(
+            run.objective,
+            x,
+            priors=setup.options.priors != Priors.none(),
+            albedo_scale=None if run.scale is None else run.scale.deviation,
+        )
     materials, lighting = run.objective.unpack(x)
     return FitOutput(
         materials=materials,
@@ -139,9 +149,17 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         refinement=refinement,
         camera=run.camera,
         exposures=run.objective.exposures,
+        scale=scale_in_words(run),
         measured_lighting=run.measured_lighting,
         noise=run.noise,
     )
+
+
+def scale_in_words(run: Run) -> str:
+    """What the scale of a fit rests on."""
+    if run.scale is not None:
+        return run.scale.assumed
+    return "by the known lights" if run.objective.lighting is None else "by the start"
 
 
 def fit_pixels(
@@ -157,7 +175,7 @@ def fit_pixels(
         return setup.objective(of, free_normals=free_normals, units=units)
 
     objective = make(scene, False)
-    return refined_fit.fit(
+    found, refinement = refined_fit.fit(
         setup.run(scene, objective),
         _start_of(objective, start),
         make,
@@ -165,6 +183,26 @@ def fit_pixels(
         asked=setup.options.refine_normals,
         hindered=setup.normals_hindrance,
     )
+    return _with_scale(found, setup.options), refinement
+
+
+@one_blas_thread()
+def _with_scale(found: refined_fit.PixelFit, options: FitOptions) -> refined_fit.PixelFit:
+    """The fit with the scale of its reference, if it has one, and what is known of its scale."""
+    run, x = found.run, found.x
+    if run.objective.lighting is None or not run.iteration:
+        return found
+    of_material = [one for one in run.objective.penalties if isinstance(one, GaussianPrior)]
+    prior = of_material[0] if of_material else None
+    if options.white is not None:
+        with run.stage("scale by the reference"):
+            x, run.scale = scale.refer(run.objective, x, prior, options.white)
+            run.record(x, run.evaluate(x)[0])
+    elif run.scale is None and options.uncertainty:
+        began = run.elapsed
+        run.scale = scale.judge(run.objective, x, prior)
+        run.unmeasured += run.elapsed - began
+    return replace(found, x=x)
 
 
 def _start_of(objective: Objective, start: Start) -> Array:

@@ -36,6 +36,12 @@ MODELS_IN_WORDS = (
 )
 
 
+WHITE_ALBEDO = 0.9
+"""Albedo of a white reference of which none is given: the white patch of a ColorChecker has a
+density of 0.05, that is 0.89 (C. McCamy, H. Marcus and J. Davidson, J. Appl. Photogr. Eng. 2,
+1976). Grey cards have 0.18."""
+
+
 @dataclass(frozen=True)
 class Priors:
     """Weights of the priors, beside a data term that is a mean over samples; 0 = not evaluated.
@@ -150,6 +156,11 @@ class FitOptions:
         `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
         three pictures cannot say it, then normals stay as they are; with `"auto"` also where there
         is not enough memory. `Result.refinement` tells what was decided and why.
+    white
+        (x, y) or (x, y, value): at this pixel, counted from 0 to the right and down as in the files
+        of the pictures, and those around it there is a diffuse white or grey reference of this
+        albedo, 0.9 where none is given. It fixes the scale between lights and albedo
+        (docs/uncertainty.md). None = no reference.
     seed
         Seed of what is drawn at random, which is nothing now: it changes no result.
     align
@@ -181,6 +192,7 @@ class FitOptions:
     response: Response = "auto"
     refine_normals: RefineNormals = "auto"
     align: Align = "auto"
+    white: tuple[float, float, float] | None = None
     seed: int = 0
     model: Model | None = None
     uncertainty: bool = True
@@ -210,6 +222,8 @@ class FitOptions:
             self._keep(metallic=unit_interval("metallic", self.metallic))
         if self.equal_exposures is not None:
             self._keep(equal_exposures=_flag("equal_exposures", self.equal_exposures))
+        if self.white is not None:
+            self._keep(white=_reference(self.white))
         if self.model is not None:
             checked_model(self.model)
 
@@ -229,6 +243,8 @@ class FitOptions:
         Results of versions that had no `refine_normals` or `align` were fitted without.
         """
         values = {"refine_normals": "off", "align": "off", **table(content)}
+        if values.get("white") is not None:
+            values["white"] = tuple(values["white"])
         if "priors" in values:
             values["priors"] = Priors(**table(values["priors"]))
         unknown = sorted(set(values) - {one.name for one in fields(cls)})
@@ -280,6 +296,12 @@ FLAGS: dict[str, Flag] = {
         "left out; off: pictures are taken as they are (default: %(default)s)",
         values=ALIGNMENTS,
     ),
+    "white": Flag(
+        "a white or grey reference at this pixel, from the left and the top, and its albedo "
+        f"(default: {WHITE_ALBEDO:g}; a grey card: 0.18): fixes the scale of albedo",
+        kind=lambda text: _reference(text.split(",")),
+        metavar="X,Y[,VALUE]",
+    ),
     "seed": Flag(
         "of what a fit draws at random, which is nothing now (default: %(default)s)",
         metavar="SEED",
@@ -299,6 +321,17 @@ def unit_interval(name: str, value: Any) -> float:
     if not 0 <= number <= 1:
         raise InputError(f"{name}: expected None or a number in [0, 1], found {value!r}")
     return number
+
+
+def _reference(white: Any) -> tuple[float, float, float]:
+    expected = "a pixel x,y, 0 or more, and perhaps an albedo above 0 and up to 1"
+    try:
+        x, y, value = map(float, [*white, WHITE_ALBEDO][:3] if len(white) in (2, 3) else ())
+    except (TypeError, ValueError):
+        raise InputError(f"white: expected {expected}, found {white!r}") from None
+    if not (0 <= x < math.inf and 0 <= y < math.inf and 0 < value <= 1):
+        raise InputError(f"white: expected {expected}, found {x:g},{y:g},{value:g}")
+    return x, y, value
 
 
 def _one_of(name: str, value: Any, values: tuple[Any, ...]) -> Any:

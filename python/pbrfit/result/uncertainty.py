@@ -42,7 +42,8 @@ class Uncertainty:
     determined."""
     albedo_scale: tuple[float, float, float]
     """Relative standard deviation, by channel, of the scale of the lights, which albedo undoes; 0
-    where they are known."""
+    where they are known. It holds what segments and patches of the picture disagree about beside
+    noise, and errors of the prior."""
     priors: bool
     """Whether the fit had priors. The deviations are those of the data alone, so they are too large
     then where priors help."""

@@ -76,6 +76,8 @@ class Source:
     code_range: tuple[int, int] | None = None
     fov: float | None = None
     """As given to `Scene.load`."""
+    size: tuple[int, int] | None = field(default=None, compare=False)
+    """(height, width) of the pictures before `max_size`; None = not known."""
 
 
 @dataclass(frozen=True, eq=False)

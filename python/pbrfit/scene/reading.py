@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -110,6 +110,7 @@ def load(
     # From here on every map must have the size that the pictures have on disk.
     mask = read.mask
     full_size, size = mask.shape, read.pixels.shape[1:3]
+    source = replace(source, size=full_size)
     if full_size != size:
         assumed["size"] = (
             f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"

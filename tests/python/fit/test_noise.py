@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from pbrfit import Scene, decompose
 from pbrfit.fit import settings
 from pbrfit.fit.noise import NoiseModel, estimated
@@ -27,7 +28,8 @@ def noisy(sigma: float | np.ndarray = SIGMA, seed: int = 3, size: int = 24) -> S
 def at_truth(scene: Scene) -> tuple[Objective, np.ndarray]:
     """The objective with all pixels, and x of the truth."""
     objective = Objective(scene)
-    assert scene.truth is not None and scene.truth.lighting is not None
+    assert scene.truth is not None
+    assert scene.truth.lighting is not None
     of = scene.truth.materials
     return objective, objective.pack(of.albedo, of.roughness, of.metallic, scene.truth.lighting)
 

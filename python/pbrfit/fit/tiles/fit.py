@@ -16,7 +16,7 @@ from pbrfit.fit.run import Run, SharedState, material_errors
 from pbrfit.fit.tiles.maps import TiledMaps
 from pbrfit.fit.tiles.subset_fit import SubsetResult, fit_subset
 from pbrfit.fit.tiles.windows import SceneCutter, Tile, strided_window, tiles
-from pbrfit.fit.whole_picture import FitOutput, FitSetup, Start
+from pbrfit.fit.whole_picture import FitOutput, FitSetup, Start, scale_in_words
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
@@ -139,6 +139,7 @@ def fit_tiles(
             samples=whole.samples,
             scale=units.scale,
             priors=options.priors != Priors.none(),
+            albedo_scale=None if clock.scale is None else clock.scale.deviation,
         )
     status, reason = ending(subset.status, subset.reason, statuses, options)
     return FitOutput(
@@ -156,6 +157,7 @@ def fit_tiles(
         refinement=subset.refinement,
         camera=subset.run.camera,
         exposures=units.exposures,
+        scale=scale_in_words(clock),
         measured_lighting=clock.measured_lighting,
         noise=clock.noise,
     )

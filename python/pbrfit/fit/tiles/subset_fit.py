@@ -54,6 +54,8 @@ def fit_subset(
     options = setup.options
     if options.time_limit is not None:
         setup = replace(setup, options=replace(options, time_limit=options.time_limit / 2))
+    if options.white is not None:
+        setup = replace(setup, options=replace(setup.options, white=window.place(*options.white)))
     whole, scene = cutter.scene, cutter.cut(window)
     if start is not None:
         start = _of_window(start, window, whole.valid)

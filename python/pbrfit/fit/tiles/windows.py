@@ -30,6 +30,11 @@ class Window:
         """A view of (H, W, ...)."""
         return values[self.rows, self.columns]
 
+    def place(self, column: float, row: float, value: float) -> tuple[float, float, float]:
+        """A place in the picture, with a value there, as one in the window."""
+        columns, rows = self.columns, self.rows
+        return (column - columns.start) / columns.step, (row - rows.start) / rows.step, value
+
 
 @dataclass(frozen=True)
 class Tile:
