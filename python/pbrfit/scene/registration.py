@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from pbrfit.io.resampling import reduced_size
 from pbrfit.scene import alignment
 from pbrfit.scene.displacement import (
-    COARSE_SIDE,
     COMPONENTS,
     LEAST_DISPLACEMENT,
     LEAST_SHARE,
+    SCREENING,
     Fit,
     Greys,
     Level,
@@ -36,6 +36,10 @@ from pbrfit.threads import one_blas_thread
 log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
+
+COARSE_SIDE, SCREENING_SIDE = 128, 64
+"""Longer side in pixels of the averaged pictures on which large displacements are found, and on
+which it is asked whether there are any."""
 
 LEAST_SIDE = 24
 """Pixels along the shorter side, below which pictures are not registered: windows need some."""
@@ -167,7 +171,6 @@ class _Register:
         self._scene, self._pictures = scene, Greys(scene)
         self._all = range(len(scene.images))
         self._small = reduced_size(self._pictures.shape, COARSE_SIDE)
-        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
         self._reasons: dict[int, str] = {}
         self._affine = np.zeros((len(self._all), 2, 3))
 
@@ -248,9 +251,8 @@ class _Register:
 
     def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
         """Pictures that seem out of line, the most evident first."""
-        levels = [self._fine]
-        if self._small != self._pictures.shape:
-            levels.append(Level(self._pictures, self._small, _BLUR))
+        sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
+        levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
         evident: dict[int, float] = {}
         for i in self._others(-1, self._all):
             fits = [level.fit(i, self._others(i, self._all)) for level in levels]
@@ -267,6 +269,7 @@ class _Register:
 
     def _settle(self, suspects: list[int], peaks: dict[int, alignment.Shift]) -> None:
         """Find the places of the suspects, in rounds."""
+        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
         coarse = [Level(self._pictures, self._small, blur) for blur in _BLURS_COARSE]
         scale = max(self._pictures.shape) / max(self._small)
         placed = set(self._others(-1, self._all)) - set(suspects)
