@@ -34,10 +34,13 @@ LEAST_DISPLACEMENT = 0.2
 the other pictures do not explain moves the estimate by less."""
 
 LEAST_SHARE = 0.2
-"""Share of the unexplained squares that a displacement has to explain."""
+"""Share that a displacement has to explain of what the other pictures leave of one: of the squares
+to be looked into, of Cauchy's loss to be believed. Light alone reached 0.16 in 1,280 pictures;
+shifts of 0.3 pixels explain 0.26 to 0.8."""
 
 LEAST_EVIDENCE = 25.0
-"""F of a displacement, from the windows' scatter, from which it is significant."""
+"""F of a displacement, from the windows' scatter, from which it is looked into. Much more than
+chance alone, because specular light leaves windows alike; a shift of 0.3 pixels has hundreds."""
 
 SCREENING = (8, 8)
 WINDOWS = (12, 12)

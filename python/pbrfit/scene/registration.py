@@ -3,9 +3,10 @@
 Where a picture lies is told by least squares (`displacement`); displacements that are too large for
 these by the correlation of edges (`alignment`), and whether it shows the same view at all.
 
-A displacement is believed where three numbers agree: it is long enough (`LEAST_DISPLACEMENT`), it
-explains a share of what the light leaves (`LEAST_SHARE`), and the windows of the picture agree on
-it (`LEAST_EVIDENCE`).
+A displacement is looked into where it is long enough (`LEAST_DISPLACEMENT`), explains a share of
+what the light leaves (`LEAST_SHARE`), and the windows of the picture agree on it
+(`LEAST_EVIDENCE`). It is believed where the picture, put back, is explained better by that share,
+and its edges lie where the others have theirs (`SURE_AGREEMENT`).
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ class Placement:
         """What was found and done, a sentence without its full stop."""
         if self.left_out:
             return f"{self.name} is left out: {self.left_out}"
-        down, right = self.affine[:, 0]
+        down, right = self.affine[:, 0].round(1) + 0.0  # no -0.0
         found = f"{self.name} was shifted by ({right:.1f}, {down:.1f}) pixels"
         (yy, yx), (xy, xx) = self.affine[:, 1:]
         if yy or yx or xy or xx:
@@ -167,6 +168,8 @@ def register(scene: Scene) -> Registration:
 
 
 class _Register:
+    """The registration of one scene, under way."""
+
     def __init__(self, scene: Scene) -> None:
         self._scene, self._pictures = scene, Greys(scene)
         self._all = range(len(scene.images))
