@@ -3,9 +3,10 @@
 Where a picture lies is told by least squares (`displacement`); displacements that are too large for
 these by the correlation of edges (`alignment`), and whether it shows the same view at all.
 
-A displacement is believed where three numbers agree: it is long enough (`LEAST_DISPLACEMENT`), it
-explains a share of what the light leaves (`LEAST_SHARE`), and the windows of the picture agree on
-it (`LEAST_EVIDENCE`).
+A displacement is looked into where it is long enough (`LEAST_DISPLACEMENT`), explains a share of
+what the light leaves (`LEAST_SHARE`), and the windows of the picture agree on it
+(`LEAST_EVIDENCE`). It is believed where the picture, put back, is explained better by that share,
+and its edges lie where the others have theirs (`SURE_AGREEMENT`).
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from numpy.typing import NDArray
 from pbrfit.io.resampling import reduced_size
 from pbrfit.scene import alignment
 from pbrfit.scene.displacement import (
-    COARSE_SIDE,
     COMPONENTS,
     LEAST_DISPLACEMENT,
     LEAST_SHARE,
+    SCREENING,
     Fit,
     Greys,
     Level,
@@ -36,6 +37,10 @@ from pbrfit.threads import one_blas_thread
 log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
+
+COARSE_SIDE, SCREENING_SIDE = 128, 64
+"""Longer side in pixels of the averaged pictures on which large displacements are found, and on
+which it is asked whether there are any."""
 
 LEAST_SIDE = 24
 """Pixels along the shorter side, below which pictures are not registered: windows need some."""
@@ -98,7 +103,7 @@ class Placement:
         """What was found and done, a sentence without its full stop."""
         if self.left_out:
             return f"{self.name} is left out: {self.left_out}"
-        down, right = self.affine[:, 0]
+        down, right = self.affine[:, 0].round(1) + 0.0  # no -0.0
         found = f"{self.name} was shifted by ({right:.1f}, {down:.1f}) pixels"
         (yy, yx), (xy, xx) = self.affine[:, 1:]
         if yy or yx or xy or xx:
@@ -163,11 +168,12 @@ def register(scene: Scene) -> Registration:
 
 
 class _Register:
+    """The registration of one scene, under way."""
+
     def __init__(self, scene: Scene) -> None:
         self._scene, self._pictures = scene, Greys(scene)
         self._all = range(len(scene.images))
         self._small = reduced_size(self._pictures.shape, COARSE_SIDE)
-        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
         self._reasons: dict[int, str] = {}
         self._affine = np.zeros((len(self._all), 2, 3))
 
@@ -248,9 +254,8 @@ class _Register:
 
     def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
         """Pictures that seem out of line, the most evident first."""
-        levels = [self._fine]
-        if self._small != self._pictures.shape:
-            levels.append(Level(self._pictures, self._small, _BLUR))
+        sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
+        levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
         evident: dict[int, float] = {}
         for i in self._others(-1, self._all):
             fits = [level.fit(i, self._others(i, self._all)) for level in levels]
@@ -267,6 +272,7 @@ class _Register:
 
     def _settle(self, suspects: list[int], peaks: dict[int, alignment.Shift]) -> None:
         """Find the places of the suspects, in rounds."""
+        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
         coarse = [Level(self._pictures, self._small, blur) for blur in _BLURS_COARSE]
         scale = max(self._pictures.shape) / max(self._small)
         placed = set(self._others(-1, self._all)) - set(suspects)

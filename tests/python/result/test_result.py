@@ -107,6 +107,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "priors": dataclasses.asdict(Priors()),
         "robust": "none",
         "equal_exposures": None,
+        "align": "auto",
         "seed": 0,
         "response": "auto",
         "refine_normals": "auto",
@@ -119,6 +120,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
     assert content["assumed"] == {
         "fov": "60 degrees, asked for",
         "model": f"{DEFAULT_MODEL}, the default",
+        "alignment": "not checked: pictures below 24 pixels",
     }
     masked, monochrome = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
