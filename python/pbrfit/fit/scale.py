@@ -289,7 +289,7 @@ class _Curve:
         if count < settings.PATCHES_MIN:
             return np.zeros(len(self.solved))
         moves, shares = map(np.array, zip(*map(self._moves, groups), strict=True))
-        moves /= 1 - np.minimum(shares, settings.LEVERAGE_MAX)
+        moves /= 1 - np.minimum(shares, settings.GROUP_LEVERAGE_MAX)
         moves -= moves.mean(axis=0)
         squares = np.square(moves).sum(axis=0)
         freedom = squares**2 / np.maximum((moves**4).sum(axis=0), np.finfo(np.float64).tiny)

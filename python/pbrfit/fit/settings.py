@@ -383,7 +383,7 @@ SCALE_PATCHES = 8
 """Patches along the longer side of the picture, the groups of its jackknife: 64 tell a variance to
 a fifth, and are larger than what a shadow or a JPEG's block has in common."""
 
-LEVERAGE_MAX = 0.5
+GROUP_LEVERAGE_MAX = 0.5
 """Share of the information on the scale that a group counts as having, at most: where one has
 nearly all, there are no others to compare it with."""
 
