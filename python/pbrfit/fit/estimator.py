@@ -255,7 +255,8 @@ def _score_tests(
     few, part = level.objective, run.objective.part_of(lights.x, level.pixels)
     if lights.noise is not None:
         few = few.weighed(lights.noise.weights(few, part))
-    fit = lights.shared.joint_fit(few, part, _fit_level(few, part))
+    # A copy: where nothing is changed, what follows has to be the same to the last bit.
+    fit = copy(lights.shared).joint_fit(few, part, _fit_level(few, part))
     nuisances = Nuisances(run.scene, [one for group in groups.values() for one in group])
     if groups:
         nuisances.estimate(few, part, fit, lights.misfit)

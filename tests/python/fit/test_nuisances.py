@@ -127,7 +127,7 @@ def test_a_given_field_of_view_is_contradicted_where_pictures_do(
     assert not found.refinement.refined
     assert found.camera.contradicted
     assert found.camera.figures["other_fov_degrees"] == pytest.approx(90.0, abs=2.0)
-    assert found.camera.figures["score_other"] < found.camera.figures["score_given"]
+    assert found.camera.figures["score_other_fov"] < found.camera.figures["score_given"]
     assert found.assumed["fov"].startswith("60 degrees, given; the pictures fit far better with")
     assert any(found.assumed["fov"] in record.message for record in caplog.records)
     caplog.clear()
