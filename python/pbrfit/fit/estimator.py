@@ -470,8 +470,9 @@ def fit_mixture_prior(
     if lights.shared is not None:
         with run.stage("material prior") as notes:
             lights = _with_prior(run, (lights, *others), notes)
-        with run.stage("scale") as notes:
-            lights = _with_scale(run, lights, notes)
+        if not lights.exact:
+            with run.stage("scale") as notes:
+                lights = _with_scale(run, lights, notes)
     with run.stage("material prior") as notes:
         found = _fitted_prior(run, lights)
         if found is None:

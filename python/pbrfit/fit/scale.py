@@ -30,12 +30,13 @@ scores s_b and the share S_b of S that groups have, the jackknife that leaves ou
     (B − 1)/B Σ_b u_b²      u_b = (a S⁻¹ s_b + ½ s² C g_b)/(1 − a S⁻¹ S_b S⁻¹ aᵀ/C), less their mean
 
 (J. MacKinnon and H. White, J. Econometrics 29, 1985; for groups R. Bell and D. McCaffrey, Survey
-Methodology 28, 2002). Groups are segments, or square patches of the picture; the largest of the
-three variances counts. Few groups tell a variance badly: with ν = (Σ u²)²/Σ u⁴ degrees of freedom
-(F. Satterthwaite, Biometrics Bulletin 2, 1946) the deviation is that whose double is the 95 % of
-Student's t. And the prior is one of several that describe the same pixels: the lights before it was
-without data, and without the step, are another answer. Two answers that are d apart, and equally
-likely, have the standard deviation d/2 (D. Draper, J. R. Statist. Soc. B 57, 1995).
+Methodology 28, 2002). Groups are segments (without them clusters of the prior), or square patches;
+the largest of the three variances counts. Few groups tell a variance badly: with ν = (Σ u²)²/Σ u⁴
+degrees of freedom (F. Satterthwaite, Biometrics Bulletin 2, 1946) the deviation is that whose
+double is the 95 % of Student's t. And the prior is one of several that describe the same pixels:
+the lights before it was without data, and without the step, are another answer. Two answers that
+are d apart, and equally likely, have the standard deviation d/2 (D. Draper, J. R. Statist. Soc.
+B 57, 1995).
 
 **References.** Where the albedo of some pixels is known, it tells t, and lights move along V until
 it is met.
@@ -104,7 +105,8 @@ def find(
     step = np.clip(curve.step, -settings.SCALE_STEP_MAX, settings.SCALE_STEP_MAX)
     part[few.layout.lighting] += as_in_x(step @ curve.directions, few.layout)
     moved = _by_channel(part[few.layout.maps.stop :], before, few)
-    variances = curve.variances(groupings(objective.layout, pixels)) + (moved / 2) ** 2
+    by_group = curve.variances(groupings(objective.layout, pixels, prior.cluster))
+    variances = by_group + (moved / 2) ** 2
     x = x.copy()
     x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
     deviation = np.sqrt(variances)
@@ -167,12 +169,16 @@ def refer(
     return x, Scale(np.sqrt(variances), said)
 
 
-def groupings(layout: ParameterLayout, pixels: Pixels) -> list[Labels]:
-    """Groups (Q,) of some pixels: patches of the picture, and segments where there are any."""
+def groupings(
+    layout: ParameterLayout, pixels: Pixels, cluster: Labels | None = None
+) -> list[Labels]:
+    """Groups (Q,) of some pixels: patches of the picture, and segments, or else clusters (Q,)."""
     rows, columns = (of_all[pixels] for of_all in np.nonzero(layout.valid))
     side = max(1, round(max(layout.valid.shape) / settings.SCALE_PATCHES))
     found = [rows // side * layout.valid.shape[1] + columns // side]
-    return found if layout.segments is None else [*found, layout.segments[pixels]]
+    if layout.segments is not None:
+        cluster = layout.segments[pixels]
+    return found if cluster is None else [*found, cluster]
 
 
 def checked_white(

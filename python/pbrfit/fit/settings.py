@@ -325,11 +325,10 @@ PRIOR_NODE_SPACING = 0.03
 PRIOR_SIGMA_MIN = 0.01
 """Smallest standard deviation of a pixel's Gaussian prior in roughness and metallic."""
 
-PRIOR_ROUNDS = ((0.05, 1024, 8), (0.02, 1024, 8), (PRIOR_SIGMA_MIN, 4096, 4))
+PRIOR_ROUNDS = ((0.05, 1024, 8), (0.02, 1024, 8), (PRIOR_SIGMA_MIN, 2048, 4))
 """Rounds that find lights and prior together: that deviation, wide at first, while lights are
-wrong; pixels; and joint steps at most. The error of lights falls with the root of the number of
-pixels. On seventeen rooms of 64² to 256² with noise, 8192 pixels in the last round, or four more
-steps, changed errors by less than 4 % in the geometric mean."""
+wrong; pixels; and joint steps at most. The stage after them, which finds the scale, has more
+pixels (`SCALE_PIXELS`)."""
 
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
@@ -364,9 +363,9 @@ small that clusters move almost freely."""
 # --- Scale ------------------------------------------------------------------------------------
 
 SCALE_PIXELS = 4096
-SCALE_STEPS = 8
-"""Pixels that find the common scale of lights and albedo, and joint steps at most: as in the last
-round of the material prior, and twice the steps, because the softest direction settles last."""
+SCALE_STEPS = 6
+"""Pixels that find the common scale of lights and albedo, and joint steps at most: more than the
+rounds before have, because the softest direction settles last."""
 
 SPREAD_MIN = 0.002
 """Smallest standard deviation of roughness and metallic in a group of pixels of one material. It is

@@ -167,10 +167,12 @@ def test_what_ran_is_told(solver: Solver, tmp_path: Path) -> None:
     result = decompose(room(2002, 16, noise=0.01), solver=solver, iterations=120, seed=3)
     assert result.options.solver == solver
     assert result.options.seed == 3
+    # The prior finds lights, then their scale, and then is that of all pixels.
+    prior = ["material prior", "scale", "material prior"]
     expected = {
         # Those of the coarse level, which says that the normals are right.
-        "lbfgsb": ["lights", "L-BFGS-B", "material prior", "L-BFGS-B with the material prior"],
-        "gauss-newton": ["lights", "material prior", "all pixels"],
+        "lbfgsb": ["lights", "L-BFGS-B", *prior, "L-BFGS-B with the material prior"],
+        "gauss-newton": ["lights", *prior, "all pixels"],
     }
     assert names_of(result) == expected[solver]
     assert all(stage.seconds >= 0 for stage in result.stages)

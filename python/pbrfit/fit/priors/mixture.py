@@ -222,12 +222,13 @@ def _with_spread(objective: Objective, x: Array, groups: _Posterior, variance: f
     _put(objective, x, everything, groups.gaussian(1.0, 1.0, objective)[0])
     objective.put_best_albedo(x, everything)
     own, gradient = albedo_solved_for(objective, x)
-    h, u = own[:, 0, 0] / variance, gradient[:, 0] / variance
+    h, u = own[:, 0, 0], gradient[:, 0]  # times the variance
     _, cluster = np.unique(groups.cluster, return_inverse=True)
     tiny = np.finfo(np.float64).tiny
     mean = np.bincount(cluster, u) / np.maximum(np.bincount(cluster, h), tiny)
     u -= h * mean[cluster]
-    spread = np.bincount(cluster, u**2 - h) / np.maximum(np.bincount(cluster, h**2), tiny)
+    excess = np.bincount(cluster, u**2 - variance * h)
+    spread = excess / np.maximum(np.bincount(cluster, h**2), tiny)
     found = groups.variance.copy()
     found[:, 0] = np.clip(spread[cluster], 0, found[:, 0])
     return groups._replace(variance=found)

@@ -1,0 +1,210 @@
+"""The common scale of albedo and lights: its bias, its deviation, its reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import maximum_filter, uniform_filter
+
+from pbrfit import FitOptions, InputError, Priors, Scene, decompose
+from pbrfit.fit import scale, settings
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.tiles import fit_tiles
+from pbrfit.fit.whole_picture import FitSetup
+from pbrfit.result.result import Result
+from pbrfit.synthetic import make_scene
+
+SEEDS = (301, 303, 305)
+
+
+def room(seed: int, size: int = 32, noise: float = 0.01) -> Scene:
+    """A room of three walls and two spheres."""
+    return make_scene("room", size=size, lights=16, seed=seed, noise=noise)
+
+
+def relative_scale(lighting: np.ndarray, scene: Scene) -> np.ndarray:
+    """(3,): ln of the scale of lights over that of the true ones, weighed by irradiance."""
+    assert scene.truth is not None
+    assert scene.truth.lighting is not None
+    true, weights = scene.truth.lighting, scale.IRRADIANCE[:, None] ** 2
+    along = (weights * lighting * true).sum(axis=(0, 1))
+    return np.asarray(np.log(along / (weights * true**2).sum(axis=(0, 1))))
+
+
+def reference(scene: Scene) -> tuple[int, int, float]:
+    """The brightest dielectric pixel, and the mean true albedo of the 3 × 3 around it."""
+    assert scene.truth is not None
+    metallic = maximum_filter(scene.truth.materials.metallic, 5, mode="constant", cval=1)
+    albedo = uniform_filter(scene.truth.materials.albedo.mean(axis=-1), 3)
+    row, column = np.unravel_index(np.where(metallic == 0, albedo, 0).argmax(), albedo.shape)
+    return int(column), int(row), float(albedo[row, column])
+
+
+def around(result: Result, column: int, row: int) -> np.ndarray:
+    """(3,): mean albedo of 3 × 3 pixels."""
+    found = result.albedo[row - 1 : row + 2, column - 1 : column + 2]
+    return np.asarray(found.mean(axis=(0, 1)))
+
+
+@pytest.fixture(scope="module")
+def noisy() -> list[tuple[Scene, Result]]:
+    """Fits of rooms with noise."""
+    scenes = (room(seed, 48) for seed in SEEDS)
+    return [(scene, decompose(scene)) for scene in scenes]
+
+
+def test_lights_have_no_bias_beyond_their_deviation(noisy: list[tuple[Scene, Result]]) -> None:
+    errors = np.array([relative_scale(result.lighting, scene) for scene, result in noisy])
+    stated = [result.uncertainty.albedo_scale for _, result in noisy if result.uncertainty]
+    mean_deviation = np.sqrt(np.square(stated).mean() / len(stated))
+    assert abs(errors.mean()) <= 2 * mean_deviation
+    assert np.mean(np.abs(errors) <= 2 * np.array(stated)) >= 0.9
+    assert np.max(stated) <= 0.2  # and not because it says nothing
+
+
+def test_the_stage_says_what_it_did(noisy: list[tuple[Scene, Result]]) -> None:
+    for _, result in noisy:
+        notes = [stage.note for stage in result.stages if stage.name == "scale"]
+        assert len(notes) == 1
+        assert "standard deviation" in notes[0]
+        assert result.assumed["scale"].endswith("with the material prior")
+
+
+def test_known_lights_have_a_scale(noisy: list[tuple[Scene, Result]]) -> None:
+    scene = noisy[0][0]
+    assert scene.truth is not None
+    result = decompose(replace(scene, lighting=scene.truth.lighting))
+    assert "scale" not in [stage.name for stage in result.stages]
+    assert result.assumed["scale"] == "by the known lights"
+    assert result.uncertainty is not None
+    assert result.uncertainty.albedo_scale == (0, 0, 0)
+
+
+def test_without_priors_the_bias_is_in_the_deviation() -> None:
+    for seed in SEEDS[:2]:
+        scene = room(seed)
+        result = decompose(scene, priors=None)
+        assert "scale" not in [stage.name for stage in result.stages]
+        assert result.assumed["scale"].endswith("without priors")
+        assert result.uncertainty is not None
+        error = relative_scale(result.lighting, scene)
+        assert (np.abs(error) <= 2 * np.array(result.uncertainty.albedo_scale)).all()
+
+
+def test_pictures_without_noise_leave_no_doubt() -> None:
+    scene = room(302, noise=0.0)
+    result = decompose(scene)
+    assert np.abs(relative_scale(result.lighting, scene)).max() <= 1e-4
+    assert result.uncertainty is not None
+    assert max(result.uncertainty.albedo_scale) <= 1e-3
+
+
+def test_a_grey_scene_has_one_scale() -> None:
+    scene = room(303)
+    grey = replace(scene, images=np.repeat(scene.images[..., :1], 3, axis=-1), truth=None)
+    result = decompose(grey)
+    assert result.uncertainty is not None
+    assert len(set(result.uncertainty.albedo_scale)) == 1
+
+
+@pytest.mark.parametrize("priors", [Priors(), Priors.none()], ids=["priors", "none"])
+def test_a_white_reference_fixes_the_scale(priors: Priors) -> None:
+    scene = room(303)
+    column, row, value = reference(scene)
+    result = decompose(scene, white=(column, row, value), priors=priors)
+    # Every channel has that albedo: what colour the wall has is then the lights'.
+    np.testing.assert_allclose(around(result, column, row), value, rtol=1e-3)
+    assert "reference" in result.assumed["scale"]
+    assert "9 pixels" in result.assumed["scale"]
+    assert result.uncertainty is not None
+    deviation = np.array(result.uncertainty.albedo_scale)
+    assert (deviation >= settings.WHITE_TOLERANCE).all()
+    assert (deviation <= 3 * settings.WHITE_TOLERANCE).all()
+
+
+def test_a_wrong_reference_moves_all_albedos_alike(noisy: list[tuple[Scene, Result]]) -> None:
+    scene, before = noisy[1]
+    column, row, _ = reference(scene)
+    value = 0.8 * around(before, column, row).mean()
+    after = decompose(scene, white=(column, row, value))
+    np.testing.assert_allclose(around(after, column, row), value, rtol=1e-3)
+    dielectric = scene.truth is not None and scene.truth.materials.metallic < 0.5
+    ratio = np.median((after.albedo / before.albedo)[dielectric], axis=0)
+    expected = value / around(before, column, row)
+    np.testing.assert_allclose(ratio, expected, rtol=0.1)
+
+
+def test_tiles_have_the_scale_of_their_subset() -> None:
+    scene = room(303, size=64)
+    column, row, value = reference(scene)
+    options = FitOptions(white=(column, row, value), refine_normals="off")
+    setup = FitSetup(options, 0, None, 0.0, None)
+    found = fit_tiles(scene, setup, None, subset_pixels=(256, 1024), side=32)
+    assert "reference" in found.scale
+    inside = found.materials.albedo[row - 1 : row + 2, column - 1 : column + 2]
+    np.testing.assert_allclose(inside.mean(axis=(0, 1)), value, rtol=0.05)
+    assert found.uncertainty is not None
+    assert min(found.uncertainty.albedo_scale) >= settings.WHITE_TOLERANCE
+
+
+@pytest.mark.parametrize(
+    "white", [(1.0,), (1, 2, 3, 4), (-1, 0), (0, 0, 0.0), (0, 0, 1.01), (np.nan, 0), "ab", 3]
+)
+def test_what_is_no_reference_is_refused(white: object) -> None:
+    with pytest.raises(InputError, match=r"^white: expected a pixel"):
+        FitOptions(white=white)  # type: ignore[arg-type]
+
+
+def test_bounds_of_a_reference() -> None:
+    assert FitOptions(white=(0, 0)).white == (0, 0, 0.9)  # type: ignore[arg-type]
+    assert FitOptions(white=(0, 0, 1.0)).white == (0, 0, 1)
+    assert FitOptions.from_json(FitOptions(white=(3, 4, 0.18)).to_json()).white == (3, 4, 0.18)
+
+
+def test_a_reference_is_in_the_picture_and_its_mask() -> None:
+    valid = np.ones((4, 8), dtype=bool)
+    valid[0, 0] = False
+    assert scale.checked_white((7, 3, 0.5), valid, (4, 8)) == (7, 3, 0.5)
+    # Of files twice as large.
+    assert scale.checked_white((15, 6, 0.5), valid, (8, 16)) == (7, 3, 0.5)
+    for x, y in ((8, 0), (0, 4)):
+        with pytest.raises(InputError, match=r"^white: expected x below 8 and y below 4"):
+            scale.checked_white((x, y, 0.5), valid, (4, 8))
+    with pytest.raises(InputError, match=r"^white: expected a pixel inside the mask"):
+        scale.checked_white((0, 0, 0.5), valid, (4, 8))
+
+
+def test_known_lights_need_no_reference(noisy: list[tuple[Scene, Result]]) -> None:
+    scene = noisy[0][0]
+    assert scene.truth is not None
+    known = replace(scene, lighting=scene.truth.lighting)
+    with pytest.raises(InputError, match=r"^white: expected unknown lights"):
+        decompose(known, white=(1, 1, 0.5))
+
+
+def test_lights_along_their_scale_move_by_it() -> None:
+    scene = room(303)
+    objective = Objective(scene)
+    x = objective.start()
+    a = scale.measures(objective, x)
+    lights = x[objective.lighting].reshape(16, 16, 3).transpose(2, 0, 1).reshape(3, -1)
+    for channel in range(3):
+        only = np.zeros_like(lights)
+        only[channel] = lights[channel]
+        expected = np.eye(3)[channel]
+        np.testing.assert_allclose(a @ only.ravel(), expected, atol=1e-12)
+
+
+def test_groups_are_patches_and_segments() -> None:
+    scene = room(303)
+    layout = Objective(scene).layout
+    pixels = np.arange(layout.pixels, dtype=np.uint64)
+    patches, segments = scale.groupings(layout, pixels)
+    assert len(np.unique(patches)) == settings.SCALE_PATCHES**2
+    np.testing.assert_array_equal(segments, layout.segments)
+    alone = Objective(replace(scene, segments=None)).layout
+    assert len(scale.groupings(alone, pixels)) == 1
+    clusters = pixels.astype(np.intp) % 5
+    np.testing.assert_array_equal(scale.groupings(alone, pixels, clusters)[1], clusters)
