@@ -128,10 +128,11 @@ def _data_left_out(scene: Scene, layout: ParameterLayout) -> Iterator[str]:
         yield f"{masked} pixels outside the mask"
     without = scene.valid.size - masked - layout.pixels
     if without:
-        yield f"{without} pixels of weight 0 or at limits in all pictures"
+        bounded = "" if scene.limits is None else " or at limits"
+        yield f"{without} pixels of weight 0{bounded} in all pictures"
     if scene.limits is not None:
-        bounded = sum(int(np.count_nonzero(of[scene.valid])) for of in scene.limits)
-        yield f"{bounded} values at a limit"
+        values = sum(int(np.count_nonzero(of[scene.valid])) for of in scene.limits)
+        yield f"{values} values at a limit"
     if scene.weights is None:
         return
     single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))

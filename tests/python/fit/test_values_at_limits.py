@@ -1,0 +1,59 @@
+"""Values at limits take no part in the squares; the other channels of their samples do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pbrfit import decompose
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.tiles.windows import SceneCutter, Window
+from pbrfit.synthetic import make_scene
+
+
+def test_values_at_limits_do_not_count_and_others_of_their_samples_do() -> None:
+    scene = make_scene("room", size=16, lights=4, held_out=1, seed=2, noise=0.01)
+    limits = np.zeros(scene.images.shape, np.uint8)
+    limits[1, 3, 4, 0], limits[2, 5, 6, 1:] = 1, 2
+    bounded, plain = Objective(replace(scene, limits=limits)), Objective(scene)
+    assert bounded.samples == bounded.total_weight == plain.samples - 3
+    x = plain.start()
+    residuals = plain.problem.residuals(x, np.arange(plain.pixels, dtype=np.uint64))
+    kept = np.stack([of[scene.valid] for of in limits]) == 0
+    squares = np.square(residuals, dtype=np.float64)[kept].sum()
+    assert bounded.value_and_grad(x)[0] == pytest.approx(squares / kept.sum(), rel=1e-5)
+    bounded.robust = "huber", 0.05
+    weights = bounded.reweighted(x).sample_weights
+    assert weights is not None
+    assert ((weights > 0) == kept).all()
+    part = bounded.restricted(np.arange(40, dtype=np.uint64)).sample_weights
+    assert part is not None
+    np.testing.assert_array_equal(part, kept[:, :40])
+
+
+def test_clipped_pictures_are_fitted_as_whole_ones() -> None:
+    scene = make_scene("room", size=24, lights=8, held_out=1, seed=2, noise=0.01)
+    highest = np.quantile(scene.images[:, scene.valid], 0.97)
+    clipped = replace(scene, images=np.minimum(scene.images, highest))
+    assert clipped.limits is not None
+    whole, found = (decompose(one, uncertainty=False, threads=1) for one in (scene, clipped))
+    taken_as_data = decompose(
+        replace(clipped, limits=np.zeros_like(clipped.limits)), uncertainty=False, threads=1
+    )
+    errors = [one.metrics["albedo_rmse"] for one in (whole, found, taken_as_data)]
+    assert errors[1] < 1.5 * errors[0]
+    assert errors[2] > 2 * errors[0]
+    values = np.count_nonzero(clipped.limits[:, clipped.valid])
+    assert f"{values} values at a limit" in found.left_out
+
+
+def test_windows_of_a_scene_have_its_limits() -> None:
+    scene = make_scene("room", size=16, lights=4, held_out=1, seed=2, noise=0.01)
+    limits = np.zeros(scene.images.shape, np.uint8)
+    limits[1, 3, 4, 0], limits[:, 9, 9] = 1, 2
+    part = SceneCutter(replace(scene, limits=limits)).cut(Window(slice(2, 12), slice(4, 12)))
+    np.testing.assert_array_equal(part.limits, limits[:, 2:12, 4:12])
+    assert np.argwhere(~part.valid).tolist() == [[7, 5]]
+    assert part.noise_floor(0) is None
