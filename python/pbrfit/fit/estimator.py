@@ -470,7 +470,8 @@ def fit_mixture_prior(
     if lights.shared is not None:
         with run.stage("material prior") as notes:
             lights = _with_prior(run, (lights, *others), notes)
-        if not lights.exact:
+        # One distribution for all of a picture is too rough for so soft a direction.
+        if not lights.exact and objective.layout.segments is not None:
             with run.stage("scale") as notes:
                 lights = _with_scale(run, lights, notes)
     with run.stage("material prior") as notes:
