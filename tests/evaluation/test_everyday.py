@@ -135,8 +135,8 @@ def test_a_grey_scene_is_grey_and_its_truth_explains_it(noise: Disturbed) -> Non
 def test_files_of_8_bits_clip_the_brightest_half_percent(noise: Disturbed) -> None:
     png = made("png")
     assert png.scene.source is not None
-    assert png.scene.weights is not None
-    sound = png.scene.weights > 0
+    assert png.scene.limits is not None
+    sound = (png.scene.limits == 0).all(axis=-1)
     assert 0 < np.mean(~sound) < 3 * 0.005 + 0.02  # of pixels with a clipped or without a code
     scale = png.expected.max() / noise.expected.max()
     written = 255 * encode_srgb(scale * noise.scene.images[sound])
@@ -154,7 +154,7 @@ def test_a_jpeg_has_a_twin_with_noise_of_its_rms(said: Any) -> None:
     of_white = (white.scene.images - white.expected)[held]
     assert of_white.std() == pytest.approx(np.sqrt(np.mean(of_jpeg**2)), rel=0.02)
     assert white.scene.images.dtype == np.float32
-    assert white.scene.weights is None
+    assert white.scene.limits is None
 
 
 def test_jpeg_files_have_the_quality_and_the_chroma_that_are_said(tmp_path: Path) -> None:
@@ -171,18 +171,10 @@ def test_views_are_90_degrees_wide_whatever_is_said(monkeypatch: pytest.MonkeyPa
     true, wrong = made("fov-true"), made("fov-wrong")
     assert (true.fov, true.scene.fov, wrong.fov, wrong.scene.fov) == (90, 90, 90, 60)
     np.testing.assert_array_equal(true.scene.images, wrong.scene.images)
-    read: list[str] = []
-
-    def load(folder: Path) -> Scene:
-        read.append((folder / "scene.toml").read_text(encoding="utf-8"))
-        return replace(true.scene, fov=60.0)
-
-    monkeypatch.setattr(Scene, "load", load)
-    with pytest.raises(disturbances.NotRunError, match=r"Scene\.load took 60 degrees"):
+    assert not made("fov-unknown").scene.fov_known
+    monkeypatch.setattr(Scene, "load", lambda _: true.scene)
+    with pytest.raises(disturbances.NotRunError, match=r"took 90 degrees for known"):
         made("fov-unknown")
-    assert read
-    assert "fov" not in read[0]
-    assert "model" in read[0]
 
 
 # ------------------------------------------------------------------------------ what is measured
@@ -190,7 +182,9 @@ def test_views_are_90_degrees_wide_whatever_is_said(monkeypatch: pytest.MonkeyPa
 
 def scale_errors(of: Disturbed, factor: Any = 1.0) -> Any:
     """With true lights, some times as strong."""
-    return measure.scale_errors(SimpleNamespace(lighting=factor * lights(of)), of)  # type: ignore[arg-type]
+    return measure.scale_errors(
+        SimpleNamespace(lighting=factor * lights(of), pictures=of.scene.names), of
+    )  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("disturbance", ["noise", "png", "another", "shifted", "clipped"])
@@ -198,19 +192,6 @@ def test_the_scale_is_that_of_the_lights(disturbance: Any) -> None:
     of = made(disturbance)
     np.testing.assert_allclose(scale_errors(of), 0, atol=1e-6)
     np.testing.assert_allclose(scale_errors(of, [1.1, 1.0, 0.8]), [0.1, 0, -0.2], atol=1e-6)
-
-
-def test_a_fit_contradicts_where_it_says_what_the_scene_did_not(noise: Disturbed) -> None:
-    def says(text: str | None, scene: str | None) -> bool:
-        result = SimpleNamespace(assumed={} if text is None else {"fov": text})
-        assumed = {} if scene is None else {"fov": scene}
-        given = replace(noise, scene=replace(noise.scene, assumed=assumed))
-        return measure.contradicted(result, given)  # type: ignore[arg-type]
-
-    assert not says(None, None)
-    assert not says("60 degrees, from scene.toml", "60 degrees, from scene.toml")
-    assert says("60 degrees, but the pictures say 90", "60 degrees, from scene.toml")
-    assert says("the pictures say 90", None)
 
 
 def test_the_window_is_where_most_has_changed() -> None:

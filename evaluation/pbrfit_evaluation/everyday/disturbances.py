@@ -293,11 +293,8 @@ def _of_another_view(given: Disturbed, said: str) -> Disturbed:
         return replace(given, scene=replace(given.scene, fov=FOV_WRONG))
     if said == "unknown":
         scene = _read_back(given.scene, say_fov=False)
-        assumed: float | None = scene.fov
-        if assumed is not None:
-            raise NotRunError(
-                f"an unknown field of view cannot be asked for: Scene.load took {assumed:g} degrees"
-            )
+        if scene.fov_known:
+            raise NotRunError(f"Scene.load took {scene.fov:g} degrees for known")
         return replace(given, scene=scene)
     return given
 

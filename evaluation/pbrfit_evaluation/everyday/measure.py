@@ -72,7 +72,7 @@ def run(case: Case, _: int) -> dict[str, Any]:
             "degrees": result.fov,
             "error": abs(result.fov - made.fov),
             "said": result.assumed.get("fov"),
-            "contradicted": contradicted(result, made),
+            "contradicted": contradicted(result),
         },
     }
     if case.picture:
@@ -85,9 +85,9 @@ def run(case: Case, _: int) -> dict[str, Any]:
     return found
 
 
-def contradicted(result: Result, made: Disturbed) -> bool:
-    """Whether the fit says something about the field of view that the scene did not."""
-    return result.assumed.get("fov") != made.scene.assumed.get("fov")
+def contradicted(result: Result) -> bool:
+    """Whether the fit says that the field of view is another one than the scene has."""
+    return result.camera is not None and result.camera.contradicted
 
 
 def scale_errors(result: Result, made: Disturbed) -> Array:
@@ -101,8 +101,10 @@ def scale_errors(result: Result, made: Disturbed) -> Array:
     assert truth is not None
     model = chosen_model(None, made.scene.model)
     lit = render(truth.materials, made.scene.normals, result.lighting, made.fov, 1, model=model)
-    used = np.isfinite(made.expected) & made.scene.valid[..., None]
-    lit, expected = (np.where(used, of, 0.0) for of in (lit, made.expected))
+    kept = [made.scene.names.index(name) for name in result.pictures]  # some may be left out
+    expected = made.expected[kept]
+    used = np.isfinite(expected) & made.scene.valid[..., None]
+    lit, expected = (np.where(used, of, 0.0) for of in (lit, expected))
     axes = (0, 1, 2)
     return np.asarray((lit * expected).sum(axis=axes) / np.square(expected).sum(axis=axes) - 1)
 

@@ -13,12 +13,12 @@ import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.robust import MEDIAN_TO_SIGMA, SCALES, irls_weights
 from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN, NOISE_SIGMA_MIN
-from pbrfit.result.options import LOSSES, SOLVERS, Solver
+from pbrfit.result.options import ROBUST_LOSSES, SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 from scene_kinds import at_truth
 
-ROBUST = LOSSES[1:]
+ROBUST = ROBUST_LOSSES
 NOISE = 0.01
 
 
