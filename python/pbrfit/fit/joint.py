@@ -250,9 +250,10 @@ class JointFit:
         right: Array,
         product: Callable[[Array], Array],
         enough: float,
-        ratio: float = settings.CG_ERROR_RATIO,
+        ratio: float | None = None,
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
+        ratio = settings.CG_ERROR_RATIO if ratio is None else ratio
         residual, moves = right.copy(), np.zeros_like(right)
         direction = preconditioned = self.solved(residual)
         first = size_now = float(residual @ preconditioned)

@@ -96,7 +96,7 @@ BAND = "band 3 of the lights: order 2 was asked for"
 @pytest.mark.parametrize(
     ("arguments", "options", "left_out"),
     [
-        ((), {"sh_order": 3, "metallic": None, "robust": "none", "equal_exposures": None}, []),
+        ((), {"sh_order": 3, "metallic": None, "robust": "auto", "equal_exposures": None}, []),
         (("--metallic", "free", "--exposures", "as-is"), {"equal_exposures": False}, []),
         (("--robust", "cauchy", "--exposures", "equal"), {"robust": "cauchy"}, []),
         (
@@ -447,7 +447,7 @@ def test_help_names_defaults_once(command: str) -> None:
         command in ("decompose", "demo")
     )
     assert ("--threads T" in text) == (command in ("decompose", "demo", "relight"))
-    for option in ("--robust {none,huber,cauchy}", "--exposures {auto,as-is,equal}"):
+    for option in ("--robust {auto,none,huber,cauchy}", "--exposures {auto,as-is,equal}"):
         assert (option in text) == (command in ("decompose", "demo", "check-gradients"))
     if not command:
         assert all(name in text for name in COMMANDS)
