@@ -182,9 +182,8 @@ def test_views_are_90_degrees_wide_whatever_is_said(monkeypatch: pytest.MonkeyPa
 
 def scale_errors(of: Disturbed, factor: Any = 1.0) -> Any:
     """With true lights, some times as strong."""
-    return measure.scale_errors(
-        SimpleNamespace(lighting=factor * lights(of), pictures=of.scene.names), of
-    )  # type: ignore[arg-type]
+    result: Any = SimpleNamespace(lighting=factor * lights(of), pictures=of.scene.names)
+    return measure.scale_errors(result, of)
 
 
 @pytest.mark.parametrize("disturbance", ["noise", "png", "another", "shifted", "clipped"])

@@ -209,6 +209,9 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
     told = run.camera.figures or lights.shared is None or run.camera.how == "assumed"
     if told or lights.exact or lights.cut_short:
         return lights, None
+    level = Level.of(run.objective, settings.COARSE_PIXELS)
+    if len(level.patches()) < settings.CAMERA_PATCHES_MIN:
+        return lights, None
     least = dict.fromkeys(untried, settings.CAMERA_GAIN_MIN)
     least["response"] = 0.0 if run.options.response == "fit" else settings.CAMERA_GAIN_MIN
     figures: dict[str, float] = {}
@@ -370,6 +373,7 @@ def rounds(
     if nuisances is not None:  # with the camera as it is now, after joint steps
         sum_sq = _fit_level(objective, x, fixed)
         left = _left(level, x, sum_sq, shared, fixed)
+        nuisances.judge(left)
     mean_squared = float(sum_sq.sum()) / objective.total_weight
     if nuisances is not None:
         deviance += nuisances.log_slope(objective, x)

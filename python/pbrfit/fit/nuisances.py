@@ -210,6 +210,10 @@ class Nuisances:
         self.sum_gain, self.gain = gain / self._noise, gain / variance
         return moves
 
+    def judge(self, left: Misfit) -> None:
+        """Take the covariance by what is left in the end: weights of samples change in between."""
+        self.covariance = np.asarray(left.of_lights * np.linalg.inv(self.information))
+
     def advance(self, objective: Objective, x: Array, fit: JointFit | None, left: Misfit) -> None:
         """Take a step: scene, pictures and camera of the objective, and lights of x change."""
         moves = self.estimate(objective, x, fit, left)

@@ -187,6 +187,10 @@ CAMERA_MISFIT_SHARE_MAX = 0.5
 """Share of the misfit κ s² that another field of view may leave to contradict the given one. Where
 that is 30 degrees off it leaves a twentieth, where normals are 10 degrees off nine tenths."""
 
+CAMERA_PATCHES_MIN = 9
+"""Patches of a level from which on a camera is doubted: in four, lights without their band 3, or
+wrong normals, left what looks like noise, and another camera explained it; nine tell it."""
+
 CORRECTION_ROUNDS_MAX = 6
 """Rounds of the coarse level with a correction of the pictures, at most, from lights without it:
 gammas of 1.1 are found in four; what takes longer is no tone curve."""
