@@ -116,5 +116,6 @@ def test_the_order_of_the_core_is_undone(room: Scene, kind: str) -> None:
 
 def test_a_fit_may_start_in_the_dark(room: Scene) -> None:
     start = truth_of(room).materials, np.zeros((4, 16, 3))
-    result = decompose(room, start=start, priors=None, refine_normals="off", uncertainty=False)
+    options = {"priors": None, "refine_normals": "off", "uncertainty": False, "robust": "none"}
+    result = decompose(room, start=start, **options)  # type: ignore[arg-type]
     assert result.metrics["recon_rmse"] < 0.01
