@@ -122,6 +122,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "fov": "60 degrees, asked for",
         "model": f"{DEFAULT_MODEL}, the default",
         "alignment": "not checked: pictures below 24 pixels",
+        "scale": "by the highlights of dielectrics",
     }
     masked, monochrome = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
