@@ -326,7 +326,7 @@ def rounds(
         level = replace(level, objective=given)
     for number in range(at_most):
         if number >= settings.ROBUST_ROUND:
-            noise, weighed = weighed_around(run, given, level.objective, x)
+            weighed = _weighed(run, given, level.objective, x, noise)
             level = replace(level, objective=weighed)
             if shared is not None:
                 shared.stale = True
@@ -342,7 +342,7 @@ def rounds(
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
-        left, before, fit = _left(level, x, sum_sq, shared, fixed), weight, None
+        left, before, fit = _left(level, x, sum_sq, shared, noise, fixed), weight, None
         total = float(sum_sq.sum())
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
@@ -354,7 +354,9 @@ def rounds(
             assert fixed is not None
             normals.learn(objective, x, fixed, left.variance)
         deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
-        if noise is not None:
+        # Before the camera moves, whose step pixels have to follow first.
+        if run.options.robust == "auto" and number >= settings.ROBUST_ROUND - 1:
+            noise = estimated(objective, x)
             deviance = noise.deviance(given, x)
         if nuisances is not None:
             nuisances.advance(objective, x, fit, left)
@@ -372,11 +374,13 @@ def rounds(
             break
     if nuisances is not None:  # with the camera as it is now, after joint steps
         sum_sq = _fit_level(objective, x, fixed)
-        left = _left(level, x, sum_sq, shared, fixed)
+        if noise is not None:
+            noise = estimated(objective, x)
+            deviance = noise.deviance(given, x)
+        left = _left(level, x, sum_sq, shared, noise, fixed)
         nuisances.judge(left)
-    mean_squared = float(sum_sq.sum()) / objective.total_weight
-    if nuisances is not None:
         deviance += nuisances.log_slope(objective, x)
+    mean_squared = float(sum_sq.sum()) / objective.total_weight
     unknowns = objective.size if normals is None else normals.unknowns(objective)
     cut_short = watch.stopped or run.out_of_time()
     return Lights(
@@ -413,19 +417,20 @@ def _left(
     x: Array,
     sum_sq: Array,
     shared: SharedFit | None,
+    noise: NoiseModel | None,
     prior: GaussianPrior | None = None,
 ) -> Misfit:
     """What is left of a level at x, whose pixels have a prior."""
-    objective = level.objective
+    objective, of_files = level.objective, 1.0 if noise is None else noise.picture_effect
     variance = misfit.variance(objective, sum_sq)
     share = misfit.independent_share(objective, x)
     if shared is None:
-        return Misfit(variance, 1.0, share)
+        return Misfit(variance, 1.0, share, of_files)
     if shared.inverse is None or shared.stale:
         shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
         shared.joint_fit(objective, x, sum_sq, prior=prior).renew_preconditioner()
     effect = misfit.design_effect(level, x, sum_sq, partial(shared.solved, objective), prior)
-    return Misfit(variance, effect, share)
+    return Misfit(variance, effect, share, of_files)
 
 
 def judged(
@@ -442,14 +447,15 @@ def judged(
     if run is not None and run.options.robust == "auto":
         given = few
         for _ in range(settings.WEIGHT_ROUNDS):
-            noise, few = weighed_around(run, given, few, part)
+            noise = estimated(few, part)
+            few = _weighed(run, given, few, part, noise)
             sum_sq = _fit_level(few, part)
         assert noise is not None
         deviance = noise.deviance(given, part)
         level = replace(level, objective=few)
     mean_squared = float(sum_sq.sum()) / few.total_weight
     shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
-    left = _left(level, part, sum_sq, shared)
+    left = _left(level, part, sum_sq, shared, noise)
     if shared is not None:
         weight = left.design_effect * left.variance
         shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
@@ -616,18 +622,17 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     return x
 
 
-def weighed_around(
-    run: Run, given: Objective, now: Objective, x: Array
-) -> tuple[NoiseModel | None, Objective]:
-    """The noise of samples at x, and a level's objective with their weights.
+def _weighed(
+    run: Run, given: Objective, now: Objective, x: Array, noise: NoiseModel | None
+) -> Objective:
+    """A level's objective with the weights of samples at x, by their noise or a robust loss.
 
     `given` is the objective without, and `now` the one that x was fitted to.
     """
-    if run.options.robust != "auto":
-        return None, _robust(run, now, x)
-    noise = estimated(now, x)
+    if noise is None:
+        return _robust(run, now, x)
     weights = noise.weights(given, x)
-    return noise, given if weights is None else given.weighed(weights)
+    return given if weights is None else given.weighed(weights)
 
 
 def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | None) -> None:

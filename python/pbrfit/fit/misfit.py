@@ -51,6 +51,8 @@ class Misfit:
     design_effect: float = 1.0
     independent_share: float = 1.0
     """κ and τ."""
+    picture_effect: float = 1.0
+    """As of `NoiseModel`: what pictures share, which residuals do not show."""
 
     @property
     def is_noise(self) -> bool:
@@ -60,12 +62,18 @@ class Misfit:
     @property
     def effective_share(self) -> float:
         """Share of the samples that would say as much if they were independent."""
-        return min(1 / max(self.design_effect, 1.0), self.independent_share)
+        share = min(1 / max(self.design_effect, 1.0), self.independent_share)
+        return share / self.picture_effect
 
     @property
     def of_lights(self) -> float:
-        """κ s², no less than s²: the variance that lights and a camera are uncertain by."""
+        """κ s², no less than s²: the variance that lights are uncertain by."""
         return self.variance * max(self.design_effect, 1.0)
+
+    @property
+    def of_camera(self) -> float:
+        """The same, times what pictures share: they all see through one camera."""
+        return self.of_lights * self.picture_effect
 
     def in_words(self) -> str:
         """For a stage's note."""
@@ -74,8 +82,8 @@ class Misfit:
 
     @property
     def of_likelihood(self) -> float:
-        """s² max(κ, 1)/τ: the variance in the likelihood of a pixel among others."""
-        return self.of_lights / self.independent_share
+        """s² max(κ, 1)/τ, times what pictures share: in the likelihood of a pixel among others."""
+        return self.of_camera / self.independent_share
 
 
 def score(deviance: float, unknowns: float, effective_samples: float) -> float:

@@ -23,6 +23,10 @@ weigh more still. In squares a sample then weighs w/V.
 A clipped sample says that radiance is at least (or at most) so much: it weighs what others do where
 the model is on the wrong side, and nothing where it is not.
 
+What a JPEG file lost is lost in all n pictures of the view alike, with the correlation ρ of their
+files' errors. It weighs on a pixel's materials as if it were 1 + (n − 1) ρ times as much (L. Kish's
+design effect of clusters), of which nothing shows in residuals, because materials take it up.
+
 Where weights vary so little that equal ones cost almost nothing, all are equal.
 """
 
@@ -58,6 +62,8 @@ class NoiseModel:
     """ν; infinite for a normal distribution."""
     is_even: bool
     """Whether equal weights are as good."""
+    file_correlation: float = 0.0
+    """ρ."""
 
     def sample_variances(self, samples: _Samples) -> Array:
         """V, (N, Q, C)."""
@@ -72,6 +78,11 @@ class NoiseModel:
         """Whether most of it varies as what files' encoding left, and is no more than that."""
         mean = float(self.variances.mean())
         return bool(self.shares[3] > 0.5 and mean <= self.mean_file_variance)
+
+    @property
+    def picture_effect(self) -> float:
+        """How much larger the variance of a pixel's materials is than by independent samples."""
+        return 1 + (len(self.variances) - 1) * self.file_correlation * float(self.shares[3])
 
     @property
     def least_variance(self) -> float:
@@ -218,6 +229,7 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
         mean_of_file,
         freedom,
         spread < settings.EVEN_WEIGHTS_LOSS_MAX,
+        objective.file_correlation,
     )
 
 

@@ -13,7 +13,7 @@ and with a normal distribution of θ around μ as prior, of precision Λ,
     δθ = −(H + W Λ)⁻¹ (g + W Λ (θ − μ))        δL = −S⁻¹ Σ_j δθ_j s_j
 
 beside what joint steps move the lights by. W = max(κ, 1) s² is the variance that what is left of
-the pixels stands for (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the covariance of θ. The gain
+the pixels stands for, times what pictures share (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the covariance of θ. The gain
 gᵀ H⁻¹ g / W is C. R. Rao's score test (Math. Proc. Cambridge Phil. Soc. 44, 1948): χ² with as many
 degrees of freedom as there are numbers where none of them has to change. It takes no fit with them.
 As all else is solved for, a wrong camera that materials and lights have bent to is seen as well as
@@ -197,7 +197,7 @@ class Nuisances:
             gram = np.asarray(gram - by_light.T @ moves)
         # What a round begins with, before its joint steps, can be far above what there is.
         self._noise = min(self._noise, left.variance)
-        self._misfit = min(self._misfit, left.of_lights)
+        self._misfit = min(self._misfit, left.of_camera)
         variance = self._misfit
         precision = variance / np.array([one.sigma**2 for one in self.fitted])
         means = np.array([one.mean for one in self.fitted])
@@ -212,7 +212,7 @@ class Nuisances:
 
     def judge(self, left: Misfit) -> None:
         """Take the covariance by what is left in the end: weights of samples change in between."""
-        self.covariance = np.asarray(left.of_lights * np.linalg.inv(self.information))
+        self.covariance = np.asarray(left.of_camera * np.linalg.inv(self.information))
 
     def advance(self, objective: Objective, x: Array, fit: JointFit | None, left: Misfit) -> None:
         """Take a step: scene, pictures and camera of the objective, and lights of x change."""

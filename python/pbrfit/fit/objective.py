@@ -415,6 +415,11 @@ class Objective:
             found[i] = np.square(rows / unit)
         return found
 
+    @property
+    def file_correlation(self) -> float:
+        """As of the scene."""
+        return self._scene.file_correlation
+
     def is_sample(self, pixels: NDArray[np.uint64]) -> NDArray[np.bool_]:
         """(N, Q, C): which samples of some pixels have weight, limits or not."""
         shape = self.layout.pictures, len(pixels), self.channels

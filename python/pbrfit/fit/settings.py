@@ -191,7 +191,7 @@ CAMERA_PATCHES_MIN = 9
 """Patches of a level from which on a camera is doubted: in four, lights without their band 3, or
 wrong normals, left what looks like noise, and another camera explained it; nine tell it."""
 
-CORRECTION_ROUNDS_MAX = 6
+CORRECTION_ROUNDS_MAX = 12
 """Rounds of the coarse level with a correction of the pictures, at most, from lights without it:
 gammas of 1.1 are found in four; what takes longer is no tone curve."""
 

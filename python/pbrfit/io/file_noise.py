@@ -37,6 +37,8 @@ class FileNoise:
     rows: NDArray[np.int32]
     columns: NDArray[np.int32]
     """(H,) and (W,): in which block a sample is."""
+    correlation: float
+    """Of these errors with those of another picture of the view: 0 for rounding."""
 
     def deviation(
         self,
@@ -88,13 +90,14 @@ class Stored:
             ((np.arange(to) + 0.5) * length / to).astype(np.int32) // SIDE
             for length, to in zip(full, small, strict=True)
         ]
-        blocks = None
+        blocks, correlation = None, 0.0
         if self.tables is not None:
-            variances = block_variances(self.codes, self.tables, small)
+            variances, shared = block_variances(self.codes, self.tables, small)
             if variances.shape[0] > small[0] or variances.shape[1] > small[1]:
                 variances = variances[np.ix_(*places)]
                 places = [np.arange(to, dtype=np.int32) for to in small]
             blocks = np.sqrt(variances).astype(np.float16)
+            correlation = shared / (float(variances.mean()) + rounding)
         rows, columns = places
         if turned:
             blocks = None if blocks is None else blocks.swapaxes(0, 1)
@@ -105,4 +108,6 @@ class Stored:
         if self.orientation in (3, 4, 7, 8):
             rows = rows[::-1]
         maximum = int(np.iinfo(self.codes.dtype).max)
-        return FileNoise(self.conversion, maximum + 1, rounding, blocks, rows, columns)
+        return FileNoise(
+            self.conversion, maximum + 1, rounding, blocks, rows, columns, correlation
+        )

@@ -38,6 +38,10 @@ frequencies is lost as a whole: by a power law g ∝ f^−γ an octave has 2^(2 
 the one below it, which is the upper half of the stored block. The loss is shared among the blocks
 of luma under a block of chroma by the variance that luma has in them, and is correlated between Cb
 and Cr as their slopes are.
+
+**Pictures of one view** have most coefficients in common but for a factor. So what was rounded to 0,
+or lost with the resolution of chroma, is lost in all of them alike (`SHARED_ZERO`, `SHARED_LOSS`),
+and the mean over pictures has it still. What rounding left of other coefficients is independent.
 """
 
 from __future__ import annotations
@@ -74,6 +78,12 @@ few per cent."""
 
 ROUNDS = 20
 """Steps of the expectation maximisation; ten more change deviations by less than 1 %."""
+
+SHARED_ZERO, SHARED_LOSS = 0.4, 0.6
+"""Correlation, between two pictures of one view, of the errors of coefficients that are 0 and of what
+chroma lost. Coefficients themselves have 0.8 in rooms under different lights; where one is 0, half
+of its energy lies in those that are not in the other picture. By six rooms of seeds 300 to 305, in
+qualities 50 to 98."""
 
 _CHUNK = 1 << 14  # blocks that are looked at together
 
@@ -124,11 +134,12 @@ def read_tables(data: bytes, channels: int) -> Tables | None:
 
 def block_variances(
     codes: NDArray[np.uint8], tables: Tables, size: tuple[int, int]
-) -> NDArray[np.float32]:
+) -> tuple[NDArray[np.float32], float]:
     """(rows, columns, 3): variances of R, G and B, in codes, in each block of a decoded picture.
 
     They are those of means where the picture (H, W, 1 or 3) is averaged down to `size`. Blocks are
-    those of the first component. What rounding R, G and B to codes adds is not in them.
+    those of the first component. What rounding R, G and B to codes adds is not in them. Beside them
+    the mean covariance of the same with another picture of the view.
     """
     grid = tuple(-(-length // SIDE) for length in codes.shape[:2])
     to_rgb = np.ones((3, 1))
@@ -140,14 +151,16 @@ def block_variances(
         planes = [row[0] * rgb[0] + row[1] * rgb[1] + row[2] * rgb[2] for row in to_ycc]
         del rgb
     found = np.zeros((*grid, 3), dtype=np.float32)
-    lost = []
+    lost, shared = [], 0.0
     for plane, steps, sampling, column in zip(
         planes, tables.steps, tables.sampling, to_rgb.T, strict=True
     ):
-        errors, loss = (
+        errors, zeros, loss = (
             _on_grid(variances, sampling, grid)
             for variances in _of_component(plane, steps, sampling, size)
         )
+        of_mean = float(np.square(column).mean())
+        shared += of_mean * (SHARED_ZERO * float(zeros.mean()) + SHARED_LOSS * float(loss.mean()))
         found += errors[..., None] * np.square(column).astype(np.float32)
         if max(sampling) > 1:
             within = _shares_of_activity(planes[0], sampling)[: grid[0], : grid[1]]
@@ -156,7 +169,7 @@ def block_variances(
         found += np.square(of_component)
     if len(lost) == 2:
         found += 2 * _correlation(planes[1], planes[2]) * lost[0] * lost[1]
-    return found
+    return found, shared
 
 
 def _on_grid(
@@ -195,8 +208,11 @@ def _correlation(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
 
 def _of_component(
     plane: NDArray[np.float32], steps: Array, sampling: tuple[int, int], size: tuple[int, int]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(rows, columns): variances of a component's errors and of what was lost, in its blocks."""
+) -> list[NDArray[np.float32]]:
+    """(rows, columns) each: variances in the blocks of a component.
+
+    Of its errors, of those of coefficients that are 0 alone, and of what was lost.
+    """
     from scipy.fft import dctn
 
     gains = [
@@ -221,7 +237,7 @@ def _of_component(
     model = _Model.fitted(counts, steps.ravel()[1:])
     if model is None:
         nothing = np.zeros((rows, columns), dtype=np.float32)
-        return nothing + np.float32(constant), nothing
+        return [nothing + np.float32(constant), nothing, nothing]
     aliased = np.multiply.outer(axes[0].stored, axes[1].stored)
     stored = aliased.copy()
     aliased -= np.multiply.outer(axes[0].passed, axes[1].passed) ** 2
@@ -238,12 +254,12 @@ def _of_component(
     losses += octaves * upper * kept[-1, -1]
     losses /= stored
     parts = np.stack([errors.ravel()[1:], losses.ravel()[1:]])
-    found = np.empty((2, len(flat)), dtype=np.float32)
+    found = np.empty((3, len(flat)), dtype=np.float32)
     for first in range(0, len(flat), _CHUNK):
         chunk = slice(first, first + _CHUNK)
         found[:, chunk] = model.variances(counts[chunk], *parts)
     found[0] += np.float32(constant)
-    return found[0].reshape(rows, columns), found[1].reshape(rows, columns)
+    return [each.reshape(rows, columns) for each in found]
 
 
 class _Axis:
@@ -361,18 +377,21 @@ class _Model:
 
     def variances(
         self, counts: NDArray[np.float32], errors: Array, losses: Array
-    ) -> tuple[Array, Array]:
-        """(blocks,) each: Σ_k of E (c − nq)² times `errors`, and of E c² times `losses`."""
+    ) -> tuple[Array, Array, Array]:
+        """(blocks,) each: Σ_k of E (c − nq)² times `errors`, of n = 0, and of E c² times `losses`."""
         posterior, other = self._posterior(counts), counts > 0
         zero, inside = (squares * self.steps**2 for squares in _squares(self._u))
-        of_errors = (errors * zero).sum(axis=1) + _product(other, (errors * (inside - zero)).T)
-        found = (posterior * of_errors).sum(axis=1)
+
+        def of_zeros(weights: Array) -> Array:
+            parts = weights * zero
+            return (posterior * (parts.sum(axis=1) - _product(other, parts.T))).sum(axis=1)
+
+        zeros = of_zeros(errors)
+        found = zeros + (posterior * _product(other, (errors * inside).T)).sum(axis=1)
         if not losses.any():
-            return found, np.zeros_like(found)
-        weights = losses * self.steps**2
-        of_losses = (losses * zero).sum(axis=1) - _product(other, (losses * zero).T)
-        stored = _product(np.square(counts), weights[:, None])[:, 0]
-        return found, (posterior * of_losses).sum(axis=1) + stored
+            return found, zeros, np.zeros_like(found)
+        stored = _product(np.square(counts), (losses * self.steps**2)[:, None])[:, 0]
+        return found, zeros, of_zeros(losses) + stored
 
 
 def _equal_shares() -> Array:

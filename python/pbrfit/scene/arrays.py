@@ -332,6 +332,12 @@ class SceneArrays:
         noise = None if self.file_noise is None else self.file_noise[picture]
         return None if noise is None else noise.deviation(self.images[picture])
 
+    @property
+    def file_correlation(self) -> float:
+        """Of what files did to a sample, with what they did to it in another picture."""
+        known = [noise.correlation for noise in self.file_noise or () if noise is not None]
+        return sum(known) / len(known) if known else 0.0
+
     def brightness(self, picture: int) -> NDArray[np.float64]:
         """(P,): the mean over the channels of `samples`."""
         red, green, blue = self.samples(picture).T
