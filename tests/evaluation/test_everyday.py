@@ -22,6 +22,7 @@ from PIL import Image
 from evaluation_tasks import recorded
 from pbrfit.cli import main
 from pbrfit.io.color import encode_srgb
+from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import everyday
 from pbrfit_evaluation.everyday import SUITE, disturbances, figures, measure
@@ -180,9 +181,11 @@ def test_views_are_90_degrees_wide_whatever_is_said(monkeypatch: pytest.MonkeyPa
 # ------------------------------------------------------------------------------ what is measured
 
 
-def scale_errors(of: Disturbed, factor: Any = 1.0) -> Any:
+def scale_errors(of: Disturbed, factor: Any = 1.0, camera: Any = None) -> Any:
     """With true lights, some times as strong."""
-    result: Any = SimpleNamespace(lighting=factor * lights(of), pictures=of.scene.names)
+    result: Any = SimpleNamespace(
+        lighting=factor * lights(of), pictures=of.scene.names, camera=camera
+    )
     return measure.scale_errors(result, of)
 
 
@@ -191,6 +194,14 @@ def test_the_scale_is_that_of_the_lights(disturbance: Any) -> None:
     of = made(disturbance)
     np.testing.assert_allclose(scale_errors(of), 0, atol=1e-6)
     np.testing.assert_allclose(scale_errors(of, [1.1, 1.0, 0.8]), [0.1, 0, -0.2], atol=1e-6)
+
+
+def test_the_scale_is_that_of_pictures_as_they_were_corrected() -> None:
+    of = made("vignetting")
+    numbers = [0.0, 0.0, 0.0, 0.3, 0.055]  # -ln(1 - 0.3 rho^2) to 1 % in the corners
+    camera = SimpleNamespace(correction=Correction(1.0, tuple(numbers)))
+    assert np.abs(scale_errors(of)).min() > 0.05
+    np.testing.assert_allclose(scale_errors(of, camera=camera), 0, atol=2e-3)
 
 
 def test_the_window_is_where_most_has_changed() -> None:

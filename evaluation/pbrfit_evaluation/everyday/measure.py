@@ -103,6 +103,9 @@ def scale_errors(result: Result, made: Disturbed) -> Array:
     lit = render(truth.materials, made.scene.normals, result.lighting, made.fov, 1, model=model)
     kept = [made.scene.names.index(name) for name in result.pictures]  # some may be left out
     expected = made.expected[kept]
+    if result.camera is not None and result.camera.correction is not None:
+        # Lights are those of pictures that it has undone.
+        expected = result.camera.correction.applied(expected, made.scene.radius_squared)
     used = np.isfinite(expected) & made.scene.valid[..., None]
     lit, expected = (np.where(used, of, 0.0) for of in (lit, expected))
     axes = (0, 1, 2)

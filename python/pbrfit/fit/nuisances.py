@@ -12,10 +12,11 @@ and with a normal distribution of θ around μ as prior, of precision Λ,
 
     δθ = −(H + W Λ)⁻¹ (g + W Λ (θ − μ))        δL = −S⁻¹ Σ_j δθ_j s_j
 
-beside what joint steps move the lights by. W = max(κ, 1) s² is the variance that what is left of
-the pixels stands for, times what pictures share (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the covariance of θ. The gain
-gᵀ H⁻¹ g / W is C. R. Rao's score test (Math. Proc. Cambridge Phil. Soc. 44, 1948): χ² with as many
-degrees of freedom as there are numbers where none of them has to change. It takes no fit with them.
+beside what joint steps move the lights by. W = max(κ, 1) s², times what pictures share, is the
+variance that what is left of the pixels stands for (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the
+covariance of θ. The gain gᵀ H⁻¹ g / W is C. R. Rao's score test (Math. Proc. Cambridge Phil. Soc.
+44, 1948): χ² with as many degrees of freedom as there are numbers where none of them has to change.
+It takes no fit with them.
 As all else is solved for, a wrong camera that materials and lights have bent to is seen as well as
 one that they have not.
 """

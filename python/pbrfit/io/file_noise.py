@@ -108,6 +108,4 @@ class Stored:
         if self.orientation in (3, 4, 7, 8):
             rows = rows[::-1]
         maximum = int(np.iinfo(self.codes.dtype).max)
-        return FileNoise(
-            self.conversion, maximum + 1, rounding, blocks, rows, columns, correlation
-        )
+        return FileNoise(self.conversion, maximum + 1, rounding, blocks, rows, columns, correlation)

@@ -39,9 +39,10 @@ the one below it, which is the upper half of the stored block. The loss is share
 of luma under a block of chroma by the variance that luma has in them, and is correlated between Cb
 and Cr as their slopes are.
 
-**Pictures of one view** have most coefficients in common but for a factor. So what was rounded to 0,
-or lost with the resolution of chroma, is lost in all of them alike (`SHARED_ZERO`, `SHARED_LOSS`),
-and the mean over pictures has it still. What rounding left of other coefficients is independent.
+**Pictures of one view** have most coefficients in common but for a factor. So what was rounded to
+0, or lost with the resolution of chroma, is lost in all of them alike (`SHARED_ZERO`,
+`SHARED_LOSS`), and the mean over pictures has it still. What rounding left of other coefficients is
+independent.
 """
 
 from __future__ import annotations
@@ -80,10 +81,10 @@ ROUNDS = 20
 """Steps of the expectation maximisation; ten more change deviations by less than 1 %."""
 
 SHARED_ZERO, SHARED_LOSS = 0.4, 0.6
-"""Correlation, between two pictures of one view, of the errors of coefficients that are 0 and of what
-chroma lost. Coefficients themselves have 0.8 in rooms under different lights; where one is 0, half
-of its energy lies in those that are not in the other picture. By six rooms of seeds 300 to 305, in
-qualities 50 to 98."""
+"""Correlation, between two pictures of one view, of the errors of coefficients that are 0, and of
+what chroma lost. Coefficients themselves have 0.8 in rooms under different lights; of those that
+are 0 in one picture half of the energy is in such as are not 0 in another. By six rooms, qualities
+50 to 98; in others the correlation that follows from them is off by up to a third."""
 
 _CHUNK = 1 << 14  # blocks that are looked at together
 
@@ -378,13 +379,14 @@ class _Model:
     def variances(
         self, counts: NDArray[np.float32], errors: Array, losses: Array
     ) -> tuple[Array, Array, Array]:
-        """(blocks,) each: Σ_k of E (c − nq)² times `errors`, of n = 0, and of E c² times `losses`."""
+        """(blocks,) each: Σ_k of E (c − nq)² times `errors`, of n = 0 alone, of E c² by `losses`."""
         posterior, other = self._posterior(counts), counts > 0
         zero, inside = (squares * self.steps**2 for squares in _squares(self._u))
 
         def of_zeros(weights: Array) -> Array:
             parts = weights * zero
-            return (posterior * (parts.sum(axis=1) - _product(other, parts.T))).sum(axis=1)
+            of_levels = parts.sum(axis=1) - _product(other, parts.T)
+            return np.asarray((posterior * of_levels).sum(axis=1))
 
         zeros = of_zeros(errors)
         found = zeros + (posterior * _product(other, (errors * inside).T)).sum(axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -73,11 +74,18 @@ def test_gradient_and_curvature_are_those_of_refits() -> None:
     assert curvature == pytest.approx(precision, rel=0.25)
 
 
-@pytest.mark.parametrize(("fov", "seed"), [(90.0, 1), (40.0, 2), (60.0, 3)])
-def test_a_field_of_view_that_nobody_told_is_found(fov: float, seed: int) -> None:
+VIEWS = [(90.0, 1), (40.0, 2), (60.0, 3)]
+
+
+@cache
+def found_and_told(fov: float, seed: int) -> tuple[Result, Result]:
     scene = room(fov, size=48, seed=seed)
-    found = decompose(unknown(scene), **FAST)
-    told = decompose(scene, **FAST)
+    return decompose(unknown(scene), **FAST), decompose(scene, **FAST)
+
+
+@pytest.mark.parametrize(("fov", "seed"), VIEWS)
+def test_a_field_of_view_that_nobody_told_is_found(fov: float, seed: int) -> None:
+    found, _ = found_and_told(fov, seed)
     assert found.camera is not None
     assert found.camera.how == "fitted"
     assert found.fov == found.camera.fov_degrees == pytest.approx(fov, abs=2.0)
@@ -85,8 +93,13 @@ def test_a_field_of_view_that_nobody_told_is_found(fov: float, seed: int) -> Non
     assert abs(found.fov - fov) < 4 * found.camera.fov_sigma < 4
     assert found.assumed["fov"] == found.camera.in_words()
     assert found.assumed["fov"].endswith("degrees, fitted")
-    for name in ("roughness_rmse", "albedo_scaled_rmse", "relight_rmse"):
-        assert found.metrics[name] < 1.5 * told.metrics[name] + 0.002
+
+
+@pytest.mark.parametrize("name", ["albedo", "roughness", "metallic", "relight"])
+def test_a_field_of_view_that_nobody_told_costs_little(name: str) -> None:
+    errors = [[one.metrics[f"{name}_rmse"] for one in found_and_told(*view)] for view in VIEWS]
+    found, told = np.mean(errors, axis=0)
+    assert found < 1.2 * told
 
 
 def test_what_pictures_do_not_say_the_lens_prior_does() -> None:

@@ -34,19 +34,22 @@ def test_values_at_limits_do_not_count_and_others_of_their_samples_do() -> None:
 
 
 def test_clipped_pictures_are_fitted_as_whole_ones() -> None:
-    scene = make_scene("room", size=24, lights=8, held_out=1, seed=2, noise=0.01)
-    highest = np.quantile(scene.images[:, scene.valid], 0.97)
-    clipped = replace(scene, images=np.minimum(scene.images, highest))
-    assert clipped.limits is not None
-    whole, found = (decompose(one, uncertainty=False, threads=1) for one in (scene, clipped))
-    taken_as_data = decompose(
-        replace(clipped, limits=np.zeros_like(clipped.limits)), uncertainty=False, threads=1
-    )
-    errors = [one.metrics["albedo_rmse"] for one in (whole, found, taken_as_data)]
-    assert errors[1] < 1.5 * errors[0]
-    assert errors[2] > 2 * errors[0]
-    values = np.count_nonzero(clipped.limits[:, clipped.valid])
-    assert f"{values} values at a limit" in found.left_out
+    errors = []
+    for seed in (3, 4):
+        scene = make_scene("room", size=24, lights=8, held_out=1, seed=seed, noise=0.01)
+        highest = np.quantile(scene.images[:, scene.valid], 0.97)
+        clipped = replace(scene, images=np.minimum(scene.images, highest))
+        assert clipped.limits is not None
+        taken_as_data = replace(clipped, limits=np.zeros_like(clipped.limits))
+        each = [
+            decompose(one, uncertainty=False, threads=1) for one in (scene, clipped, taken_as_data)
+        ]
+        errors.append([one.metrics["albedo_rmse"] for one in each])
+        values = np.count_nonzero(clipped.limits[:, clipped.valid])
+        assert f"{values} values at a limit" in each[1].left_out
+    whole, found, as_data = np.sum(errors, axis=0)
+    assert found < 1.2 * whole
+    assert as_data > 1.3 * found
 
 
 def test_windows_of_a_scene_have_its_limits() -> None:

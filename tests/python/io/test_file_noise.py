@@ -115,6 +115,30 @@ def test_errors_of_jpeg_are_predicted(tmp_path: Path, kind: str, chroma: str, qu
     assert np.mean(ranks) > 0.6
 
 
+@pytest.mark.parametrize(
+    ("quality", "chroma"), [(98, "4:4:4"), (90, "4:4:4"), (75, "4:4:4"), (90, "4:2:0")]
+)
+def test_what_jpeg_loses_of_one_view_is_alike_in_all_pictures(
+    tmp_path: Path, quality: int, chroma: str
+) -> None:
+    """The mean square of sums over pictures against that of samples, as of correlated errors."""
+    scene = make_scene("room", size=64, lights=12, held_out=1, seed=410, noise=0.0)
+    pictures = np.nan_to_num(scene.images).astype(np.float64)
+    errors, predicted = [], []
+    for true in np.clip(pictures / np.quantile(pictures, 0.995), 0, 1):
+        Image.fromarray(codes_of(true)).save(
+            tmp_path / "a.jpg", quality=quality, subsampling=chroma
+        )
+        picture = images.read_picture(tmp_path / "a.jpg")
+        noise = noise_of(picture)
+        errors.append((picture.pixels - true) / noise.deviation(picture.pixels))
+        predicted.append(noise.correlation)
+    of_mean = np.square(np.mean(errors, axis=0)).mean() / np.square(errors).mean()
+    measured = (len(errors) * of_mean - 1) / (len(errors) - 1)
+    print(f"{quality} {chroma}: {measured:.2f}, predicted {np.mean(predicted):.2f}")
+    assert np.mean(predicted) == pytest.approx(measured, abs=0.15)
+
+
 @pytest.mark.parametrize(("size", "off"), [(64, 0.1), (50, 0.1), (16, 0.3), (9, 0.4)])
 def test_errors_of_averaged_jpeg_are_predicted(tmp_path: Path, size: int, off: float) -> None:
     """In means of many samples the bias counts that the curve makes of large errors."""
