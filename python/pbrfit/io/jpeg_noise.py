@@ -379,7 +379,7 @@ class _Model:
     def variances(
         self, counts: NDArray[np.float32], errors: Array, losses: Array
     ) -> tuple[Array, Array, Array]:
-        """(blocks,) each: Σ_k of E (c − nq)² times `errors`, of n = 0 alone, of E c² by `losses`."""
+        """(blocks,) each: Σ_k of E (c − nq)² times `errors`, n = 0 alone, and E c² by `losses`."""
         posterior, other = self._posterior(counts), counts > 0
         zero, inside = (squares * self.steps**2 for squares in _squares(self._u))
 
