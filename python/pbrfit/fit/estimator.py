@@ -87,6 +87,12 @@ class Lights:
         shared = self.misfit.design_effect <= settings.FILE_DESIGN_EFFECT_MAX
         return self.misfit.is_noise or (of_file and shared)
 
+    @property
+    def can_be_judged(self) -> bool:
+        """Whether something else may have a better score than what leaves only this noise."""
+        samples = self.samples * self.misfit.effective_share
+        return not self.is_noise or math.isfinite(misfit.score(0.0, self.unknowns, samples))
+
 
 def solve(
     run: Run, x: Array, *, start_given: bool, lights: Lights | None = None
@@ -207,7 +213,7 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
     if run.options.solver != "gauss-newton" or run.options.response in ("srgb", "linear"):
         del untried["response"]
     told = run.camera.figures or lights.shared is None or run.camera.how == "assumed"
-    if told or lights.exact or lights.cut_short:
+    if told or lights.exact or lights.cut_short or not lights.can_be_judged:
         return lights, None
     level = Level.of(run.objective, settings.COARSE_PIXELS)
     if len(level.patches()) < settings.CAMERA_PATCHES_MIN:
@@ -225,11 +231,8 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
             if tests[name] < least[name] or run.out_of_time():
                 break
             notes.append(f"score test of {name} {tests[name]:.3g}")
-            at_most = settings.CORRECTION_ROUNDS_MAX
-            start = lights.x
-            if name == "fov":  # from the start, because materials have bent to the given one
-                at_most, start = settings.COARSE_ROUNDS_MAX, x
-            found, nuisances = _with_camera(run, start, numbers, at_most)
+            # Materials have bent to the given field of view, so another begins at the start.
+            found, nuisances = _with_camera(run, x if name == "fov" else lights.x, numbers)
             kept = _keeps(lights, found, name, nuisances.surprise(), figures)
             if name == "fov":
                 figures["other_fov_degrees"] = nuisances.scene.fov
@@ -237,6 +240,9 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
             notes.append(f"{found.misfit.in_words()}{'' if kept else ', not kept'}")
             if kept and name == "fov":
                 other = found
+                few, end = level.objective, level.objective.layout.maps.stop
+                before = run.objective.part_of(lights.x, level.pixels)
+                run.scale_by_other = scale.change(found.x[end:], before[end:], few)
                 break
             if kept:
                 run.see(nuisances)
@@ -266,9 +272,7 @@ def _score_tests(
     return {name: nuisances.test(group) for name, group in groups.items()}
 
 
-def _with_camera(
-    run: Run, x: Array, numbers: Sequence[Nuisance], at_most: int
-) -> tuple[Lights, Nuisances]:
+def _with_camera(run: Run, x: Array, numbers: Sequence[Nuisance]) -> tuple[Lights, Nuisances]:
     """What the level leaves with other numbers of the camera, from x; its x is of the level."""
     level = Level.of(run.objective, settings.COARSE_PIXELS)
     part = run.objective.part_of(x, level.pixels)
@@ -279,7 +283,7 @@ def _with_camera(
     nuisances = Nuisances(run.scene, fitted)
     nuisances.pixels = level.pixels
     watch = Watch(run, x, level)
-    found = rounds(run, level, part, watch, nuisances=nuisances, at_most=at_most)
+    found = rounds(run, level, part, watch, nuisances=nuisances)
     return replace(found, x=part, unknowns=found.unknowns + len(numbers)), nuisances
 
 

@@ -79,6 +79,12 @@ class Scale:
     note: str = ""
     """For the stage."""
 
+    def beside(self, other: Array) -> Scale:
+        """With the relative change (light channels,) that a likelier camera makes as an error."""
+        deviation = np.hypot(self.deviation, np.log1p(np.maximum(other, settings.SCALE_CHANGE_MIN)))
+        said = f"{self.assumed}; by the other field of view lights {_percent(other)}"
+        return replace(self, deviation=deviation, assumed=said)
+
 
 def find(
     objective: Objective, x: Array, strength: float, variance: float, shared: SharedFit, stop: Stop
@@ -104,7 +110,7 @@ def find(
     curve = _Curve.of(fit, variance)
     step = np.clip(curve.step, -settings.SCALE_STEP_MAX, settings.SCALE_STEP_MAX)
     part[few.layout.lighting] += as_in_x(step @ curve.directions, few.layout)
-    moved = _by_channel(part[few.layout.maps.stop :], before, few)
+    moved = change(part[few.layout.maps.stop :], before, few)
     by_group = curve.variances(groupings(objective.layout, pixels, prior.cluster))
     variances = by_group + (moved / 2) ** 2
     x = x.copy()
@@ -327,8 +333,8 @@ def measures(objective: Objective, x: Array) -> Array:
     return found.reshape(len(lights), -1)
 
 
-def _by_channel(after: Array, before: Array, objective: Objective) -> Array:
-    """(light channels,): by what share the scale of lights has changed."""
+def change(after: Array, before: Array, objective: Objective) -> Array:
+    """(light channels,): by what share the scale of lights (of x, both) has changed."""
     x = np.concatenate([np.zeros(objective.layout.maps.stop), before])
     change = as_in_core(after - before, objective).ravel()
     return np.asarray(measures(objective, x) @ change)

@@ -191,10 +191,6 @@ CAMERA_PATCHES_MIN = 9
 """Patches of a level from which on a camera is doubted: in four, lights without their band 3, or
 wrong normals, left what looks like noise, and another camera explained it; nine tell it."""
 
-CORRECTION_ROUNDS_MAX = 12
-"""Rounds of the coarse level with a correction of the pictures, at most, from lights without it:
-gammas of 1.1 are found in four; what takes longer is no tone curve."""
-
 NUISANCE_ERROR_RATIO = 0.02
 """As `CG_ERROR_RATIO`, where what the lights take is subtracted: the rest is some tenths of the
 whole, and is right to a hundredth."""
@@ -393,6 +389,10 @@ nearly all, there are no others to compare it with."""
 FREEDOM_MIN = 3.0
 """Smallest degrees of freedom of a jackknife's variance. With fewer the 95 % of Student's t are a
 statement on its tails, and not on the groups."""
+
+SCALE_CHANGE_MIN = -0.95
+"""Smallest relative change of the scale by another camera: below, lights have turned around, and the
+deviation of the scale, ln 20, says that nothing is known."""
 
 UNIFORM_PRECISION = 12.0
 """1/variance of a number that may lie anywhere in [0, 1]."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit import Objective, Result, Scene, decompose
 from pbrfit.fit import memory, misfit, settings
+from pbrfit.fit.estimator import Lights
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
@@ -129,6 +130,18 @@ def test_score_test_tells_a_right_camera_from_a_wrong_one() -> None:
     assert gain(60.0) < settings.CAMERA_GAIN_MIN < gain(70.0)
 
 
+def test_what_files_left_can_hide_too_much_to_judge_a_camera() -> None:
+    """10,000 samples that are worth fewer than the 1000 unknowns tell nothing by any score."""
+
+    def lights(left: Misfit) -> Lights:
+        return Lights(np.zeros(0), left, False, None, samples=10_000, unknowns=1000)
+
+    assert lights(Misfit(1.0, 0.9, 1.0)).can_be_judged
+    assert lights(Misfit(1.0, 0.9, 0.2)).can_be_judged
+    assert not lights(Misfit(1.0, 0.9, 0.2, 2.0)).can_be_judged
+    assert lights(Misfit(1.0, 9.0, 0.2, 2.0)).can_be_judged  # another camera may leave less
+
+
 def test_a_given_field_of_view_is_contradicted_where_pictures_do(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -142,6 +155,7 @@ def test_a_given_field_of_view_is_contradicted_where_pictures_do(
     assert found.camera.figures["other_fov_degrees"] == pytest.approx(90.0, abs=2.0)
     assert found.camera.figures["score_other_fov"] < found.camera.figures["score_given"]
     assert found.assumed["fov"].startswith("60 degrees, given; the pictures fit far better with")
+    assert "; by the other field of view lights -" in found.assumed["scale"]
     assert any(found.assumed["fov"] in record.message for record in caplog.records)
     caplog.clear()
     with caplog.at_level(logging.WARNING, "pbrfit"):

@@ -124,9 +124,10 @@ def fit(
     }
     figures |= _figures(free, found, "after") | scores
     figures["spread_degrees"] = float(np.degrees(offsets.sigma))
-    if asked == "auto" and scores["score_after"] > min(scores.values()):
+    best = min(scores.values())
+    if asked == "auto" and (scores["score_after"] > best or math.isinf(best)):
         why = "what other normals explain does not outweigh how many unknowns they are"
-        if other is not None and scores["score_other_camera"] == min(scores.values()):
+        if other is not None and scores["score_other_camera"] == best:
             why = OTHER_CAMERA
         return with_given(lights), Refinement(asked, False, why, figures)
     refining = run
