@@ -190,7 +190,7 @@ class Nuisances:
         """
         directions = self._directions(objective, x)
         gram, by_light = _eliminated(objective, x, directions, fit)
-        moves = None
+        sizes, moves = np.sqrt(np.maximum(np.diag(gram), np.finfo(np.float64).tiny)), None
         if fit is not None:
             gradient, solve = fit.inverse()
             by_light[:, 0] = gradient
@@ -202,8 +202,9 @@ class Nuisances:
         variance = self._misfit
         precision = variance / np.array([one.sigma**2 for one in self.fitted])
         means = np.array([one.mean for one in self.fitted])
-        slope = gram[1:, 0] + precision * (self.values - means)
-        self.slope, self.information = slope, gram[1:, 1:] + np.diag(precision)
+        gradient, information = _resolved(gram[1:, 0], gram[1:, 1:], sizes[1:])
+        slope = gradient + precision * (self.values - means)
+        self.slope, self.information = slope, information + np.diag(precision)
         inverse = np.linalg.inv(self.information)
         self.step, self.covariance = -(inverse @ slope), np.asarray(variance * inverse)
         gain = float(slope @ inverse @ slope)
@@ -250,6 +251,17 @@ class Nuisances:
             sides.append(other.problem.residuals(objective.for_core(x), everything))
         change = sides[0].astype(np.float64) - sides[1]
         return change.transpose(1, 0, 2) / (2 * settings.NUISANCE_DIFFERENCE)
+
+
+def _resolved(gradient: Array, information: Array, sizes: Array) -> tuple[Array, Array]:
+    """Both without the directions in which lights take all but rounding.
+
+    `sizes` (J,) are the roots of the information before lights are solved for.
+    """
+    shares, directions = np.linalg.eigh(information / np.outer(sizes, sizes))
+    kept = directions[:, shares > settings.NUISANCE_INFORMATION_MIN]
+    scaled = (kept * shares[shares > settings.NUISANCE_INFORMATION_MIN]) @ kept.T
+    return sizes * (kept @ (kept.T @ (gradient / sizes))), scaled * np.outer(sizes, sizes)
 
 
 def _eliminated(

@@ -345,7 +345,10 @@ def _percent(shares: Array, sign: str = "+") -> str:
 
 
 def _slope(fit: JointFit, direction: Array, prior: GaussianPrior | None, variance: float) -> Array:
-    """(P,): d/dt ln det H along a direction of the lights, pixels at their best."""
+    """(P,): d/dt ln det H along a direction of the lights, pixels at their best.
+
+    0 where H is singular, as it can be where rounding alone is left.
+    """
     objective, layout = fit.objective, fit.objective.layout
     ends = []
     for sign in (-1, 1):
@@ -353,7 +356,9 @@ def _slope(fit: JointFit, direction: Array, prior: GaussianPrior | None, varianc
         x[layout.lighting] += as_in_x(sign * settings.SCALE_DIFFERENCE * direction, layout)
         fit_all(objective, x, starts=0, steps=settings.DESCENT_STEPS_AFTER_JOINT, prior=prior)
         ends.append(_log_determinants(objective, x, prior, variance))
-    return (ends[1] - ends[0]) / (2 * settings.SCALE_DIFFERENCE)
+    change = np.zeros(objective.pixels)
+    np.subtract(ends[1], ends[0], out=change, where=np.isfinite(ends[0]) & np.isfinite(ends[1]))
+    return np.asarray(change / (2 * settings.SCALE_DIFFERENCE))
 
 
 def _log_determinants(

@@ -191,6 +191,10 @@ CAMERA_PATCHES_MIN = 9
 """Patches of a level from which on a camera is doubted: in four, lights without their band 3, or
 wrong normals, left what looks like noise, and another camera explained it; nine tell it."""
 
+NUISANCE_INFORMATION_MIN = 1e-6
+"""Share of its information that a number of the camera keeps when lights are solved for, below
+which that is rounding, of float32 derivatives, and only the prior tells the number."""
+
 NUISANCE_ERROR_RATIO = 0.02
 """As `CG_ERROR_RATIO`, where what the lights take is subtracted: the rest is some tenths of the
 whole, and is right to a hundredth."""
@@ -391,7 +395,7 @@ FREEDOM_MIN = 3.0
 statement on its tails, and not on the groups."""
 
 SCALE_CHANGE_MIN = -0.95
-"""Smallest relative change of the scale by another camera: below, lights have turned around, and the
+"""Smallest relative change of the scale by another camera: below, lights have turned around and the
 deviation of the scale, ln 20, says that nothing is known."""
 
 UNIFORM_PRECISION = 12.0

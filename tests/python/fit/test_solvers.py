@@ -148,6 +148,7 @@ def test_gauss_newton_does_not_end_above_lbfgsb(case: str, priors: Priors | None
                 solver=solver,
                 priors=priors,
                 uncertainty=False,
+                robust="none",
                 refine_normals="off",
                 **options,
             ),
