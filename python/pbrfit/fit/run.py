@@ -146,6 +146,11 @@ class Run:
         self.camera = nuisances.camera(self.camera)
 
     @property
+    def picture_effect(self) -> float:
+        """As of the noise of samples; 1 where none was found."""
+        return 1.0 if self.noise is None else self.noise.picture_effect
+
+    @property
     def left(self) -> int:
         """Iterations."""
         return self._iteration_limit - self.iteration

@@ -124,14 +124,16 @@ def find(
     return x, Scale(deviation, said, note)
 
 
-def judge(objective: Objective, x: Array, prior: GaussianPrior | None) -> Scale:
+def judge(
+    objective: Objective, x: Array, prior: GaussianPrior | None, picture_effect: float = 1.0
+) -> Scale:
     """What is known of the scale of a fit at x, which has had no step of its own.
 
     Without a prior, roughness and metallic are taken to be uniform in [0, 1]. What the step would
-    be is an error of these lights.
+    be is an error of these lights. `picture_effect` as of the noise of samples.
     """
     fit, variance, pixels = _at_end(objective, x, prior, settings.SCALE_PIXELS)
-    curve = _Curve.of(fit, variance)
+    curve = _Curve.of(fit, variance * picture_effect)
     variances = curve.variances(groupings(objective.layout, pixels)) + curve.step**2
     said = "by the highlights of dielectrics" + ("" if prior is not None else ", without priors")
     return Scale(np.sqrt(variances), said)

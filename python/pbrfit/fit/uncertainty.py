@@ -49,12 +49,14 @@ def estimate(
     *,
     priors: bool = False,
     albedo_scale: Array | None = None,
+    picture_effect: float = 1.0,
     light_pixels: int = LIGHT_PIXELS_MAX,
 ) -> Uncertainty:
     """Uncertainty of a fit that ended at x; the lights' covariance is from so many pixels at most.
 
     `priors`, whether priors took part in the fit, and the relative deviation of the scale, by
-    `pbrfit.fit.scale`, are passed on to `Uncertainty`.
+    `pbrfit.fit.scale`, are passed on to `Uncertainty`. Variances are `picture_effect` times those
+    of independent samples (`pbrfit.fit.noise`).
     """
     lights = light_modes(objective, x, light_pixels)
     return of_variances(
@@ -65,6 +67,7 @@ def estimate(
         scale=objective.scale,
         priors=priors,
         albedo_scale=albedo_scale,
+        picture_effect=picture_effect,
     )
 
 
@@ -136,6 +139,7 @@ def of_variances(
     scale: float,
     priors: bool,
     albedo_scale: Array | None,
+    picture_effect: float,
 ) -> Uncertainty:
     """The uncertainty with the noise that is left, from those of all pixels, which change.
 
@@ -149,7 +153,7 @@ def of_variances(
     def deviations(variances: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """In their place."""
         np.sqrt(variances, out=variances)
-        variances *= noise or 0.0
+        variances *= (noise or 0.0) * math.sqrt(picture_effect)
         variances[found.singular | (not degrees > 0) & ~held] = SIGMA_MAX
         np.minimum(variances, SIGMA_MAX, out=variances)
         return variances

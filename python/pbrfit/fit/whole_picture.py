@@ -132,6 +132,7 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
             x,
             priors=setup.options.priors != Priors.none(),
             albedo_scale=None if run.scale is None else run.scale.deviation,
+            picture_effect=run.picture_effect,
         )
     materials, lighting = run.objective.unpack(x)
     return FitOutput(
@@ -200,7 +201,7 @@ def _with_scale(found: refined_fit.PixelFit, options: FitOptions) -> refined_fit
             run.record(x, run.evaluate(x)[0])
     elif run.scale is None and options.uncertainty:
         began = run.elapsed
-        run.scale = scale.judge(run.objective, x, prior)
+        run.scale = scale.judge(run.objective, x, prior, run.picture_effect)
         run.unmeasured += run.elapsed - began
     if run.scale is not None and run.scale_by_other is not None and options.white is None:
         run.scale = run.scale.beside(run.scale_by_other)

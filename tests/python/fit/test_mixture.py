@@ -380,7 +380,9 @@ def test_squares_and_prior_together_are_lowered(room: Scene, kind: str) -> None:
     own = float(fit.sum_sq.sum()) / objective.total_weight
     assert loss == pytest.approx(own + prior.value_and_grad(x, gradient.copy()), rel=1e-4)
     # L-BFGS finds nothing much lower from there.
-    _, after, _ = fmin_l_bfgs_b(objective.value_and_grad, x, bounds=objective.bounds, maxiter=100)
+    after = fmin_l_bfgs_b(
+        lambda x: objective.value_and_grad(x), x, bounds=list(objective.bounds), maxiter=100
+    )[1]
     print(f"{kind}: {before:.4g}, {loss:.4g}, {after:.4g}")
     assert loss - after < 0.05 * (before - loss)
 

@@ -294,6 +294,15 @@ def test_deviations_grow_with_the_noise_alone() -> None:
     )
 
 
+def test_what_pictures_share_is_in_the_deviations() -> None:
+    _, objective, x = scene_and_x()
+    one, four = (uncertainty.estimate(objective, x, picture_effect=n) for n in (1.0, 4.0))
+    assert four.noise == one.noise
+    for name in ("conditional", "marginal"):
+        before, after = (stacked(getattr(of, name), objective) for of in (one, four))
+        np.testing.assert_allclose(after, np.minimum(2 * before, SIGMA_MAX), rtol=1e-6)
+
+
 def with_uncertainty() -> pbrfit.Result:
     scene, objective, x = scene_and_x()
     result = pbrfit.decompose(scene, iterations=2)

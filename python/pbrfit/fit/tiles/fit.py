@@ -140,6 +140,7 @@ def fit_tiles(
             scale=units.scale,
             priors=options.priors != Priors.none(),
             albedo_scale=None if clock.scale is None else clock.scale.deviation,
+            picture_effect=clock.picture_effect,
         )
     status, reason = ending(subset.status, subset.reason, statuses, options)
     return FitOutput(
