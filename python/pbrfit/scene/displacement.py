@@ -55,6 +55,10 @@ COMPONENTS = 8
 """Principal components of the others that explain a picture, at most. Where several pictures are
 displaced, many would also explain a displacement."""
 
+LEAST_COMMON = 0.5
+"""Share of a picture's pixels that the others it is compared with have to have too: those with the
+fewest, as a black one of integers, half of whose noise is clipped, are left out until they do."""
+
 _HALO = 4  # pixels around a window that blur and differences need
 _FLOOR = 0.2  # of the mean: darker pixels weigh as this
 _REWEIGHTED = 2
@@ -186,8 +190,8 @@ class Level:
 
     def fit(self, i: int, others: Sequence[int], components: int = COMPONENTS) -> Fit | None:
         """How picture i lies relative to the others; None if nothing tells it."""
-        values = self._values[list(others)]
-        used = self._used[i] & self._used[list(others)].all(axis=0)
+        others, used = self._common(i, others)
+        values = self._values[others]
         mean = values.mean(axis=0)
         parts = [mean * self._harmonics]
         components = min(components, len(others))
@@ -200,6 +204,17 @@ class Level:
         if np.count_nonzero(used) < _SAMPLES_OF_UNKNOWN * (len(basis) + 6):
             return None
         return self._solved(self._inner(self._values[i]), basis, used, self._inner(mean))
+
+    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
+        """The others that have pixels in common with picture i, and which these are."""
+        counts = {j: int(np.count_nonzero(self._used[i] & self._used[j])) for j in others}
+        kept = sorted(others, key=lambda j: counts[j])
+        least = LEAST_COMMON * np.count_nonzero(self._used[i])
+        used = self._used[i] & self._used[kept].all(axis=0)
+        while len(kept) > 2 and np.count_nonzero(used) < least:
+            kept = kept[1:]
+            used = self._used[i] & self._used[kept].all(axis=0)
+        return sorted(kept), used
 
     def _solved(
         self,

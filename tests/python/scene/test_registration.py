@@ -17,6 +17,7 @@ import pbrfit
 from command_runs import done
 from pbrfit.result.metrics import rmse
 from pbrfit.scene import displacement, registration
+from pbrfit.scene.arrays import AT_MOST
 from pbrfit.scene.registration import Placement, Registration, aligned, put_back, register
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
@@ -208,6 +209,18 @@ def test_a_black_picture_stays() -> None:
     noise = 0.01 * np.random.default_rng(1).standard_normal((64, 64, 3))
     for black in (np.zeros((64, 64, 3)), noise):
         assert register(with_picture(scene(), black)).in_line
+
+
+def test_a_black_picture_of_integers_hides_no_displacement() -> None:
+    """Half of its noise is clipped: no pixel of many would be left if it were one of the others."""
+    one = shaken(affine(2, 0))
+    noise = 0.01 * np.random.default_rng(0).standard_normal(one.images[5].shape)
+    one = with_picture(one, noise.clip(0).astype(np.float32), 5)
+    limits = np.zeros(one.images.shape, np.uint8)
+    limits[5][one.images[5] == 0] = AT_MOST
+    found = register(replace(one, limits=limits)).placements
+    np.testing.assert_allclose(found[MOVED].affine[:, 0], [0, 2], atol=0.1)
+    assert all(placed.in_line for i, placed in enumerate(found) if i != MOVED)
 
 
 def test_bodies_whose_edges_are_of_light_are_not_registered() -> None:
