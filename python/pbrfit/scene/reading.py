@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import operator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -175,7 +176,8 @@ class _Pictures:
     limits: NDArray[np.uint8]
     """(N, H, W, 3): samples with a part in what is too bright or too dark for its file."""
     searched: list[bool]
-    """Pictures whose files say nothing about limits: floats."""
+    """Pictures that may have been clipped below what their files can hold: floats whose files say
+    nothing about limits, and integers without loss whose range of codes nobody gave."""
     said: bool
     """Whether a float file has limits."""
     noise: list[FileNoise | None]
@@ -221,9 +223,10 @@ def _read_pictures(
         if picture.limits is not None:
             read.limits[i] = picture.limits if whole else file_limits.averaged(picture.limits, size)
         is_float = picture.bit_depth == 32
-        read.searched.append(is_float and picture.limits is None)
-        read.said |= is_float and picture.limits is not None
         stored = picture.stored
+        sharp = stored is not None and stored.tables is None and code_range is None
+        read.searched.append(sharp or (is_float and picture.limits is None))
+        read.said |= is_float and picture.limits is not None
         read.noise.append(None if stored is None else stored.noise(size))
         if stored is not None:
             forms.setdefault(stored.in_words(), []).append(path.name)
@@ -269,13 +272,16 @@ def _limits(
                 f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
                 "found all clipped or dark; --code-range 0,255 keeps them"
             )
-    if not any(limits[mask].any() for limits in read.limits):
-        # Plateaus of float pictures are sought when the Scene is made, unless their files say that
-        # there are none.
+    bounds = any(limits[mask].any() for limits in read.limits)
+    if bounds or any(map(operator.and_, read.searched, map(bool, read.noise))):
+        found = plateaus(read.pixels, counted, read.searched)
+        if found is not None:
+            np.maximum(read.limits, found, out=read.limits)
+            bounds = True
+    if not bounds:
+        # Plateaus of float pictures alone are sought when the Scene is made, unless their files say
+        # that there are none.
         return np.broadcast_to(np.uint8(0), read.limits.shape) if read.said else None
-    found = plateaus(read.pixels, counted, read.searched)
-    if found is not None:
-        np.maximum(read.limits, found, out=read.limits)
     assumed["exposure"] = limits_in_words(read.limits, counted)
     bounded = np.logical_and.reduce([limits.all(axis=-1) for limits in read.limits]) & mask
     if bounded.any():

@@ -405,6 +405,8 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
     if truth is not None and truth.lighting is not None:
         truth = replace(truth, lighting=truth.lighting[kept])
     changed: dict[str, Any] = {} if limits is None else {"limits": limits}
+    if scene.file_noise is not None:
+        changed["file_noise"] = tuple(scene.file_noise[i] for i in kept)
     return replace(
         scene,
         images=images,

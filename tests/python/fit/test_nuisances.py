@@ -259,6 +259,18 @@ def test_what_a_camera_does_to_pictures_is_undone(
     assert Camera.from_json(found.camera.as_json()) == found.camera
 
 
+@pytest.mark.slow
+def test_a_tone_curve_of_clipped_pictures_is_undone_too() -> None:
+    """What it does to values at limits says nothing of how likely it is."""
+    scene = make_scene("furnished", size=64, lights=16, noise=0.01, seed=301, held_out=2)
+    scene = bent(scene, CURVE)
+    highest = np.quantile(scene.images[:, scene.valid], 0.93)
+    found = decompose(replace(scene, images=np.minimum(scene.images, highest)), **FAST)
+    assert found.camera is not None
+    assert found.camera.correction is not None
+    assert found.camera.correction.numbers[0] == pytest.approx(-0.1, abs=0.04)
+
+
 def test_a_tone_curve_is_fitted_where_it_is_asked_for_and_not_where_none_is_wanted() -> None:
     scene = room(size=24)
     stages = {

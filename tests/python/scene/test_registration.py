@@ -21,6 +21,7 @@ from pbrfit.scene.arrays import AT_MOST
 from pbrfit.scene.registration import Placement, Registration, aligned, put_back, register
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from scene_files import write_integers
 
 MOVED = 2
 """The picture that is moved."""
@@ -203,6 +204,27 @@ def test_another_scene_is_left_out_and_named() -> None:
     assert left.names == tuple(name for name in one.names if name != "light_02")
     assert len(left.images) == len(left.lighting) == 7  # type: ignore[arg-type]
     assert left.assumed["alignment"].startswith("light_02 is left out: its edges agree")
+
+
+def test_what_files_did_goes_with_the_pictures_that_are_left(tmp_path: Path) -> None:
+    one = scene("room")
+    images = (one.images / one.images.max()).clip(0)
+    other = make_scene("furnished", size=64, lights=2, held_out=1, seed=5).images[0]
+    images[MOVED] = other / other.max()
+    replace(one, images=images, truth=None).save(tmp_path / "scene")
+    for name, picture in zip(one.names, images, strict=True):
+        path = tmp_path / "scene" / "images" / f"{name}.exr"
+        path.unlink()
+        kind = np.uint16 if name == "light_03" else np.uint8
+        write_integers(path.with_suffix(".png"), picture, kind)
+    read = Scene.load(tmp_path / "scene")
+    left = aligned(read)
+    assert "light_02 is left out" in left.assumed["alignment"]
+    assert read.file_noise is not None
+    assert left.file_noise == read.file_noise[:MOVED] + read.file_noise[MOVED + 1 :]
+    sigma = left.noise_floor(2)
+    assert sigma is not None
+    assert np.nanmedian(sigma) < 1e-4 < np.nanmedian(left.noise_floor(3))  # type: ignore[arg-type]
 
 
 def test_a_black_picture_stays() -> None:

@@ -282,6 +282,20 @@ def test_clipped_floats_are_found_beside_integers(folder: Path) -> None:
     assert np.argwhere(scene.limits[1:]).tolist() == [[0, 5, 6, c] for c in range(3)]
 
 
+@pytest.mark.parametrize("form", ["png", "tif"])
+def test_integers_that_were_clipped_below_white_are_found(folder: Path, form: str) -> None:
+    """Unless a range of codes is given."""
+    rng = np.random.default_rng(5)
+    for name in room().names:
+        (folder / "images" / f"{name}.exr").unlink(missing_ok=True)
+        codes = np.minimum(rng.integers(20, 240, (SIZE, SIZE, 3)), 150).astype(np.uint8)
+        Image.fromarray(codes).save(folder / "images" / f"{name}.{form}")
+    found = Scene.load(folder).limits
+    assert found is not None
+    np.testing.assert_array_equal(found[-1] == AT_LEAST, codes == 150)
+    assert Scene.load(folder, code_range=(0, 255)).limits is None
+
+
 @pytest.mark.parametrize("limit", [0, AT_LEAST, AT_MOST])
 def test_limits_are_saved_with_the_pictures(tmp_path: Path, limit: int) -> None:
     limits = np.zeros(room().images.shape, np.uint8)
