@@ -53,6 +53,7 @@ Disturbance = Literal[
     "gamma",
     "vignetting",
     "grey",
+    "together",
     "fov-true",
     "fov-unknown",
     "fov-wrong",
@@ -80,6 +81,7 @@ TITLES: dict[Disturbance, str] = {
     "gamma": "gamma 1.1",
     "vignetting": "vignetting of 30 %",
     "grey": "grey scene and lights",
+    "together": "PNG of all at once",
     "fov-true": "90° wide, known",
     "fov-unknown": "90° wide, unknown",
     "fov-wrong": "90° wide, 60° given",
@@ -103,6 +105,9 @@ CLIPPED_AT, UNCLIPPED_FLOATS = 0.9, 0.998
 
 BAD_PICTURE = 5
 """Number of the picture that is black, shifted or of another scene."""
+
+TOGETHER: tuple[Disturbance, ...] = ("another", "black", "shifted", "hot", "gamma", "vignetting")
+"""What is done to one scene, in this order."""
 
 SHIFT = 2
 """Pixels that a picture is shifted to the right."""
@@ -174,27 +179,50 @@ def disturbed(disturbance: Disturbance, kind: Kind, seed: int, size: int) -> Dis
             return _in_files(made(NOISE), _write_png)
         case "grey":
             return _grey(made(0.0), rng)
-    given = made(NOISE)
+        case "together":
+            return _together(made(NOISE), kind, seed, size, rng)
+    return _spoilt(made(NOISE), disturbance, kind, seed, size, rng)
+
+
+def _together(given: Disturbed, kind: Kind, seed: int, size: int, rng: Generator) -> Disturbed:
+    """Each with a picture of its own, in files that do not tell the field of view."""
+    for number, one in enumerate(TOGETHER):
+        given = _spoilt(given, one, kind, seed, size, rng, bad_picture=BAD_PICTURE + 2 * number)
+    return _in_files(given, _write_png, say_fov=False)
+
+
+def _spoilt(
+    given: Disturbed,
+    disturbance: Disturbance,
+    kind: Kind,
+    seed: int,
+    size: int,
+    rng: Generator,
+    *,
+    bad_picture: int = BAD_PICTURE,
+) -> Disturbed:
+    """After a disturbance of the pictures; of one alone it is the bad one."""
     pictures: Floats = given.scene.images.copy()
-    expected: Floats = given.expected
+    expected: Floats = given.expected.copy()
     valid = given.scene.valid
     match disturbance:
         case "hot":
             hot = rng.random(pictures.shape) < HOT_SHARE
-            pictures[hot] = HOT_RANGE * expected[:, valid].mean() * rng.random(hot.sum())
+            brightest = HOT_RANGE * np.nanmean(expected[:, valid])
+            pictures[hot] = brightest * rng.random(hot.sum())
         case "black":
-            expected[BAD_PICTURE] = 0
-            pictures[BAD_PICTURE] = NOISE * rng.standard_normal(pictures.shape[1:])
+            expected[bad_picture] = 0
+            pictures[bad_picture] = NOISE * rng.standard_normal(pictures.shape[1:])
         case "clipped":
             pictures = np.minimum(pictures, np.float32(CLIPPED_AT))
         case "brightest":
             pictures = np.minimum(pictures, np.quantile(pictures[:, valid], UNCLIPPED_FLOATS))
         case "shifted":
-            pictures[BAD_PICTURE] = shifted(pictures[BAD_PICTURE])
+            pictures[bad_picture] = shifted(pictures[bad_picture])
         case "another":
             other = _made(kind, seed + OTHER_SEED, size, NOISE)
-            pictures[BAD_PICTURE] = other.scene.images[BAD_PICTURE]
-            expected[BAD_PICTURE] = np.nan
+            pictures[bad_picture] = other.scene.images[bad_picture]
+            expected[bad_picture] = np.nan
         case "gamma":
             white = _white(given.scene)
             pictures, expected = (curved(of / white) * white for of in (pictures, expected))
@@ -319,14 +347,15 @@ def _jpeg(said: str) -> Write:
     return partial(_write_jpeg, quality=int(quality), chroma=":".join(chroma))
 
 
-def _in_files(given: Disturbed, write: Write) -> Disturbed:
+def _in_files(given: Disturbed, write: Write, *, say_fov: bool = True) -> Disturbed:
     """Exposed, encoded as sRGB of 8 bits, written, and read; held-out pictures stay."""
     white = _white(given.scene)
     truth = _truth(given.scene)
     assert truth.lighting is not None
     # Held-out lights and pictures are not those of the files, and need no exposure.
     truth = replace(truth, lighting=truth.lighting / white)
-    scene = _read_back(replace(given.scene, images=given.scene.images / white), write)
+    images = (given.scene.images / white).astype(np.float32)
+    scene = _read_back(replace(given.scene, images=images), write, say_fov=say_fov)
     return replace(given, scene=replace(scene, truth=truth), expected=given.expected / white)
 
 

@@ -231,8 +231,10 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
             if tests[name] < least[name] or run.out_of_time():
                 break
             notes.append(f"score test of {name} {tests[name]:.3g}")
-            # Materials have bent to the given field of view, so another begins at the start.
-            found, nuisances = _with_camera(run, x if name == "fov" else lights.x, numbers)
+            if name == "fov":  # from the start, because materials have bent to the given one
+                found, nuisances = _with_camera(run, x, numbers, None)
+            else:
+                found, nuisances = _with_camera(run, lights.x, numbers, lights.noise)
             kept = _keeps(lights, found, name, nuisances.surprise(), figures)
             if name == "fov":
                 figures["other_fov_degrees"] = nuisances.scene.fov
@@ -272,7 +274,9 @@ def _score_tests(
     return {name: nuisances.test(group) for name, group in groups.items()}
 
 
-def _with_camera(run: Run, x: Array, numbers: Sequence[Nuisance]) -> tuple[Lights, Nuisances]:
+def _with_camera(
+    run: Run, x: Array, numbers: Sequence[Nuisance], noise: NoiseModel | None
+) -> tuple[Lights, Nuisances]:
     """What the level leaves with other numbers of the camera, from x; its x is of the level."""
     level = Level.of(run.objective, settings.COARSE_PIXELS)
     part = run.objective.part_of(x, level.pixels)
@@ -283,7 +287,7 @@ def _with_camera(run: Run, x: Array, numbers: Sequence[Nuisance]) -> tuple[Light
     nuisances = Nuisances(run.scene, fitted)
     nuisances.pixels = level.pixels
     watch = Watch(run, x, level)
-    found = rounds(run, level, part, watch, nuisances=nuisances)
+    found = rounds(run, level, part, watch, nuisances=nuisances, noise=noise)
     return replace(found, x=part, unknowns=found.unknowns + len(numbers)), nuisances
 
 
@@ -311,12 +315,14 @@ def rounds(
     at_most: int = settings.COARSE_ROUNDS_MAX,
     dielectric: int = 0,
     nuisances: Nuisances | None = None,
+    noise: NoiseModel | None = None,
 ) -> Lights:
     """Rounds of materials and joint steps of a level's pixels, whose x changes.
 
     `normals` is for an objective that has them free. Without, pixels have a prior around a
     dielectric of middle roughness in the first rounds, as many as `dielectric` says. `nuisances`
-    are fitted too; the level's objective then sees through what they were found to be.
+    are fitted too; the level's objective then sees through what they were found to be. `noise` of
+    samples weighs them from the start, where x has been found with it.
     """
     objective = level.objective
     everything = np.arange(objective.pixels, dtype=np.uint64)
@@ -324,12 +330,12 @@ def rounds(
     if objective.lighting is not None:
         shared = SharedFit(LightPrior.around(objective, x))
     left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
-    noise, given = None, objective
+    given = objective
     if nuisances is not None:
         given = copy(objective)  # whose camera changes
         level = replace(level, objective=given)
     for number in range(at_most):
-        if number >= settings.ROBUST_ROUND:
+        if number >= settings.ROBUST_ROUND or noise is not None:
             weighed = _weighed(run, given, level.objective, x, noise)
             level = replace(level, objective=weighed)
             if shared is not None:
@@ -359,7 +365,8 @@ def rounds(
             normals.learn(objective, x, fixed, left.variance)
         deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
         # Before the camera moves, whose step pixels have to follow first.
-        if run.options.robust == "auto" and number >= settings.ROBUST_ROUND - 1:
+        told = number >= settings.ROBUST_ROUND - 1 or noise is not None
+        if run.options.robust == "auto" and told:
             noise = estimated(objective, x)
             deviance = noise.deviance(given, x)
         if nuisances is not None:
