@@ -203,7 +203,7 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
 
     `lights` are those that were found from x. The numbers whose score test promises most are fitted
     first, and kept where the score is lower and only noise is left; of a field of view it is enough
-    if most of the misfit is gone. Wrong normals and bad pictures ask for another camera too, but it
+    if most of the misfit is gone, and not if the given one leaves only noise. Wrong normals and bad pictures ask for another camera too, but it
     does not help them much. A correction is `run`'s from then on. A given field of view stays:
     `run.camera` tells of the other one, and what that leaves is returned beside.
     """
@@ -301,8 +301,10 @@ def _keeps(
     figures["score_given"], figures[f"score_other_{name}"] = scores
     share = math.exp(found.deviance - before.deviance)
     share *= max(found.misfit.design_effect, 1.0) / max(before.misfit.design_effect, 1.0)
-    told = name == "fov" and share <= settings.CAMERA_MISFIT_SHARE_MAX
-    return scores[1] < scores[0] and (found.is_noise or told)
+    told = found.is_noise
+    if name == "fov":  # a given one that leaves noise alone is contradicted by none
+        told = (told and not before.is_noise) or share <= settings.CAMERA_MISFIT_SHARE_MAX
+    return scores[1] < scores[0] and told
 
 
 def rounds(
