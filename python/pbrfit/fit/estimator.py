@@ -203,9 +203,10 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
 
     `lights` are those that were found from x. The numbers whose score test promises most are fitted
     first, and kept where the score is lower and only noise is left; of a field of view it is enough
-    if most of the misfit is gone, and not if the given one leaves only noise. Wrong normals and bad pictures ask for another camera too, but it
-    does not help them much. A correction is `run`'s from then on. A given field of view stays:
-    `run.camera` tells of the other one, and what that leaves is returned beside.
+    if most of the misfit is gone, and not if the given one leaves only noise. Wrong normals and bad
+    pictures ask for another camera too, but it does not help them much. A correction is `run`'s
+    from then on. A given field of view stays: `run.camera` tells of the other one, and what that
+    leaves is returned beside.
     """
     untried = {"fov": (FIELD_OF_VIEW,), "response": RESPONSE, "vignetting": VIGNETTING}
     if run.camera.how != "given":
@@ -338,7 +339,8 @@ def rounds(
         level = replace(level, objective=given)
     for number in range(at_most):
         if number >= settings.ROBUST_ROUND or noise is not None:
-            weighed = _weighed(run, given, level.objective, x, noise)
+            first = number == settings.ROBUST_ROUND
+            weighed = _weighed(run, given, level.objective, x, noise, first=first)
             level = replace(level, objective=weighed)
             if shared is not None:
                 shared.stale = True
@@ -636,15 +638,22 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
 
 
 def _weighed(
-    run: Run, given: Objective, now: Objective, x: Array, noise: NoiseModel | None
+    run: Run,
+    given: Objective,
+    now: Objective,
+    x: Array,
+    noise: NoiseModel | None,
+    *,
+    first: bool = False,
 ) -> Objective:
     """A level's objective with the weights of samples at x, by their noise or a robust loss.
 
-    `given` is the objective without, and `now` the one that x was fitted to.
+    `given` is the objective without, and `now` the one that x was fitted to, for the `first` time
+    with weights or not.
     """
     if noise is None:
         return _robust(run, now, x)
-    weights = noise.weights(given, x)
+    weights = noise.weights(given, x, first=first)
     return given if weights is None else given.weighed(weights)
 
 
@@ -661,7 +670,7 @@ def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | 
             if fit_all(weighed, x, starts=1 if number == 0 else 0, stop=run.out_of_time) is None:
                 notes.append("stopped before all pixels had their turn")
                 break
-            weighed = objective.weighed(noise.weights(objective, x))
+            weighed = objective.weighed(noise.weights(objective, x, first=number == 0))
         objective.adopt(weighed)
         notes.append(noise.in_words())
 

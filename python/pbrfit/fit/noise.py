@@ -3,18 +3,19 @@
 Least squares is right for samples of one variance and a normal distribution. Those of cameras and
 files have neither: a picture may be darker, moved, or of something else; bright samples have more
 noise than dark ones, and those of a JPEG's busy blocks more than others; some are hot, or show a
-highlight that the model does not have. So a residual r of picture i at radiance m has Student's t
-distribution with ν degrees of freedom and the scale
+highlight that the model does not have. So a residual r of picture i at radiance m has a
+distribution with tails (`pbrfit.fit.tails`) and the variance of an ordinary sample
 
     V = s_i² φ(m, f),      φ = c_0 + c_1 m/m̄ + c_2 (m/m̄)² + c_3 f/f̄,      c ≥ 0, mean of φ = 1
 
 with read noise, shot noise, what grows with radiance (the model's own errors), and the variance f
-that the file's encoding left (`Scene.noise_floor`). s_i, c and ν are those of the largest
+that the file's encoding left (`Scene.noise_floor`). s_i, c and the tails are those of the largest
 likelihood, by expectation–maximisation (K. Lange, R. Little and J. Taylor, "Robust statistical
 modeling using the t distribution", J. Am. Stat. Assoc. 84, 1989; the variance function as in R.
-Carroll and D. Ruppert, "Transformation and Weighting in Regression", 1988):
+Carroll and D. Ruppert, "Transformation and Weighting in Regression", 1988): with the weights w of
+the tails
 
-    w = (ν + 1) / (ν + r²/V)        s_i² = Σ w r²/φ / Σ (1 − h)        c from w r²/s_i² against φ
+    s_i² = Σ w r²/φ / Σ (1 − h)        c from w r²/s_i² against φ
 
 A fit takes up some of the noise: h is the leverage of a sample on its own residual, by its pixel's
 unknowns and its picture's lights. Without it, pictures that weigh more would be fitted better, and
@@ -27,12 +28,12 @@ What a JPEG file lost is lost in all n pictures of the view alike, with the corr
 files' errors. It weighs on a pixel's materials as if it were 1 + (n − 1) ρ times as much (L. Kish's
 design effect of clusters), of which nothing shows in residuals, because materials take it up.
 
-Where weights vary so little that equal ones cost almost nothing, all are equal.
+Where weights vary so little that equal ones cost almost nothing, and none is an outlier's, all are
+equal.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,6 +43,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, chunks
+from pbrfit.fit.tails import StudentT, Tails, WithOutliers, likeliest
 from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 
 Array = NDArray[np.float64]
@@ -58,8 +60,7 @@ class NoiseModel:
     mean_radiance: float
     mean_file_variance: float
     """m̄ and f̄; the latter is 0 where files left nothing."""
-    freedom: float
-    """ν; infinite for a normal distribution."""
+    tails: Tails
     is_even: bool
     """Whether equal weights are as good."""
     file_correlation: float = 0.0
@@ -87,27 +88,30 @@ class NoiseModel:
     @property
     def least_variance(self) -> float:
         """What V over w is at least: that of a sample of weight 1."""
-        tails = 1.0 if math.isinf(self.freedom) else self.freedom / (self.freedom + 1)
-        return float(self.variances.min() * self.shares[0] * tails)
+        return float(self.variances.min() * self.shares[0] / self.tails.largest_weight)
 
-    def weights(self, objective: Objective, x: Array | None) -> NDArray[np.float32] | None:
+    def weights(
+        self, objective: Objective, x: Array | None, *, first: bool = False
+    ) -> NDArray[np.float32] | None:
         """(N, P, C) for squares around x, at most 1; None where all are equal.
 
-        Without x those of samples that lie where the model has them.
+        Without x those of samples that lie where the model has them. `first` is for an x that was
+        fitted to outliers too: sound samples may be as far from it as these, and so both weigh by
+        Student's t, which lets go of none.
         """
         if self.is_even and not objective.has_limits:
             return None
+        wide = StudentT(min(self.tails.freedom, settings.NOISE_FREEDOM_START))
+        tails = wide if first and isinstance(self.tails, WithOutliers) else self.tails
         found = np.empty((len(self.variances), objective.pixels, objective.channels), np.float32)
         for pixels in chunks(objective.pixels):
             samples = _Samples.of(objective, pixels, x)
             variances = self.sample_variances(samples)
             squares = np.square(samples.residuals) / variances
-            weights = _downweighting(squares, self.freedom)
+            weights = tails.weights(squares) / (tails.largest_weight / self.tails.largest_weight)
             if samples.limits is not None:  # a hot pixel at its maximum must not pull
                 bounded = samples.limits > 0
-                freedom = min(self.freedom, settings.NOISE_FREEDOM_START)
-                weights[bounded] = _downweighting(squares[bounded], freedom)
-                weights[bounded] *= freedom / (freedom + 1)
+                weights[bounded] = wide.weights(squares[bounded]) / wide.largest_weight
             weights *= self.least_variance / variances
             weights[~samples.used | samples.satisfied()] = 0.0
             found[:, pixels] = weights
@@ -120,15 +124,15 @@ class NoiseModel:
             samples = _Samples.of(objective, pixels, x)
             variances = self.sample_variances(samples)[samples.ordinary]
             squares = np.square(samples.residuals[samples.ordinary]) / variances
-            total += float(_deviances(squares, self.freedom).sum() + np.log(variances).sum())
+            total += float(self.tails.deviances(squares).sum() + np.log(variances).sum())
             count += variances.size
         return total / max(count, 1)
 
     def in_words(self) -> str:
         """For a stage's note."""
         sigmas = np.sqrt(self.variances)
-        tails = "normal" if math.isinf(self.freedom) else f"Student's t of {self.freedom:g} degrees"
-        return f"deviations {sigmas.min():.2g} to {sigmas.max():.2g} of the pictures, {tails}"
+        size = f"{sigmas.min():.2g} to {sigmas.max():.2g}"
+        return f"deviations {size} of the pictures, {self.tails.in_words()}"
 
     def remarks(self, names: Sequence[str], exposures: Array | None) -> str:
         """Which pictures weigh less than the others and why, for `Result.assumed`; may be empty."""
@@ -139,11 +143,7 @@ class NoiseModel:
             for name, ratio in zip(names, deviations, strict=True)
             if ratio > settings.PICTURE_DEVIATION_NAMED
         ]
-        if not math.isinf(self.freedom):
-            found.append(
-                f"outliers weigh less (Student's t of {self.freedom:g} degrees of freedom)"
-            )
-        return "; ".join(found)
+        return "; ".join(filter(None, [*found, self.tails.remark()]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,11 +207,11 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
     shares = np.zeros(features.shape[1])
     shares[0] = 1.0
     variances = np.array([_by_median(squares[picture == i], least) for i in range(len(used))])
-    freedom = settings.NOISE_FREEDOM_START
+    tails: Tails = StudentT(settings.NOISE_FREEDOM_START)
     for _ in range(settings.NOISE_ESTIMATION_STEPS):
         shape = features @ shares
         scaled = squares / (variances[picture] * shape)
-        effective = _downweighting(scaled, freedom) * squares
+        effective = tails.weights(scaled) * squares
         sums = np.bincount(picture, effective / shape, len(used))
         variances = np.maximum(sums / in_pictures, least)
         middle = float(np.median(variances[counts > 0]))
@@ -219,42 +219,18 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
         variances[counts == 0] = middle
         shares = _shares(features, effective / (variances[picture] * kept), shape)
         scaled = squares / (variances[picture] * (features @ shares))
-        freedom = _freedom(scaled)
-    inverse = _downweighting(scaled, freedom) / (variances[picture] * (features @ shares))
+        tails = likeliest(scaled)
+    inverse = tails.weights(scaled) / (variances[picture] * (features @ shares))
     spread = float(np.square(inverse).mean() / inverse.mean() ** 2 - 1)
     return NoiseModel(
         variances,
         np.append(shares, np.zeros(4 - len(shares))),
         mean_radiance,
         mean_of_file,
-        freedom,
-        spread < settings.EVEN_WEIGHTS_LOSS_MAX,
+        tails,
+        spread < settings.EVEN_WEIGHTS_LOSS_MAX and not isinstance(tails, WithOutliers),
         objective.file_correlation,
     )
-
-
-def _downweighting(squares: Array, freedom: float) -> Array:
-    """The w of squares in units of their variance."""
-    if math.isinf(freedom):
-        return np.ones_like(squares)
-    return np.asarray((freedom + 1) / (freedom + squares))
-
-
-def _deviances(squares: Array, freedom: float) -> Array:
-    """−2 ln t_ν of squares in units of their variance, less ln 2π."""
-    if math.isinf(freedom):
-        return squares
-    constant = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2)
-    constant -= math.log(freedom / 2) / 2
-    return np.asarray((freedom + 1) * np.log1p(squares / freedom) - 2 * constant)
-
-
-def _freedom(squares: Array) -> float:
-    """The likeliest ν of some; a normal distribution unless another is clearly likelier."""
-    costs = [float(_deviances(squares, each).sum()) for each in settings.NOISE_FREEDOMS]
-    best = int(np.argmin(costs))
-    normal = float(squares.sum())
-    return settings.NOISE_FREEDOMS[best] if costs[best] + 2 < normal else math.inf
 
 
 def _by_median(squares: Array, least: float) -> float:

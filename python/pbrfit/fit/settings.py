@@ -128,6 +128,15 @@ NOISE_FREEDOM_START = 3.0
 """Degrees of freedom of Student's t that are tried, beside a normal distribution, which stays
 unless another is likelier by more than a number costs; and where the steps begin."""
 
+OUTLIER_WIDTHS = (10.0, 30.0, 100.0, 300.0)
+"""Standard deviations of outliers that are tried, in those of ordinary samples: from a highlight
+that the model does not have, to hot pixels in pictures of 8 bits and of floats."""
+
+OUTLIER_SHARE_START, OUTLIER_SHARE_MAX = 0.01, 0.2
+OUTLIER_STEPS = 4
+"""Share of outliers that steps of expectation and maximisation begin with, and the largest: where
+there are more, what is left has no ordinary samples, and is Student's t. The steps' number."""
+
 NOISE_VARIANCE_RATIO_MIN = 1 / 256
 """Smallest variance of a picture beside the median of all: one sixteenth of the deviation, as far
 as exposures are evened out. A black picture is explained to the last digit and says nothing."""

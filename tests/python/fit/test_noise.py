@@ -14,6 +14,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.tails import NORMAL, WithOutliers
 from pbrfit.io.color import encode_srgb
 from pbrfit.result.metrics import rmse
 from pbrfit.scene.arrays import AT_LEAST, AT_MOST
@@ -42,13 +43,13 @@ def test_noise_of_one_kind_is_even_and_normal() -> None:
     objective, x = at_truth(noisy())
     model = estimated(objective, x)
     assert model.is_even
-    assert np.isinf(model.freedom)
+    assert model.tails.is_normal
     assert model.weights(objective, x) is None
 
 
 def test_what_files_lost_in_all_pictures_alike_weighs_as_much_more() -> None:
     """Twelve pictures whose errors are correlated by ρ are worth 12/(1 + 11 ρ)."""
-    of_files = NoiseModel(np.ones(12), np.array([0.25, 0, 0, 0.75]), 1, 1, np.inf, False, 0.4)
+    of_files = NoiseModel(np.ones(12), np.array([0.25, 0, 0, 0.75]), 1, 1, NORMAL, False, 0.4)
     assert of_files.picture_effect == pytest.approx(1 + 11 * 0.4 * 0.75)
     left = Misfit(2.0, 1.5, 0.5, of_files.picture_effect)
     assert left.of_likelihood == pytest.approx(2.0 * 1.5 * of_files.picture_effect / 0.5)
@@ -97,7 +98,7 @@ def test_each_picture_has_its_own_variance() -> None:
 
 
 def test_named_only_from_twice_the_deviation() -> None:
-    model = NoiseModel(np.array([1.0, 1.0, 1.0, 0.0]), np.eye(4)[0], 1.0, 0.0, np.inf, False)
+    model = NoiseModel(np.array([1.0, 1.0, 1.0, 0.0]), np.eye(4)[0], 1.0, 0.0, NORMAL, False)
     ratio = settings.PICTURE_DEVIATION_NAMED
     for factor, named in ((0.99, False), (1.01, True)):
         variances = np.array([1.0, 1.0, 1.0, (factor * ratio) ** 2])
@@ -114,18 +115,22 @@ def test_noise_that_grows_with_radiance() -> None:
     assert shares[0] + shares[2] < 0.3
 
 
-def test_outliers_show_in_the_degrees_of_freedom_and_weigh_nothing() -> None:
+def test_outliers_show_in_the_tails_and_weigh_nothing() -> None:
     scene = noisy()
-    hot = np.random.default_rng(1).random(scene.images.shape) < 0.002
-    objective, x = at_truth(replace(scene, images=np.where(hot, 3.0, scene.images)))
+    rng = np.random.default_rng(1)
+    hot = rng.random(scene.images.shape) < 0.002
+    values = 2 + 4 * rng.random(hot.shape)  # of one value they would be at a limit
+    objective, x = at_truth(replace(scene, images=np.where(hot, values, scene.images)))
     model = estimated(objective, x)
-    assert model.freedom <= 10
+    assert isinstance(model.tails, WithOutliers)
+    is_hot = np.stack([of[scene.valid] for of in hot])
+    assert model.tails.share == pytest.approx(is_hot.mean(), rel=0.1)
+    assert not model.is_even
     assert np.sqrt(model.variances * objective.scale**2) == pytest.approx(
         np.full(12, SIGMA), rel=0.2
     )
     weights = model.weights(objective, x)
     assert weights is not None
-    is_hot = np.stack([of[scene.valid] for of in hot])
     assert weights[is_hot].max() < 0.01 * weights[~is_hot].mean()
 
 
