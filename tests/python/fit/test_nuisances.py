@@ -18,7 +18,7 @@ from pbrfit.fit.estimator import Lights
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
-from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, degrees, log_tangent
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances, _resolved, degrees, log_tangent
 from pbrfit.fit.pixels import fit_all
 from pbrfit.result.camera import Camera
 from pbrfit.scene.correction import Correction
@@ -128,6 +128,18 @@ def test_score_test_tells_a_right_camera_from_a_wrong_one() -> None:
         return nuisances.gain
 
     assert gain(60.0) < settings.CAMERA_GAIN_MIN < gain(70.0)
+
+
+def test_directions_that_lights_take_but_for_rounding_are_left_to_the_prior() -> None:
+    sizes = np.sqrt([2.0, 8.0])
+    turned = np.array([[0.6, -0.8], [0.8, 0.6]])
+    for share in (-1e-3, 0.0, 0.5 * settings.NUISANCE_INFORMATION_MIN):
+        information = np.outer(sizes, sizes) * (turned * [0.25, share] @ turned.T)
+        gradient, found = _resolved(sizes * (turned @ [3.0, 5.0]), information, sizes)
+        np.testing.assert_allclose(gradient, sizes * (turned @ [3.0, 0.0]))
+        np.testing.assert_allclose(
+            found, np.outer(sizes, sizes) * (turned * [0.25, 0.0] @ turned.T), atol=1e-12
+        )
 
 
 def test_what_files_left_can_hide_too_much_to_judge_a_camera() -> None:
