@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.estimator import judged
+from pbrfit.fit.coarse import judged
 from pbrfit.fit.misfit import Misfit
 from pbrfit.synthetic import make_scene
 from scene_kinds import at_truth, known_lights

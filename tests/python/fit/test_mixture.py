@@ -11,7 +11,7 @@ from scipy.optimize import fmin_l_bfgs_b, minimize_scalar
 
 import pbrfit
 from pbrfit import Objective, Priors, Result, Scene, shade
-from pbrfit.fit.estimator import Lights, judged
+from pbrfit.fit.coarse import Lights, judged
 from pbrfit.fit.joint import minimize
 from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors import mixture

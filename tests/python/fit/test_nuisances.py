@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit import Objective, Result, Scene, decompose
 from pbrfit.fit import memory, misfit, settings
-from pbrfit.fit.estimator import Lights
+from pbrfit.fit.coarse import Lights
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit

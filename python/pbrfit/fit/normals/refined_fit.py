@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.estimator import Lights, Watch, doubt_camera, find_lights, rounds, solve
+from pbrfit.fit.camera import doubt_camera
+from pbrfit.fit.coarse import Lights, Watch, rounds
+from pbrfit.fit.estimator import find_lights, solve
 from pbrfit.fit.levels import Level
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.all_pixels import (

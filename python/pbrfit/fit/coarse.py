@@ -1,0 +1,320 @@
+"""The coarse level: rounds in which some pixels find the lights of all pictures.
+
+In a round each pixel by itself tries a grid of roughness and metallic under the lights so far, then
+joint steps move lights and materials (`joint`). What is left tells the noise of samples (`noise`),
+how far it is from independent noise (`misfit`), and by that how much the prior on lights weighs
+(`light_prior`). Normals (`normals.free`) and numbers of the camera (`nuisances`) may be free too.
+"""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import misfit, settings
+from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.levels import Level
+from pbrfit.fit.light_prior import LightPrior
+from pbrfit.fit.misfit import Misfit
+from pbrfit.fit.noise import NoiseModel, estimated
+from pbrfit.fit.normals.free import FreeNormals
+from pbrfit.fit.nuisances import Nuisances
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.run import Run
+from pbrfit.model.materials import Materials
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Lights:
+    """What a level found."""
+
+    x: Array
+    """With its lights, and the materials of its pixels."""
+    misfit: Misfit
+    exact: bool
+    """Whether nothing is left of its pixels but rounding."""
+    shared: SharedFit | None
+    """None where lights are known."""
+    mean_squared: float = 0.0
+    """Residual of the level's samples, in units of x."""
+    samples: int = 0
+    unknowns: float = 0.0
+    """How many of each it has; unknowns that a prior holds count in part."""
+    cut_short: bool = False
+    """Whether a limit stopped it."""
+    noise: NoiseModel | None = None
+    """Of samples; None where squares are asked for, or nothing is left."""
+    deviance: float = -math.inf
+    """−2 ln of the likelihood of a sample, in the mean."""
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether what is left can be noise: of samples by themselves, or of their files.
+
+        The blocks of a JPEG file share theirs.
+        """
+        of_file = self.noise is not None and self.noise.is_of_files
+        shared = self.misfit.design_effect <= settings.FILE_DESIGN_EFFECT_MAX
+        return self.misfit.is_noise or (of_file and shared)
+
+    @property
+    def can_be_judged(self) -> bool:
+        """Whether something else may have a better score than what leaves only this noise."""
+        samples = self.samples * self.misfit.effective_share
+        return not self.is_noise or math.isfinite(misfit.score(0.0, self.unknowns, samples))
+
+
+def rounds(
+    run: Run,
+    level: Level,
+    x: Array,
+    watch: Watch,
+    normals: FreeNormals | None = None,
+    *,
+    at_most: int = settings.COARSE_ROUNDS_MAX,
+    dielectric: int = 0,
+    nuisances: Nuisances | None = None,
+    noise: NoiseModel | None = None,
+) -> Lights:
+    """Rounds of materials and joint steps of a level's pixels, whose x changes.
+
+    `normals` is for an objective that has them free. Without, pixels have a prior around a
+    dielectric of middle roughness in the first rounds, as many as `dielectric` says. `nuisances`
+    are fitted too; the level's objective then sees through what they were found to be. `noise` of
+    samples weighs them from the start, where x has been found with it.
+    """
+    objective = level.objective
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    shared = None
+    if objective.lighting is not None:
+        shared = SharedFit(LightPrior.around(objective, x))
+    left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
+    given = objective
+    if nuisances is not None:
+        given = copy(objective)  # whose camera changes
+        level = replace(level, objective=given)
+    for number in range(at_most):
+        if number >= settings.ROBUST_ROUND or noise is not None:
+            first = number == settings.ROBUST_ROUND
+            weighed = _weighed(run, given, level.objective, x, noise, first=first)
+            level = replace(level, objective=weighed)
+            if shared is not None:
+                shared.stale = True
+        objective, prior, fixed = level.objective, None, None
+        if normals is not None:
+            if number == 0:  # what the given ones can explain, first
+                fit_level(objective, x, held_normals=True)
+            prior = normals.prior(objective, x, number)
+            fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
+        elif number < dielectric:
+            prior = fixed = _dielectric(objective, objective.put_best_albedo(x, everything))
+        sum_sq = fit_level(objective, x, fixed)
+        if number and prior is None:
+            retry_outliers(objective, x, sum_sq)
+        exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
+        left, before, fit = _left(level, x, sum_sq, shared, noise, fixed), weight, None
+        total = float(sum_sq.sum())
+        if shared is not None:
+            weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
+            shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
+            fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
+            minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit_few)
+            total, sum_sq = fit.total(x, fit.sum_sq, fit.offsets), fit.sum_sq
+        if normals is not None:
+            assert fixed is not None
+            normals.learn(objective, x, fixed, left.variance)
+        deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
+        # Before the camera moves, whose step pixels have to follow first.
+        told = number >= settings.ROBUST_ROUND - 1 or noise is not None
+        if run.options.robust == "auto" and told:
+            noise = estimated(objective, x)
+            deviance = noise.deviance(given, x)
+        if nuisances is not None:
+            nuisances.advance(objective, x, fit, left)
+            if given is not objective:
+                given.see(nuisances.scene)
+        settled = (
+            number >= settings.ROBUST_ROUND
+            and weight >= settings.COARSE_WEIGHT_FALL * before
+            and deviance > last - settings.COARSE_ROUND_GAIN_MIN
+            and (normals is None or normals.is_settled(number))
+            and (nuisances is None or nuisances.is_settled)
+        )
+        last = deviance
+        if settled or exact or watch.stopped or run.out_of_time():
+            break
+    if nuisances is not None:  # with the camera as it is now, after joint steps
+        sum_sq = fit_level(objective, x, fixed)
+        if noise is not None:
+            noise = estimated(objective, x)
+            deviance = noise.deviance(given, x)
+        left = _left(level, x, sum_sq, shared, noise, fixed)
+        nuisances.judge(left)
+        deviance += nuisances.log_slope(objective, x)
+    mean_squared = float(sum_sq.sum()) / objective.total_weight
+    unknowns = objective.size if normals is None else normals.unknowns(objective)
+    cut_short = watch.stopped or run.out_of_time()
+    return Lights(
+        *(x, left, exact, shared, mean_squared, given.samples, unknowns, cut_short),
+        noise=noise,
+        deviance=deviance,
+    )
+
+
+def fit_level(
+    objective: Objective,
+    x: Array,
+    prior: GaussianPrior | None = None,
+    *,
+    held_normals: bool = False,
+) -> Array:
+    """Give a level's pixels their best materials, from nodes too; their sums of squares (P,)."""
+    starts = settings.SUBSET_STARTS
+    sum_sq = fit_all(objective, x, starts=starts, prior=prior, held_normals=held_normals)
+    assert sum_sq is not None  # nothing stops it
+    return sum_sq
+
+
+def _dielectric(objective: Objective, sum_sq: Array) -> GaussianPrior:
+    """Around a dielectric of middle roughness, as strong as what is left of the pixels allows."""
+    used = slice(len(objective.layout.roughness_metallic))
+    mean = np.tile([settings.START_ROUGHNESS, 0.0], (objective.pixels, 1))[:, used]
+    precision = misfit.variance(objective, sum_sq) / settings.DIELECTRIC_SIGMA**2
+    return GaussianPrior(mean, np.full(mean.shape, precision))
+
+
+def _left(
+    level: Level,
+    x: Array,
+    sum_sq: Array,
+    shared: SharedFit | None,
+    noise: NoiseModel | None,
+    prior: GaussianPrior | None = None,
+) -> Misfit:
+    """What is left of a level at x, whose pixels have a prior."""
+    objective, of_files = level.objective, 1.0 if noise is None else noise.picture_effect
+    variance = misfit.variance(objective, sum_sq)
+    share = misfit.independent_share(objective, x)
+    if shared is None:
+        return Misfit(variance, 1.0, share, of_files)
+    if shared.inverse is None or shared.stale:
+        shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
+        shared.joint_fit(objective, x, sum_sq, prior=prior).renew_preconditioner()
+    effect = misfit.design_effect(level, x, sum_sq, partial(shared.solved, objective), prior)
+    return Misfit(variance, effect, share, of_files)
+
+
+def judged(
+    objective: Objective, x: Array, level: Level | None = None, run: Run | None = None
+) -> Lights:
+    """What x leaves of a level, its pixels' materials put to their best.
+
+    With a run also the noise of its samples.
+    """
+    level = level or Level.of(objective, settings.COARSE_PIXELS)
+    few, part = level.objective, objective.part_of(x, level.pixels)
+    sum_sq, noise = fit_level(few, part), None
+    deviance = math.log(max(float(sum_sq.sum()) / few.total_weight, settings.NOISE_VARIANCE_MIN))
+    if run is not None and run.options.robust == "auto":
+        given = few
+        for _ in range(settings.WEIGHT_ROUNDS):
+            noise = estimated(few, part)
+            few = _weighed(run, given, few, part, noise)
+            sum_sq = fit_level(few, part)
+        assert noise is not None
+        deviance = noise.deviance(given, part)
+        level = replace(level, objective=few)
+    mean_squared = float(sum_sq.sum()) / few.total_weight
+    shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
+    left = _left(level, part, sum_sq, shared, noise)
+    if shared is not None:
+        weight = left.design_effect * left.variance
+        shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
+    exact = mean_squared <= settings.EXACT_RMSE**2
+    return Lights(
+        *(x, left, exact, shared, mean_squared, few.samples, few.size),
+        noise=noise,
+        deviance=deviance,
+    )
+
+
+def _weighed(
+    run: Run,
+    given: Objective,
+    now: Objective,
+    x: Array,
+    noise: NoiseModel | None,
+    *,
+    first: bool = False,
+) -> Objective:
+    """A level's objective with the weights of samples at x, by their noise or a robust loss.
+
+    `given` is the objective without, and `now` the one that x was fitted to, for the `first` time
+    with weights or not.
+    """
+    if noise is None:
+        return reweighted(run, now, x)
+    weights = noise.weights(given, x, first=first)
+    return given if weights is None else given.weighed(weights)
+
+
+def reweighted(run: Run, objective: Objective, x: Array) -> Objective:
+    """Squares with the weights of the robust loss at x; without one the objective as it is."""
+    if run.options.robust in ("auto", "none"):
+        return objective
+    objective.robust = (
+        run.robust_around(x)
+        if objective is run.objective
+        else objective.robust_around(x, run.options.robust)
+    )
+    return objective.reweighted(x)
+
+
+class Watch:
+    """Turns joint steps into iterations and rows of the history."""
+
+    def __init__(self, run: Run, x: Array, level: Level | None = None) -> None:
+        self._run, self._x, self._level = run, x, level
+        self._steps_of_few, self._most_of_few = 0, run.left
+        self.stopped = False
+
+    def visit_few(self, part: Array, sum_sq: Array) -> bool:
+        """A step of the level's pixels is done; whether to stop.
+
+        Such steps do not count as iterations, for they cost little. But there are no more of them,
+        so that few iterations take little time.
+        """
+        run, level = self._run, self._level
+        assert level is not None
+        self._steps_of_few += 1
+
+        def state() -> tuple[Materials, Array]:
+            x = put(run.objective, self._x, level.pixels, taken(level.objective, part, slice(None)))
+            x[run.objective.layout.maps.stop :] = part[level.objective.layout.maps.stop :]
+            return run.objective.unpack(x)
+
+        mean = float(sum_sq.sum()) / level.objective.total_weight
+        run.tell(run.objective.residual_rmse(mean), state)
+        self.stopped = self._steps_of_few >= self._most_of_few or run.out_of_time()
+        return self.stopped
+
+    def visit(self, x: Array, sum_sq: Array) -> bool:
+        """All pixels have new materials; whether to stop."""
+        run = self._run
+        # Pixels that are freed after the last iteration belong to that.
+        run.iteration += run.left > 0
+        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
+        loss = data = float(sum_sq.sum()) / run.objective.total_weight
+        if run.objective.penalties:
+            loss += run.objective.add_penalties(x, np.zeros(run.objective.size))
+        run.record(x, loss, data)
+        return run.left <= 0 or run.out_of_time()
