@@ -104,8 +104,7 @@ def rounds(
         level = replace(level, objective=given)
     for number in range(at_most):
         if number >= settings.ROBUST_ROUND or noise is not None:
-            first = number == settings.ROBUST_ROUND
-            weighed = _weighed(run, given, level.objective, x, noise, first=first)
+            weighed = _weighed(run, given, level.objective, x, noise)
             level = replace(level, objective=weighed)
             if shared is not None:
                 shared.stale = True
@@ -154,10 +153,18 @@ def rounds(
             break
     if nuisances is not None:  # with the camera as it is now, after joint steps
         sum_sq = fit_level(objective, x, fixed)
-        if noise is not None:
-            noise = estimated(objective, x)
-            deviance = noise.deviance(given, x)
+    if noise is not None:
+        noise = estimated(objective, x, outliers=True)
+        if noise.has_outliers:
+            objective = _weighed(run, given, objective, x, noise)
+            level = replace(level, objective=objective)
+            sum_sq = fit_level(objective, x, fixed)
+            if shared is not None:
+                shared.stale = True
+        deviance = noise.deviance(given, x)
+    if nuisances is not None or (noise is not None and noise.has_outliers):
         left = _left(level, x, sum_sq, shared, noise, fixed)
+    if nuisances is not None:
         nuisances.judge(left)
         deviance += nuisances.log_slope(objective, x)
     mean_squared = float(sum_sq.sum()) / objective.total_weight
@@ -226,8 +233,8 @@ def judged(
     deviance = math.log(max(float(sum_sq.sum()) / few.total_weight, settings.NOISE_VARIANCE_MIN))
     if run is not None and run.options.robust == "auto":
         given = few
-        for _ in range(settings.WEIGHT_ROUNDS):
-            noise = estimated(few, part)
+        for number in range(settings.WEIGHT_ROUNDS):
+            noise = estimated(few, part, outliers=number == settings.WEIGHT_ROUNDS - 1)
             few = _weighed(run, given, few, part, noise)
             sum_sq = fit_level(few, part)
         assert noise is not None
@@ -248,22 +255,15 @@ def judged(
 
 
 def _weighed(
-    run: Run,
-    given: Objective,
-    now: Objective,
-    x: Array,
-    noise: NoiseModel | None,
-    *,
-    first: bool = False,
+    run: Run, given: Objective, now: Objective, x: Array, noise: NoiseModel | None
 ) -> Objective:
     """A level's objective with the weights of samples at x, by their noise or a robust loss.
 
-    `given` is the objective without, and `now` the one that x was fitted to, for the `first` time
-    with weights or not.
+    `given` is the objective without, and `now` the one that x was fitted to.
     """
     if noise is None:
         return reweighted(run, now, x)
-    weights = noise.weights(given, x, first=first)
+    weights = noise.weights(given, x)
     return given if weights is None else given.weighed(weights)
 
 

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, chunks
-from pbrfit.fit.tails import StudentT, Tails, WithOutliers, likeliest
+from pbrfit.fit.tails import StudentT, Tails, likeliest
 from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 
 Array = NDArray[np.float64]
@@ -81,6 +81,11 @@ class NoiseModel:
         return bool(self.shares[3] > 0.5 and mean <= self.mean_file_variance)
 
     @property
+    def has_outliers(self) -> bool:
+        """Whether some samples say nothing."""
+        return self.tails.has_outliers
+
+    @property
     def picture_effect(self) -> float:
         """How much larger the variance of a pixel's materials is than by independent samples."""
         return 1 + (len(self.variances) - 1) * self.file_correlation * float(self.shares[3])
@@ -102,7 +107,7 @@ class NoiseModel:
         if self.is_even and not objective.has_limits:
             return None
         wide = StudentT(min(self.tails.freedom, settings.NOISE_FREEDOM_START))
-        tails = wide if first and isinstance(self.tails, WithOutliers) else self.tails
+        tails = wide if first and self.has_outliers else self.tails
         found = np.empty((len(self.variances), objective.pixels, objective.channels), np.float32)
         for pixels in chunks(objective.pixels):
             samples = _Samples.of(objective, pixels, x)
@@ -186,8 +191,12 @@ class _Samples:
         return np.asarray(above | ((self.limits == AT_MOST) & (self.residuals <= 0)))
 
 
-def estimated(objective: Objective, x: Array) -> NoiseModel:
-    """From what is left of a level's pixels at x, which minimises its (weighted) squares."""
+def estimated(objective: Objective, x: Array, *, outliers: bool = False) -> NoiseModel:
+    """From what is left of a level's pixels at x, which minimises its (weighted) squares.
+
+    Without `outliers` no sample is taken for one: sound ones may be as far from an x that is on its
+    way, and Student's t lets go of none.
+    """
     samples = _Samples.of(objective, np.arange(objective.pixels, dtype=np.uint64), x)
     used, of_file = samples.ordinary, samples.of_file
     counts = used.sum(axis=(1, 2))
@@ -219,7 +228,7 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
         variances[counts == 0] = middle
         shares = _shares(features, effective / (variances[picture] * kept), shape)
         scaled = squares / (variances[picture] * (features @ shares))
-        tails = likeliest(scaled)
+        tails = likeliest(scaled, outliers=outliers)
     inverse = tails.weights(scaled) / (variances[picture] * (features @ shares))
     spread = float(np.square(inverse).mean() / inverse.mean() ** 2 - 1)
     return NoiseModel(
@@ -228,7 +237,7 @@ def estimated(objective: Objective, x: Array) -> NoiseModel:
         mean_radiance,
         mean_of_file,
         tails,
-        spread < settings.EVEN_WEIGHTS_LOSS_MAX and not isinstance(tails, WithOutliers),
+        spread < settings.EVEN_WEIGHTS_LOSS_MAX and not tails.has_outliers,
         objective.file_correlation,
     )
 

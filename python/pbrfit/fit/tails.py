@@ -36,6 +36,8 @@ class StudentT:
     freedom: float
     """ν."""
 
+    has_outliers = False
+
     @property
     def is_normal(self) -> bool:
         """Whether it has no tails."""
@@ -81,6 +83,7 @@ class WithOutliers:
 
     freedom = math.inf
     is_normal = False
+    has_outliers = True
     largest_weight = 1.0
 
     def _log_odds(self, squares: Array) -> Array:
@@ -124,10 +127,12 @@ Tails = StudentT | WithOutliers
 NORMAL = StudentT(math.inf)
 
 
-def likeliest(squares: Array) -> Tails:
+def likeliest(squares: Array, *, outliers: bool = True) -> Tails:
     """Of some samples; a normal distribution unless another is clearly likelier."""
     candidates: list[tuple[int, Tails]] = [(0, NORMAL)]
     candidates += [(1, StudentT(freedom)) for freedom in settings.NOISE_FREEDOMS]
-    candidates += [(2, WithOutliers.fitted(squares, width)) for width in settings.OUTLIER_WIDTHS]
+    if outliers:
+        widths = settings.OUTLIER_WIDTHS
+        candidates += [(2, WithOutliers.fitted(squares, width)) for width in widths]
     costs = [2 * numbers + float(one.deviances(squares).sum()) for numbers, one in candidates]
     return candidates[int(np.argmin(costs))][1]

@@ -121,7 +121,7 @@ def test_outliers_show_in_the_tails_and_weigh_nothing() -> None:
     hot = rng.random(scene.images.shape) < 0.002
     values = 2 + 4 * rng.random(hot.shape)  # of one value they would be at a limit
     objective, x = at_truth(replace(scene, images=np.where(hot, values, scene.images)))
-    model = estimated(objective, x)
+    model = estimated(objective, x, outliers=True)
     assert isinstance(model.tails, WithOutliers)
     is_hot = np.stack([of[scene.valid] for of in hot])
     assert model.tails.share == pytest.approx(is_hot.mean(), rel=0.1)
