@@ -111,7 +111,8 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
     with run.stage("L-BFGS-B"):
         x, _, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
     if run.has_mixture_prior and not run.out_of_time():
-        x, prior = fit_mixture_prior(run, judged(run.objective.reweighted(x), x))
+        with one_blas_thread():
+            x, prior = fit_mixture_prior(run, judged(run.objective.reweighted(x), x))
         kept = kept if prior is None else ""
         if run.goes_on:  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
