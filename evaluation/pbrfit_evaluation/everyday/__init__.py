@@ -73,7 +73,7 @@ SUITE = Suite(
             help="summary.json of an earlier run of as many scenes, to compare with",
         ),
     ),
-    effort={"disturbances": (DISTURBANCES, FEW), "scenes": (30, 2), "size": (64, 24)},
+    effort={"disturbances": (DISTURBANCES, FEW), "scenes": (18, 2), "size": (64, 24)},
     quick="two minutes: two small scenes",
     about=(
         "Scenes of 16 pictures, mean radiance 0.4, with white noise of 0.01 in float32, and what "
