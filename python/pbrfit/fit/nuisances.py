@@ -263,8 +263,9 @@ def _resolved(gradient: Array, information: Array, sizes: Array) -> tuple[Array,
     `sizes` (J,) are the roots of the information before lights are solved for.
     """
     shares, directions = np.linalg.eigh(information / np.outer(sizes, sizes))
-    kept = directions[:, shares > settings.NUISANCE_INFORMATION_MIN]
-    scaled = (kept * shares[shares > settings.NUISANCE_INFORMATION_MIN]) @ kept.T
+    told = shares > settings.NUISANCE_INFORMATION_MIN
+    kept = directions[:, told]
+    scaled = (kept * shares[told]) @ kept.T
     return sizes * (kept @ (kept.T @ (gradient / sizes))), scaled * np.outer(sizes, sizes)
 
 

@@ -125,7 +125,7 @@ def find(
 
 
 def judge(
-    objective: Objective, x: Array, prior: GaussianPrior | None, picture_effect: float = 1.0
+    objective: Objective, x: Array, prior: GaussianPrior | None, picture_effect: float
 ) -> Scale:
     """What is known of the scale of a fit at x, which has had no step of its own.
 
@@ -358,9 +358,9 @@ def _slope(fit: JointFit, direction: Array, prior: GaussianPrior | None, varianc
         x[layout.lighting] += as_in_x(sign * settings.SCALE_DIFFERENCE * direction, layout)
         fit_all(objective, x, starts=0, steps=settings.DESCENT_STEPS_AFTER_JOINT, prior=prior)
         ends.append(_log_determinants(objective, x, prior, variance))
-    change = np.zeros(objective.pixels)
-    np.subtract(ends[1], ends[0], out=change, where=np.isfinite(ends[0]) & np.isfinite(ends[1]))
-    return np.asarray(change / (2 * settings.SCALE_DIFFERENCE))
+    found = np.zeros(objective.pixels)
+    np.subtract(ends[1], ends[0], out=found, where=np.isfinite(ends[0]) & np.isfinite(ends[1]))
+    return np.asarray(found / (2 * settings.SCALE_DIFFERENCE))
 
 
 def _log_determinants(

@@ -207,14 +207,12 @@ class Level:
 
     def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
         """The others that have pixels in common with picture i, and which these are."""
-        counts = {j: int(np.count_nonzero(self._used[i] & self._used[j])) for j in others}
-        kept = sorted(others, key=lambda j: counts[j])
-        least = LEAST_COMMON * np.count_nonzero(self._used[i])
-        used = self._used[i] & self._used[kept].all(axis=0)
-        while len(kept) > 2 and np.count_nonzero(used) < least:
-            kept = kept[1:]
-            used = self._used[i] & self._used[kept].all(axis=0)
-        return sorted(kept), used
+        own, kept = self._used[i], sorted(others)
+        used = own & self._used[kept].all(axis=0)
+        while len(kept) > 2 and np.count_nonzero(used) < LEAST_COMMON * np.count_nonzero(own):
+            kept.remove(min(kept, key=lambda j: int(np.count_nonzero(own & self._used[j]))))
+            used = own & self._used[kept].all(axis=0)
+        return kept, used
 
     def _solved(
         self,

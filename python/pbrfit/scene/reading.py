@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import operator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -273,7 +272,8 @@ def _limits(
                 "found all clipped or dark; --code-range 0,255 keeps them"
             )
     bounds = any(limits[mask].any() for limits in read.limits)
-    if bounds or any(map(operator.and_, read.searched, map(bool, read.noise))):
+    integers = [noise is not None for noise in read.noise]
+    if bounds or any(np.logical_and(read.searched, integers)):
         found = plateaus(read.pixels, counted, read.searched)
         if found is not None:
             np.maximum(read.limits, found, out=read.limits)
