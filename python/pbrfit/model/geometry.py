@@ -59,6 +59,35 @@ def view_directions(
     return view
 
 
+def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
+    """Points that pixels show, from their depth.
+
+    Parameters
+    ----------
+    depth
+        (height, width): distance from the camera along its axis, positive, in any unit. With an
+        orthographic camera the unit is half of the picture's width.
+    fov
+        Horizontal field of view in degrees; 0 is orthographic.
+
+    Returns
+    -------
+    (height, width, 3) float64, camera space, in the unit of the depth: the camera is the origin, and
+    z = −depth. NaN where depth is.
+
+    Raises
+    ------
+    InputError
+        If fov is outside [0, 180).
+    """
+    check_fov(fov)
+    height, width = depth.shape
+    x = (2 * np.arange(width) + 1 - width) / width
+    y = (height - 1 - 2 * np.arange(height)) / width
+    scale = np.ones(depth.shape) if fov == 0 else math.tan(math.radians(fov) / 2) * depth
+    return np.stack([x * scale, y[:, None] * scale, -np.asarray(depth, np.float64)], axis=-1)
+
+
 def check_fov(fov: float) -> None:
     """Raise InputError unless 0 <= fov < 180."""
     if not 0 <= real_number("fov", fov, "degrees in [0, 180)") < 180:
