@@ -277,7 +277,9 @@ def _solved(edges: _Edges, weights: Array, data: Array, given: Array | None, sta
     couplings = coo_array((-np.concatenate([weights] * 2), (rows, columns)), shape=(count, count))
     matrix = (couplings + diags_array(total + held)).tocsr()
     flow = weights * edges.differences
-    right: Array = np.bincount(edges.second, flow, count) - np.bincount(edges.first, flow, count)
+    right = np.asarray(
+        np.bincount(edges.second, flow, count) - np.bincount(edges.first, flow, count), np.float64
+    )
     if given is not None:
         right = right + data * given
     # In units in which the diagonal is 1: bridges weigh as much as all else.

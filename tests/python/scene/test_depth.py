@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from command_runs import done
 from pbrfit import InputError, Scene
 from pbrfit.fit.tiles.windows import SceneCutter, Window
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import from_depth
+from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.depth import compared, reduced
 from pbrfit.synthetic import draw
@@ -256,3 +258,21 @@ def test_normals_of_the_depth_of_a_plane_are_its_normals() -> None:
     found, known = from_depth(depth, fov=FOV)
     assert known.all()
     np.testing.assert_allclose(found, normals, atol=1e-9)
+
+
+# What is told
+
+
+def test_inspect_tells_what_the_depth_is_like(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, made = saved(tmp_path / "scene")
+    done("inspect", folder)
+    [line] = [one for one in capsys.readouterr().out.splitlines() if one.startswith("depth ")]
+    depth = made.depth
+    assert depth is not None
+    assert line == (
+        f"depth             depth.exr, {np.nanmin(depth):.3g} to {np.nanmax(depth):.3g}, unknown "
+        "in 0.0 % of the mask; its normals 0.0 degrees (median) from the given ones"
+    )
+    assert dict(inspection.facts(scene(None, made.normals)))["depth"] == "none"
