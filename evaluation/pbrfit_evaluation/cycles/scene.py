@@ -18,6 +18,7 @@ from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
 from pbrfit_evaluation.cycles.export import Shell, Stage, check_choice, export
 from pbrfit_evaluation.cycles.job import Distribution, Job, Transport, rendered
+from pbrfit_evaluation.depth import with_depth
 
 Array = NDArray[np.float64]
 Light = Literal["panorama", "points"]
@@ -95,10 +96,11 @@ def render_scene(
     Returns
     -------
     Scene
-        float64 radiance in linear Rec.709, exposed as by `make_scene`. The truth is what Cycles
-        saw at the pixels' centres. The mask leaves out pixels at edges: those with a neighbour of
-        another object or with a normal turned by more than `MAX_TURN`. `truth.lighting` and the
-        relight pictures are there for panoramas alone.
+        float64 radiance in linear Rec.709, exposed as by `make_scene`. The truth, and the depth in
+        metres (`depth_of`), are what Cycles saw at the pixels' centres. The mask leaves out pixels
+        at edges: those with a neighbour of another object or with a normal turned by more than
+        `MAX_TURN`. Depth is known there too. `truth.lighting` and the relight pictures are there
+        for panoramas alone.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def render_scene(
         clipped[~mask] = np.nan
         return clipped
 
-    return Scene(
+    scene = Scene(
         images=level * images,
         normals=np.where(mask[..., None], found.normals, np.nan).astype(np.float64),
         fov=fov,
@@ -165,6 +167,7 @@ def render_scene(
             **{name: level * values for name, values in known.items()},
         ),
     )
+    return with_depth(scene, np.where(found.segments > 0, -found.positions[..., 2], np.nan))
 
 
 def inner_pixels(

@@ -20,6 +20,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import cycles
+from pbrfit_evaluation.depth import with_depth
 from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.scores import METAL, score
@@ -122,7 +123,11 @@ def _scene(task: Task, row: Row, threads: int) -> Scene:
             model=OTHER[task.model] if row.swapped else task.model,
             textures=_textures(task.textures),
         )
-    # The world that `make_scene` draws with this seed.
+    return with_depth(cycles_scene(task, row, threads), None)  # the paper has none
+
+
+def cycles_scene(task: Task, row: Row, threads: int) -> Scene:
+    """Render a row's scene by Cycles, with its depth; the world is `make_scene`'s of this seed."""
     [stream] = np.random.SeedSequence(task.seed).spawn(1)
     return cycles.render_scene(
         draw(row.scene, np.random.default_rng(stream), _textures(task.textures)),
