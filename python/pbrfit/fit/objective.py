@@ -181,6 +181,7 @@ class Objective:
         self._lay_out(layout)
         units = units or Normalization.of(scene, equal_exposures)
         self.weights = _weights(scene, units.largest_weight) if scene.weighted else None
+        self.transfer: Transfer | None = None
         # (N, P, channels): the weights of the samples, 0 at limits, times those of a robust loss
         # that squares stand for; None without both.
         self._scene, self.threads = scene, threads
@@ -430,6 +431,13 @@ class Objective:
     def _all_places(self) -> NDArray[np.intp]:
         return np.flatnonzero(self._scene.valid) if self._places is None else self._places
 
+    def among(self, transfer: Transfer | None) -> Objective:
+        """The same with light that is blocked, and brought, as a transfer of these pixels says."""
+        found = copy.copy(self)
+        found.transfer = transfer
+        found.problem = found._problem(self.weights if self._factors is None else self._factors)
+        return found
+
     def see(self, scene: Scene) -> None:
         """Take the pictures and the camera of the same scene through another instrument."""
         self._scene = scene
@@ -483,6 +491,7 @@ class Objective:
         found.weights, found._factors = weights, factors
         places = np.flatnonzero(self._scene.valid) if self._places is None else self._places
         found._places = places[pixels]
+        found.transfer = None if self.transfer is None else self.transfer.of(pixels)
         found.problem = found._problem(weights if factors is None else factors)
         return found
 
@@ -504,10 +513,11 @@ class Objective:
         """Q, (light channels, N, K): an orthonormal basis of the lights of x over the pictures.
 
         All that materials do to a channel's pictures is in its span. None where there are no more
-        than K pictures.
+        than K pictures, or surroundings bring light that is in no span.
         """
         layout = self.layout
-        if layout.pictures <= layout.coefficients:
+        brings = self.transfer is not None and self.transfer.bounced is not None
+        if layout.pictures <= layout.coefficients or brings:
             return None
         shape = layout.pictures, layout.coefficients, layout.light_channels
         return np.linalg.qr(x[layout.lighting].reshape(shape).transpose(2, 0, 1))[0]
@@ -663,6 +673,8 @@ class Objective:
             lighting=None if scene.lighting is None else self._reduced(scene.lighting),
             free_normals=self.layout.free_normals,
             model=self.model,
+            transfer=None if self.transfer is None else self.transfer.rows,
+            bounced=None if self.transfer is None else self.transfer.scaled(self._units),
         )
 
     def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
@@ -699,6 +711,31 @@ class Objective:
                 "lighting: expected known lights with equal channels for mono_light, found colour"
             )
         return known[:, : self.coefficients, : self.channels] / self._by_picture
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """What surroundings do to the light of pixels (`pbrfit.transport`)."""
+
+    rows: NDArray[np.float32]
+    """(P, R, 16): rows in the place of the model's."""
+    bounced: NDArray[np.float32] | None = None
+    """(P, R, N, C): what they bring of each picture, in picture units; None = nothing."""
+    gain: float = 1.0
+    """What that is multiplied by."""
+
+    def of(self, pixels: NDArray[np.uint64]) -> Transfer:
+        """Of some pixels."""
+        bounced = None if self.bounced is None else self.bounced[pixels]
+        return replace(self, rows=self.rows[pixels], bounced=bounced)
+
+    def scaled(self, units: NDArray[np.float64]) -> NDArray[np.float32] | None:
+        """(P, R, N·C): what is brought, in units of x, which are so many of each picture."""
+        if self.bounced is None:
+            return None
+        by_picture = (self.gain / units).astype(np.float32)[:, None]
+        pixels, rows = self.rows.shape[:2]
+        return (self.bounced * by_picture).reshape(pixels, rows, -1)
 
 
 @dataclass(frozen=True)
