@@ -38,7 +38,7 @@ ROUNDS = 3
 FLYING = 9
 """Most pixels of a piece without neighbours that is taken for a wrong depth and not a thing."""
 NEAR_NORMAL = 4.0
-"""Distance, in pixels in space, within which a point takes the normal of another."""
+"""Distance, in pixels in space, within which a point without segment takes another's normal."""
 
 
 @dataclass(frozen=True)
@@ -381,7 +381,7 @@ def _normals(
             to, of = lacking & (segments == one), known & (segments == one)
             if of.any():
                 distance, nearest = cKDTree(points[of]).query(points[to])
-                near = distance < NEAR_NORMAL * apart[to]
+                near = (distance < NEAR_NORMAL * apart[to]) | (one != 0)
                 found[to] = np.where(near[:, None], normals[of][nearest], found[to])
     length = np.linalg.norm(found, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore"):

@@ -18,10 +18,17 @@ FLAT = 0.7
 """Share of a segment that lies in its plane, at least, for the segment to be flat."""
 MOST_BEHIND = 0.05
 """Share of all points that may lie behind a wall: windows, doors, errors of depth."""
-BEHIND = 0.04
-"""How far behind a plane a point is before it counts, in median depths."""
-LEAST_SHARE, LEAST_SHARE_ALONE = 0.01, 0.03
-"""Least share of the picture that a wall covers: a segment; a plane found without one."""
+BEHIND, BEHIND_BY_RESIDUALS = 0.015, 2.0
+"""How far behind a plane a point is before it counts, in median depths, besides noise of depth; and
+in root mean squares of what the plane leaves of its own points."""
+MOST_BEHIND_OF_OWN = 0.2
+"""And that number over that of the points on it: a small plane is no wall on weak grounds."""
+LEAST_SHARE = 0.02
+"""Least share of the picture that a wall covers, unless it is square to a larger one."""
+SLIVER, FEWEST = 0.002, 8
+"""Least share, and number of points, of one that is: side walls are seen from the side."""
+SQUARE = np.sin(np.radians(8.0))
+"""Greatest cosine between normals of planes that are square to each other."""
 IN_PLANE = 0.02
 """How far off a plane its own points may be, in median depths, besides noise of depth."""
 SAME_PLANE = 0.015
@@ -34,7 +41,7 @@ AGREES = np.cos(np.radians(25.0))
 """Least cosine between the normal of a wall and those of its points."""
 MOST_WALLS = 12
 """Walls at most."""
-TRIES = 300
+TRIES = 600
 """Planes tried for each wall that no segment shows."""
 UPRIGHT = np.sin(np.radians(25.0))
 """Greatest cosine between the normal of an upright wall and up."""
@@ -110,10 +117,9 @@ def find_walls(
     seen, facing, ids = coarse.points[here], coarse.normals[here], coarse.segments[here]
     scale = float(np.median(-seen[:, 2]))
     slack = coarse.noise * scale
-    planes = list(_of_segments(seen, facing, ids, scale, slack))
-    planes = _without_rugs(planes, scale)
+    planes = _without_rugs(list(_of_segments(seen, facing, ids, scale, slack)), scale)
     planes = _without_rugs([*planes, *_alone(coarse, planes, scale, slack)], scale)
-    planes = sorted(planes, key=lambda plane: -plane.share)[:MOST_WALLS]
+    planes = _square(planes)[:MOST_WALLS]
     up, floor = upwards([plane.normal for plane in planes])
     found = []
     for i, plane in enumerate(planes):
@@ -170,26 +176,29 @@ def _of_segments(
 ) -> Iterator[_Plane]:
     for one in np.unique(ids[ids != 0]):
         mine = ids == one
-        if mine.mean() < LEAST_SHARE:
+        if mine.mean() < SLIVER or mine.sum() < FEWEST:
             continue
         plane = _fitted(seen[mine], facing[mine], int(one), scale, slack)
-        if plane is not None and _is_wall(plane, seen, scale, slack):
-            share = _on(plane, seen, facing, scale, slack).mean()
-            yield _Plane(plane.normal, plane.offset, plane.segment, float(share))
+        if plane is None:
+            continue
+        on = _on(plane, seen, facing, scale, slack)
+        if _is_wall(plane, on, seen, scale, slack):
+            yield _Plane(plane.normal, plane.offset, plane.segment, float(on.mean()))
 
 
 def _fitted(seen: Array, facing: Array, one: int, scale: float, slack: float) -> _Plane | None:
     """Plane of a segment, or None where it is not flat."""
     normal = _unit(np.median(facing, axis=0))
-    normal = _unit(facing[facing @ normal > AGREES].mean(axis=0)) if len(facing) else normal
-    if not np.isfinite(normal).all():
+    agree = facing @ normal > AGREES
+    if agree.mean() < FLAT:
         return None
+    normal = _unit(facing[agree].mean(axis=0))
     offset = float(np.median(seen @ normal))
     for _ in range(3):
         agree = facing @ normal > AGREES
         off = seen @ normal - offset
         near = agree & (np.abs(off) < IN_PLANE * scale + 3 * slack + 2 * np.median(np.abs(off)))
-        if near.sum() < 8:
+        if near.sum() < FEWEST:
             return None
         normal, offset = _least_squares(seen[near], _unit(facing[near].mean(axis=0)))
     within = np.abs(seen @ normal - offset) < IN_PLANE * scale + 3 * slack
@@ -212,9 +221,16 @@ def _unit(vector: Array) -> Array:
         return np.asarray(vector / np.linalg.norm(vector))
 
 
-def _is_wall(plane: _Plane, seen: Array, scale: float, slack: float) -> bool:
-    behind = seen @ plane.normal - plane.offset < -(BEHIND * scale + 3 * slack)
-    return bool(plane.offset < 0 and behind.mean() <= MOST_BEHIND)
+def _is_wall(plane: _Plane, on: Mask, seen: Array, scale: float, slack: float) -> bool:
+    off = seen @ plane.normal - plane.offset
+    own = float(np.sqrt(np.mean(off[on] ** 2))) if on.any() else 0.0
+    behind = float((off < -(_behind(scale, slack) + BEHIND_BY_RESIDUALS * own)).mean())
+    most = min(MOST_BEHIND, MOST_BEHIND_OF_OWN * float(on.mean()))
+    return bool(plane.offset < 0 and behind <= most)
+
+
+def _behind(scale: float, slack: float) -> float:
+    return BEHIND * scale + 3 * slack
 
 
 def _on(plane: _Plane, seen: Array, facing: Array, scale: float, slack: float) -> Mask:
@@ -241,6 +257,18 @@ def _apart(plane: _Plane, other: _Plane) -> float:
     return float(plane.offset / (plane.normal @ normal) - other.offset / (other.normal @ normal))
 
 
+def _square(planes: list[_Plane]) -> list[_Plane]:
+    """Drop small planes that are square to no larger one; the largest first."""
+    planes = sorted(planes, key=lambda plane: -plane.share)
+    large = [plane for plane in planes if plane.share >= LEAST_SHARE]
+    return large + [
+        plane
+        for plane in planes
+        if plane.share < LEAST_SHARE
+        and any(abs(plane.normal @ other.normal) < SQUARE for other in large)
+    ]
+
+
 def _alone(coarse: Relief, known: list[_Plane], scale: float, slack: float) -> list[_Plane]:
     """Walls that no segment shows: planes through points, with the normals of many others."""
     here = coarse.here
@@ -249,33 +277,35 @@ def _alone(coarse: Relief, known: list[_Plane], scale: float, slack: float) -> l
     for plane in known:
         free &= ~_on(plane, seen, facing, scale, slack)
     rng = np.random.default_rng(0)
+    some = np.arange(0, len(seen), max(1, len(seen) // 4000))
     found: list[_Plane] = []
-    for _ in range(MOST_WALLS):
-        if free.mean() < LEAST_SHARE_ALONE:
+    while len(found) < MOST_WALLS and free.sum() >= FEWEST:
+        tried = rng.permutation(np.flatnonzero(free))[:TRIES]
+        normals = facing[tried]
+        offsets = np.einsum("pi,pi->p", seen[tried], normals)
+        off = seen[some] @ normals.T - offsets
+        on = (np.abs(off) < IN_PLANE * scale + 2 * slack) & (facing[some] @ normals.T > AGREES)
+        count = (on & free[some][:, None]).sum(axis=0)
+        # One point's normal is rough: twice as many may be behind as of the plane of them all.
+        behind = (off < -2 * _behind(scale, slack)).sum(axis=0)
+        allowed = np.minimum(MOST_BEHIND * len(some), MOST_BEHIND_OF_OWN * count)
+        count[(behind > 2 * allowed) | (offsets >= 0)] = 0
+        best = int(count.argmax())
+        if count[best] == 0:
             break
-        p, n = seen[free], facing[free]
-        some = np.arange(0, len(p), max(1, len(p) // 2000))
-        best, most = None, 0
-        for i in rng.choice(len(p), size=min(TRIES, len(p)), replace=False):
-            tried = _Plane(n[i], float(n[i] @ p[i]), 0, 0.0)
-            count = int(_on(tried, p[some], n[some], scale, slack).sum())
-            if count > most:
-                best, most = tried, count
-        if best is None or most < LEAST_SHARE_ALONE * len(some):
-            break
+        plane = _Plane(normals[best], float(offsets[best]), 0, 0.0)
         for _ in range(3):
-            on = _on(best, p, n, scale, slack)
-            if on.sum() < 8:
+            mine = _on(plane, seen, facing, scale, slack) & free
+            if mine.sum() < FEWEST:
                 break
-            best = _Plane(*_least_squares(p[on], _unit(n[on].mean(axis=0))), 0, 0.0)
-        on = _on(best, p, n, scale, slack)
-        taken = np.flatnonzero(free)[on]
-        share = _largest_piece(coarse, taken)
-        if share >= LEAST_SHARE_ALONE and _is_wall(best, seen, scale, slack):
-            found.append(_Plane(best.normal, best.offset, 0, len(taken) / len(seen)))
-        free[taken] = False
-        if not len(taken):
-            break
+            plane = _Plane(*_least_squares(seen[mine], _unit(facing[mine].mean(axis=0))), 0, 0.0)
+        mine = _on(plane, seen, facing, scale, slack) & free
+        share = _largest_piece(coarse, np.flatnonzero(mine))
+        enough = share >= SLIVER and mine.sum() >= FEWEST
+        if enough and _is_wall(plane, mine, seen, scale, slack):
+            found.append(_Plane(plane.normal, plane.offset, 0, float(mine.mean())))
+        free &= ~mine
+        free[tried[best]] = False
     return found
 
 
