@@ -31,9 +31,15 @@ SIGMAS = 3.0
 """Standard deviations of the noise of depth that a gap may have besides."""
 NORMAL_ERROR = 0.1
 """Slope, in radians, that normals may be wrong by: what smoothing trusts them to."""
-LEAST_NOISE = 2e-3
-"""Relative noise of depth below which points are left as they are."""
-ROUNDS = 3
+LEAST_NOISE = 1e-3
+"""Relative noise of depth that points have at least: of files, of networks at their best."""
+OUTLIER = 3.0
+"""Standard deviations from what the normals tell at which a distance counts half."""
+BESIDE_JUMPS = 0.03
+"""How much distances beside jumps count at first, where networks blur."""
+AIRBORNE = 0.01
+"""What a distance counts below which it is taken to hang between two surfaces."""
+ROUNDS = 4
 """Rounds of smoothing, each with the jumps of the one before."""
 FLYING = 9
 """Most pixels of a piece without neighbours that is taken for a wrong depth and not a thing."""
@@ -185,13 +191,14 @@ def _smoothed(
 
     noise = _noise(origins, directions, distance, normals, segments)
     found = made(distance, noise)
-    if noise < LEAST_NOISE:
-        return found
+    assumed = max(noise, LEAST_NOISE)
+    trusted = _trusted(found)
     for _ in range(ROUNDS):
-        trusted = _trusted(found)
-        calm = _calmed(found, distance, trusted, noise)
+        calm = _calmed(found, distance, trusted, assumed)
         left = _noise(origins, directions, calm, normals, segments)
         found = made(calm, min(left, noise))
+        off = (calm / distance - 1) / (OUTLIER * assumed)
+        trusted = np.where(_lone(found), 0.0, np.where(found.here, 1 / (1 + off**2), 0.0))
     return found
 
 
@@ -264,21 +271,25 @@ def _noise(
     return float(np.median(all_left) / 0.6745 / np.sqrt(2)) if len(all_left) else 0.0
 
 
-def _trusted(found: Relief) -> Array:
-    """(h, w): how much each distance counts; 0 where it is between two surfaces."""
+def _lone(found: Relief) -> Mask:
+    """(h, w): points in small pieces, between two surfaces."""
     piece = found.pieces(found.here)
     sizes = np.bincount(piece[piece >= 0])
-    lone = (piece >= 0) & (sizes[piece] <= FLYING)
-    trusted = np.where(found.here & ~lone, 1.0, 0.0)
-    # What networks blur is beside jumps.
-    both = found.here[:, 1:] & found.here[:, :-1] & ~found.right
-    beside = np.zeros(found.here.shape, bool)
-    beside[:, 1:] |= both
-    beside[:, :-1] |= both
-    both = found.here[1:] & found.here[:-1] & ~found.down
-    beside[1:] |= both
-    beside[:-1] |= both
-    trusted[ndimage.binary_dilation(beside, iterations=1) & found.here] *= 0.1
+    return np.asarray((piece >= 0) & (sizes[piece] <= FLYING))
+
+
+def _trusted(found: Relief) -> Array:
+    """(h, w): how much each distance counts at first; little beside jumps."""
+    here = found.here
+    trusted = np.where(here & ~_lone(found), 1.0, 0.0)
+    beside = np.zeros(here.shape, bool)
+    across = here[:, 1:] & here[:, :-1] & ~found.right
+    beside[:, 1:] |= across
+    beside[:, :-1] |= across
+    across = here[1:] & here[:-1] & ~found.down
+    beside[1:] |= across
+    beside[:-1] |= across
+    trusted[ndimage.binary_dilation(beside, iterations=1) & here] *= BESIDE_JUMPS
     return trusted
 
 
@@ -300,17 +311,15 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
     at = [np.arange(count)]
     to = [np.arange(count)]
     right = matrix[0] * value[here]
-    links = (found.right | _same(found, 1), found.down | _same(found, 0))
-    for linked, (a, b), (o_p, o_q), (w_p, w_q), (n_p, n_q), (s, t) in zip(
+    links = (found.right | _same(found, trusted, 1), found.down | _same(found, trusted, 0))
+    for linked, (a, b), (o_p, o_q), (w_p, w_q), (n_p, n_q) in zip(
         links,
         _pairs(number),
         _pairs(found.origins),
         _pairs(found.directions),
         _pairs(found.normals),
-        _pairs(trusted),
         strict=True,
     ):
-        doubt = np.where((s > 0.5) & (t > 0.5), 1.0, 0.3)
         linked = linked & (a >= 0) & (b >= 0)
         steps, facing = [], []
         for n in (n_p, n_q):
@@ -328,7 +337,7 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
         step = (steps[0] + steps[1])[linked] / 2
         across = np.linalg.norm(o_q - o_p, axis=-1) / scale if flat else angle
         spread = (NORMAL_ERROR * across / np.minimum(facing[0], facing[1]) ** 2)[linked]
-        weight = doubt[linked] / spread**2
+        weight = 1 / spread**2
         p, q = a[linked], b[linked]
         at += [p, q, p, q]
         to += [p, q, q, p]
@@ -352,14 +361,14 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
     return calm
 
 
-def _same(found: Relief, axis: int) -> Mask:
+def _same(found: Relief, trusted: Array, axis: int) -> Mask:
     """Neighbours of one segment with about the same normal, of which one hangs in the air."""
-    ids = _pairs(found.segments)[0 if axis else 1]
-    normals = _pairs(found.normals)[0 if axis else 1]
-    trusted = _pairs(_trusted(found))[0 if axis else 1]
+    ids, normals, trust = (
+        _pairs(a)[0 if axis else 1] for a in (found.segments, found.normals, trusted)
+    )
     with np.errstate(invalid="ignore"):
         alike = np.einsum("hwi,hwi->hw", *normals) > np.cos(np.radians(20))
-    lone = (trusted[0] == 0) | (trusted[1] == 0)
+    lone = (trust[0] < AIRBORNE) | (trust[1] < AIRBORNE)
     return np.asarray((ids[0] == ids[1]) & alike & lone)
 
 

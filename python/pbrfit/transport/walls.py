@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,11 @@ from pbrfit.transport.relief import Mask, Relief, relief
 
 MOST_POINTS = 10_000
 """Points of the grid that walls are searched in."""
-FLAT = 0.7
-"""Share of a segment that lies in its plane, at least, for the segment to be flat."""
+FLAT, MOST_SPREAD = 0.7, 0.08
+"""Share of a segment that has the normal of its plane, at least, and root mean square distance of
+these from the plane in median depths, at most, for the segment to be flat."""
+GROWN = np.cos(np.radians(12.0))
+"""Least cosine between normals of neighbours that are grown to one region."""
 MOST_BEHIND = 0.05
 """Share of all points that may lie behind a wall: windows, doors, errors of depth."""
 BEHIND, BEHIND_BY_RESIDUALS = 0.015, 2.0
@@ -89,6 +92,8 @@ class _Plane:
     offset: float
     segment: int
     share: float
+    spread: float
+    """Root mean square distance of its points from it, in the unit of depth."""
 
 
 def find_walls(
@@ -117,7 +122,10 @@ def find_walls(
     seen, facing, ids = coarse.points[here], coarse.normals[here], coarse.segments[here]
     scale = float(np.median(-seen[:, 2]))
     slack = coarse.noise * scale
-    planes = _without_rugs(list(_of_segments(seen, facing, ids, scale, slack)), scale)
+    planes = list(_of_segments(seen, facing, ids, scale, slack))
+    grown = _regions(coarse)[here]
+    planes += (replace(p, segment=0) for p in _of_segments(seen, facing, grown, scale, slack))
+    planes = _without_rugs(planes, scale)
     planes = _without_rugs([*planes, *_alone(coarse, planes, scale, slack)], scale)
     planes = _square(planes)[:MOST_WALLS]
     up, floor = upwards([plane.normal for plane in planes])
@@ -183,7 +191,7 @@ def _of_segments(
             continue
         on = _on(plane, seen, facing, scale, slack)
         if _is_wall(plane, on, seen, scale, slack):
-            yield _Plane(plane.normal, plane.offset, plane.segment, float(on.mean()))
+            yield replace(plane, share=float(on.mean()))
 
 
 def _fitted(seen: Array, facing: Array, one: int, scale: float, slack: float) -> _Plane | None:
@@ -196,14 +204,15 @@ def _fitted(seen: Array, facing: Array, one: int, scale: float, slack: float) ->
     offset = float(np.median(seen @ normal))
     for _ in range(3):
         agree = facing @ normal > AGREES
-        off = seen @ normal - offset
-        near = agree & (np.abs(off) < IN_PLANE * scale + 3 * slack + 2 * np.median(np.abs(off)))
+        off = np.abs(seen @ normal - offset)
+        near = agree & (off < IN_PLANE * scale + 3 * slack + 2 * np.median(off))
         if near.sum() < FEWEST:
             return None
         normal, offset = _least_squares(seen[near], _unit(facing[near].mean(axis=0)))
-    within = np.abs(seen @ normal - offset) < IN_PLANE * scale + 3 * slack
-    flat = float((within & (facing @ normal > AGREES)).mean())
-    return _Plane(normal, offset, one, 0.0) if flat >= FLAT and offset < 0 else None
+    agree = facing @ normal > AGREES
+    spread = float(np.sqrt(np.mean((seen[near] @ normal - offset) ** 2)))
+    flat = agree.mean() >= FLAT and spread < MOST_SPREAD * scale + 3 * slack
+    return _Plane(normal, offset, one, 0.0, spread) if flat and offset < 0 else None
 
 
 def _least_squares(seen: Array, mean_normal: Array) -> tuple[Array, float]:
@@ -223,8 +232,8 @@ def _unit(vector: Array) -> Array:
 
 def _is_wall(plane: _Plane, on: Mask, seen: Array, scale: float, slack: float) -> bool:
     off = seen @ plane.normal - plane.offset
-    own = float(np.sqrt(np.mean(off[on] ** 2))) if on.any() else 0.0
-    behind = float((off < -(_behind(scale, slack) + BEHIND_BY_RESIDUALS * own)).mean())
+    tolerance = _behind(scale, slack) + BEHIND_BY_RESIDUALS * plane.spread
+    behind = float((off < -tolerance).mean())
     most = min(MOST_BEHIND, MOST_BEHIND_OF_OWN * float(on.mean()))
     return bool(plane.offset < 0 and behind <= most)
 
@@ -234,8 +243,13 @@ def _behind(scale: float, slack: float) -> float:
 
 
 def _on(plane: _Plane, seen: Array, facing: Array, scale: float, slack: float) -> Mask:
-    near = np.abs(seen @ plane.normal - plane.offset) < IN_PLANE * scale + 2 * slack
+    near = np.abs(seen @ plane.normal - plane.offset) < _within(plane, scale, slack)
     return np.asarray(near & (facing @ plane.normal > AGREES))
+
+
+def _within(plane: _Plane, scale: float, slack: float) -> float:
+    """How far off a plane its points may be, in the unit of depth."""
+    return IN_PLANE * scale + 2 * slack + plane.spread
 
 
 def _without_rugs(planes: list[_Plane], scale: float) -> list[_Plane]:
@@ -293,20 +307,31 @@ def _alone(coarse: Relief, known: list[_Plane], scale: float, slack: float) -> l
         best = int(count.argmax())
         if count[best] == 0:
             break
-        plane = _Plane(normals[best], float(offsets[best]), 0, 0.0)
+        plane = _Plane(normals[best], float(offsets[best]), 0, 0.0, 0.0)
         for _ in range(3):
             mine = _on(plane, seen, facing, scale, slack) & free
             if mine.sum() < FEWEST:
                 break
-            plane = _Plane(*_least_squares(seen[mine], _unit(facing[mine].mean(axis=0))), 0, 0.0)
+            normal, offset = _least_squares(seen[mine], _unit(facing[mine].mean(axis=0)))
+            spread = float(np.sqrt(np.mean((seen[mine] @ normal - offset) ** 2)))
+            plane = _Plane(normal, offset, 0, 0.0, spread)
         mine = _on(plane, seen, facing, scale, slack) & free
         share = _largest_piece(coarse, np.flatnonzero(mine))
         enough = share >= SLIVER and mine.sum() >= FEWEST
         if enough and _is_wall(plane, mine, seen, scale, slack):
-            found.append(_Plane(plane.normal, plane.offset, 0, float(mine.mean())))
+            found.append(replace(plane, share=float(mine.mean())))
         free &= ~mine
         free[tried[best]] = False
     return found
+
+
+def _regions(coarse: Relief) -> NDArray[np.int32]:
+    """(h, w): numbers from 1 of regions grown over jumpless neighbours of about one normal."""
+    n = coarse.normals
+    with np.errstate(invalid="ignore"):
+        right = coarse.right & (np.einsum("hwi,hwi->hw", n[:, 1:], n[:, :-1]) > GROWN)
+        down = coarse.down & (np.einsum("hwi,hwi->hw", n[1:], n[:-1]) > GROWN)
+    return replace(coarse, right=right, down=down).pieces(coarse.here) + 1
 
 
 def _largest_piece(coarse: Relief, taken: NDArray[np.intp]) -> float:
@@ -330,7 +355,7 @@ def _pixels(
     with np.errstate(invalid="ignore"):
         off = np.abs(points @ plane.normal - plane.offset)
         agrees = ~mask | ~(normals @ plane.normal <= AGREES)
-        near = off < IN_PLANE * scale + 2 * slack
+        near = off < _within(plane, scale, slack)
         if segments is not None and plane.segment:
             near |= (segments == plane.segment) & (off < 2 * RUG * scale)
     return np.asarray(near & agrees)
