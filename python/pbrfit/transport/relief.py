@@ -9,6 +9,7 @@ the planes cross on the way. A jump is where neither holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from scipy.spatial import cKDTree
 from pbrfit.transport.rays import Array, Rays, rays_of
 
 Mask = NDArray[np.bool_]
+Sides = tuple[NDArray[Any], NDArray[Any]]
 
 LEAST_FACING = 0.2
 """Least |n·ray| that a tangent plane is extended with: planes seen from the side tell little."""
@@ -170,7 +172,7 @@ def extended(
     """
     start = origins + distance[..., None] * directions
     along = np.minimum(np.einsum("...i,...i->...", normals, directions), -LEAST_FACING)
-    return distance + np.einsum("...i,...i->...", normals, points - start) / along
+    return np.asarray(distance + np.einsum("...i,...i->...", normals, points - start) / along)
 
 
 def _smoothed(
@@ -186,7 +188,17 @@ def _smoothed(
     def made(distance: Array, noise: float) -> Relief:
         right, down = _links(origins, directions, distance, normals, segments, noise)
         return Relief(
-            rows, columns, rays, origins, directions, distance, normals, segments, right, down, noise
+            rows,
+            columns,
+            rays,
+            origins,
+            directions,
+            distance,
+            normals,
+            segments,
+            right,
+            down,
+            noise,
         )
 
     noise = _noise(origins, directions, distance, normals, segments)
@@ -202,7 +214,7 @@ def _smoothed(
     return found
 
 
-def _pairs(a: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _pairs(a: NDArray[Any]) -> tuple[Sides, Sides]:
     """Left and right, upper and lower neighbours of an array (h, w, ...)."""
     return (a[:, :-1], a[:, 1:]), (a[:-1], a[1:])
 
@@ -219,13 +231,15 @@ def _gaps(
         ahead = -np.einsum("hwi,hwi->hw", of_p, d) / _steep(of_p, at_q)
         behind = -np.einsum("hwi,hwi->hw", of_q, d) / _steep(of_q, at_p)
         middle = (at_p + at_q) / 2
-        across = np.linalg.norm(d - np.einsum("hwi,hwi->hw", d, middle)[..., None] * middle, axis=-1)
+        across = np.linalg.norm(
+            d - np.einsum("hwi,hwi->hw", d, middle)[..., None] * middle, axis=-1
+        )
         found.append((ahead, behind, across))
     return found
 
 
 def _steep(normals: Array, directions: Array) -> Array:
-    return np.minimum(np.einsum("hwi,hwi->hw", normals, directions), -LEAST_FACING)
+    return np.asarray(np.minimum(np.einsum("hwi,hwi->hw", normals, directions), -LEAST_FACING))
 
 
 def _links(
@@ -261,7 +275,10 @@ def _noise(
     """Relative standard deviation of distances, from what tangent planes leave of neighbours."""
     left = []
     for (ahead, behind, across), (near, far), (a, b) in zip(
-        _gaps(origins, directions, distance, normals), _pairs(distance), _pairs(segments), strict=True
+        _gaps(origins, directions, distance, normals),
+        _pairs(distance),
+        _pairs(segments),
+        strict=True,
     ):
         here = np.isfinite(ahead) & np.isfinite(behind) & (a == b)
         change = ((ahead + behind) / 2)[here] / np.minimum(near, far)[here]
@@ -308,8 +325,8 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
     number[here] = np.arange(count)
     weight = (trusted / noise**2)[here]
     matrix = [np.maximum(weight, 1e-3 / noise**2)]
-    at = [np.arange(count)]
-    to = [np.arange(count)]
+    at: list[NDArray[Any]] = [np.arange(count)]
+    to: list[NDArray[Any]] = [np.arange(count)]
     right = matrix[0] * value[here]
     links = (found.right | _same(found, trusted, 1), found.down | _same(found, trusted, 0))
     for linked, (a, b), (o_p, o_q), (w_p, w_q), (n_p, n_q) in zip(
@@ -375,7 +392,7 @@ def _same(found: Relief, trusted: Array, axis: int) -> Mask:
 def _normals(
     points: Array, normals: Array, mask: Mask, segments: NDArray[np.integer], directions: Array
 ) -> Array:
-    """Normals of all points, facing the camera: given, or of a point nearby, or of its neighbours."""
+    """Normals of all points, facing the camera: given, of a point nearby, or of neighbours."""
     here = np.isfinite(points).all(axis=-1)
     known = here & mask & np.isfinite(normals).all(axis=-1)
     found = np.full(points.shape, np.nan)
@@ -401,7 +418,7 @@ def _normals(
     # A normal that faces away is tilted until it does not.
     with np.errstate(invalid="ignore"):
         tilted = found - np.maximum(away + 0.02, 0.0)[..., None] * directions
-    return tilted / np.linalg.norm(tilted, axis=-1, keepdims=True)
+    return np.asarray(tilted / np.linalg.norm(tilted, axis=-1, keepdims=True))
 
 
 def _by_differences(points: Array) -> Array:

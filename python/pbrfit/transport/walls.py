@@ -40,6 +40,8 @@ RUG = 0.1
 """A plane in front of a parallel wall by less lies or hangs on it, in median depths (0.3 m)."""
 PARALLEL = np.cos(np.radians(12.0))
 """Least cosine between normals of parallel planes."""
+LIKE = np.cos(np.radians(30.0))
+"""Least cosine between normals of planes of which one is a wrong view of the other."""
 AGREES = np.cos(np.radians(25.0))
 """Least cosine between the normal of a wall and those of its points."""
 MOST_WALLS = 12
@@ -136,7 +138,9 @@ def find_walls(
         on = points[pixels]
         if not len(on):
             continue
-        corners = rectangle(on - np.outer(on @ plane.normal - plane.offset, plane.normal), plane, up)
+        corners = rectangle(
+            on - np.outer(on @ plane.normal - plane.offset, plane.normal), plane, up
+        )
         found.append(Wall(plane.normal, plane.offset, corners, plane.segment, pixels, level))
     return tuple(found)
 
@@ -272,8 +276,15 @@ def _apart(plane: _Plane, other: _Plane) -> float:
 
 
 def _square(planes: list[_Plane]) -> list[_Plane]:
-    """Drop small planes that are square to no larger one; the largest first."""
-    planes = sorted(planes, key=lambda plane: -plane.share)
+    """Drop planes that face nearly as a larger one does, and small ones that are square to none.
+
+    The largest come first.
+    """
+    sorted_planes = sorted(planes, key=lambda plane: -plane.share)
+    planes = []
+    for plane in sorted_planes:
+        if all(not PARALLEL > plane.normal @ other.normal > LIKE for other in planes):
+            planes.append(plane)
     large = [plane for plane in planes if plane.share >= LEAST_SHARE]
     return large + [
         plane
