@@ -20,6 +20,7 @@ FLOORS = (
     ("io",),
     ("model",),
     ("scene",),
+    ("transport",),
     ("result",),
     ("fit",),
     ("report", "export", "acquire", "synthetic", "batch"),

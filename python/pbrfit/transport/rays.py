@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,8 @@ class Rays:
     rows: tuple[float, float]
     orthographic: bool
 
-    def at(self, rows: Array, columns: Array) -> tuple[Array, Array]:
-        """Origins and unit directions, both (..., 3), of places (...) that may lie between pixels."""
+    def at(self, rows: NDArray[Any], columns: NDArray[Any]) -> tuple[Array, Array]:
+        """Origins and unit directions (..., 3) of places (...) that may lie between pixels."""
         x = self.columns[0] * np.asarray(columns) + self.columns[1]
         y = self.rows[0] * np.asarray(rows) + self.rows[1]
         x, y = np.broadcast_arrays(x, y)
@@ -57,7 +58,7 @@ def rays_of(points: Array) -> Rays:
     Raises
     ------
     InputError
-        If there are fewer than three points, or they lie on one row or column, or behind the camera.
+        If there are fewer than three points, all in one row or column, or some behind the camera.
     """
     rows, columns = np.nonzero(np.isfinite(points).all(axis=-1))
     if len(rows) < FEWEST_POINTS or np.ptp(rows) == 0 or np.ptp(columns) == 0:
@@ -75,7 +76,7 @@ def rays_of(points: Array) -> Rays:
 
 
 def _line(index: NDArray[np.intp], values: Array) -> tuple[tuple[float, float], float]:
-    """Slope and intercept of values over an index, and the root mean square misfit over the spread."""
+    """Slope and intercept of values over an index, and root mean square misfit over spread."""
     middle, mean = index.mean(), values.mean()
     slope = float(((index - middle) * (values - mean)).sum() / ((index - middle) ** 2).sum())
     misfit = float(np.std(values - slope * index) / max(float(np.std(values)), 1e-300))

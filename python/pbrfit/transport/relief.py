@@ -9,6 +9,7 @@ the planes cross on the way. A jump is where neither holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from scipy.spatial import cKDTree
 from pbrfit.transport.rays import Array, Rays, rays_of
 
 Mask = NDArray[np.bool_]
+Sides = tuple[NDArray[Any], NDArray[Any]]
 
 LEAST_FACING = 0.2
 """Least |n·ray| that a tangent plane is extended with: planes seen from the side tell little."""
@@ -31,14 +33,20 @@ SIGMAS = 3.0
 """Standard deviations of the noise of depth that a gap may have besides."""
 NORMAL_ERROR = 0.1
 """Slope, in radians, that normals may be wrong by: what smoothing trusts them to."""
-LEAST_NOISE = 2e-3
-"""Relative noise of depth below which points are left as they are."""
-ROUNDS = 3
+LEAST_NOISE = 1e-3
+"""Relative noise of depth that points have at least: of files, of networks at their best."""
+OUTLIER = 3.0
+"""Standard deviations from what the normals tell at which a distance counts half."""
+BESIDE_JUMPS = 0.03
+"""How much distances beside jumps count at first, where networks blur."""
+AIRBORNE = 0.01
+"""What a distance counts below which it is taken to hang between two surfaces."""
+ROUNDS = 4
 """Rounds of smoothing, each with the jumps of the one before."""
 FLYING = 9
 """Most pixels of a piece without neighbours that is taken for a wrong depth and not a thing."""
 NEAR_NORMAL = 4.0
-"""Distance, in pixels in space, within which a point takes the normal of another."""
+"""Distance, in pixels in space, within which a point without segment takes another's normal."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +172,7 @@ def extended(
     """
     start = origins + distance[..., None] * directions
     along = np.minimum(np.einsum("...i,...i->...", normals, directions), -LEAST_FACING)
-    return distance + np.einsum("...i,...i->...", normals, points - start) / along
+    return np.asarray(distance + np.einsum("...i,...i->...", normals, points - start) / along)
 
 
 def _smoothed(
@@ -180,22 +188,33 @@ def _smoothed(
     def made(distance: Array, noise: float) -> Relief:
         right, down = _links(origins, directions, distance, normals, segments, noise)
         return Relief(
-            rows, columns, rays, origins, directions, distance, normals, segments, right, down, noise
+            rows,
+            columns,
+            rays,
+            origins,
+            directions,
+            distance,
+            normals,
+            segments,
+            right,
+            down,
+            noise,
         )
 
     noise = _noise(origins, directions, distance, normals, segments)
     found = made(distance, noise)
-    if noise < LEAST_NOISE:
-        return found
+    assumed = max(noise, LEAST_NOISE)
+    trusted = _trusted(found)
     for _ in range(ROUNDS):
-        trusted = _trusted(found)
-        calm = _calmed(found, distance, trusted, noise)
+        calm = _calmed(found, distance, trusted, assumed)
         left = _noise(origins, directions, calm, normals, segments)
         found = made(calm, min(left, noise))
+        off = (calm / distance - 1) / (OUTLIER * assumed)
+        trusted = np.where(_lone(found), 0.0, np.where(found.here, 1 / (1 + off**2), 0.0))
     return found
 
 
-def _pairs(a: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _pairs(a: NDArray[Any]) -> tuple[Sides, Sides]:
     """Left and right, upper and lower neighbours of an array (h, w, ...)."""
     return (a[:, :-1], a[:, 1:]), (a[:-1], a[1:])
 
@@ -212,13 +231,15 @@ def _gaps(
         ahead = -np.einsum("hwi,hwi->hw", of_p, d) / _steep(of_p, at_q)
         behind = -np.einsum("hwi,hwi->hw", of_q, d) / _steep(of_q, at_p)
         middle = (at_p + at_q) / 2
-        across = np.linalg.norm(d - np.einsum("hwi,hwi->hw", d, middle)[..., None] * middle, axis=-1)
+        across = np.linalg.norm(
+            d - np.einsum("hwi,hwi->hw", d, middle)[..., None] * middle, axis=-1
+        )
         found.append((ahead, behind, across))
     return found
 
 
 def _steep(normals: Array, directions: Array) -> Array:
-    return np.minimum(np.einsum("hwi,hwi->hw", normals, directions), -LEAST_FACING)
+    return np.asarray(np.minimum(np.einsum("hwi,hwi->hw", normals, directions), -LEAST_FACING))
 
 
 def _links(
@@ -254,7 +275,10 @@ def _noise(
     """Relative standard deviation of distances, from what tangent planes leave of neighbours."""
     left = []
     for (ahead, behind, across), (near, far), (a, b) in zip(
-        _gaps(origins, directions, distance, normals), _pairs(distance), _pairs(segments), strict=True
+        _gaps(origins, directions, distance, normals),
+        _pairs(distance),
+        _pairs(segments),
+        strict=True,
     ):
         here = np.isfinite(ahead) & np.isfinite(behind) & (a == b)
         change = ((ahead + behind) / 2)[here] / np.minimum(near, far)[here]
@@ -264,21 +288,25 @@ def _noise(
     return float(np.median(all_left) / 0.6745 / np.sqrt(2)) if len(all_left) else 0.0
 
 
-def _trusted(found: Relief) -> Array:
-    """(h, w): how much each distance counts; 0 where it is between two surfaces."""
+def _lone(found: Relief) -> Mask:
+    """(h, w): points in small pieces, between two surfaces."""
     piece = found.pieces(found.here)
     sizes = np.bincount(piece[piece >= 0])
-    lone = (piece >= 0) & (sizes[piece] <= FLYING)
-    trusted = np.where(found.here & ~lone, 1.0, 0.0)
-    # What networks blur is beside jumps.
-    both = found.here[:, 1:] & found.here[:, :-1] & ~found.right
-    beside = np.zeros(found.here.shape, bool)
-    beside[:, 1:] |= both
-    beside[:, :-1] |= both
-    both = found.here[1:] & found.here[:-1] & ~found.down
-    beside[1:] |= both
-    beside[:-1] |= both
-    trusted[ndimage.binary_dilation(beside, iterations=1) & found.here] *= 0.1
+    return np.asarray((piece >= 0) & (sizes[piece] <= FLYING))
+
+
+def _trusted(found: Relief) -> Array:
+    """(h, w): how much each distance counts at first; little beside jumps."""
+    here = found.here
+    trusted = np.where(here & ~_lone(found), 1.0, 0.0)
+    beside = np.zeros(here.shape, bool)
+    across = here[:, 1:] & here[:, :-1] & ~found.right
+    beside[:, 1:] |= across
+    beside[:, :-1] |= across
+    across = here[1:] & here[:-1] & ~found.down
+    beside[1:] |= across
+    beside[:-1] |= across
+    trusted[ndimage.binary_dilation(beside, iterations=1) & here] *= BESIDE_JUMPS
     return trusted
 
 
@@ -297,20 +325,18 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
     number[here] = np.arange(count)
     weight = (trusted / noise**2)[here]
     matrix = [np.maximum(weight, 1e-3 / noise**2)]
-    at = [np.arange(count)]
-    to = [np.arange(count)]
+    at: list[NDArray[Any]] = [np.arange(count)]
+    to: list[NDArray[Any]] = [np.arange(count)]
     right = matrix[0] * value[here]
-    links = (found.right | _same(found, 1), found.down | _same(found, 0))
-    for linked, (a, b), (o_p, o_q), (w_p, w_q), (n_p, n_q), (s, t) in zip(
+    links = (found.right | _same(found, trusted, 1), found.down | _same(found, trusted, 0))
+    for linked, (a, b), (o_p, o_q), (w_p, w_q), (n_p, n_q) in zip(
         links,
         _pairs(number),
         _pairs(found.origins),
         _pairs(found.directions),
         _pairs(found.normals),
-        _pairs(trusted),
         strict=True,
     ):
-        doubt = np.where((s > 0.5) & (t > 0.5), 1.0, 0.3)
         linked = linked & (a >= 0) & (b >= 0)
         steps, facing = [], []
         for n in (n_p, n_q):
@@ -328,7 +354,7 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
         step = (steps[0] + steps[1])[linked] / 2
         across = np.linalg.norm(o_q - o_p, axis=-1) / scale if flat else angle
         spread = (NORMAL_ERROR * across / np.minimum(facing[0], facing[1]) ** 2)[linked]
-        weight = doubt[linked] / spread**2
+        weight = 1 / spread**2
         p, q = a[linked], b[linked]
         at += [p, q, p, q]
         to += [p, q, q, p]
@@ -352,21 +378,21 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
     return calm
 
 
-def _same(found: Relief, axis: int) -> Mask:
+def _same(found: Relief, trusted: Array, axis: int) -> Mask:
     """Neighbours of one segment with about the same normal, of which one hangs in the air."""
-    ids = _pairs(found.segments)[0 if axis else 1]
-    normals = _pairs(found.normals)[0 if axis else 1]
-    trusted = _pairs(_trusted(found))[0 if axis else 1]
+    ids, normals, trust = (
+        _pairs(a)[0 if axis else 1] for a in (found.segments, found.normals, trusted)
+    )
     with np.errstate(invalid="ignore"):
         alike = np.einsum("hwi,hwi->hw", *normals) > np.cos(np.radians(20))
-    lone = (trusted[0] == 0) | (trusted[1] == 0)
+    lone = (trust[0] < AIRBORNE) | (trust[1] < AIRBORNE)
     return np.asarray((ids[0] == ids[1]) & alike & lone)
 
 
 def _normals(
     points: Array, normals: Array, mask: Mask, segments: NDArray[np.integer], directions: Array
 ) -> Array:
-    """Normals of all points, facing the camera: given, or of a point nearby, or of its neighbours."""
+    """Normals of all points, facing the camera: given, of a point nearby, or of neighbours."""
     here = np.isfinite(points).all(axis=-1)
     known = here & mask & np.isfinite(normals).all(axis=-1)
     found = np.full(points.shape, np.nan)
@@ -381,7 +407,7 @@ def _normals(
             to, of = lacking & (segments == one), known & (segments == one)
             if of.any():
                 distance, nearest = cKDTree(points[of]).query(points[to])
-                near = distance < NEAR_NORMAL * apart[to]
+                near = (distance < NEAR_NORMAL * apart[to]) | (one != 0)
                 found[to] = np.where(near[:, None], normals[of][nearest], found[to])
     length = np.linalg.norm(found, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore"):
@@ -392,7 +418,7 @@ def _normals(
     # A normal that faces away is tilted until it does not.
     with np.errstate(invalid="ignore"):
         tilted = found - np.maximum(away + 0.02, 0.0)[..., None] * directions
-    return tilted / np.linalg.norm(tilted, axis=-1, keepdims=True)
+    return np.asarray(tilted / np.linalg.norm(tilted, axis=-1, keepdims=True))
 
 
 def _by_differences(points: Array) -> Array:

@@ -69,18 +69,7 @@ def rectangles(points: Array, walls: tuple[Wall, ...], extents: Extents, unit: f
 
 
 def _frame(points: Array, walls: tuple[Wall, ...], extents: Extents, unit: float) -> _Frame:
-    up, _ = upwards([wall.normal for wall in walls])
-    view = _level_part(np.array([0.0, 0.0, -1.0]), up)
-    if not np.isfinite(view).all():  # straight down
-        view = _level_part(np.array([0.0, 1.0, 0.0]), up)
-    # The room faces along one of its upright walls' normals, or at right angles to one.
-    ahead, best = view, AHEAD
-    for wall in (w for w in walls if abs(w.normal @ up) < UPRIGHT):
-        level = _level_part(wall.normal, up)
-        for way in (-level, np.cross(up, level), np.cross(level, up)):
-            if way @ view > best:
-                ahead, best = way, float(way @ view)
-    right = np.cross(ahead, up)
+    right, up, ahead = room_axes(walls)
     seen = points @ np.array([right, up, ahead]).T
     reach = extents.reach * unit
     low, high = np.quantile(seen, 1e-3, axis=0), np.quantile(seen, 1 - 1e-3, axis=0)
@@ -106,6 +95,25 @@ def _frame(points: Array, walls: tuple[Wall, ...], extents: Extents, unit: float
     return _Frame(right, up, ahead, low, high)
 
 
+def room_axes(walls: tuple[Wall, ...]) -> tuple[Array, Array, Array]:
+    """Right, up and ahead in a room: unit vectors (3,) in camera space.
+
+    Up is the floor's normal, ahead the way nearest to the view that is square to a wall.
+    """
+    up, _ = upwards([wall.normal for wall in walls])
+    view = _level_part(np.array([0.0, 0.0, -1.0]), up)
+    if not np.isfinite(view).all():  # straight down
+        view = _level_part(np.array([0.0, 1.0, 0.0]), up)
+    # The room faces along one of its upright walls' normals, or at right angles to one.
+    ahead, best = view, AHEAD
+    for wall in (w for w in walls if abs(w.normal @ up) < UPRIGHT):
+        level = _level_part(wall.normal, up)
+        for way in (-level, np.cross(up, level), np.cross(level, up)):
+            if way @ view > best:
+                ahead, best = way, float(way @ view)
+    return np.cross(ahead, up), up, ahead
+
+
 def _level_part(vector: Array, up: Array) -> Array:
     level = vector - (vector @ up) * up
     length = float(np.linalg.norm(level))
@@ -126,7 +134,7 @@ def _upright(
         slope = float(other.normal @ along)
         if other is wall or other.level != 0 or abs(slope) < 0.3:
             continue
-        at = (other.offset - foot @ other.normal) / slope
+        at = float(other.offset - foot @ other.normal) / slope
         if slope > 0 and at < ends[0] + CORNER * unit:
             meets[0].append(at)
         elif slope < 0 and at > ends[1] - CORNER * unit:

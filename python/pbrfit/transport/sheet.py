@@ -28,12 +28,16 @@ def sheets(found: Relief, things: Mask, thickness: Array) -> tuple[Array, Array,
     thickness
         (h, w): how far along the ray the back is, in the unit of depth.
     """
-    grid = _padded(found, things, thickness)
+    grid = _Cells(found, things, thickness)
     whole = grid.whole
-    fronts, backs, sides = [], [], []
+    fronts: list[Array] = []
+    backs: list[Array] = []
+    sides: list[Array] = []
     # Whole cells.
     p = [grid.points[k][whole] for k in range(4)]
-    back = [p[k] + (grid.thickness[k][whole])[:, None] * grid.directions[k][whole] for k in range(4)]
+    back = [
+        p[k] + (grid.thickness[k][whole])[:, None] * grid.directions[k][whole] for k in range(4)
+    ]
     # Cut along the shorter diagonal.
     other = np.linalg.norm(p[0] - p[2], axis=-1) > np.linalg.norm(p[1] - p[3], axis=-1)
     for corners, into in ((p, fronts), (back, backs)):
@@ -49,7 +53,8 @@ def sheets(found: Relief, things: Mask, thickness: Array) -> tuple[Array, Array,
         after, before = grid.middle(k, (k + 1) % 4, cut), grid.middle(k, (k - 1) % 4, cut)
         quad = [grid.points[k][cut], after, centre[k], before]
         rays = [grid.directions[k][cut]] + [
-            grid.between(cut, places)[1] for places in ((k, (k + 1) % 4), range(4), (k, (k - 1) % 4))
+            grid.between(cut, places)[1]
+            for places in ((k, (k + 1) % 4), range(4), (k, (k - 1) % 4))
         ]
         deep = grid.thickness[k][cut][:, None]
         pushed = [q + deep * w for q, w in zip(quad, rays, strict=True)]
@@ -87,7 +92,9 @@ def widths(found: Relief, things: Mask, most: float) -> Array:
     flat = found.points[things][:, :2]
     mean = np.stack([np.bincount(of, flat[:, i], count) / area for i in range(2)], axis=1)
     off = flat - mean[of]
-    xx, yy, xy = (np.bincount(of, a * b, count) / area for a, b in (off.T[[0, 0]], off.T[[1, 1]], off.T))
+    xx, yy, xy = (
+        np.bincount(of, a * b, count) / area for a, b in (off.T[[0, 0]], off.T[[1, 1]], off.T)
+    )
     # The smaller eigenvalue; a rectangle's variance is width²/12, and each pixel has its own width.
     least = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
     footprint = np.bincount(of, found.footprint[things], count) / area
@@ -110,7 +117,7 @@ def _pieces_of_segments(found: Relief, things: Mask) -> NDArray[np.int32]:
     return same.pieces(things)
 
 
-class _padded:
+class _Cells:
     """Corners of all cells, clockwise from the upper left, each (h + 1, w + 1, ...).
 
     A ring of nothing surrounds the grid, so that things end at the picture's edge.

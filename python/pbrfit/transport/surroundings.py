@@ -55,12 +55,13 @@ class Surroundings:
         (T, 3, 3) float32, camera space (X right, Y up, Z towards the viewer, camera at the origin),
         in the unit of depth.
     kind
-        (T,) uint8: FRONT, BACK, SIDE or WALL.
-    walls
-        What was found of walls, those that do not block light too.
+        (T,) uint8: FRONT, BACK, SIDE or WALL. Each two of WALL are a rectangle: the first three of
+        its corners, in a circle, and the first, third and fourth.
+    walls, extents
+        What was found of walls, those that do not block light too, and what was assumed.
     starts
-        (H, W, 3) float32: where rays of each pixel may start: its point, lifted until no triangle of
-        its own surface is above it; NaN where there is no point.
+        (H, W, 3) float32: where rays of each pixel may start: its point, without the noise of its
+        depth, lifted until no triangle of its own surface is above it; NaN where there is none.
     offset
         Distance along the normal after which a ray that starts at the pixel's own point is above
         its own surface too, for 99 % of the pixels.
@@ -69,6 +70,7 @@ class Surroundings:
     triangles: NDArray[np.float32]
     kind: NDArray[np.uint8]
     walls: tuple[Wall, ...]
+    extents: Extents
     starts: NDArray[np.float32]
     offset: float
 
@@ -120,30 +122,37 @@ def surroundings(
         on_walls |= wall.pixels
     things = found.here & ~on_walls[np.ix_(found.rows, found.columns)]
     thickness = widths(found, things, extents.thickness * unit)
+    for wall in walls:  # nothing reaches through a wall
+        towards = -(found.directions @ wall.normal)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(towards > 0, wall.above(found.points) / towards, np.inf)
+        thickness = np.where(things, np.minimum(thickness, np.maximum(room, 0.0)), thickness)
     front, back, side = sheets(found, things, thickness)
     seen = points[np.isfinite(points).all(axis=-1)]
     rectangle = rectangles(seen, walls, extents, unit)
-    flat = np.concatenate([rectangle[:, [0, 1, 2]], rectangle[:, [0, 2, 3]]])
+    flat = rectangle[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)
     parts = (front, back, side, flat)
     kind = np.repeat(np.arange(4, dtype=np.uint8), [len(part) for part in parts])
     triangles = np.concatenate(parts).astype(np.float32)
     solid = np.linalg.norm(
         np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=-1
     )
-    kept = solid > 0
-    starts, offset = _starts(points, found, walls, on_walls)
-    return Surroundings(triangles[kept], kind[kept], walls, starts, offset)
+    kept = (solid > 0) | (kind == WALL)
+    starts, offset = _starts(points, found, walls)
+    return Surroundings(triangles[kept], kind[kept], walls, extents, starts, offset)
 
 
 def _starts(
-    points: Array, found: Relief, walls: tuple[Wall, ...], on_walls: Mask
+    points: Array, found: Relief, walls: tuple[Wall, ...]
 ) -> tuple[NDArray[np.float32], float]:
     """Where rays start, and the offset along the normals that does as well."""
     height, width = points.shape[:2]
     step = found.step
     # The point of the grid that stands for each pixel: the nearest.
     i = np.clip((np.arange(height) - found.rows[0] + step // 2) // step, 0, len(found.rows) - 1)
-    j = np.clip((np.arange(width) - found.columns[0] + step // 2) // step, 0, len(found.columns) - 1)
+    j = np.clip(
+        (np.arange(width) - found.columns[0] + step // 2) // step, 0, len(found.columns) - 1
+    )
     near = np.ix_(i, j)
     normal, footprint = found.normals[near], found.footprint[near]
     own = np.isfinite(points).all(axis=-1)

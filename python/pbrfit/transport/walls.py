@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,24 @@ from pbrfit.transport.relief import Mask, Relief, relief
 
 MOST_POINTS = 10_000
 """Points of the grid that walls are searched in."""
-FLAT = 0.7
-"""Share of a segment that lies in its plane, at least, for the segment to be flat."""
+FLAT, MOST_SPREAD = 0.7, 0.08
+"""Share of a segment that has the normal of its plane, at least, and root mean square distance of
+these from the plane in median depths, at most, for the segment to be flat."""
+GROWN = np.cos(np.radians(12.0))
+"""Least cosine between normals of neighbours that are grown to one region."""
 MOST_BEHIND = 0.05
 """Share of all points that may lie behind a wall: windows, doors, errors of depth."""
-BEHIND = 0.04
-"""How far behind a plane a point is before it counts, in median depths."""
-LEAST_SHARE, LEAST_SHARE_ALONE = 0.01, 0.03
-"""Least share of the picture that a wall covers: a segment; a plane found without one."""
+BEHIND, BEHIND_BY_RESIDUALS = 0.015, 2.0
+"""How far behind a plane a point is before it counts, in median depths, besides noise of depth; and
+in root mean squares of what the plane leaves of its own points."""
+MOST_BEHIND_OF_OWN = 0.2
+"""And that number over that of the points on it: a small plane is no wall on weak grounds."""
+LEAST_SHARE = 0.02
+"""Least share of the picture that a wall covers, unless it is square to a larger one."""
+SLIVER, FEWEST = 0.002, 8
+"""Least share, and number of points, of one that is: side walls are seen from the side."""
+SQUARE = np.sin(np.radians(8.0))
+"""Greatest cosine between normals of planes that are square to each other."""
 IN_PLANE = 0.02
 """How far off a plane its own points may be, in median depths, besides noise of depth."""
 SAME_PLANE = 0.015
@@ -30,11 +40,13 @@ RUG = 0.1
 """A plane in front of a parallel wall by less lies or hangs on it, in median depths (0.3 m)."""
 PARALLEL = np.cos(np.radians(12.0))
 """Least cosine between normals of parallel planes."""
+LIKE = np.cos(np.radians(30.0))
+"""Least cosine between normals of planes of which one is a wrong view of the other."""
 AGREES = np.cos(np.radians(25.0))
 """Least cosine between the normal of a wall and those of its points."""
 MOST_WALLS = 12
 """Walls at most."""
-TRIES = 300
+TRIES = 600
 """Planes tried for each wall that no segment shows."""
 UPRIGHT = np.sin(np.radians(25.0))
 """Greatest cosine between the normal of an upright wall and up."""
@@ -82,6 +94,8 @@ class _Plane:
     offset: float
     segment: int
     share: float
+    spread: float
+    """Root mean square distance of its points from it, in the unit of depth."""
 
 
 def find_walls(
@@ -111,9 +125,11 @@ def find_walls(
     scale = float(np.median(-seen[:, 2]))
     slack = coarse.noise * scale
     planes = list(_of_segments(seen, facing, ids, scale, slack))
+    grown = _regions(coarse)[here]
+    planes += (replace(p, segment=0) for p in _of_segments(seen, facing, grown, scale, slack))
     planes = _without_rugs(planes, scale)
     planes = _without_rugs([*planes, *_alone(coarse, planes, scale, slack)], scale)
-    planes = sorted(planes, key=lambda plane: -plane.share)[:MOST_WALLS]
+    planes = _square(planes)[:MOST_WALLS]
     up, floor = upwards([plane.normal for plane in planes])
     found = []
     for i, plane in enumerate(planes):
@@ -122,7 +138,9 @@ def find_walls(
         on = points[pixels]
         if not len(on):
             continue
-        corners = rectangle(on - np.outer(on @ plane.normal - plane.offset, plane.normal), plane, up)
+        corners = rectangle(
+            on - np.outer(on @ plane.normal - plane.offset, plane.normal), plane, up
+        )
         found.append(Wall(plane.normal, plane.offset, corners, plane.segment, pixels, level))
     return tuple(found)
 
@@ -170,31 +188,35 @@ def _of_segments(
 ) -> Iterator[_Plane]:
     for one in np.unique(ids[ids != 0]):
         mine = ids == one
-        if mine.mean() < LEAST_SHARE:
+        if mine.mean() < SLIVER or mine.sum() < FEWEST:
             continue
         plane = _fitted(seen[mine], facing[mine], int(one), scale, slack)
-        if plane is not None and _is_wall(plane, seen, scale, slack):
-            share = _on(plane, seen, facing, scale, slack).mean()
-            yield _Plane(plane.normal, plane.offset, plane.segment, float(share))
+        if plane is None:
+            continue
+        on = _on(plane, seen, facing, scale, slack)
+        if _is_wall(plane, on, seen, scale, slack):
+            yield replace(plane, share=float(on.mean()))
 
 
 def _fitted(seen: Array, facing: Array, one: int, scale: float, slack: float) -> _Plane | None:
     """Plane of a segment, or None where it is not flat."""
     normal = _unit(np.median(facing, axis=0))
-    normal = _unit(facing[facing @ normal > AGREES].mean(axis=0)) if len(facing) else normal
-    if not np.isfinite(normal).all():
+    agree = facing @ normal > AGREES
+    if agree.mean() < FLAT:
         return None
+    normal = _unit(facing[agree].mean(axis=0))
     offset = float(np.median(seen @ normal))
     for _ in range(3):
         agree = facing @ normal > AGREES
-        off = seen @ normal - offset
-        near = agree & (np.abs(off) < IN_PLANE * scale + 3 * slack + 2 * np.median(np.abs(off)))
-        if near.sum() < 8:
+        off = np.abs(seen @ normal - offset)
+        near = agree & (off < IN_PLANE * scale + 3 * slack + 2 * np.median(off))
+        if near.sum() < FEWEST:
             return None
         normal, offset = _least_squares(seen[near], _unit(facing[near].mean(axis=0)))
-    within = np.abs(seen @ normal - offset) < IN_PLANE * scale + 3 * slack
-    flat = float((within & (facing @ normal > AGREES)).mean())
-    return _Plane(normal, offset, one, 0.0) if flat >= FLAT and offset < 0 else None
+    agree = facing @ normal > AGREES
+    spread = float(np.sqrt(np.mean((seen[near] @ normal - offset) ** 2)))
+    flat = agree.mean() >= FLAT and spread < MOST_SPREAD * scale + 3 * slack
+    return _Plane(normal, offset, one, 0.0, spread) if flat and offset < 0 else None
 
 
 def _least_squares(seen: Array, mean_normal: Array) -> tuple[Array, float]:
@@ -212,14 +234,26 @@ def _unit(vector: Array) -> Array:
         return np.asarray(vector / np.linalg.norm(vector))
 
 
-def _is_wall(plane: _Plane, seen: Array, scale: float, slack: float) -> bool:
-    behind = seen @ plane.normal - plane.offset < -(BEHIND * scale + 3 * slack)
-    return bool(plane.offset < 0 and behind.mean() <= MOST_BEHIND)
+def _is_wall(plane: _Plane, on: Mask, seen: Array, scale: float, slack: float) -> bool:
+    off = seen @ plane.normal - plane.offset
+    tolerance = _behind(scale, slack) + BEHIND_BY_RESIDUALS * plane.spread
+    behind = float((off < -tolerance).mean())
+    most = min(MOST_BEHIND, MOST_BEHIND_OF_OWN * float(on.mean()))
+    return bool(plane.offset < 0 and behind <= most)
+
+
+def _behind(scale: float, slack: float) -> float:
+    return BEHIND * scale + 3 * slack
 
 
 def _on(plane: _Plane, seen: Array, facing: Array, scale: float, slack: float) -> Mask:
-    near = np.abs(seen @ plane.normal - plane.offset) < IN_PLANE * scale + 2 * slack
+    near = np.abs(seen @ plane.normal - plane.offset) < _within(plane, scale, slack)
     return np.asarray(near & (facing @ plane.normal > AGREES))
+
+
+def _within(plane: _Plane, scale: float, slack: float) -> float:
+    """How far off a plane its points may be, in the unit of depth."""
+    return IN_PLANE * scale + 2 * slack + plane.spread
 
 
 def _without_rugs(planes: list[_Plane], scale: float) -> list[_Plane]:
@@ -241,6 +275,25 @@ def _apart(plane: _Plane, other: _Plane) -> float:
     return float(plane.offset / (plane.normal @ normal) - other.offset / (other.normal @ normal))
 
 
+def _square(planes: list[_Plane]) -> list[_Plane]:
+    """Drop planes that face nearly as a larger one does, and small ones that are square to none.
+
+    The largest come first.
+    """
+    sorted_planes = sorted(planes, key=lambda plane: -plane.share)
+    planes = []
+    for plane in sorted_planes:
+        if all(not PARALLEL > plane.normal @ other.normal > LIKE for other in planes):
+            planes.append(plane)
+    large = [plane for plane in planes if plane.share >= LEAST_SHARE]
+    return large + [
+        plane
+        for plane in planes
+        if plane.share < LEAST_SHARE
+        and any(abs(plane.normal @ other.normal) < SQUARE for other in large)
+    ]
+
+
 def _alone(coarse: Relief, known: list[_Plane], scale: float, slack: float) -> list[_Plane]:
     """Walls that no segment shows: planes through points, with the normals of many others."""
     here = coarse.here
@@ -249,34 +302,47 @@ def _alone(coarse: Relief, known: list[_Plane], scale: float, slack: float) -> l
     for plane in known:
         free &= ~_on(plane, seen, facing, scale, slack)
     rng = np.random.default_rng(0)
+    some = np.arange(0, len(seen), max(1, len(seen) // 4000))
     found: list[_Plane] = []
-    for _ in range(MOST_WALLS):
-        if free.mean() < LEAST_SHARE_ALONE:
+    while len(found) < MOST_WALLS and free.sum() >= FEWEST:
+        tried = rng.permutation(np.flatnonzero(free))[:TRIES]
+        normals = facing[tried]
+        offsets = np.einsum("pi,pi->p", seen[tried], normals)
+        off = seen[some] @ normals.T - offsets
+        on = (np.abs(off) < IN_PLANE * scale + 2 * slack) & (facing[some] @ normals.T > AGREES)
+        count = (on & free[some][:, None]).sum(axis=0)
+        # One point's normal is rough: twice as many may be behind as of the plane of them all.
+        behind = (off < -2 * _behind(scale, slack)).sum(axis=0)
+        allowed = np.minimum(MOST_BEHIND * len(some), MOST_BEHIND_OF_OWN * count)
+        count[(behind > 2 * allowed) | (offsets >= 0)] = 0
+        best = int(count.argmax())
+        if count[best] == 0:
             break
-        p, n = seen[free], facing[free]
-        some = np.arange(0, len(p), max(1, len(p) // 2000))
-        best, most = None, 0
-        for i in rng.choice(len(p), size=min(TRIES, len(p)), replace=False):
-            tried = _Plane(n[i], float(n[i] @ p[i]), 0, 0.0)
-            count = int(_on(tried, p[some], n[some], scale, slack).sum())
-            if count > most:
-                best, most = tried, count
-        if best is None or most < LEAST_SHARE_ALONE * len(some):
-            break
+        plane = _Plane(normals[best], float(offsets[best]), 0, 0.0, 0.0)
         for _ in range(3):
-            on = _on(best, p, n, scale, slack)
-            if on.sum() < 8:
+            mine = _on(plane, seen, facing, scale, slack) & free
+            if mine.sum() < FEWEST:
                 break
-            best = _Plane(*_least_squares(p[on], _unit(n[on].mean(axis=0))), 0, 0.0)
-        on = _on(best, p, n, scale, slack)
-        taken = np.flatnonzero(free)[on]
-        share = _largest_piece(coarse, taken)
-        if share >= LEAST_SHARE_ALONE and _is_wall(best, seen, scale, slack):
-            found.append(_Plane(best.normal, best.offset, 0, len(taken) / len(seen)))
-        free[taken] = False
-        if not len(taken):
-            break
+            normal, offset = _least_squares(seen[mine], _unit(facing[mine].mean(axis=0)))
+            spread = float(np.sqrt(np.mean((seen[mine] @ normal - offset) ** 2)))
+            plane = _Plane(normal, offset, 0, 0.0, spread)
+        mine = _on(plane, seen, facing, scale, slack) & free
+        share = _largest_piece(coarse, np.flatnonzero(mine))
+        enough = share >= SLIVER and mine.sum() >= FEWEST
+        if enough and _is_wall(plane, mine, seen, scale, slack):
+            found.append(replace(plane, share=float(mine.mean())))
+        free &= ~mine
+        free[tried[best]] = False
     return found
+
+
+def _regions(coarse: Relief) -> NDArray[np.int32]:
+    """(h, w): numbers from 1 of regions grown over jumpless neighbours of about one normal."""
+    n = coarse.normals
+    with np.errstate(invalid="ignore"):
+        right = coarse.right & (np.einsum("hwi,hwi->hw", n[:, 1:], n[:, :-1]) > GROWN)
+        down = coarse.down & (np.einsum("hwi,hwi->hw", n[1:], n[:-1]) > GROWN)
+    return replace(coarse, right=right, down=down).pieces(coarse.here) + 1
 
 
 def _largest_piece(coarse: Relief, taken: NDArray[np.intp]) -> float:
@@ -300,7 +366,7 @@ def _pixels(
     with np.errstate(invalid="ignore"):
         off = np.abs(points @ plane.normal - plane.offset)
         agrees = ~mask | ~(normals @ plane.normal <= AGREES)
-        near = off < IN_PLANE * scale + 2 * slack
+        near = off < _within(plane, scale, slack)
         if segments is not None and plane.segment:
             near |= (segments == plane.segment) & (off < 2 * RUG * scale)
     return np.asarray(near & agrees)

@@ -1,0 +1,53 @@
+"""Drawings of a scene from above and from the side."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from pbrfit.report.surroundings import CAMERA, LINE, SEEN, plan_key, plan_view
+from pbrfit.transport.surroundings import default_extents, find_walls, surroundings
+from small_worlds import ball_alone, box_room
+
+
+def test_plans_are_drawings_with_walls_camera_and_points() -> None:
+    seen = box_room()
+    args = seen.points, seen.normals, seen.mask, seen.segments
+    walls = find_walls(*args)
+    extents = default_extents(seen.points, walls)
+    extents = replace(extents, blocks=(*extents.blocks[:-1], False))
+    views = plan_view(surroundings(*args, extents, walls), seen.points, 400, "metres")
+    for view in views:
+        root = ET.fromstring(view)
+        assert root.attrib["width"] == "400"
+        assert "metres" in "".join(root.itertext())
+        assert "NaN" not in view
+        assert view.count("<circle") == 1
+        assert f'stroke="{SEEN}"' in view
+        assert "stroke-dasharray" in view
+        assert re.search(f'fill="{LINE}" stroke="{LINE}" stroke-width="2.5"', view)
+    above, side = (
+        [float(x) for x in re.findall(r'<circle cx="(\S+)" cy="(\S+)"', v)[0]] for v in views
+    )
+    # The camera looks up in the first drawing, to the right in the second.
+    assert above[1] > 200
+    assert side[0] < 200
+
+
+def test_a_thing_without_walls_can_be_drawn() -> None:
+    seen = ball_alone()
+    args = seen.points, seen.normals, seen.mask, None
+    found = surroundings(*args, default_extents(seen.points, ()), ())
+    above, side = plan_view(found, seen.points)
+    for view in (above, side):
+        ET.fromstring(view)
+        assert np.isfinite(float(re.findall(r'height="(\d+)"', view)[0]))
+
+
+def test_the_key_names_every_colour() -> None:
+    key = plan_key()
+    assert key.count("patch") == 5
+    assert CAMERA in key

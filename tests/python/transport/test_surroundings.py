@@ -1,0 +1,268 @@
+"""What light meets, found from depth: against the true worlds, and with what depth suffers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit._core import InputError
+from pbrfit.synthetic.geometry import Box, Sphere
+from pbrfit.transport.extents import Extents, scale_of
+from pbrfit.transport.rays import rays_of
+from pbrfit.transport.surroundings import (
+    BACK,
+    FRONT,
+    SIDE,
+    WALL,
+    Surroundings,
+    candidates,
+    default_extents,
+    find_walls,
+    surroundings,
+)
+from small_worlds import (
+    INNER,
+    INWARDS,
+    Seen,
+    ball_alone,
+    ball_on_floor,
+    box_room,
+    cosine_rays,
+    meets,
+)
+
+
+def built(seen: Seen, segments: bool = True, **changes: Any) -> Surroundings:
+    ids = seen.segments if segments else None
+    walls = find_walls(seen.points, seen.normals, seen.mask, ids)
+    extents = replace(default_extents(seen.points, walls), **changes)
+    return surroundings(seen.points, seen.normals, seen.mask, ids, extents, walls)
+
+
+def closed_room(seen: Seen) -> dict[str, Any]:
+    """True extents of the box room."""
+    unit = scale_of(seen.points)
+    return {"height": 2.6 / unit, "behind": 1.4 / unit, "ceiling": True}
+
+
+def disagreement(
+    seen: Seen, found: Surroundings, solid: list[int], rays: int = 700
+) -> tuple[float, float]:
+    """Share of rays that are blocked in one only, and of those that things block falsely."""
+    rng = np.random.default_rng(5)
+    pixels = rng.choice(np.flatnonzero(seen.mask), size=rays)
+    normals = seen.normals.reshape(-1, 3)[pixels]
+    true = seen.points.reshape(-1, 3)[pixels] + 1e-3 * normals
+    directions = cosine_rays(normals, rng)
+    truth = seen.blocked(true, directions, solid)
+    starts = found.starts.reshape(-1, 3)[pixels].astype(float)
+    first = meets(found.triangles, starts, directions)
+    false_front = (first >= 0) & np.isin(found.kind[first], (FRONT, BACK, SIDE)) & ~truth
+    return float(np.mean(truth != (first >= 0))), float(false_front.mean())
+
+
+@pytest.mark.parametrize("segments", [True, False])
+def test_the_walls_of_a_room_are_found(segments: bool) -> None:
+    seen = box_room()
+    ids = seen.segments if segments else None
+    walls = find_walls(seen.points, seen.normals, seen.mask, ids)
+    floor, back, left = 0, 4, 2
+    shown = {int(seen.segments[wall.pixels][0]) - 1: wall for wall in walls}
+    assert {floor, back, left} <= set(shown) <= set(range(6))
+    for index, wall in shown.items():
+        np.testing.assert_allclose(wall.normal, INWARDS[index] @ seen.turn, atol=1e-2)
+        assert wall.offset == pytest.approx(INNER[index] - INWARDS[index] @ seen.eye, abs=0.02)
+        assert wall.level == {0: 1, 1: -1}.get(index, 0)
+        assert wall.segment == (index + 1 if segments else 0)
+
+
+@pytest.mark.parametrize("segments", [True, False])
+def test_rays_end_where_they_end_in_the_room(segments: bool) -> None:
+    """With true extents and without ceiling, front and the wall that is not seen."""
+    seen = box_room()
+    unit = scale_of(seen.points)
+    found = built(seen, segments, height=2.6 / unit, behind=None, reach=1.4 / unit)
+    solid = [int(seen.segments[wall.pixels][0]) - 1 for wall in found.walls]
+    different, false_front = disagreement(seen, found, [*solid, 6, 7])
+    assert different < 0.05
+    assert false_front < 0.02
+
+
+def test_a_closed_room_lets_no_light_in() -> None:
+    seen = box_room()
+    walls = find_walls(seen.points, seen.normals, seen.mask, seen.segments)
+    found = built(seen, **closed_room(seen))
+    rng = np.random.default_rng(1)
+    pixels = rng.choice(np.flatnonzero(seen.mask), size=300)
+    rays = cosine_rays(seen.normals.reshape(-1, 3)[pixels], rng)
+    first = meets(found.triangles, found.starts.reshape(-1, 3)[pixels].astype(float), rays)
+    # All but the wall at the right, if that is not seen.
+    right = any(seen.segments[wall.pixels][0] == 4 for wall in walls)
+    assert np.mean(first >= 0) > (0.99 if right else 0.75)
+
+
+def test_a_ball_shades_the_floor_and_is_its_own_shadow_nowhere() -> None:
+    seen = ball_on_floor()
+    found = built(seen)
+    assert [wall.level for wall in found.walls] == [1]
+    assert found.extents.height is None
+    assert found.extents.behind is None
+    different, false_front = disagreement(seen, found, [0, 1])
+    assert different < 0.05
+    assert false_front < 0.03
+    assert found.offset < 0.01
+
+
+def test_without_segments_the_ball_is_found_too() -> None:
+    different, _ = disagreement(ball_on_floor(), built(ball_on_floor(), segments=False), [0, 1])
+    assert different < 0.05
+
+
+def test_a_ball_alone_has_no_walls_and_blocks_none_of_its_own_light() -> None:
+    seen = ball_alone()
+    found = built(seen)
+    assert found.walls == ()
+    assert set(found.kind) == {FRONT, BACK, SIDE}
+    different, _ = disagreement(seen, found, [0])
+    assert different < 0.01
+
+
+def test_fronts_pass_through_the_points_and_reach_as_far_as_pixels_do() -> None:
+    seen = ball_alone()
+    found = built(seen)
+    front = found.triangles[found.kind == FRONT].reshape(-1, 3)
+    for point in seen.points[seen.mask][::23]:
+        assert np.linalg.norm(front - point, axis=1).min() < 2e-3
+    # The area of the picture that is covered: that of the pixels.
+    flat = (
+        found.triangles[found.kind == FRONT][..., :2]
+        / -found.triangles[found.kind == FRONT][..., 2:]
+    )
+    (a, b), (c, d) = (flat[:, 1] - flat[:, 0]).T, (flat[:, 2] - flat[:, 0]).T
+    area = float(np.abs(a * d - b * c).sum() / 2)
+    pixel = (2 * np.tan(np.radians(15)) / seen.mask.shape[1]) ** 2
+    assert area == pytest.approx(seen.mask.sum() * pixel, rel=0.02)
+
+
+@pytest.mark.parametrize(("away", "is_wall"), [(0.2, False), (0.6, True)])
+def test_what_hangs_before_a_wall_is_none(away: float, is_wall: bool) -> None:
+    """The rule has its threshold at 0.1 median depths; here 0.27 m."""
+    panel = Box(centre=np.array([-0.2, 1.3, -3.6 + away / 2]), half=np.array([0.6, 0.6, away / 2]))
+    seen = box_room(extra=(panel,))
+    assert 0.2 < 0.1 * scale_of(seen.points) < 0.6
+    walls = find_walls(seen.points, seen.normals, seen.mask, seen.segments)
+    assert not any(wall.segment == 9 for wall in walls)
+    assert any(wall.segment == 5 for wall in walls)
+    assert is_wall == (away > 0.1 * scale_of(seen.points))
+
+
+def test_holes_are_no_surface_and_no_error() -> None:
+    seen = ball_on_floor()
+    points = seen.points.copy()
+    points[::5, ::3] = np.nan
+    points[10:16, 20:30] = np.nan
+    broken = replace(seen, points=points, mask=seen.mask & np.isfinite(points[..., 0]))
+    found = built(broken)
+    assert np.isfinite(found.triangles).all()
+    assert np.isnan(found.starts[12, 25]).all()
+    assert np.isfinite(found.starts[broken.mask]).all()
+    different, _ = disagreement(broken, found, [0, 1])
+    assert different < 0.1
+
+
+def test_points_outside_the_mask_block_too() -> None:
+    seen = ball_on_floor()
+    mask = seen.mask.copy()
+    mask[:, ::2] = False
+    normals = np.where(mask[..., None], seen.normals, np.nan)
+    found = built(replace(seen, mask=mask, normals=normals))
+    different, _ = disagreement(seen, found, [0, 1])
+    assert different < 0.06
+
+
+def test_noise_of_depth_makes_no_shadows() -> None:
+    seen = box_room()
+    rng = np.random.default_rng(2)
+    noisy = seen.points * np.exp(0.05 * rng.normal(size=(*seen.mask.shape, 1)))
+    found = built(replace(seen, points=noisy))
+    assert {wall.level for wall in found.walls} >= {0, 1}
+    solid = sorted({int(np.bincount(seen.segments[w.pixels]).argmax()) - 1 for w in found.walls})
+    _, false_front = disagreement(seen, found, [*solid, 6, 7])
+    assert false_front < 0.05
+
+
+def test_a_coarse_grid_starts_rays_above_itself() -> None:
+    seen = ball_on_floor(96)
+    walls = find_walls(seen.points, seen.normals, seen.mask, seen.segments)
+    extents = default_extents(seen.points, walls)
+    found = surroundings(
+        seen.points, seen.normals, seen.mask, seen.segments, extents, walls, max_vertices=1200
+    )
+    assert (found.kind == FRONT).sum() < 2400
+    different, false_front = disagreement(seen, found, [0, 1])
+    assert different < 0.06
+    assert false_front < 0.04
+    assert found.offset < 0.1
+
+
+def test_the_rays_of_both_cameras_are_recognised() -> None:
+    perspective = rays_of(ball_alone().points)
+    assert not perspective.orthographic
+    assert perspective.columns[0] == pytest.approx(2 * np.tan(np.radians(15)) / 40)
+    columns, rows = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(1, -1, 20))
+    bump = -3 + np.sqrt(np.maximum(0, 0.8 - columns**2 - rows**2))
+    parallel = rays_of(np.stack([columns, rows, bump], axis=-1))
+    assert parallel.orthographic
+    origins, directions = parallel.at(np.array([0.0]), np.array([19.0]))
+    np.testing.assert_allclose(origins, [[1, 1, 0]], atol=1e-12)
+    np.testing.assert_allclose(directions, [[0, 0, -1]])
+    with pytest.raises(InputError, match="points"):
+        rays_of(np.full((4, 4, 3), np.nan))
+
+
+def test_candidates_change_one_thing_each() -> None:
+    extents = Extents(0.2, 0.9, 0.4, False, (True, True), 0.4)
+    found = list(candidates(extents))
+    assert len(found) == len(set(found)) == 10
+    assert extents not in found
+    opened = [one for one in found if one.behind is None]
+    assert [one.reach for one in opened] == [0.4]
+    assert [one.blocks for one in found[-2:]] == [(False, True), (True, False)]
+
+
+def test_a_wall_that_does_not_block_is_left_out() -> None:
+    seen = box_room()
+    walls = find_walls(seen.points, seen.normals, seen.mask, seen.segments)
+    extents = replace(default_extents(seen.points, walls), behind=None)
+    args = seen.points, seen.normals, seen.mask, seen.segments
+    all_walls = surroundings(*args, extents, walls)
+    blocks = (False, *extents.blocks[1:])
+    fewer = surroundings(*args, replace(extents, blocks=blocks), walls)
+    assert (all_walls.kind == WALL).sum() == 2 * len(walls)
+    assert (fewer.kind == WALL).sum() == 2 * len(walls) - 2
+    with pytest.raises(InputError, match="blocks"):
+        surroundings(*args, replace(extents, blocks=()), walls)
+
+
+def test_a_ball_is_as_thick_as_it_is_wide_and_things_are_no_thicker_than_told() -> None:
+    seen = ball_alone()
+    thin = built(seen, thickness=0.05)
+    thick = built(seen, thickness=10.0)
+    unit = scale_of(seen.points)
+    # A disc spreads as much as a square whose side is √3 radii.
+    for found, deep, tolerance in ((thin, 0.05 * unit, 0.01), (thick, 0.6 * np.sqrt(3), 0.15)):
+        front = found.triangles[found.kind == FRONT].astype(float)
+        back = found.triangles[found.kind == BACK].astype(float)
+        apart = np.linalg.norm(back - front, axis=-1)
+        np.testing.assert_allclose(apart, deep, rtol=tolerance)
+
+
+def test_nothing_lies_behind_a_wall() -> None:
+    seen = box_room(extra=(Sphere(centre=np.array([-1.0, 1.5, -3.5]), radius=0.3),))
+    found = built(seen)
+    backs = found.triangles[found.kind == BACK].reshape(-1, 3).astype(float)
+    for wall in found.walls:
+        assert np.quantile(wall.above(backs), 0.02) > -0.12
