@@ -39,6 +39,64 @@ def save_tiny_marigold_normals(folder: Path) -> Path:
     return folder / "checkpoint"
 
 
+def save_tiny_marigold_depth(folder: Path) -> Path:
+    """`MarigoldDepthPipeline`."""
+    from diffusers import MarigoldDepthPipeline
+
+    pipeline = MarigoldDepthPipeline(
+        **_stable_diffusion(in_channels=8, out_channels=4, vocabulary=folder / "words"),
+        prediction_type="depth",
+        scale_invariant=True,
+        shift_invariant=True,
+        default_denoising_steps=2,
+        default_processing_resolution=64,
+    )
+    pipeline.save_pretrained(folder / "checkpoint")
+    return folder / "checkpoint"
+
+
+def save_tiny_depth_anything(folder: Path, *, metric: bool) -> Path:
+    """`DepthAnythingForDepthEstimation` with a Dinov2 backbone, for pictures of 70 × 70."""
+    import torch
+    from transformers import (
+        DepthAnythingConfig,
+        DepthAnythingForDepthEstimation,
+        Dinov2Config,
+        DPTImageProcessor,
+    )
+
+    torch.manual_seed(0)
+    backbone = Dinov2Config(
+        image_size=70,
+        patch_size=14,
+        num_hidden_layers=4,
+        hidden_size=32,
+        num_attention_heads=4,
+        out_features=["stage1", "stage2", "stage3", "stage4"],
+        apply_layernorm=True,
+        reshape_hidden_states=False,
+    )
+    config = DepthAnythingConfig(
+        backbone_config=backbone,
+        patch_size=14,
+        reassemble_hidden_size=32,
+        reassemble_factors=[4, 2, 1, 0.5],
+        neck_hidden_sizes=[8, 8, 16, 16],
+        fusion_hidden_size=16,
+        head_hidden_size=8,
+        depth_estimation_type="metric" if metric else "relative",
+        max_depth=20 if metric else 1,
+    )
+    DepthAnythingForDepthEstimation(config).save_pretrained(folder)
+    DPTImageProcessor(
+        size={"height": 70, "width": 70},
+        keep_aspect_ratio=True,
+        ensure_multiple_of=14,
+        do_pad=False,
+    ).save_pretrained(folder)
+    return folder
+
+
 def save_tiny_marigold_iid(folder: Path, properties: Any = TARGETS) -> Path:
     """`MarigoldIntrinsicsPipeline` with two targets."""
     from diffusers import MarigoldIntrinsicsPipeline

@@ -9,7 +9,7 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.commands.arguments import Flag, choice, value
+from pbrfit.commands.arguments import Flag, choice, positive, value, whole_number
 from pbrfit.commands.scene_options import COLOR_SPACE
 
 Flags = Mapping[str, Flag]
@@ -25,6 +25,19 @@ SHOWN: Flags = {
     "color_space": COLOR_SPACE,
 }
 """Which picture is shown, and how pictures are read."""
+
+SAMPLER: Flags = {
+    "steps": value("N", positive, "of the sampler (default: the model's)"),
+    "resolution": value(
+        "PIXELS",
+        whole_number,
+        "longer side at which the network sees the picture, 0 = as it is (default: the model's)",
+    ),
+    "seed": value(
+        None, whole_number, "of the first prediction, the next has one more (default: 0)"
+    ),
+}
+"""How a diffusion model is asked."""
 
 DEVICE: Flags = {"device": choice(Device, "where it computes (default: a GPU, else cpu)")}
 

@@ -17,6 +17,7 @@ from pbrfit.commands.network_options import (
     DEVICE,
     NORMAL_SOURCES,
     PRECISION,
+    SAMPLER,
     SHOWN,
     Flags,
     asked_for,
@@ -37,16 +38,7 @@ FLAGS: dict[str, Flags] = {
             "predictions that are averaged; from 3 on, what they differ by gives the weights "
             f"(default: {marigold.ENSEMBLE})",
         ),
-        "steps": cli.value("N", cli.positive, "of the sampler (default: the model's)"),
-        "resolution": cli.value(
-            "PIXELS",
-            cli.whole_number,
-            "longer side at which the network sees the picture, 0 = as it is (default: the "
-            "model's)",
-        ),
-        "seed": cli.value(
-            None, cli.whole_number, "of the first prediction, the next has one more (default: 0)"
-        ),
+        **SAMPLER,
         **checkpoint(marigold.MODEL),
         **DEVICE,
         **PRECISION,

@@ -1,4 +1,4 @@
-"""What a folder of pictures lacks to be a scene: normals, weights and segments put beside them."""
+"""What a folder of pictures lacks to be a scene: normals, weights, segments, depth beside them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.depth_files import DEPTH_FILES, write_depth
 from pbrfit.io.normal_files import find_normals, write_normals
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.scene import folder as scene_folder
@@ -93,6 +94,33 @@ def add_flat_normals(folder: Path, *, overwrite: bool = False) -> Path:
     """
     facing = np.broadcast_to([0.0, 0.0, 1.0], (*picture_size(folder), 3))
     return add_normals(folder, facing, overwrite=overwrite)[0]
+
+
+def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool = False) -> Path:
+    """Write `depth.exr`; returns its path.
+
+    Distances (H, W) along the camera's axis are of the pictures' size, NaN where unknown. Raises
+    FileExistsError if the folder has depth and `overwrite` is False; InputError if the depth has
+    another size than the pictures.
+    """
+    check_no_depth(folder, overwrite=overwrite)
+    size = picture_size(folder)
+    if depth.shape != size:
+        raise InputError(f"depth: expected shape {size}, found {depth.shape}")
+    path = folder / DEPTH_FILES[0]
+    write_depth(path, depth)  # what cannot be written costs nothing
+    for name in DEPTH_FILES[1:]:
+        (folder / name).unlink(missing_ok=True)
+    return path
+
+
+def check_no_depth(folder: Path, *, overwrite: bool) -> None:
+    """Raise FileExistsError if the folder has depth and `overwrite` is False."""
+    for path in (folder / name for name in DEPTH_FILES):
+        if path.exists() and not overwrite:
+            raise FileExistsError(
+                f"{path}: expected no depth yet, found some; --overwrite replaces"
+            )
 
 
 def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = False) -> Path:

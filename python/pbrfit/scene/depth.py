@@ -136,9 +136,8 @@ def compared(
 
     With `at_most` so many pixels are compared, from every s-th row and column.
     """
-    step = 1 if at_most is None else math.ceil(math.sqrt(depth.size / at_most))
-    some = slice(step // 2, None, step)
-    few, wanted = depth[some, some].astype(np.float64), normals[some, some]
+    some = every_few(depth.shape, at_most)
+    few, wanted = depth[some].astype(np.float64), normals[some]
     # A camera without perspective sees a width of 2 units (`geometry.positions`).
     width = 2.0 if fov == 0 else None
 
@@ -155,6 +154,12 @@ def compared(
     if width is not None:  # only here its unit matters, and nobody told it
         inverse *= _slope(wanted) / _slope(from_depth(inverse, fov=fov, view_width=width)[0])
     return Agreement(as_depth, angle(inverse))
+
+
+def every_few(shape: tuple[int, ...], at_most: int | None) -> tuple[slice, slice]:
+    """Every s-th row and column of (H, W), so that about `at_most` pixels remain; None = all."""
+    step = 1 if at_most is None else math.ceil(math.sqrt(shape[0] * shape[1] / at_most))
+    return slice(step // 2, None, step), slice(step // 2, None, step)
 
 
 def _slope(normals: NDArray[np.floating[Any]]) -> float:

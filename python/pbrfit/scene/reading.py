@@ -171,6 +171,43 @@ def load(
         raise InputError(f"{folder}: {error}") from None
 
 
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What a scene folder says of shape, at the size of its files."""
+
+    size: tuple[int, int]
+    """(height, width)."""
+    fov: float
+    """Horizontal field of view in degrees."""
+    normals: NDArray[np.float64] | None
+    """(H, W, 3) unit vectors in camera space, NaN outside the mask; None = no file has them."""
+    mask: NDArray[np.bool_]
+    segments: NDArray[np.uint16] | None
+
+
+def read_surface(folder: Path, fov: float | None = None) -> Surface:
+    """Read normals, mask and segments as `load` does; of the pictures only the first.
+
+    Raises InputError or OSError as `load`.
+    """
+    notes = _Notes(folder)
+    settings = read_settings(folder / "scene.toml")
+    if fov is not None:
+        geometry.check_fov(fov)
+    first = images.read_picture(find_pictures(folder)[0])
+    size = first.pixels.shape[0], first.pixels.shape[1]
+    mask = _read_mask(notes, size)
+    there = bool(find_normals(folder))
+    decided, _ = decided_fov(folder, fov, settings, first.focal_length_35mm, size)
+    return Surface(
+        size=size,
+        fov=FIRST_FOV if decided is None else decided,
+        normals=_read_normals(notes, settings, mask)[0] if there else None,
+        mask=mask,
+        segments=_read_segments(notes, size),
+    )
+
+
 @dataclass
 class _Pictures:
     """All pictures of a scene folder."""

@@ -263,12 +263,10 @@ def test_normals_of_the_depth_of_a_plane_are_its_normals() -> None:
 # What is told
 
 
-def test_inspect_tells_what_the_depth_is_like(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_inspect_tells_what_the_depth_is_like(tmp_path: Path) -> None:
     folder, made = saved(tmp_path / "scene")
-    done("inspect", folder)
-    [line] = [one for one in capsys.readouterr().out.splitlines() if one.startswith("depth ")]
+    said = done("inspect", folder)
+    [line] = [one for one in said.splitlines() if one.startswith("depth ")]
     depth = made.depth
     assert depth is not None
     assert line == (

@@ -1,0 +1,138 @@
+"""Depth for pictures that come without: by a network, from a file, or integrated from normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.acquire.depth import depth_anything, marigold
+from pbrfit.acquire.depth.offset import with_offset
+from pbrfit.acquire.normals.maps import check_reducible
+from pbrfit.io.depth_files import read_depth
+from pbrfit.model import geometry
+from pbrfit.model.depth_normals import DepthKind
+from pbrfit.scene.depth import compared, reduced, without_holes
+from pbrfit.scene.integration import depth_from_normals
+from pbrfit.scene.reading import Surface
+
+NETWORKS = ("marigold", "depth-anything")
+
+SOURCES = "marigold, depth-anything, normals or FILE"
+
+
+@dataclass(frozen=True, eq=False)
+class Depth:
+    """Depth of a picture, and how it came about."""
+
+    depth: NDArray[np.float32]
+    """(H, W) distances along the camera's axis; NaN where unknown."""
+    remarks: tuple[str, ...] = ()
+    """What is to be known about it, in words."""
+    record: dict[str, Any] = field(default_factory=dict)
+    """As JSON: ``source``, and what decided about the answer."""
+
+
+def estimate(
+    source: str,
+    srgb8: NDArray[np.uint8],
+    surface: Surface,
+    *,
+    depth_kind: DepthKind = "z",
+    fuse: bool = False,
+    **options: Any,
+) -> Depth:
+    """Find depth for a picture.
+
+    Raises InputError or OSError in one line that names the file or option, what was expected and
+    what was found.
+
+    Parameters
+    ----------
+    source
+        "marigold" or "depth-anything"; "normals", which are integrated; or a file: EXR, .npy, or a
+        grey PNG or TIFF of 16 bits or floats, of the picture's size or larger in the same
+        proportion, in any unit.
+    srgb8
+        (H, W, 3), sRGB: what a network is shown. Of the others only its size matters.
+    surface
+        Normals, field of view, mask and segments of the scene. Relative depth needs the normals: by
+        them its unknown offset is found.
+    depth_kind
+        Of a file: "z", "ray" (distance along the pixel's ray) or "disparity" (inverse of z).
+    fuse
+        Make the depth agree with the normals (`pbrfit.scene.integration`).
+    options
+        Of the network: those of `marigold.from_picture` or `depth_anything.from_picture`.
+    """
+    size = srgb8.shape[0], srgb8.shape[1]
+    remarks: list[str] = []
+    record: dict[str, Any] = {"source": source if source in (*NETWORKS, "normals") else "file"}
+    if source == "normals":
+        found = depth_from_normals(
+            _normals(surface, "normals"), surface.fov, surface.mask, surface.segments
+        )
+        remarks.append("in a unit of its own: normals tell depth up to a factor")
+        return Depth(found, tuple(remarks), record)
+    if source == "marigold":
+        relative, more = marigold.from_picture(srgb8, **options)
+        found, said = with_offset(relative, _normals(surface, source), surface.fov)
+        remarks.append(said)
+        record |= more
+    elif source == "depth-anything":
+        answer, metric, more = depth_anything.from_picture(srgb8, **options)
+        record |= more
+        if metric:
+            found = without_holes(answer)[0]
+            remarks.append("in metres, as the network has it")
+        else:
+            found, said = with_offset(
+                answer, _normals(surface, source), surface.fov, disparity=True
+            )
+            remarks.append(said)
+    else:
+        path = Path(source)
+        if not path.exists() and path.name == source and not path.suffix:
+            raise InputError(f"depth: expected {SOURCES}, found {source!r}")
+        found = _of_file(path, size, surface.fov, depth_kind)
+        record |= {"file": path.name, "kind": depth_kind}
+    if fuse:
+        normals = _normals(surface, "fuse")
+        found = depth_from_normals(
+            normals, surface.fov, surface.mask, surface.segments, depth=found
+        )
+        remarks.append("fused with the normals")
+    if surface.normals is not None:
+        angle = compared(found, surface.normals, surface.fov).depth
+        if np.isfinite(angle):
+            remarks.append(f"its normals {angle:.1f} degrees (median) from the scene's")
+    return Depth(found, tuple(remarks), record)
+
+
+def _normals(surface: Surface, what: str) -> NDArray[np.float64]:
+    if surface.normals is None:
+        raise InputError(
+            f"{what}: expected a scene with normals, found none; `pbrfit normals` makes them"
+        )
+    return surface.normals
+
+
+def _of_file(path: Path, size: tuple[int, int], fov: float, kind: DepthKind) -> NDArray[np.float32]:
+    """Distances along the axis, at the size (height, width) of the pictures."""
+    stored = read_depth(path)
+    if stored.shape != size:
+        check_reducible(path, stored.shape, size)
+    try:
+        values = without_holes(stored)[0].astype(np.float64)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if kind == "disparity":
+        values = 1.0 / values
+    elif kind == "ray":
+        height, width = stored.shape
+        values = values * geometry.view_directions(height, width, fov)[..., 2]
+    return reduced(values, size) if stored.shape != size else values.astype(np.float32)

@@ -1,0 +1,119 @@
+"""`pbrfit depth`."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.acquire.depth import Depth, depth_anything, estimate, marigold
+from pbrfit.acquire.photo import shown_to_network
+from pbrfit.commands import arguments as cli
+from pbrfit.commands.network_options import (
+    DEVICE,
+    PRECISION,
+    SAMPLER,
+    SHOWN,
+    Flags,
+    asked_for,
+    checkpoint,
+    source,
+)
+from pbrfit.commands.scene_options import field_of_view
+from pbrfit.model.depth_normals import DepthKind
+from pbrfit.scene import completion
+from pbrfit.scene.depth import checked_depth
+from pbrfit.scene.reading import read_surface
+
+MARIGOLD: Flags = {
+    **SHOWN,
+    "ensemble": cli.value(
+        "E", cli.positive, f"predictions that are averaged (default: {marigold.ENSEMBLE})"
+    ),
+    **SAMPLER,
+    **checkpoint(f"{marigold.MODEL}, or {depth_anything.MODEL}"),
+    **DEVICE,
+    **PRECISION,
+}
+
+FLAGS: dict[str, Flags] = {
+    "marigold": MARIGOLD,
+    "depth-anything": {name: MARIGOLD[name] for name in (*SHOWN, "model", *DEVICE)},
+    "normals": {},
+    "file": {
+        "depth_kind": cli.choice(
+            DepthKind,
+            "what a number says, up to any factor: the distance along the optical axis, that along "
+            "the pixel's ray, or the inverse of the first (default: z)",
+        )
+    },
+}
+"""Options of each kind of source."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
+    parser.description = (
+        "Give depth to a folder of pictures: depth.exr, distances along the camera's axis. Depth "
+        "that a network gives up to an offset is fixed by the scene's normals. marigold needs the "
+        "extra packages pbrfit[diffusion], depth-anything pbrfit[segment]."
+    )
+    cli.add_scene(parser)
+    parser.add_argument(
+        "--from",
+        dest="source",
+        metavar="marigold|depth-anything|normals|FILE",
+        type=source(("marigold", "depth-anything", "normals")),
+        default="marigold",
+        help="marigold, depth-anything: a network's estimate; normals: their integral; FILE: a map "
+        "that is there already (EXR, .npy, PNG or TIFF of 16 bits), in any unit",
+    )
+    cli.add_flags(
+        parser,
+        fov=field_of_view(cli.number, "scene.toml, EXIF, else 60"),
+        fuse=cli.switch("make the depth agree with the scene's normals, which removes its noise"),
+        overwrite=cli.switch("replace existing depth"),
+    )
+    cli.add_quiet(parser, "no progress bar, no summary")
+    cli.add_flags(
+        parser.add_argument_group("--from marigold; depth-anything has some of them"), **MARIGOLD
+    )
+    cli.add_flags(parser.add_argument_group("--from FILE"), **FLAGS["file"])
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write depth, and say what it is like."""
+    completion.check_no_depth(options.scene, overwrite=options.overwrite)
+    surface = read_surface(options.scene, options.fov)
+    kind = options.source if options.source in FLAGS else "file"
+    given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
+    shown: NDArray[np.uint8] = np.zeros((*surface.size, 3), np.uint8)  # only its size matters
+    if kind in ("marigold", "depth-anything"):
+        space = given.pop("color_space", None)
+        shown, _ = shown_to_network(options.scene, given.pop("picture", None), space)
+    if kind == "marigold":
+        total = given.get("ensemble", marigold.ENSEMBLE)
+        with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
+            found = estimate(kind, shown, surface, fuse=options.fuse, progress=bar.update, **given)
+    else:
+        found = estimate(options.source, shown, surface, fuse=options.fuse, **given)
+    if surface.normals is not None:
+        checked_depth(found.depth, surface.normals, surface.fov)  # as reading the scene will
+    path = completion.add_depth(options.scene, found.depth, overwrite=options.overwrite)
+    if not options.quiet:
+        with cli.unread_is_no_failure():
+            print(f"{path}: {_facts(found)}")
+            for remark in found.remarks:
+                print(f"  {remark}")
+            print(f"look at it: pbrfit inspect {shlex.quote(str(options.scene))}")
+    return cli.DONE
+
+
+def _facts(found: Depth) -> str:
+    low, middle, high = np.nanpercentile(found.depth, [0, 50, 100])
+    said = f"{low:.3g} to {high:.3g}, median {middle:.3g}"
+    unknown = 100 * np.isnan(found.depth).mean()
+    return f"{said}; {unknown:.2g} % of the pixels unknown" if unknown else said

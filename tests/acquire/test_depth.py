@@ -1,0 +1,74 @@
+"""Depth by Marigold and Depth Anything, end to end with tiny networks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from acquire.tiny_maps import save_tiny_depth_anything, save_tiny_marigold_depth
+from pbrfit._core import InputError
+from pbrfit.acquire.depth import depth_anything, marigold
+from pbrfit.cli import main
+from pbrfit.scene.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(save_tiny_marigold_depth(tmp_path_factory.mktemp("marigold_depth")))
+
+
+def picture(height: int, width: int) -> NDArray[np.uint8]:
+    """Smooth colours."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:height, :width] / max(height, width)
+    waves = [np.sin(a * x + b * y + c) for a, b, c in rng.uniform(-9, 9, (3, 3))]
+    return np.rint(127.5 + 127 * np.stack(waves, axis=-1)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("size", [(97, 131), (64, 64)])
+def test_marigold_gives_relative_depth_of_any_size(network: str, size: tuple[int, int]) -> None:
+    options: dict[str, Any] = {"model": network, "device": "cpu"}
+    found, record = marigold.from_picture(picture(*size), ensemble=2, **options)
+    assert found.shape == size
+    assert np.isfinite(found).all()
+    assert np.ptp(found) > 0
+    assert (record["model"], record["ensemble"], record["resolution"]) == (network, 2, 64)
+    same, _ = marigold.from_picture(picture(*size), ensemble=2, **options)
+    np.testing.assert_array_equal(found, same)
+    other, _ = marigold.from_picture(picture(*size), ensemble=2, seed=5, **options)
+    assert np.abs(found - other).max() > 1e-4
+
+
+@pytest.mark.parametrize("metric", [True, False])
+def test_depth_anything_says_what_its_depth_is(tmp_path: Path, metric: bool) -> None:
+    model = str(save_tiny_depth_anything(tmp_path, metric=metric))
+    found, is_metric, record = depth_anything.from_picture(
+        picture(97, 131), model=model, device="cpu"
+    )
+    assert is_metric == metric == record["metric"]
+    assert found.shape == (97, 131)
+    assert np.isfinite(found).all()
+
+
+def test_the_command_writes_depth_that_the_scene_reads(network: str, tmp_path: Path) -> None:
+    size = 64
+    tilted = np.broadcast_to([0.6, 0, 0.8], (size, size, 3)).copy()
+    images = np.stack([picture(size, size) / 255.0 + 0.1] * 2).astype(np.float32)
+    images[1] *= 0.5
+    Scene(images=images, normals=tilted, fov=60.0).save(tmp_path / "scene")
+    flags = ["--model", network, "--device", "cpu", "--ensemble", "1", "--fuse"]
+    assert main(["depth", str(tmp_path / "scene"), *flags]) == 0
+    depth = Scene.load(tmp_path / "scene").depth
+    assert depth is not None
+    assert np.isfinite(depth).all()
+
+
+def test_a_folder_without_weights_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected Marigold .depth. with a model_index.json"):
+        marigold.from_picture(picture(64, 64), model=str(tmp_path), device="cpu")
+    with pytest.raises(InputError, match=r"expected Depth Anything with a config.json"):
+        depth_anything.from_picture(picture(64, 64), model=str(tmp_path), device="cpu")
