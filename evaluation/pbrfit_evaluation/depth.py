@@ -26,7 +26,7 @@ _BESIDE: WeakKeyDictionary[Scene, Depth] = WeakKeyDictionary()
 def with_depth(scene: Scene, depth: NDArray[np.floating[Any]] | None) -> Scene:
     """Return the same scene with this depth; with None, without any."""
     if OF_SCENES:
-        return replace(scene, **{"depth": depth})
+        return replace(scene, depth=depth)  # type: ignore[call-arg]
     made = replace(scene)
     if depth is not None:
         _BESIDE[made] = depth.astype(np.float32)
