@@ -198,7 +198,7 @@ fn pixel_fit(c: &mut Criterion) {
         &example.views,
         &example.materials(),
         &lighting,
-        Model::Paper,
+        (Model::Paper, None),
         1,
     );
     example.images = radiance.unwrap().iter().map(|&v| v as f32).collect();
@@ -420,7 +420,7 @@ fn forward(c: &mut Criterion) {
                         &example.views,
                         &materials,
                         lighting,
-                        Model::Paper,
+                        (Model::Paper, None),
                         threads,
                     )
                     .unwrap()
@@ -532,6 +532,7 @@ impl Example {
             weights: self.weights.as_deref(),
             normals: &self.normals,
             views: &self.views,
+            transfer: None,
         };
         Problem::new(given, options).unwrap()
     }

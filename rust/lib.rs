@@ -18,6 +18,7 @@
 //! | [`runtime`] | errors, checks of arguments, threads, vector instructions, the end of the process |
 //! | [`reflectance`] | one pixel: harmonics, both reflection models, weights and their derivatives |
 //! | [`block`] | the vector kernels over blocks of pixels |
+//! | [`transport`] | rays, and the rows of pixels whose light is blocked |
 //! | [`problem`] | all pixels: pictures, loss and gradient, robust losses, penalties, rendering |
 //! | [`pixel`] | pixels one by one, the lights known: samples, grid, Levenberg–Marquardt |
 //! | [`schur`] | pixels and lights together: Gauss–Newton Hessians and the Schur complement |
@@ -33,5 +34,6 @@ mod python;
 pub mod reflectance;
 pub mod runtime;
 pub mod schur;
+pub mod transport;
 
 pub use self::runtime::{Error, Result};

@@ -1,9 +1,9 @@
 //! From the residuals of a block to the derivatives by its factors and by the lights.
 
-use super::basis::{Basis, DIFFUSE};
+use super::basis::Basis;
 use super::radiance::{MAX_LANES, lanes};
 use crate::reflectance::planes::{BLOCK, ChannelSums, Plane};
-use crate::reflectance::reflection::{Reflection, first_entry};
+use crate::reflectance::reflection::{OPEN_DIFFUSE, Reflection, first_entry, rows_of_band};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::simd::{Ahead, Isa, Kernel, Vectors};
 
@@ -138,7 +138,7 @@ impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
             let mut diffuse = [isa.splat(0.0); V];
             for k in 0..COUNT {
                 self.by_weights.take(isa, FIRST + k, v, &by_weights[k]);
-                if FIRST + k < DIFFUSE {
+                if FIRST + k < M::DIFFUSE {
                     let normal = &I::of(&self.basis.diffuse[FIRST + k].0)[v..v + V];
                     for i in 0..V {
                         diffuse[i] = isa.mul_add(by_weights[k][i], normal[i], diffuse[i]);
@@ -153,7 +153,7 @@ impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
                 4 => self.rows::<I, V, 2>(isa, v, &by_weights),
                 _ => self.rows::<I, V, 3>(isa, v, &by_weights),
             }
-            if FIRST < DIFFUSE {
+            if FIRST < M::DIFFUSE {
                 let sum = &mut I::of_mut(&mut self.sums.diffuse.0)[v..v + V];
                 add(isa, self.begin && FIRST == 0, sum, &diffuse);
             }
@@ -170,7 +170,7 @@ impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
         v: usize,
         by_weights: &[[I::Vector; V]],
     ) {
-        let (first_row, rows) = (M::FIRST_ROW[L], M::FIRST_ROW[L + 1] - M::FIRST_ROW[L]);
+        let (first_row, rows) = const { rows_of_band::<M>(L) };
         let first_entry = const { first_entry::<M>(L * L) };
         for j in 0..rows {
             let mut row = [isa.splat(0.0); V];
@@ -181,7 +181,7 @@ impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
                 }
             }
             let sum = &mut I::of_mut(&mut self.sums.rows[first_row + j].0)[v..v + V];
-            add(isa, self.begin, sum, &row);
+            add(isa, self.begin && (L == 0 || !M::SURROUNDED), sum, &row);
         }
     }
 }
@@ -210,7 +210,7 @@ impl<const K: usize> Kernel for ByLights<'_, K> {
 
     #[inline(always)]
     fn run<I: Isa>(mut self, isa: I) {
-        if K == DIFFUSE {
+        if K == OPEN_DIFFUSE {
             self.all::<I, 3>(isa);
         } else if I::REGISTERS >= 32 {
             self.all::<I, 4>(isa);

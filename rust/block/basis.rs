@@ -1,28 +1,27 @@
 //! The basis functions at the directions of a block, and what they project of a light.
 
-use crate::reflectance::planes::{BLOCK, Directions, MAX_ENTRIES, MAX_ROWS, Plane, vector};
-use crate::reflectance::reflection::{Reflection, first_entry};
+use crate::reflectance::planes::{
+    BLOCK, Directions, MAX_ENTRIES, MAX_LOBE, MAX_ROWS, Plane, vector,
+};
+use crate::reflectance::reflection::{OPEN_DIFFUSE, Reflection, first_entry, rows_of_band};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::runtime::simd::{Isa, Kernel, Vectors};
-
-/// Basis functions with a diffuse response, those of bands 0 to 2: A₃ = 0.
-pub const DIFFUSE: usize = 9;
 
 /// The basis functions at those directions, A_l Y_k(n) and R_jk; of the latter, as many as the model
 /// has.
 #[derive(Clone, Debug)]
 pub struct Basis<T: Copy + Default = f32> {
     /// A_l Y_k(n)
-    pub diffuse: [Plane<T>; DIFFUSE],
+    pub diffuse: [Plane<T>; COEFFICIENTS],
     /// R_jk, coefficient by coefficient.
-    pub lobe: [Plane<T>; MAX_ENTRIES],
+    pub lobe: [Plane<T>; MAX_LOBE],
 }
 
 impl<T: Copy + Default> Default for Basis<T> {
     fn default() -> Self {
         Self {
-            diffuse: [Plane::default(); DIFFUSE],
-            lobe: [Plane::default(); MAX_ENTRIES],
+            diffuse: [Plane::default(); COEFFICIENTS],
+            lobe: [Plane::default(); MAX_LOBE],
         }
     }
 }
@@ -47,11 +46,12 @@ impl<M: Reflection, T: Real, const K: usize> Kernel for FillBasis<'_, M, T, K> {
         } = self;
         for x in 0..BLOCK {
             let y = sh::basis(directions.normal(x));
-            for k in 0..DIFFUSE {
+            for k in 0..OPEN_DIFFUSE {
                 basis.diffuse[k].0[x] = T::from_f64(COSINE_TRANSFER[BAND_OF[k]]) * y[k];
             }
         }
-        fill_lobe::<M, T, K>(&directions.normal, &directions.mirror, &mut basis.lobe);
+        let lobe = basis.lobe.first_chunk_mut().expect("room for the lobe");
+        fill_lobe::<M, T, K>(&directions.normal, &directions.mirror, lobe);
     }
 }
 
@@ -78,8 +78,8 @@ pub const MAX_PROJECTIONS: usize = 1 + MAX_ROWS;
 /// The basis functions of one vector of pixels, out of their planes: these lie so that few of them
 /// stay in the cache at once.
 pub struct BasisAt<I: Vectors<f64>> {
-    diffuse: [I::Vector; DIFFUSE],
-    lobe: [I::Vector; MAX_ENTRIES],
+    diffuse: [I::Vector; COEFFICIENTS],
+    lobe: [I::Vector; MAX_LOBE],
 }
 
 /// Lights that are projected together at most.
@@ -95,15 +95,15 @@ impl<I: Vectors<f64>> BasisAt<I> {
     #[inline(always)]
     pub fn new(isa: I) -> Self {
         Self {
-            diffuse: [isa.splat(0.0); DIFFUSE],
-            lobe: [isa.splat(0.0); MAX_ENTRIES],
+            diffuse: [isa.splat(0.0); COEFFICIENTS],
+            lobe: [isa.splat(0.0); MAX_LOBE],
         }
     }
 
     /// Takes up vector number `v` of a block.
     #[inline(always)]
     pub fn take<M: Reflection>(&mut self, basis: &Basis<f64>, v: usize) {
-        for k in 0..DIFFUSE {
+        for k in 0..M::DIFFUSE {
             self.diffuse[k] = I::of(&basis.diffuse[k].0)[v];
         }
         for entry in 0..const { first_entry::<M>(COEFFICIENTS) } {
@@ -121,7 +121,7 @@ impl<I: Vectors<f64>> BasisAt<I> {
         projections: &mut Projections<I::Vector>,
     ) {
         let mut sums = [isa.splat(0.0); J];
-        for k in 0..DIFFUSE {
+        for k in 0..M::DIFFUSE {
             for j in 0..J {
                 sums[j] = isa.mul_add(light(j, k), self.diffuse[k], sums[j]);
             }
@@ -143,10 +143,15 @@ impl<I: Vectors<f64>> BasisAt<I> {
         light: &impl Fn(usize, usize) -> I::Vector,
         projections: &mut Projections<I::Vector>,
     ) {
-        let (first, rows) = (M::FIRST_ROW[L], M::FIRST_ROW[L + 1] - M::FIRST_ROW[L]);
+        let (first, rows) = const { rows_of_band::<M>(L) };
         let entry = const { first_entry::<M>(L * L) };
         for row in 0..rows {
             let mut sums = [isa.splat(0.0); J];
+            if M::SURROUNDED && L > 0 {
+                for j in 0..J {
+                    sums[j] = projections[j][1 + first + row];
+                }
+            }
             for i in 0..2 * L + 1 {
                 let lobe = self.lobe[entry + i * rows + row];
                 for j in 0..J {

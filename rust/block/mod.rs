@@ -15,6 +15,7 @@
 
 pub mod adjoint;
 pub mod basis;
+pub mod bounced;
 pub mod factors;
 pub mod normal_jacobian;
 pub mod radiance;

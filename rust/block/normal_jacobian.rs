@@ -4,13 +4,15 @@
 use glam::DVec3;
 
 use crate::block::adjoint::ByWeights;
-use crate::block::basis::{Basis, DIFFUSE};
+use crate::block::basis::Basis;
 use crate::reflectance::ggx::MIN_COSINE;
 use crate::reflectance::planes::BlockFunctions;
 use crate::reflectance::planes::{
     BLOCK, ChannelFactors, ChannelSums, Directions, Doubles, Materials, Plane,
 };
-use crate::reflectance::reflection::{Factors, Reflection, first_entry};
+use crate::reflectance::reflection::{
+    Factors, OPEN_DIFFUSE, Reflection, first_entry, rows_of_band,
+};
 use crate::reflectance::reflection::{factors_of, sums_of};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::reflectance::tangent_offset;
@@ -182,7 +184,7 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
             sh::each_slope(directions.normal(x), |k, axis, slope| {
                 along[k] += slope * by[axis];
             });
-            for k in 0..DIFFUSE {
+            for k in 0..OPEN_DIFFUSE {
                 slopes.diffuse[k].0[x] = COSINE_TRANSFER[BAND_OF[k]] * along[k];
             }
         }
@@ -258,12 +260,12 @@ impl<M: Reflection> ByWeights for ByBasis<'_, M> {
             ..
         } = self;
         if k > 0 {
-            let (first, next) = (M::FIRST_ROW[BAND_OF[k]], M::FIRST_ROW[BAND_OF[k] + 1]);
-            for j in first..next {
+            let (first, rows) = rows_of_band::<M>(BAND_OF[k]);
+            for j in first..first + rows {
                 let sum = &mut sums.lobe[first_entry::<M>(k) + j - first];
                 add_products(isa, *begin, &factors.rows[j], by_weights, v, sum);
             }
-            if k < DIFFUSE {
+            if k < OPEN_DIFFUSE {
                 let sum = &mut sums.diffuse[k];
                 add_products(isa, *begin, &factors.diffuse, by_weights, v, sum);
             }
@@ -347,7 +349,7 @@ impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackNormals<'
         for x in 0..BLOCK {
             let mut by = [0.0; 3];
             sh::each_slope(directions.normal(x), |k, axis, slope| {
-                if k < DIFFUSE {
+                if k < OPEN_DIFFUSE {
                     by[axis] +=
                         COSINE_TRANSFER[BAND_OF[k]] as f32 * slope * by_basis.diffuse[k].0[x];
                 }

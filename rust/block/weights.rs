@@ -1,9 +1,9 @@
 //! The weights W of a block, from its basis functions and factors.
 
-use super::basis::{Basis, DIFFUSE};
-use crate::reflectance::planes::{BLOCK, ChannelFactors, Plane};
-use crate::reflectance::reflection::{Reflection, first_entry};
-use crate::reflectance::sh::{BANDS, COEFFICIENTS, Real};
+use super::basis::Basis;
+use crate::reflectance::planes::{BLOCK, ChannelFactors, MAX_ROWS, Plane};
+use crate::reflectance::reflection::{Reflection, first_entry, rows_of_band};
+use crate::reflectance::sh::{COEFFICIENTS, Real};
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 
 /// Fills in the weights of C channels, W transposed: coefficient first.
@@ -73,9 +73,9 @@ fn weights_of_band<
     v: usize,
     weights: &mut [[Plane<T>; K]; C],
 ) {
-    let (first_row, rows) = (M::FIRST_ROW[L], M::FIRST_ROW[L + 1] - M::FIRST_ROW[L]);
+    let (first_row, rows) = const { rows_of_band::<M>(L) };
     let mut diffuse = [isa.splat(T::default()); C];
-    let mut factor = [[isa.splat(T::default()); BANDS]; C];
+    let mut factor = [[isa.splat(T::default()); MAX_ROWS]; C];
     for c in 0..C {
         diffuse[c] = I::of(&factors[c].diffuse.0)[v];
         for j in 0..rows {
@@ -85,7 +85,7 @@ fn weights_of_band<
     let first_entry = const { first_entry::<M>(L * L) };
     for i in 0..2 * L + 1 {
         let (k, entry) = (L * L + i, first_entry + i * rows);
-        let mut lobe = [isa.splat(T::default()); BANDS];
+        let mut lobe = [isa.splat(T::default()); MAX_ROWS];
         for j in 0..rows {
             lobe[j] = I::of(&basis.lobe[entry + j].0)[v];
         }
@@ -94,7 +94,7 @@ fn weights_of_band<
             for j in 1..rows {
                 w = isa.mul_add(factor[c][j], lobe[j], w);
             }
-            if k < DIFFUSE {
+            if k < M::DIFFUSE {
                 w = isa.mul_add(diffuse[c], I::of(&basis.diffuse[k].0)[v], w);
             }
             I::of_mut(&mut weights[c][k].0)[v] = w;

@@ -9,7 +9,7 @@
 
 use std::marker::PhantomData;
 
-use crate::block::basis::{Basis, BasisAt, FillBasis, MAX_PROJECTIONS, Projections, TOGETHER};
+use crate::block::basis::{Basis, BasisAt, MAX_PROJECTIONS, Projections, TOGETHER};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Directions, Doubles};
 use crate::reflectance::reflection::Reflection;
@@ -61,6 +61,8 @@ fn pair(s: usize, t: usize) -> usize {
 pub(crate) struct PixelProducts {
     basis: Basis<f64>,
     given: Vec<[Doubles; 2]>,
+    /// What surroundings bring: (channel, picture); or empty.
+    bounced: Vec<[Doubles; MAX_PROJECTIONS]>,
     pub(crate) directions: Directions<f64>,
     pub(crate) by_channel: Vec<Products>,
 }
@@ -70,6 +72,7 @@ impl PixelProducts {
         Self {
             basis: Basis::default(),
             given: Vec::new(),
+            bounced: Vec::new(),
             directions: Directions::default(),
             by_channel: vec![Products::default(); channels],
         }
@@ -85,19 +88,20 @@ impl PixelProducts {
     ) {
         let isa = problem.instructions();
         self.directions = problem.picked_directions(maps, pixels);
-        let model = M::default();
-        isa.run(FillBasis::<M, f64, COEFFICIENTS> {
-            directions: &self.directions,
-            basis: &mut self.basis,
-            model,
-        });
+        problem.fill_basis::<M, f64, COEFFICIENTS>(
+            &self.directions,
+            pixels.iter().copied(),
+            &mut self.basis,
+        );
         problem.pick_samples(pixels, &mut self.given);
+        problem.pick_bounced::<M>(pixels, &mut self.bounced);
         let pictures = problem.pictures();
         for (c, products) in self.by_channel.iter_mut().enumerate() {
             isa.run(SumPictures {
                 basis: &self.basis,
                 lights: &lights[c * pictures..][..pictures],
                 given: &self.given[c * pictures..][..pictures],
+                bounced: self.bounced.get(c * pictures..).unwrap_or_default(),
                 products,
                 model: PhantomData::<M>,
             });
@@ -112,6 +116,8 @@ struct SumPictures<'a, M: Reflection> {
     lights: &'a [[f64; COEFFICIENTS]],
     /// Target and weight, by picture.
     given: &'a [[Doubles; 2]],
+    /// By picture, or empty.
+    bounced: &'a [[Doubles; MAX_PROJECTIONS]],
     /// To be written.
     products: &'a mut Products,
     model: PhantomData<M>,
@@ -184,6 +190,13 @@ impl<M: Reflection> SumPictures<'_, M> {
         } = room;
         let lights = &self.lights[first..first + J];
         basis.project::<M, J>(isa, |j, k| isa.splat(lights[j][k]), projections);
+        if M::SURROUNDED {
+            for (j, bounced) in self.bounced.iter().skip(first).take(J).enumerate() {
+                for s in 0..=M::ROWS {
+                    projections[j][s] = isa.add(projections[j][s], I::of(&bounced[s].0)[v]);
+                }
+            }
+        }
         let mut weights = [isa.splat(0.0); J];
         for j in 0..J {
             let [target, weight] = &self.given[first + j];

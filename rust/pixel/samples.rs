@@ -11,7 +11,7 @@
 
 use std::marker::PhantomData;
 
-use crate::block::basis::{Basis, BasisAt, FillBasis, MAX_PROJECTIONS, Projections, TOGETHER};
+use crate::block::basis::{Basis, BasisAt, MAX_PROJECTIONS, Projections, TOGETHER};
 use crate::block::factors::FillFunctions;
 use crate::block::normal_jacobian::TangentOffsets;
 use crate::block::weights::FillWeights;
@@ -49,7 +49,9 @@ macro_rules! by_kind {
                 $code
             }};
         }
-        $crate::reflectance::model::with_model!($problem.model(), $m => {
+        #[allow(unused_imports)]
+        use $crate::reflectance::model::{with_model, with_model_of};
+        with_model_of!($problem, $m => {
             match ($problem.channels(), $free) {
                 (1, false) => kind!(1, DERIVATIVES, UNKNOWNS),
                 (_, false) => kind!(3, DERIVATIVES, UNKNOWNS),
@@ -92,6 +94,8 @@ pub(crate) struct Block<'a, M: Reflection, const C: usize, const D: usize> {
     pub weight_jacobian: Option<WeightJacobian>,
     /// Targets and weights ω, 0 where no pixel is: (channel, picture).
     pub given: Vec<[Doubles; 2]>,
+    /// What surroundings bring to each projection: (channel, picture); or empty.
+    bounced: Vec<[Doubles; MAX_PROJECTIONS]>,
     /// I − T of samples that were kept: (channel, picture).
     pub residuals: Vec<Doubles>,
     /// ∂I/∂(albedo, roughness, metallic) of them, and by the tangent offsets.
@@ -129,6 +133,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             responses: vec![Responses::default(); C],
             weight_jacobian: (D > DERIVATIVES).then(|| WeightJacobian::new(C)),
             given: Vec::new(),
+            bounced: Vec::new(),
             residuals: Vec::new(),
             derivatives: Vec::new(),
         }
@@ -153,15 +158,16 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             return;
         }
         self.directions = self.problem.picked_directions(maps, pixels);
-        self.fill_basis();
+        self.fill_basis(pixels);
+        self.problem.pick_bounced::<M>(pixels, &mut self.bounced);
     }
 
-    fn fill_basis(&mut self) {
-        self.isa.run(FillBasis::<M, f64, COEFFICIENTS> {
-            directions: &self.directions,
-            basis: &mut self.basis,
-            model: self.model,
-        });
+    fn fill_basis(&mut self, pixels: &[usize]) {
+        self.problem.fill_basis::<M, f64, COEFFICIENTS>(
+            &self.directions,
+            pixels.iter().copied(),
+            &mut self.basis,
+        );
     }
 
     /// Gives the pixels materials and, where they are free, tangent offsets, and works out all that
@@ -170,7 +176,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         self.materials = *materials;
         if let Some(weight_jacobian) = &mut self.weight_jacobian {
             weight_jacobian.turn(self.isa, offsets, &mut self.directions);
-            self.fill_basis();
+            self.fill_basis(&[]); // of directions alone
         }
         self.isa.run(FillFunctions {
             cosine: self.directions.cosines(),
@@ -234,6 +240,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
                 weights: &self.weights[c],
                 lights,
                 given: &self.given[c * n..][..n],
+                bounced: self.bounced.get(c * n..).unwrap_or_default(),
                 responses: &self.responses[c],
                 by_offsets: self.weight_jacobian.as_ref().map(|t| &t.weights[c]),
                 unknowns: unknowns_of_channel::<C, D>(c),
@@ -264,6 +271,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
                 weights: &self.weights[c],
                 lights,
                 given: &self.given[c * n..][..n],
+                bounced: self.bounced.get(c * n..).unwrap_or_default(),
                 responses: &self.responses[c],
                 unknowns: unknowns_of_channel::<C, DERIVATIVES>(c),
                 with_gradient,
@@ -355,6 +363,8 @@ struct AddSamples<'a, M: Reflection, const D: usize, const U: usize> {
     /// By picture.
     lights: &'a [[f64; COEFFICIENTS]],
     given: &'a [[Doubles; 2]],
+    /// By picture, or empty.
+    bounced: &'a [[Doubles; MAX_PROJECTIONS]],
     responses: &'a Responses,
     /// ∂w_k by each tangent offset.
     by_offsets: Option<&'a [[Doubles; COEFFICIENTS]; OFFSETS]>,
@@ -465,7 +475,17 @@ impl<M: Reflection, const D: usize, const U: usize> AddSamples<'_, M, D, U> {
         let lights = &self.lights[first..first + J];
         at.basis
             .project::<M, J>(isa, |j, k| isa.splat(lights[j][k]), &mut at.projections);
-        let radiance = radiance::<I, J>(isa, &at.weights, lights);
+        let mut radiance = radiance::<I, J>(isa, &at.weights, lights);
+        if M::SURROUNDED {
+            for (j, bounced) in self.bounced.iter().skip(first).take(J).enumerate() {
+                for s in 0..=M::ROWS {
+                    let brought = I::of(&bounced[s].0)[v];
+                    let factor = I::of(&self.responses.radiance[s].0)[v];
+                    at.projections[j][s] = isa.add(at.projections[j][s], brought);
+                    radiance[j] = isa.mul_add(factor, brought, radiance[j]);
+                }
+            }
+        }
         for j in 0..J {
             let [target, weight] = &self.given[first + j];
             let (target, weight) = (I::of(&target.0)[v], I::of(&weight.0)[v]);
@@ -511,6 +531,8 @@ struct AddResiduals<'a, M: Reflection, const U: usize> {
     /// By picture.
     lights: &'a [[f64; COEFFICIENTS]],
     given: &'a [[Doubles; 2]],
+    /// By picture, or empty.
+    bounced: &'a [[Doubles; MAX_PROJECTIONS]],
     responses: &'a Responses,
     unknowns: [usize; DERIVATIVES],
     with_gradient: bool,
@@ -539,8 +561,8 @@ impl<M: Reflection, const U: usize> AddResiduals<'_, M, U> {
             for k in 0..COEFFICIENTS {
                 weights[k] = I::of(&self.weights[k].0)[v];
             }
-            // Σ ω e², and Σ ω e L.
-            let mut sums = (zero, [zero; COEFFICIENTS]);
+            // Σ ω e², Σ ω e L, and Σ ω e of what surroundings bring.
+            let mut sums = (zero, [zero; COEFFICIENTS], [zero; MAX_PROJECTIONS]);
             let mut first = 0;
             while first + TOGETHER <= n {
                 self.some::<I, TOGETHER>(isa, &weights, v, first, &mut sums);
@@ -549,7 +571,7 @@ impl<M: Reflection, const U: usize> AddResiduals<'_, M, U> {
             for first in first..n {
                 self.some::<I, 1>(isa, &weights, v, first, &mut sums);
             }
-            let (squares, by_light) = sums;
+            let (squares, by_light, by_bounced) = sums;
             let add = |to: &mut Doubles, sum| {
                 let to = &mut I::of_mut(&mut to.0)[v];
                 *to = isa.add(*to, sum);
@@ -558,6 +580,11 @@ impl<M: Reflection, const U: usize> AddResiduals<'_, M, U> {
             if self.with_gradient {
                 basis.take::<M>(self.basis, v);
                 basis.project::<M, 1>(isa, |_, k| by_light[k], &mut projections);
+                if M::SURROUNDED {
+                    for s in 0..=M::ROWS {
+                        projections[0][s] = isa.add(projections[0][s], by_bounced[s]);
+                    }
+                }
                 self.responses.take::<M, I>(v, &mut responses);
                 for d in 0..DERIVATIVES {
                     let mut sum = zero;
@@ -578,10 +605,22 @@ impl<M: Reflection, const U: usize> AddResiduals<'_, M, U> {
         weights: &[I::Vector; COEFFICIENTS],
         v: usize,
         first: usize,
-        (squares, by_light): &mut (I::Vector, [I::Vector; COEFFICIENTS]),
+        (squares, by_light, by_bounced): &mut (
+            I::Vector,
+            [I::Vector; COEFFICIENTS],
+            [I::Vector; MAX_PROJECTIONS],
+        ),
     ) {
         let lights = &self.lights[first..first + J];
         let mut residuals = radiance::<I, J>(isa, weights, lights);
+        if M::SURROUNDED {
+            for (j, bounced) in self.bounced.iter().skip(first).take(J).enumerate() {
+                for s in 0..=M::ROWS {
+                    let factor = I::of(&self.responses.radiance[s].0)[v];
+                    residuals[j] = isa.mul_add(factor, I::of(&bounced[s].0)[v], residuals[j]);
+                }
+            }
+        }
         for j in 0..J {
             let [target, weight] = &self.given[first + j];
             let residual = isa.sub(residuals[j], I::of(&target.0)[v]);
@@ -589,6 +628,14 @@ impl<M: Reflection, const U: usize> AddResiduals<'_, M, U> {
             *squares = isa.mul_add(residuals[j], residual, *squares);
         }
         if self.with_gradient {
+            if M::SURROUNDED {
+                for (j, bounced) in self.bounced.iter().skip(first).take(J).enumerate() {
+                    for s in 0..=M::ROWS {
+                        let brought = I::of(&bounced[s].0)[v];
+                        by_bounced[s] = isa.mul_add(residuals[j], brought, by_bounced[s]);
+                    }
+                }
+            }
             for k in 0..COEFFICIENTS {
                 for j in 0..J {
                     by_light[k] = isa.mul_add(residuals[j], isa.splat(lights[j][k]), by_light[k]);

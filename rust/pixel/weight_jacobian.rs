@@ -10,14 +10,16 @@
 //!
 //! and the same for b. No picture changes it, so a sample costs a sum over k, as radiance does.
 
-use crate::block::basis::{Basis, DIFFUSE};
+use crate::block::basis::Basis;
 use crate::block::normal_jacobian::{
     FillBasisSlopes, GivenDirections, NormalJacobian, OffsetNormals, TangentOffsets,
 };
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Directions, Doubles, Materials};
 use crate::reflectance::planes::{MAX_ROWS, Material};
-use crate::reflectance::reflection::{ExactFunctions, Factors, Reflection, each_entry};
+use crate::reflectance::reflection::{
+    ExactFunctions, Factors, OPEN_DIFFUSE, Reflection, each_entry,
+};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
@@ -149,7 +151,7 @@ impl<M: Reflection> Kernel for FillWeightJacobian<'_, M> {
                     weights.0[x] += row.0[x] * slope.0[x] + cosine.0[x] * by_row.0[x] * lobe.0[x];
                 }
             });
-            for k in 0..DIFFUSE {
+            for k in 0..OPEN_DIFFUSE {
                 let weights = &mut of_offset[k];
                 for x in 0..BLOCK {
                     weights.0[x] += diffuse.0[x] * slopes.diffuse[k].0[x]

@@ -4,19 +4,21 @@
 //! unknown lights, unknown normals) is not in its version at all, so it costs nothing and no loop
 //! asks for it.
 
+use std::marker::PhantomData;
 use std::ops::Range;
 
 use super::robust::{ApplyRobustLoss, Robust};
 use super::{Problem, add};
 use crate::block::adjoint::{ByFactors, ByLights, Flush, Parts, WideParts};
-use crate::block::basis::{Basis, FillBasis};
+use crate::block::basis::Basis;
+use crate::block::bounced::{ByBounced, LessBounced};
 use crate::block::factors::{FillFactors, Load, PullBack};
 use crate::block::normal_jacobian::{
     ByBasis, LoadOffsets, NormalJacobian, OffsetNormals, PullBackNormals, TangentOffsets,
 };
 use crate::block::radiance::Residuals;
 use crate::block::weights::FillWeights;
-use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::model::with_model_of;
 use crate::reflectance::planes::{
     BLOCK, ChannelFactors, ChannelSums, Directions, Materials, Plane, no_functions,
 };
@@ -45,9 +47,7 @@ impl Problem {
             robust.check()?;
         }
         let evaluate = choose(
-            self.model,
-            self.channels,
-            self.coefficients,
+            self,
             Has {
                 weights: !self.weights.is_empty(),
                 free_lights: self.lighting.is_none(),
@@ -144,8 +144,8 @@ pub struct Has {
 }
 
 /// The version for a problem.
-pub fn choose(model: Model, channels: usize, coefficients: usize, has: Has) -> Evaluate {
-    with_model!(model, M => of_model::<M>(channels, coefficients, has))
+fn choose(problem: &Problem, has: Has) -> Evaluate {
+    with_model_of!(problem, M => of_model::<M>(problem.channels, problem.coefficients, has))
 }
 
 fn of_model<M: Reflection>(channels: usize, coefficients: usize, has: Has) -> Evaluate {
@@ -234,6 +234,7 @@ fn evaluate<
     let mut sums: [_; C] = std::array::from_fn(|_| ChannelSums::default());
     let mut weights = [[Plane::default(); K]; C];
     let mut residuals = [Plane::default(); GROUP];
+    let (mut bounced, mut less) = (Vec::new(), [Plane::default(); GROUP]);
 
     let mut offset_directions = FREE_NORMALS.then(Box::<OffsetDirections>::default);
     let mut by_normals = FREE_NORMALS.then(Box::<ByNormals>::default);
@@ -270,11 +271,7 @@ fn evaluate<
             None => problem.known_directions(block),
             Some(offset_directions) => &offset_directions.directions,
         };
-        isa.run(FillBasis::<M, f32, K> {
-            directions,
-            basis: &mut basis,
-            model,
-        });
+        problem.fill_basis::<M, f32, K>(directions, first..first + count, &mut basis);
         isa.run(FillFactors {
             directions,
             materials: &materials,
@@ -294,9 +291,25 @@ fn evaluate<
             piece.look_ahead::<C, FREE_NORMALS>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
+            if M::SURROUNDED {
+                problem.fill_bounced::<M>(first..first + count, c, &mut bounced);
+            }
             for group in groups(pictures) {
                 let lights = &lights[c * pictures..][group.clone()];
                 let residuals = &mut residuals[..group.len()];
+                let mut targets = &targets[group.clone()];
+                let brought = group.start * (1 + M::ROWS)..group.end * (1 + M::ROWS);
+                let bounced = bounced.get(brought).unwrap_or_default();
+                if M::SURROUNDED && !bounced.is_empty() {
+                    isa.run(LessBounced::<M> {
+                        factors: &factors[c],
+                        bounced,
+                        targets,
+                        less: &mut less[..group.len()],
+                        model: PhantomData,
+                    });
+                    targets = &less[..group.len()];
+                }
                 let sample_weights = if WEIGHTED {
                     &sample_weights[group.clone()]
                 } else {
@@ -305,7 +318,7 @@ fn evaluate<
                 let step = Residuals::<K, WEIGHTED> {
                     weights: &weights[c],
                     lights,
-                    targets: &targets[group.clone()],
+                    targets,
                     sample_weights,
                     residuals,
                     ahead: &mut ahead,
@@ -340,6 +353,14 @@ fn evaluate<
                         factors: &factors[c],
                         sums: &mut by_normals.basis,
                     })),
+                }
+                if M::SURROUNDED && !bounced.is_empty() {
+                    isa.run(ByBounced::<M> {
+                        residuals,
+                        bounced,
+                        sums: &mut sums[c],
+                        model: PhantomData,
+                    });
                 }
                 if FREE_LIGHTS {
                     isa.run(ByLights {

@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use super::{Problem, add};
-use crate::reflectance::model::with_model;
+use crate::reflectance::model::with_model_of;
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
-use crate::reflectance::shade::shade;
+use crate::reflectance::shade::{factors_at, shade};
 use crate::reflectance::tangent_offset;
 use crate::runtime::{Result, check, pool};
 
@@ -36,7 +36,7 @@ impl Problem {
         // A few pieces at a time: with weights each holds a matrix for every picture.
         for pieces in pieces.chunks(PIECES_AT_ONCE) {
             let partials = pool::map(self.threads, pieces.to_vec(), |blocks| {
-                with_model!(self.model, M => if self.channels == 1 {
+                with_model_of!(self, M => if self.channels == 1 {
                     self.equations_of_chunk::<M, 1>(maps, blocks)
                 } else {
                     self.equations_of_chunk::<M, 3>(maps, blocks)
@@ -81,7 +81,9 @@ impl Problem {
         for p in blocks.start * BLOCK..(blocks.end * BLOCK).min(self.pixels) {
             let (block, x) = (p / BLOCK, p % BLOCK);
             let material = self.material::<C>(maps, p);
-            let weights = shade(&self.frame::<M>(maps, p), &material);
+            let frame = self.frame::<M>(maps, p);
+            let weights = shade(&frame, &material);
+            let factors = factors_at(&frame, &material);
             for (c, sum) in sums.iter_mut().enumerate() {
                 let w = &weights[c][..k];
                 let mut add_gram = |gram: usize, omega: f64| {
@@ -100,7 +102,9 @@ impl Problem {
                     if !omegas.is_empty() {
                         add_gram(i, omega);
                     }
-                    let target = omega * self.targets.get(block, c, i, x);
+                    let target = self.targets.get(block, c, i, x)
+                        - self.bounced_radiance::<M, C>(&factors, p, c, i);
+                    let target = omega * target;
                     for (right, w) in sum.right[i * k..][..k].iter_mut().zip(w) {
                         *right += target * w;
                     }

@@ -8,6 +8,7 @@ mod low_words;
 pub mod penalties;
 pub mod render;
 pub mod robust;
+mod surroundings;
 pub mod targets;
 
 use std::ops::Range;
@@ -19,15 +20,16 @@ use self::targets::{Targets, planes};
 use crate::block::normal_jacobian::{
     GivenDirections, NormalJacobian, OffsetNormals, TangentOffsets,
 };
-use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::model::{Model, with_model, with_model_of};
 use crate::reflectance::planes::{BLOCK, Directions, Material, Plane};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::reflectance::shade::{Frame, shade};
+use crate::reflectance::shade::{Frame, factors_at, shade};
 use crate::reflectance::tangent_offset;
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check, pool};
+use crate::transport::table::Transfer;
 
 /// Pieces of work at most. Their borders depend on the pixel count alone, and their
 /// results are added in order, so every sum is the same at any number of threads.
@@ -53,6 +55,8 @@ pub struct Pictures<'a> {
     pub normals: &'a [DVec3],
     /// Unit vectors from the surface to the camera, one a pixel.
     pub views: &'a [DVec3],
+    /// What takes the place of the model's rows, where surroundings block light or bring some.
+    pub transfer: Option<Transfer>,
 }
 
 /// What is known beforehand, and so costs nothing in an evaluation; and how to run.
@@ -110,6 +114,7 @@ pub struct Problem {
     /// Sum of the weights of all samples and channels.
     total_weight: f64,
     geometry: Geometry,
+    transfer: Option<Transfer>,
     targets: Targets,
     /// (block, channel, picture), with one channel where all share a weight; or empty.
     weights: Vec<Plane>,
@@ -123,6 +128,7 @@ impl Problem {
             weights,
             normals,
             views,
+            transfer,
         } = given;
         targets.complete()?;
         let [pixels, pictures, channels] =
@@ -162,6 +168,23 @@ impl Problem {
             }
         };
 
+        if let Some(transfer) = &transfer {
+            if options.free_normals {
+                return Err(Error::argument(
+                    "transfer",
+                    "given normals, which it was made with",
+                    "free ones",
+                ));
+            }
+            let rows = pixels * with_model!(options.model, M => 1 + M::ROWS);
+            check::length("transfer", rows * COEFFICIENTS, transfer.rows.len())?;
+            check::moderate("transfer", &transfer.rows, LARGEST_F32)?;
+            if !transfer.bounced.is_empty() {
+                let bounced = rows * pictures * channels;
+                check::length("bounced", bounced, transfer.bounced.len())?;
+                check::moderate("bounced", &transfer.bounced, LARGEST_F32)?;
+            }
+        }
         let geometry = if options.free_normals {
             Geometry::Free(GivenDirections::blocks(normals, views)?)
         } else {
@@ -179,6 +202,7 @@ impl Problem {
             instructions: options.instructions,
             total_weight,
             geometry,
+            transfer,
             targets,
             weights,
         })
@@ -251,7 +275,7 @@ impl Problem {
             self.threads,
             pixels.chunks(BLOCK).collect(),
             |pixels: &[usize]| {
-                with_model!(self.model, M => if self.channels == 1 {
+                with_model_of!(self, M => if self.channels == 1 {
                     self.residuals_of::<M, 1>(maps, lighting, pixels)
                 } else {
                     self.residuals_of::<M, 3>(maps, lighting, pixels)
@@ -279,13 +303,16 @@ impl Problem {
         let mut residuals = vec![0.0; self.pictures * pixels.len() * C];
         for (j, &p) in pixels.iter().enumerate() {
             let (block, x) = (p / BLOCK, p % BLOCK);
-            let weights = shade(&self.frame::<M>(maps, p), &self.material::<C>(maps, p));
+            let (frame, material) = (self.frame::<M>(maps, p), self.material::<C>(maps, p));
+            let weights = shade(&frame, &material);
+            let factors = factors_at(&frame, &material);
             for (c, w) in weights.iter().enumerate() {
                 for i in 0..self.pictures {
                     let light = lighting[i * k * C + c..].iter().step_by(C);
                     let radiance: f64 = w[..k].iter().zip(light).map(|(w, l)| w * l).sum();
                     residuals[(i * pixels.len() + j) * C + c] =
-                        (radiance - self.targets.get(block, c, i, x)) as f32;
+                        (radiance + self.bounced_radiance::<M, C>(&factors, p, c, i)
+                            - self.targets.get(block, c, i, x)) as f32;
                 }
             }
         }
@@ -484,7 +511,10 @@ impl Problem {
         match &self.geometry {
             Geometry::Known { .. } => {
                 let (cosine, [normal, mirror]) = self.exact_directions(p);
-                Frame::at(cosine, normal, mirror)
+                match &self.transfer {
+                    Some(transfer) => Frame::surrounded(cosine, transfer.rows_of::<M>(p)),
+                    None => Frame::at(cosine, normal, mirror),
+                }
             }
             Geometry::Free(_) => {
                 let [normal, view] = self.offset_normal(maps, p);

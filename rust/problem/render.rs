@@ -13,21 +13,24 @@ use crate::reflectance::planes::{
 };
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
+use crate::reflectance::surrounded::Surrounded;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check, pool};
+use crate::transport::table::Transfer;
 
 /// Blocks in a piece of work.
 const CHUNK: usize = 8;
 
 /// Radiance of every pixel under every light: (light, pixel, channel).
 ///
-/// `lighting` is (light, coefficient, channel). `threads` = 0 means one for each processor.
+/// `lighting` is (light, coefficient, channel). A transfer takes the place of the model's rows; what
+/// it says is brought is by light and channel. `threads` = 0 means one for each processor.
 pub fn render(
     normals: &[DVec3],
     views: &[DVec3],
     materials: &[Material],
     lighting: &[f64],
-    model: Model,
+    (model, transfer): (Model, Option<&Transfer>),
     threads: usize,
 ) -> Result<Vec<f64>> {
     let pixels = normals.len();
@@ -55,8 +58,15 @@ pub fn render(
         CHUNK * BLOCK,
         threads,
         |first, parts| {
-            with_model!(model, M => {
-                render_chunk::<M>(normals, views, materials, &lights, first, parts);
+            with_model!(model, M => match transfer {
+                None => {
+                    render_chunk::<M>((normals, views), materials, &lights, None, first, parts);
+                }
+                Some(_) => {
+                    type Among = Surrounded<M>;
+                    let given = (normals, views);
+                    render_chunk::<Among>(given, materials, &lights, transfer, first, parts);
+                }
             });
         },
     )
@@ -103,10 +113,10 @@ pub(crate) fn pictures(
 
 /// Renders the pixels from `first` on that the parts have room for.
 fn render_chunk<M: Reflection>(
-    normals: &[DVec3],
-    views: &[DVec3],
+    (normals, views): (&[DVec3], &[DVec3]),
     materials: &[Material],
     lights: &[[[f64; COEFFICIENTS]; 3]],
+    transfer: Option<&Transfer>,
     first: usize,
     parts: &mut [&mut [f64]],
 ) {
@@ -126,11 +136,14 @@ fn render_chunk<M: Reflection>(
             directions.set(x, normals[block + x], views[block + x]);
             of_block.set(x, &materials[block + x]);
         }
-        isa.run(FillBasis::<M, f64, COEFFICIENTS> {
-            directions: &directions,
-            basis: &mut basis,
-            model,
-        });
+        match transfer {
+            Some(transfer) => transfer.fill_basis::<M, f64>(block..block + count, &mut basis),
+            None => isa.run(FillBasis::<M, f64, COEFFICIENTS> {
+                directions: &directions,
+                basis: &mut basis,
+                model,
+            }),
+        }
         isa.run(FillFactors {
             directions: &directions,
             materials: &of_block,
@@ -147,12 +160,24 @@ fn render_chunk<M: Reflection>(
             model,
         });
         for c in 0..3 {
-            for (light, part) in lights.iter().zip(parts.iter_mut()) {
+            for (i, (light, part)) in lights.iter().zip(parts.iter_mut()).enumerate() {
                 isa.run(Radiance {
                     weights: &weights[c],
                     light: &light[c],
                     radiance: &mut radiance,
                 });
+                if let Some(transfer) = transfer.filter(|transfer| !transfer.bounced.is_empty()) {
+                    for (x, radiance) in radiance.0[..count].iter_mut().enumerate() {
+                        for s in 0..=M::ROWS {
+                            let factor = match s {
+                                0 => factors[c].diffuse.0[x],
+                                s => factors[c].rows[s - 1].0[x],
+                            };
+                            let brought = transfer.bounced_of::<M>(block + x, s, lights.len() * 3);
+                            *radiance += factor * f64::from(brought[i * 3 + c]);
+                        }
+                    }
+                }
                 let pixels = part[(block - first) * 3..].as_chunks_mut::<3>().0;
                 for (pixel, radiance) in pixels.iter_mut().zip(&radiance.0[..count]) {
                     pixel[c] = *radiance;

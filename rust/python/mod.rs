@@ -11,6 +11,7 @@ mod images;
 mod model;
 mod penalties;
 mod problem;
+mod surroundings;
 
 use std::sync::LazyLock;
 
@@ -66,6 +67,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("InputError", module.py().get_type::<InputError>())?;
     model::register(module)?;
     problem::register(module)?;
+    surroundings::register(module)?;
     penalties::register(module)?;
     ending::register(module)?;
     image_file::register(module)

@@ -10,6 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
+use super::surroundings::given as given_transfer;
 use crate::problem::directional::{
     DirectionalLight, render_directional as render_directional_pixels,
 };
@@ -197,7 +198,7 @@ fn shade_vjp<'py>(
 }
 
 #[pyfunction]
-#[pyo3(signature = (normals, views, albedo, roughness, metallic, lighting, threads, model = "paper"))]
+#[pyo3(signature = (normals, views, albedo, roughness, metallic, lighting, threads, model = "paper", transfer = None, bounced = None))]
 #[expect(clippy::too_many_arguments)]
 fn render<'py>(
     py: Python<'py>,
@@ -209,6 +210,8 @@ fn render<'py>(
     lighting: &Bound<'py, PyAny>,
     threads: usize,
     model: &str,
+    transfer: Option<&Bound<'py, PyAny>>,
+    bounced: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let model: Model = model.parse()?;
     let pixels = Pixels::new(
@@ -223,6 +226,9 @@ fn render<'py>(
     shape("lighting", &[lights, sh::COEFFICIENTS, 3], lighting.shape())?;
     not_too_many("lighting", lights, pixels.count())?;
     let lighting = try_copied("lighting", &lighting)?;
+    let rows = with_model!(model, M => 1 + M::ROWS);
+    let transfer = given_transfer(transfer, bounced, [pixels.count(), rows, lights * 3])?;
+    let surface = (model, transfer.as_ref());
     let Pixels {
         normals,
         views,
@@ -230,7 +236,7 @@ fn render<'py>(
         ..
     } = &pixels;
     let images =
-        py.detach(|| render_pixels(normals, views, materials, &lighting, model, threads))?;
+        py.detach(|| render_pixels(normals, views, materials, &lighting, surface, threads))?;
     Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
 }
 

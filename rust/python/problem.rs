@@ -12,9 +12,12 @@ use pyo3::prelude::*;
 use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors};
 use super::images::Images;
 use super::model::{array2, array3, matrix};
+use super::surroundings::given as given_transfer;
 use crate::pixel::pixel_fit::{GaussianPrior, Search};
 use crate::problem::robust::Robust;
 use crate::problem::{Options, Pictures, Problem};
+use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::reflection::Reflection;
 use crate::runtime::{Error, check, pool};
 use crate::schur::kept::KeptSystem;
 use crate::schur::{Clusters, Elimination, PriorTerm};
@@ -45,7 +48,8 @@ impl PyProblem {
     #[new]
     #[pyo3(signature = (
         images, normals, views, threads = 0, *,
-        weights = None, sh_order = 3, metallic = None, lighting = None, free_normals = false, model = "paper"
+        weights = None, sh_order = 3, metallic = None, lighting = None, free_normals = false, model = "paper",
+        transfer = None, bounced = None
     ))]
     #[expect(clippy::too_many_arguments)]
     fn new(
@@ -59,6 +63,8 @@ impl PyProblem {
         lighting: Option<&Bound<'_, PyAny>>,
         free_normals: bool,
         model: &str,
+        transfer: Option<&Bound<'_, PyAny>>,
+        bounced: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let images = Images::of(images)?;
         let normals = array("normals", normals)?;
@@ -94,6 +100,9 @@ impl PyProblem {
             .as_ref()
             .map(|weights| Contiguous::try_of("weights", weights))
             .transpose()?;
+        let model: Model = model.parse()?;
+        let rows = with_model!(model, M => 1 + M::ROWS);
+        let transfer = given_transfer(transfer, bounced, [pixels, rows, pictures * channels])?;
         let options = Options {
             sh_order,
             metallic,
@@ -101,7 +110,7 @@ impl PyProblem {
                 .map(|lighting| try_copied("lighting", &lighting))
                 .transpose()?,
             free_normals,
-            model: model.parse()?,
+            model,
             threads,
             ..Options::default()
         };
@@ -112,6 +121,7 @@ impl PyProblem {
             weights: weights.as_ref().map(Contiguous::values),
             normals: &normals,
             views: &views,
+            transfer,
         };
         Ok(Self {
             problem: Problem::new(given, options)?,

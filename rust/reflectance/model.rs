@@ -31,6 +31,21 @@ macro_rules! with_model {
 }
 pub(crate) use with_model;
 
+/// The same for the model of a problem, which may be one among surroundings.
+macro_rules! with_model_of {
+    ($problem:expr, $type:ident => $code:expr) => {
+        if $problem.transfer().is_some() {
+            $crate::reflectance::model::with_model!($problem.model(), Open => {
+                type $type = $crate::reflectance::surrounded::Surrounded<Open>;
+                $code
+            })
+        } else {
+            $crate::reflectance::model::with_model!($problem.model(), $type => $code)
+        }
+    };
+}
+pub(crate) use with_model_of;
+
 impl FromStr for Model {
     type Err = Error;
 

@@ -4,7 +4,7 @@
 use glam::DVec3;
 
 use super::ggx::MIN_COSINE;
-use super::sh::Real;
+use super::sh::{COEFFICIENTS, Real};
 
 /// Pixels in a block.
 pub const BLOCK: usize = 128;
@@ -28,6 +28,9 @@ pub const MAX_ROWS: usize = 10;
 
 /// Basis functions R_jk of a lobe at most.
 pub const MAX_ENTRIES: usize = 50;
+
+/// The same where each row sees every coefficient.
+pub const MAX_LOBE: usize = MAX_ROWS * COEFFICIENTS;
 
 /// Functions of roughness and n·v at most.
 pub const MAX_FUNCTIONS: usize = 72;

@@ -139,6 +139,29 @@ pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
 
     /// Number of rows.
     const ROWS: usize = Self::FIRST_ROW[BANDS];
+
+    /// Whether basis functions are those of a [transfer](crate::transport): then every row, and the
+    /// matt part, sees all bands.
+    const SURROUNDED: bool = false;
+
+    /// Coefficients that the matt part sees.
+    const DIFFUSE: usize = if Self::SURROUNDED {
+        COEFFICIENTS
+    } else {
+        OPEN_DIFFUSE
+    };
+}
+
+/// Coefficients that a matt surface sees of an open sky, those of bands 0 to 2: A₃ = 0.
+pub const OPEN_DIFFUSE: usize = 9;
+
+/// The first row that sees band l, and how many do.
+pub const fn rows_of_band<M: Reflection>(l: usize) -> (usize, usize) {
+    if M::SURROUNDED {
+        (0, M::ROWS)
+    } else {
+        (M::FIRST_ROW[l], M::FIRST_ROW[l + 1] - M::FIRST_ROW[l])
+    }
 }
 
 /// Factors of the weights that depend on the material, with what their derivatives need.
@@ -181,8 +204,7 @@ pub trait Factors<const C: usize>: Copy + Debug {
 pub const fn first_entry<M: Reflection>(k: usize) -> usize {
     let (mut first, mut i) = (0, 0);
     while i < k {
-        let l = BAND_OF[i];
-        first += M::FIRST_ROW[l + 1] - M::FIRST_ROW[l];
+        first += rows_of_band::<M>(BAND_OF[i]).1;
         i += 1;
     }
     first
@@ -193,7 +215,8 @@ pub const fn first_entry<M: Reflection>(k: usize) -> usize {
 pub fn each_entry<M: Reflection, const K: usize>(mut f: impl FnMut(usize, usize, usize)) {
     let mut entry = 0;
     for k in 0..K {
-        for row in M::FIRST_ROW[BAND_OF[k]]..M::FIRST_ROW[BAND_OF[k] + 1] {
+        let (first, rows) = rows_of_band::<M>(BAND_OF[k]);
+        for row in first..first + rows {
             f(k, row, entry);
             entry += 1;
         }

@@ -14,7 +14,7 @@ use std::marker::PhantomData;
 use glam::DVec3;
 
 use super::ggx::MIN_COSINE;
-use super::planes::{ByRow, MAX_ENTRIES, MAX_ROWS, Material, directions};
+use super::planes::{ByRow, MAX_ENTRIES, MAX_LOBE, MAX_ROWS, Material, directions};
 use super::reflection::{Factors, Reflection, Weights, each_entry};
 use super::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
 
@@ -25,8 +25,8 @@ pub struct Frame<M> {
     pub cosine: f64,
     /// A_l Y_k(n); entries of band 3 are 0.
     pub diffuse: [f64; COEFFICIENTS],
-    /// R_jk
-    pub lobe: [f64; MAX_ENTRIES],
+    /// R_jk, or where surroundings block light what a [transfer](crate::transport) has in its place.
+    pub lobe: [f64; MAX_LOBE],
     model: PhantomData<M>,
 }
 
@@ -43,10 +43,24 @@ impl<M: Reflection> Frame<M> {
         for (y, &l) in diffuse.iter_mut().zip(&BAND_OF) {
             *y *= COSINE_TRANSFER[l];
         }
+        let mut lobe = [0.0; MAX_LOBE];
+        lobe[..MAX_ENTRIES].copy_from_slice(&M::lobe(normal.to_array(), mirror.to_array()));
         Self {
             cosine,
             diffuse,
-            lobe: M::lobe(normal.to_array(), mirror.to_array()),
+            lobe,
+            model: PhantomData,
+        }
+    }
+
+    /// From the clamped n·v and the rows of a transfer: the matt part's, then the lobe's.
+    pub fn surrounded(cosine: f64, rows: &[[f32; COEFFICIENTS]]) -> Self {
+        let mut lobe = [0.0; MAX_LOBE];
+        each_entry::<M, COEFFICIENTS>(|k, row, entry| lobe[entry] = rows[1 + row][k].into());
+        Self {
+            cosine,
+            diffuse: rows[0].map(f64::from),
+            lobe,
             model: PhantomData,
         }
     }
@@ -100,7 +114,7 @@ pub fn shade<M: Reflection, const C: usize>(
     weights
 }
 
-fn factors_at<M: Reflection, const C: usize>(
+pub(crate) fn factors_at<M: Reflection, const C: usize>(
     frame: &Frame<M>,
     material: &Material<C>,
 ) -> M::Factors<C> {

@@ -84,6 +84,7 @@ impl Example {
             weights: self.weights.as_deref(),
             normals: &self.normals,
             views: &self.views,
+            transfer: None,
         };
         let options = Options {
             model: Model::Paper,
@@ -447,10 +448,26 @@ fn rendering_agrees_with_shade() {
             lighting,
             ..
         } = &example;
-        let images = render(normals, views, &materials, lighting, Model::Paper, 1).unwrap();
+        let images = render(
+            normals,
+            views,
+            &materials,
+            lighting,
+            (Model::Paper, None),
+            1,
+        )
+        .unwrap();
         assert_eq!(
             images,
-            render(normals, views, &materials, lighting, Model::Paper, 3).unwrap()
+            render(
+                normals,
+                views,
+                &materials,
+                lighting,
+                (Model::Paper, None),
+                3
+            )
+            .unwrap()
         );
         for (p, material) in materials.iter().enumerate() {
             let w = shade(&Frame::<Paper>::new(normals[p], views[p]), material);
@@ -538,6 +555,7 @@ fn refusals_name_the_array() {
         weights: None,
         normals: &example.normals,
         views: &example.views,
+        transfer: None,
     };
     let new =
         |given: Pictures, options: Options| Problem::new(given, options).unwrap_err().to_string();

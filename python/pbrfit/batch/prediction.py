@@ -15,6 +15,7 @@ from pbrfit.batch.settings import Reading
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io import images
+from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.resampling import reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.result.options import FitOptions
@@ -54,9 +55,10 @@ def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitM
         lighting_known=(folder / "lighting.json").exists(),
         weighted=weighted,
     )
-    # Pictures and weights in float32, limits, normals in float64, how far off they may be.
+    # Pictures and weights in float32, limits, normals in float64, how far off they may be, depth.
     of_samples = 12 + 4 * (folder / WEIGHT_FILE).exists() + 3 * integers
-    held = pixels * (pictures * of_samples + 24 + 4 * (folder / "normals.exr").exists())
+    of_maps = 4 * sum((folder / name).exists() for name in ("normals.exr", *DEPTH_FILES))
+    held = pixels * (pictures * of_samples + 24 + of_maps)
     refining = options.refine_normals != "off" and pictures >= PICTURES_MIN
     optional = options.refine_normals == "auto"
     found = memory.plan(

@@ -20,7 +20,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     cli.add_result(parser, "DIR", "folder to write")
     cli.add_flags(
         parser,
-        format=cli.choice(Format, "this one alone (default: those of the preset, else all)"),
+        format=cli.choice(
+            Format,
+            "this one alone; ply, a cloud of points, needs depth (default: those of the preset, "
+            "else all but ply)",
+        ),
         preset=cli.choice(
             PresetName,
             "textures with the names, channels and normals that a tool expects (default: a file a "

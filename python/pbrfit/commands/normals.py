@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
-from pbrfit.acquire.normals.depth import DepthKind
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import (
@@ -25,6 +24,7 @@ from pbrfit.commands.network_options import (
     normal_source,
 )
 from pbrfit.commands.scene_options import field_of_view
+from pbrfit.model.depth_normals import DepthKind
 from pbrfit.scene import completion
 from pbrfit.scene import folder as scene_folder
 

@@ -5,6 +5,7 @@
     material.glb      glTF 2.0: the maps on a card, and the camera that sees it as the pictures do
     exr/              materials.exr with all layers; a file a texture
     png/              a file a texture
+    points.ply        where it is asked for: a point a pixel, of results with depth
     lights/           a panorama a picture, and coefficients
     export.json       what each file holds
 
@@ -23,6 +24,8 @@ from pbrfit.export.gltf import glb
 from pbrfit.export.lights import FILES as LIGHT_FILES
 from pbrfit.export.lights import LightPanorama, write_lights
 from pbrfit.export.maps import Bits, Maps, NormalConvention
+from pbrfit.export.points import HOLDS as POINTS_HOLD
+from pbrfit.export.points import ply
 from pbrfit.export.presets import Format, Plan, PresetName, plan
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
@@ -87,7 +90,8 @@ def export_result(
     path
         The folder.
     format
-        "gltf", "exr" or "png" alone. None: those of the preset; without one, all three.
+        "gltf", "exr", "png" or "ply" alone. None: those of the preset; without one, all but "ply",
+        which needs depth.
     preset
         Textures as "blender", "unreal" or "unity" expects them: names, channels, normals. None: a
         file a map.
@@ -106,7 +110,8 @@ def export_result(
     Raises
     ------
     InputError
-        If an option is unknown or would have no effect, or the maps are not finite in the mask.
+        If an option is unknown or would have no effect, the maps are not finite in the mask, or the
+        result has no depth for "ply".
     FileExistsError
         If the folder exists and `overwrite` is False, or it is no export.
     OSError
@@ -129,6 +134,10 @@ def export_result(
             files += _write_exr(folder, maps, planned, result)
         if "png" in planned.formats:
             files += _write_png(folder, maps, planned)
+        if "ply" in planned.formats:
+            (folder / "points.ply").write_bytes(ply(result))
+            colors = "albedo sRGB, all else linear"
+            files.append(_file(folder, "points.ply", POINTS_HOLD, colors))
         (folder / "lights").mkdir()
         panoramas = write_lights(folder / "lights", result)
         files += _light_files(folder, panoramas)

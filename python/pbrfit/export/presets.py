@@ -9,7 +9,7 @@ from pbrfit._core import InputError
 from pbrfit.export.maps import BASE_COLOR, GREEN, NORMAL, Bits, NormalConvention, Texture
 from pbrfit.export.view_mesh import Geometry
 
-Format = Literal["gltf", "exr", "png"]
+Format = Literal["gltf", "exr", "png", "ply"]
 PresetName = Literal["blender", "unreal", "unity"]
 
 
@@ -122,6 +122,10 @@ def plan(
         raise InputError("normals: expected opengl, the convention of format gltf, found directx")
     if format == "exr" and bits is not None:
         raise InputError(f"bits: expected none with format exr, which is float32, found {bits}")
+    if format == "ply":
+        for name, value in (("preset", preset), ("normals", normals), ("bits", bits)):
+            if value is not None:
+                raise InputError(f"{name}: expected none with format ply, found {value}")
     chosen = PLAIN if preset is None else PRESETS[preset]
     formats = (format,) if format else chosen.formats
     if geometry is not None and "gltf" not in formats:

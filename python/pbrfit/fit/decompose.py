@@ -173,6 +173,7 @@ def decompose(
         refinement=refinement,
         camera=found.camera,
         given_normals=given if refinement.refined else None,
+        depth=None if scene.depth is None else np.where(scene.valid, scene.depth, np.nan),
     )
     log.info(
         "%s after %d iterations, %.1f s: %s",

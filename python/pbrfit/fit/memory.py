@@ -107,7 +107,8 @@ def of_fit(
 
 def bytes_of(scene: Scene) -> int:
     """Of the arrays of a scene."""
-    arrays = scene.images, scene.normals, scene.weights, scene.limits, scene.normal_sigma
+    of_pixels = scene.normals, scene.normal_sigma, scene.depth
+    arrays = scene.images, scene.weights, scene.limits, *of_pixels
     return sum(array.nbytes for array in arrays if array is not None)
 
 

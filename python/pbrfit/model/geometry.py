@@ -72,8 +72,8 @@ def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
 
     Returns
     -------
-    (height, width, 3) float64, camera space, in the unit of the depth: the camera is the origin, and
-    z = −depth. NaN where depth is.
+    (height, width, 3) float64, camera space, in the unit of the depth: the camera is the origin,
+    and z = −depth. NaN where depth is.
 
     Raises
     ------

@@ -77,7 +77,13 @@ def read_materials(
     path: Path,
 ) -> tuple[Materials, NDArray[np.float64], NDArray[np.bool_]]:
     """Read `materials.exr`: materials, normals (NaN outside the mask) and mask."""
-    channels = images.read_channels(path)
+    return of_channels(images.read_channels(path), path)
+
+
+def of_channels(
+    channels: Mapping[str, NDArray[np.float32]], path: Path
+) -> tuple[Materials, NDArray[np.float64], NDArray[np.bool_]]:
+    """As `read_materials`, of a file's channels; InputError, which names `path`, if some lack."""
 
     def layer(name: str, parts: str) -> NDArray[np.float64]:
         missing = [f"{name}.{part}" for part in parts if f"{name}.{part}" not in channels]

@@ -56,6 +56,12 @@ def grey_key(what: str) -> str:
     return _key(what, "#000, #fff", {0.0: "0", 0.25: "", 0.5: "0.5", 0.75: "", 1.0: "1"}, {})
 
 
+def depth_key(low: str, high: str) -> str:
+    """Key to a map of depth in `differences.blue_to_yellow`, between two labels."""
+    colors = differences.blue_to_yellow(np.linspace(0, 1, 17))
+    return _key("depth", ", ".join(map(_css, colors)), {0.0: low, 1.0: high}, {})
+
+
 def outside_patch() -> str:
     """What pixels outside the mask look like."""
     return '<span class="patch outside"></span> outside the mask'

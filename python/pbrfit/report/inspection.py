@@ -7,11 +7,13 @@ import numpy as np
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.plan import FitPlan
+from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.normal_files import UNCERTAINTY
 from pbrfit.model import geometry
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.result.options import Priors
 from pbrfit.result.refinement import hindrance
+from pbrfit.scene.depth import compared
 from pbrfit.scene.registration import register
 from pbrfit.scene.scene import Scene
 
@@ -59,6 +61,21 @@ def _normal_sigma(scene: Scene) -> str:
     return f"{middle:.1f} degrees (median), {high:.1f} (95 %), from {UNCERTAINTY}"
 
 
+def _depth(scene: Scene) -> str:
+    """What the depth is like, and how it goes with the normals."""
+    if scene.depth is None:
+        return "none"
+    low, high = np.nanmin(scene.depth), np.nanmax(scene.depth)
+    unknown = 100 * np.isnan(scene.depth[scene.valid]).mean()
+    found = [name for name in DEPTH_FILES if name in scene.inputs]
+    said = f"{found[0]}, " if found else ""
+    said += f"{low:.3g} to {high:.3g}, unknown in {unknown:.1f} % of the mask"
+    angle = compared(scene.depth, scene.normals, scene.fov).depth
+    if np.isnan(angle):
+        return said
+    return f"{said}; its normals {angle:.1f} degrees (median) from the given ones"
+
+
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout, reason = ParameterLayout.of(scene), hindrance(scene)
@@ -75,6 +92,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
         ("facing away", f"{100 * away.mean():.1f} % of the normals"),
         ("normal error", _normal_sigma(scene)),
+        ("depth", _depth(scene)),
         ("refine normals", f"not possible: {reason}" if reason else "possible"),
         ("segments", "none" if layout.segments is None else f"{layout.segment_count} ids"),
         (

@@ -22,6 +22,9 @@ from pbrfit.result.uncertainty import PARAMETERS
 
 BALL_SIDE = 96
 
+DEPTH_SHOWN = (1, 99)
+"""Percentiles of depth at the ends of its scale: single pixels beyond do not darken all others."""
+
 Draw = Callable[[int], bytes]
 """A picture as PNG with at most this longer side."""
 
@@ -53,6 +56,8 @@ def blocks(result: Result, truth: Materials | None) -> list[Block]:
         found += [_truth(truth), _errors(result, truth)]
     if result.uncertainty is not None:
         found.append(_deviations(result))
+    if result.depth is not None and np.isfinite(result.depth).any():
+        found.append(_depth(result.depth))
     return found
 
 
@@ -156,6 +161,25 @@ def _deviations(result: Result) -> Block:
         figures.difference_key("standard deviation", marks),
         tuple(_differences(differences.deviations(uncertainty), "Standard deviation of", remarks)),
     )
+
+
+def _depth(depth: NDArray[np.float32]) -> Block:
+    """Distances along the camera's axis, from blue (near) to yellow (far)."""
+    low, middle, high = np.nanpercentile(depth, [*DEPTH_SHOWN[:1], 50, *DEPTH_SHOWN[1:]]).tolist()
+    span = max(high - low, 1e-6 * high)
+
+    def draw(side: int) -> bytes:
+        shares = (raster.reduced(depth, side) - low) / span
+        colors = differences.blue_to_yellow(np.nan_to_num(shares))
+        return raster.picture_png(np.where(np.isnan(shares)[..., None], np.nan, colors))
+
+    unknown = "" if np.isfinite(depth).all() else "; transparent where unknown"
+    shown = Shown(draw, "depth", f"median {middle:.3g}{unknown}", "Map of the depth")
+    text = paragraph(
+        "Distance from the camera along its axis, as the scene gave it, in its own unit. The "
+        f"scale ends where {DEPTH_SHOWN[0]} % of the pixels are nearer, and as many farther."
+    )
+    return Block("Depth", text, figures.depth_key(f"{low:.3g}", f"{high:.3g}"), (shown,))
 
 
 def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Iterator[Shown]:

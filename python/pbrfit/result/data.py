@@ -25,6 +25,9 @@ GIVEN_NORMALS = tuple(f"normal_given.{name}" for name in "XYZ")
 NORMAL_CHANGE = "normal_change.Y"
 """Layers of `materials.exr` where normals were refined."""
 
+DEPTH = "depth.Z"
+"""Layer of `materials.exr` where the scene had depth: 0 where it is unknown."""
+
 
 class Status(StrEnum):
     """Why a fit ended."""
@@ -91,6 +94,9 @@ class ResultData:
         of versions that did not say.
     given_normals
         (H, W, 3), the scene's normals where they were refined; else None. NaN outside the mask.
+    depth
+        (H, W) float32, the scene's distances along the camera's axis; None where it had none. NaN
+        where they are unknown and outside the mask.
 
     Raises
     ------
@@ -121,6 +127,7 @@ class ResultData:
     refinement: Refinement = NOT_ASKED
     given_normals: NDArray[np.float64] | None = None
     camera: Camera | None = None
+    depth: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         if self.refinement.refined != (self.given_normals is not None):
@@ -157,6 +164,8 @@ class ResultData:
             # Of the normals as they are stored: what is read back and saved again is the same.
             stored = (one.astype(np.float32) for one in (self.normals, self.given_normals))
             layers[NORMAL_CHANGE] = angles_between(*(one.astype(np.float64) for one in stored))
+        if self.depth is not None:
+            layers[DEPTH] = np.where(np.isfinite(self.depth), self.depth, np.float32(0))
         if self.uncertainty is not None:
             layers |= self.uncertainty.layers()
         return layers

@@ -30,10 +30,10 @@ from pbrfit.io.output import digest, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.materials import Materials, read_materials, write_materials
+from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
 from pbrfit.result.camera import Camera
-from pbrfit.result.data import GIVEN_NORMALS, ResultData, Stage, Status
+from pbrfit.result.data import DEPTH, GIVEN_NORMALS, ResultData, Stage, Status
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.options import FitOptions
@@ -137,8 +137,10 @@ class Result(ResultData):
         """
         folder = Path(path)
         _check_is_result(folder)
-        materials, normals, mask = read_materials(folder / "materials.exr")
-        _check_maps(folder / "materials.exr", materials, normals, mask)
+        of_maps = folder / "materials.exr"
+        layers = images.read_channels(of_maps)
+        materials, normals, mask = of_channels(layers, of_maps)
+        _check_maps(of_maps, materials, normals, mask)
         lighting = Lighting.load(folder / "lighting.json")
         file, expected = folder / "result.json", "what pbrfit writes"
         content = read_json(file, expected)
@@ -171,11 +173,16 @@ class Result(ResultData):
                 left_out=texts(content["left_out"]),
                 inputs={k: text(v) for k, v in table(content["inputs"]).items()},
                 stages=tuple(map(_stage, content.get("stages", ()))),
-                uncertainty=None if summary is None else _uncertainty(folder, mask, summary),
+                uncertainty=(
+                    None if summary is None else _uncertainty(layers, of_maps, mask, summary)
+                ),
                 source=None if source is None else _source(source, folder),
                 refinement=refinement,
                 camera=None if camera is None else Camera.from_json(table(camera)),
-                given_normals=_given_normals(folder, mask) if refinement.refined else None,
+                given_normals=(
+                    _given_normals(layers, of_maps, mask) if refinement.refined else None
+                ),
+                depth=_depth(layers, mask),
             )
         except UNFIT as error:
             if isinstance(error, InputError) and str(folder) in str(error):
@@ -270,24 +277,35 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
     )
 
 
-def _uncertainty(folder: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]) -> Uncertainty:
-    return Uncertainty.of(_layers(folder, layer_names(), "an uncertainty"), mask, summary)
+Layers = Mapping[str, NDArray[np.float32]]
+"""Channels of `materials.exr`."""
 
 
-def _given_normals(folder: Path, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    channels = _layers(folder, GIVEN_NORMALS, "refined normals")
-    given = np.stack([channels[name] for name in GIVEN_NORMALS], axis=-1).astype(np.float64)
+def _uncertainty(
+    layers: Layers, file: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]
+) -> Uncertainty:
+    _check_layers(layers, file, layer_names(), "an uncertainty")
+    return Uncertainty.of(layers, mask, summary)
+
+
+def _given_normals(layers: Layers, file: Path, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    _check_layers(layers, file, GIVEN_NORMALS, "refined normals")
+    given = np.stack([layers[name] for name in GIVEN_NORMALS], axis=-1).astype(np.float64)
     return np.where(mask[..., None], given, np.nan)
 
 
-def _layers(folder: Path, names: Sequence[str], told: str) -> dict[str, NDArray[np.float32]]:
-    """All channels of `materials.exr`, of which `names` have to be there."""
-    file = folder / "materials.exr"
-    channels = images.read_channels(file)
-    missing = [name for name in names if name not in channels]
+def _depth(layers: Layers, mask: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+    if DEPTH not in layers:
+        return None
+    depth = layers[DEPTH]
+    return np.where(mask & (depth > 0) & np.isfinite(depth), depth, np.float32(np.nan))
+
+
+def _check_layers(layers: Layers, file: Path, names: Sequence[str], told: str) -> None:
+    """Raise InputError unless `names` are there, as `result.json` tells."""
+    missing = [name for name in names if name not in layers]
     if missing:
         raise InputError(
             f"{file}: expected channel {missing[0]}, because result.json tells of {told}, "
-            f"found {listed(channels)}"
+            f"found {listed(layers)}"
         )
-    return channels

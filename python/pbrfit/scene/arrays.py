@@ -20,6 +20,7 @@ from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
 from pbrfit.scene.correction import Correction, radius_squared
+from pbrfit.scene.depth import checked_depth
 from pbrfit.scene.plateaus import plateaus
 
 if TYPE_CHECKING:
@@ -91,6 +92,10 @@ class SceneArrays:
     normals
         (H, W, 3), camera space (X right, Y up, Z towards the viewer); normalised here, NaN outside
         the mask.
+    depth
+        (H, W), distance from the camera along its axis, positive, in any unit, with an orthographic
+        camera half of the picture's width; None = unknown. Kept as float32, NaN where it is 0,
+        negative, infinite or 1e9 and more.
     fov
         Horizontal field of view in degrees, 0 = orthographic; None = unknown, then it reads
         `FIRST_FOV`, and a fit finds it.
@@ -159,6 +164,7 @@ class SceneArrays:
     model: Model | None = None
     fov_known: bool = True
     correction: Correction | None = None
+    depth: NDArray[np.floating[Any]] | None = None
 
     def __post_init__(self) -> None:
         images = any_array("images", self.images)
@@ -216,12 +222,19 @@ class SceneArrays:
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
                 raise InputError("truth: expected materials of some valid pixels, found only NaN")
         normals = unit_normals(self.normals, valid)
+        depth, of_depth = checked_depth(self.depth, normals, fov)
+        if of_depth:
+            assumed = {
+                **assumed,
+                "depth": "; ".join(filter(None, [assumed.get("depth"), *of_depth])),
+            }
         normal_sigma = _sigma(self.normal_sigma, valid)
         _warn_if_facing_away(normals[valid], fov, valid)
         _warn_if_flat(normals[valid])
         values = {
             "images": images,
             "normals": normals,
+            "depth": depth,
             "fov": fov,
             "mask": mask,
             "segments": segments,

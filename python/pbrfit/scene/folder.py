@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.depth_files import DEPTH_FILES, find_depth
 from pbrfit.io.normal_files import NORMAL_FILES, Convention, find_normals
 from pbrfit.io.output import digest
 from pbrfit.io.quoting import quoted, shown
@@ -37,7 +38,7 @@ MAX_ID = 65535
 SEGMENT_FILE = "segments.png"
 
 PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
-"""Files of a scene folder beside pictures, normals and ground truth."""
+"""Files of a scene folder beside pictures, normals, depth and ground truth."""
 
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
@@ -123,9 +124,11 @@ def find_pictures(folder: Path) -> list[Path]:
 def input_files(folder: Path) -> list[Path]:
     """All files of a scene folder that `load` reads, and so those that its result depends on.
 
-    Raises InputError or FileNotFoundError as `find_pictures`.
+    Raises InputError or FileNotFoundError as `find_pictures`, or if there are two with depth.
     """
+    depth = find_depth(folder)
     found = [*find_pictures(folder), *find_normals(folder), *(folder / part for part in PARTS)]
+    found += [] if depth is None else [depth]
     return [*(path for path in found if path.exists()), *truth_files(folder)]
 
 
@@ -146,7 +149,7 @@ def is_scene(folder: Path) -> bool:
 
 def warn_of_near_misses(folder: Path) -> None:
     """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
-    parts = (*NORMAL_FILES, *PARTS)
+    parts = (*NORMAL_FILES, *DEPTH_FILES, *PARTS)
     stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight"}
     for path in sorted(folder.iterdir()):
         if path.is_file() and path.stem.lower() in stems and path.name not in parts:

@@ -14,6 +14,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.depth_files import find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.normal_files import UNCERTAINTY, find_normals, read_normals, read_uncertainty
 from pbrfit.io.output import digest
@@ -23,6 +24,7 @@ from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import geometry
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
+from pbrfit.scene import depth as scene_depth
 from pbrfit.scene.arrays import (
     FIRST_FOV,
     MIN_NORMAL_LENGTH,
@@ -120,11 +122,13 @@ def load(
         raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
     normals, sigma = _read_normals(notes, settings, mask)
     segments = _read_segments(notes, full_size)
+    depth = _read_depth(notes, full_size)
     if full_size != size:
         if sigma is not None:
             # Errors of neighbouring normals are much alike, so their mean is no more certain.
             sigma = averaged(np.where(mask, sigma, 0.0), size).astype(np.float32)
         normals, mask, segments = _averaged(normals, mask, segments, size)
+        depth = None if depth is None else scene_depth.reduced(depth, size)
     weights = _read_weights(notes, names, mask, full_size)
     limits = _limits(read, mask, paths, code_range, assumed)
 
@@ -146,6 +150,7 @@ def load(
         return kind(
             images=read.pixels,
             normals=normals,
+            depth=depth,
             fov=FIRST_FOV if decided is None else decided,
             fov_known=decided is not None,
             mask=mask,
@@ -335,6 +340,25 @@ def _read_segments(notes: _Notes, size: tuple[int, int]) -> NDArray[np.uint16] |
     segments = images.read_ids(notes.folder / SEGMENT_FILE)
     _expect_size(notes.folder / SEGMENT_FILE, segments.shape, size)
     return segments
+
+
+def _read_depth(notes: _Notes, size: tuple[int, int]) -> NDArray[np.float32] | None:
+    """Distances along the camera's axis, NaN where there is none."""
+    path = find_depth(notes.folder)
+    if path is None:
+        return None
+    notes.has(path.name)
+    stored = read_depth(path)
+    _expect_size(path, stored.shape, size)
+    try:
+        depth, _ = scene_depth.without_holes(stored)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    low, middle, high = np.nanpercentile(depth, [0, 50, 100])
+    said = f"{path.name}: {low:.3g} to {high:.3g}, median {middle:.3g}"
+    unknown = 100 * np.isnan(depth).mean()
+    notes.assumed["depth"] = f"{said}; {unknown:.2g} % of the pixels unknown" if unknown else said
+    return depth
 
 
 def _averaged(

@@ -9,10 +9,11 @@
 use crate::block::factors::FillFunctions;
 use crate::pixel::products::{PixelProducts, Products};
 use crate::problem::Problem;
-use crate::reflectance::model::with_model;
+use crate::reflectance::model::with_model_of;
 use crate::reflectance::planes::{BLOCK, Doubles, Plane, no_functions};
 use crate::reflectance::reflection::{ExactFunctions, Reflection};
 use crate::reflectance::sh::COEFFICIENTS;
+use crate::reflectance::surrounded::Surrounded;
 use crate::runtime::memory::zeros;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Result, check, pool};
@@ -64,6 +65,36 @@ pub(crate) trait AlbedoFromProducts: Reflection {
     );
 }
 
+impl<M: AlbedoFromProducts> AlbedoFromProducts for Surrounded<M> {
+    type AtRoughness = M::AtRoughness;
+
+    fn fill_shared(
+        isa: Instructions,
+        cosine: &Doubles,
+        roughness: f64,
+        functions: &mut ExactFunctions<Self>,
+    ) {
+        M::fill_shared(isa, cosine, roughness, functions);
+    }
+
+    fn set_channel(isa: Instructions, given: Given<'_, Self>, to: &mut M::AtRoughness) {
+        let given = Given {
+            products: given.products,
+            cosine: given.cosine,
+            roughness: given.roughness,
+            functions: given.functions,
+        };
+        M::set_channel(isa, given, to);
+    }
+
+    fn minimize<const STEPS: usize, const EXACT: usize>(
+        isa: Instructions,
+        by_albedo: ByAlbedo<'_, M::AtRoughness>,
+    ) {
+        M::minimize::<STEPS, EXACT>(isa, by_albedo);
+    }
+}
+
 /// What a channel is taken up from.
 pub(crate) struct Given<'a, M: Reflection> {
     pub(crate) products: &'a Products,
@@ -106,13 +137,13 @@ impl Problem {
         check::unit_interval("roughness", roughness)?;
         check::unit_interval("metallic", metallic)?;
         let nodes = [roughness, metallic];
-        with_model!(self.model(), M => material_grid::<M>(self, x, pixels, nodes))
+        with_model_of!(self, M => material_grid::<M>(self, x, pixels, nodes))
     }
 
     /// The albedo that explains each of `pixels` best with the roughness and metallic of x, and the
     /// lights of x.
     pub fn best_albedo(&self, x: &[f64], pixels: &[usize]) -> Result<BestAlbedo> {
-        with_model!(self.model(), M => best_albedo::<M>(self, x, pixels))
+        with_model_of!(self, M => best_albedo::<M>(self, x, pixels))
     }
 }
 

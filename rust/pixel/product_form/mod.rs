@@ -16,6 +16,7 @@ use crate::pixel::samples::{DERIVATIVES, FillResponses, Responses, Sums, unknown
 use crate::reflectance::planes::{BLOCK, Directions, Doubles, Materials, no_functions};
 use crate::reflectance::principled::Principled;
 use crate::reflectance::reflection::{ExactFunctions, Reflection};
+use crate::reflectance::surrounded::Surrounded;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 mod paper;
@@ -51,6 +52,23 @@ pub(crate) trait LeastSquaresFromProducts: Reflection {
 }
 
 impl LeastSquaresFromProducts for Principled {}
+
+impl<M: LeastSquaresFromProducts> LeastSquaresFromProducts for Surrounded<M> {
+    fn fill_sums<const C: usize, const U: usize>(
+        isa: Instructions,
+        channels: Channels<'_, Self, C, U>,
+    ) {
+        let channels = Channels {
+            directions: channels.directions,
+            products: channels.products,
+            functions: channels.functions,
+            materials: channels.materials,
+            responses: channels.responses,
+            sums: channels.sums,
+        };
+        M::fill_sums(isa, channels);
+    }
+}
 
 /// The channels of a block.
 pub(crate) struct Channels<'a, M: Reflection, const C: usize, const U: usize> {

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from command_runs import done, refused
 from pbrfit._core import InputError
-from pbrfit.acquire.normals import HALF_WEIGHT, depth, estimate, weights_of
+from pbrfit.acquire.normals import HALF_WEIGHT, estimate, weights_of
 from pbrfit.acquire.normals.marigold import mean_and_spread
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images
 from pbrfit.io.normal_files import UNCERTAINTY, Convention, read_normals
+from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.geometry import angles_between, facing_away, view_directions
 from pbrfit.result.metrics import display, white_of
 from pbrfit.scene.scene import Scene
@@ -55,7 +56,7 @@ def test_planes_are_exact_at_any_tilt(fov: float, size: tuple[int, int], kind: A
         along = z * np.linalg.norm(r, axis=-1)
         with np.errstate(divide="ignore"):
             given = {"z": z, "ray": along, "disparity": np.where(seen, 1 / z, 0.0)}[kind]
-        normals_found, known = depth.from_depth(7.0 * given, fov=fov, kind=kind)  # up to scale
+        normals_found, known = from_depth(7.0 * given, fov=fov, kind=kind)  # up to scale
         np.testing.assert_array_equal(known, seen)
         wrong = angles_between(normals_found, np.broadcast_to(normal, normals_found.shape))
         assert wrong[seen].max() < 1e-5
@@ -69,12 +70,12 @@ def test_orthographic_planes_are_exact() -> None:
     y = (height - 1 - 2 * np.arange(height))[:, None] / width * 2.5
     z = 10 + (normal[0] * x + normal[1] * y) / normal[2]
     for kind in ("z", "ray"):  # the same where rays are parallel
-        normals_found, _ = depth.from_depth(z, fov=0.0, kind=kind, view_width=5.0)
+        normals_found, _ = from_depth(z, fov=0.0, kind=kind, view_width=5.0)
         assert angles_between(normals_found, np.broadcast_to(normal, (*size, 3))).max() < 1e-6
     with pytest.raises(InputError, match="expected the width of the view"):
-        depth.from_depth(z, fov=0.0)
+        from_depth(z, fov=0.0)
     with pytest.raises(InputError, match="disparity: expected a field of view above 0"):
-        depth.from_depth(1 / z, fov=0.0, kind="disparity", view_width=5.0)
+        from_depth(1 / z, fov=0.0, kind="disparity", view_width=5.0)
 
 
 @pytest.mark.parametrize(("size", "bound"), [(64, 0.5), (128, 0.13), (256, 0.035)])
@@ -88,7 +89,7 @@ def test_a_sphere_is_right_to_second_order(size: int, bound: float) -> None:
     distance = middle - np.sqrt(np.where(off > 0, off, np.nan))
     points = r / length[..., None] * distance[..., None]
     normals = points - np.array([0, 0, -3.0])
-    normals_found, known = depth.from_depth(distance / length, fov=30.0)
+    normals_found, known = from_depth(distance / length, fov=30.0)
     wrong = angles_between(normals_found, normals)[known]
     assert np.mean(known) > 0.9
     assert np.median(wrong) < bound
@@ -107,7 +108,7 @@ def world(kind: Any, seed: int, height: int, width: int, fov: float) -> tuple[Ar
 @pytest.mark.parametrize("size", [(194, 262), (256, 256)])
 def test_rooms_are_right_but_for_what_is_a_pixel_wide(kind: Any, size: tuple[int, int]) -> None:
     z, true, there = world(kind, 5, *size, 60.0)
-    normals_found, known = depth.from_depth(z, fov=60.0)
+    normals_found, known = from_depth(z, fov=60.0)
     wrong = angles_between(normals_found, true)[there & known]
     assert np.median(wrong) < 1e-4
     assert wrong.mean() < 1.0
@@ -121,7 +122,7 @@ def test_noise_does_not_choose_the_noisier_side() -> None:
     # a noisy plane must be as good as central differences make them.
     z = np.full((128, 128), 2.0)
     noisy = z * (1 + 1e-3 * np.random.default_rng(0).normal(size=z.shape))
-    found = depth.from_depth(noisy, fov=60.0)[0][48:80, 48:80]  # near the axis
+    found = from_depth(noisy, fov=60.0)[0][48:80, 48:80]  # near the axis
     wrong = angles_between(found, np.array([0, 0, 1.0]))
     # tan θ of each component has the deviation 1e-3 sqrt(1/2) W / (2 tan 30°).
     expected = np.degrees(np.arctan(1e-3 * np.sqrt(0.5) * 128 / (2 * np.tan(np.pi / 6))))
@@ -131,12 +132,12 @@ def test_noise_does_not_choose_the_noisier_side() -> None:
 def test_holes_in_the_depth_are_no_surface() -> None:
     z = np.full((20, 30), 4.0)
     z[2, 3], z[5, 6], z[8, 9], z[11, 12], z[14, 15] = 0, np.nan, np.inf, 1e10, -1
-    normals_found, known = depth.from_depth(z, fov=50.0)
+    normals_found, known = from_depth(z, fov=50.0)
     assert np.count_nonzero(~known) == 5
     assert angles_between(normals_found, np.array([0, 0, 1.0])).max() < 1e-6
     alone = np.full((9, 9), np.nan)
     alone[4, 4] = 1.0  # no neighbour: no slope
-    assert not depth.from_depth(alone, fov=50.0)[1].any()
+    assert not from_depth(alone, fov=50.0)[1].any()
 
 
 def depth_file(path: Path, z: Array) -> Path:

@@ -657,3 +657,24 @@ def test_pictures_are_enlarged_by_key_and_closed_again(
         visited.page.keyboard.press("Escape")
         assert not dialog.is_visible()
     assert visited.troubles == []
+
+
+def test_depth_is_a_map_with_its_range(tmp_path: Path, page: Page) -> None:
+    assert "Map of the depth" not in page.content
+    scene, result = in_memory()
+    depth = np.broadcast_to(np.linspace(2, 4, SIZE, dtype=np.float32), (SIZE, SIZE)).copy()
+    depth[3, 4] = np.nan
+    shown = written(dataclasses.replace(result, depth=depth), tmp_path / "page.html", scene)
+    [image] = [one for one in shown.all("img") if one.attributes["alt"] == "Map of the depth"]
+    pixels = np.asarray(decoded(image).convert("RGBA")).astype(int)
+    assert pixels[3, 4, 3] == 0  # transparent where it is unknown
+    assert (np.diff(pixels[0, :, 1]) >= 0).all()  # from blue, near, to yellow, far
+    assert "median 3; transparent where unknown" in shown.text
+    assert "depth24" in shown.text.replace(" ", "")  # the key, from 2 to 4
+
+
+def test_depth_of_one_distance_is_shown(tmp_path: Path) -> None:
+    scene, result = in_memory()
+    flat = np.full((SIZE, SIZE), 3.0, np.float32)
+    shown = written(dataclasses.replace(result, depth=flat), tmp_path / "page.html", scene)
+    assert "Map of the depth" in shown.content

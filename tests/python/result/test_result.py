@@ -308,3 +308,28 @@ def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
         file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
         with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
             Result.load(tmp_path / "out")
+
+
+def test_depth_of_the_scene_goes_through_fit_and_file(tmp_path: Path) -> None:
+    made = masked_scene(truth=False)
+    depth = np.full((SIZE, SIZE), 2.5, np.float32)
+    depth[2, 3] = np.nan
+    found = decompose(dataclasses.replace(made, depth=depth), iterations=2, priors=Priors.none())
+    assert found.depth is not None
+    expected = np.where(made.valid, depth, np.nan)
+    np.testing.assert_array_equal(found.depth, expected)
+    found.save(tmp_path / "out")
+    [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
+    stored = part.channels["depth.Z"].pixels
+    assert stored[2, 3] == 0  # unknown
+    assert stored[0, 0] == 2.5  # outside the mask: as the nearest pixel inside
+    loaded = Result.load(tmp_path / "out")
+    assert loaded.depth is not None
+    assert loaded.depth.dtype == np.float32
+    np.testing.assert_array_equal(loaded.depth, expected)
+
+
+def test_without_depth_there_is_none(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    assert result.depth is None
+    assert Result.load(tmp_path / "out").depth is None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.normals import depth, maps, marigold
 from pbrfit.io.normal_files import Convention
+from pbrfit.model.depth_normals import FACING
 
 SOURCES = "marigold, flat, depth:FILE or FILE"
 
@@ -67,14 +68,14 @@ def estimate(
         (H, W), the pixels that matter; None = all. For messages alone.
     options
         Of the source: those of `marigold.from_picture`; ``depth_kind`` and ``view_width`` of a
-        depth map, see `depth.from_depth`; ``convention``, a `pbrfit.io.normal_files.Convention`, of
-        a file.
+        depth map, see `pbrfit.model.depth_normals`; ``convention``, a
+        `pbrfit.io.normal_files.Convention`, of a file.
     """
     height, width = srgb8.shape[:2]
     size = (height, width)
     kind = kind_of(source)
     if kind == "flat":
-        return Normals(np.broadcast_to(maps.FACING, (*size, 3)).copy(), record={"source": kind})
+        return Normals(np.broadcast_to(FACING, (*size, 3)).copy(), record={"source": kind})
     if kind == "marigold":
         normals, uncertainty, record = marigold.from_picture(srgb8, **options)
         return Normals(normals, uncertainty, {"source": kind, **record})

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.acquire import weights
-from pbrfit.acquire.normals.maps import FACING
 from pbrfit.acquire.padding import resized, resized_srgb8
+from pbrfit.model.depth_normals import FACING
 
 MODEL = "prs-eth/marigold-normals-v1-1"
 

@@ -165,6 +165,7 @@ class SceneCutter:
         return PartialScene(
             images=scene.images[:, window.rows, window.columns],
             normals=window.of(scene.normals),
+            depth=of(scene.depth),
             fov=scene.fov,
             fov_known=scene.fov_known,
             correction=scene.correction,

@@ -1,0 +1,38 @@
+"""Arrays in numpy's own format."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.lib.format import MAGIC_PREFIX
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.quoting import shown
+
+
+def read_npy(path: Path) -> NDArray[np.float64]:
+    """Read an array of numpy's own format, without anything that could be code.
+
+    Raises InputError if the file is no array of real numbers.
+    """
+    expected = "expected an array of real numbers in .npy"
+    try:
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about headers of long ago
+            if file.read(len(MAGIC_PREFIX)) != MAGIC_PREFIX:
+                raise ValueError("a file of another kind")
+            # Mapped instead of read: no memory is taken for more than the file holds.
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except OSError:
+        raise
+    except Exception as error:  # headers are Python expressions, and fail in all ways of these
+        raise InputError(f"{path}: {expected}, found {shown(error)}") from None
+    if array.dtype.kind not in "uif":
+        raise InputError(f"{path}: {expected}, found {array.dtype}")
+    if array.size == 0:
+        raise InputError(f"{path}: {expected}, found an empty one, of shape {array.shape}")
+    with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
+        return np.array(array, np.float64)

@@ -1,0 +1,205 @@
+"""Depth of a scene: checked, compared with the normals, averaged down.
+
+A depth map holds distances along the camera's axis. Its commonest fault is to hold their inverse,
+disparity, as many networks give it. The normals tell: with n·P = c on a plane, ln z and ln 1/z have
+opposite slopes, so a surface that is tilted from the pixel's ray by θ appears tilted by θ to the
+other side, 2θ from where it is. Where depth or normals are themselves off by δ, the right reading
+misses the normals by δ and the wrong one by about √(4θ² + δ²), twice as much as soon as θ > 0.87 δ.
+The median over the pixels is taken, because jumps and noise make some normals of any map wrong.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.checks import any_array
+from pbrfit.io.resampling import area_shares
+from pbrfit.model.depth_normals import DEPTH_MAX, from_depth
+from pbrfit.model.geometry import angles_between
+
+log = logging.getLogger("pbrfit")
+
+Depth = NDArray[np.float32]
+
+AGREEMENT_MAX = 10.0
+"""Median angle in degrees between the normals of the depth and the given ones up to which depth is
+taken as it is: of errors of both, where surfaces face the camera too much to tell."""
+
+INVERSE_RATIO_MAX = 0.5
+"""Ratio of the median angle of the inverse of a map to that of the map itself, below which the map
+is refused as inverse depth."""
+
+DISAGREEMENT_MIN = 45.0
+"""Median angle in degrees from which on depth and normals are said to contradict each other."""
+
+COMPARED_MAX = 1 << 16
+"""Pixels that are compared when a scene is made: rows and columns are left out of larger maps."""
+
+SAME_SURFACE = 0.1
+"""Relative difference of inverse depth from the median within which samples of a pixel that is
+averaged down are one surface; others lie beyond a jump."""
+
+
+def checked_depth(
+    given: Any, normals: NDArray[np.floating[Any]], fov: float
+) -> tuple[Depth | None, list[str]]:
+    """Depth as a scene keeps it, and what there is to say about it.
+
+    Parameters
+    ----------
+    given
+        (H, W) distances along the camera's axis, in any unit; None = unknown.
+    normals
+        (H, W, 3) unit vectors in camera space, NaN where there are none.
+    fov
+        Horizontal field of view in degrees, 0 = orthographic.
+
+    Returns
+    -------
+    (H, W) float32, NaN where there is no positive number below `DEPTH_MAX`; and notes in words.
+
+    Raises
+    ------
+    InputError
+        If the map has another size or holds no distances.
+    """
+    if given is None:
+        return None, []
+    array = any_array("depth", given)
+    shape = normals.shape[:2]
+    if array.shape != shape:
+        raise InputError(f"depth: expected shape {shape}, found {array.shape}")
+    if array.dtype.kind not in "uif":
+        raise InputError(f"depth: expected real numbers, found {array.dtype}")
+    depth, holes = without_holes(array)
+    notes = []
+    if holes:
+        notes.append(f"{holes} pixels of 0, negative or infinite depth left out")
+    found = compared(depth, normals, fov, at_most=COMPARED_MAX)
+    if found.inverse:
+        raise InputError(
+            "depth: expected distances, found inverse depth (normals of the map are "
+            f"{found.depth:.0f} degrees from the given ones in the median, those of its inverse "
+            f"{found.inverse_depth:.0f})"
+        )
+    if found.depth > DISAGREEMENT_MIN:
+        said = (
+            f"its normals are {found.depth:.0f} degrees from the given ones in the median: depth "
+            "and normals contradict each other"
+        )
+        log.warning("depth: %s", said)
+        notes.append(said)
+    return depth, notes
+
+
+def without_holes(depth: NDArray[Any]) -> tuple[Depth, int]:
+    """Depth with NaN where no distance is, and how many other numbers stood there.
+
+    Raises InputError if no pixel has a distance.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold is infinite then
+        kept: Depth = depth.astype(np.float32)
+        hit = (kept > 0) & (kept < DEPTH_MAX)
+    if not hit.any():
+        raise InputError("depth: expected distances above 0, found none")
+    holes = int(np.count_nonzero(~hit & ~np.isnan(kept)))
+    kept[~hit] = np.nan
+    return kept, holes
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Median angles in degrees between given normals and those of a map; NaN = not comparable."""
+
+    depth: float
+    """With the map taken as depth."""
+    inverse_depth: float
+    """With its inverse taken as depth."""
+
+    @property
+    def inverse(self) -> bool:
+        """Whether the map is inverse depth."""
+        return self.depth > AGREEMENT_MAX and self.inverse_depth < INVERSE_RATIO_MAX * self.depth
+
+
+def compared(
+    depth: Depth, normals: NDArray[np.floating[Any]], fov: float, *, at_most: int | None = None
+) -> Agreement:
+    """Compare normals of a depth map (H, W) with given ones (H, W, 3), NaN where either is unknown.
+
+    With `at_most` so many pixels are compared, from every s-th row and column.
+    """
+    step = 1 if at_most is None else math.ceil(math.sqrt(depth.size / at_most))
+    some = slice(step // 2, None, step)
+    few, wanted = depth[some, some].astype(np.float64), normals[some, some]
+    # A camera without perspective sees a width of 2 units (`geometry.positions`).
+    width = 2.0 if fov == 0 else None
+
+    def angle(distances: NDArray[np.float64]) -> float:
+        found, known = from_depth(distances, fov=fov, view_width=width)
+        angles = angles_between(found, wanted)[known]
+        angles = angles[np.isfinite(angles)]
+        return float(np.median(angles)) if angles.size else math.nan
+
+    as_depth = angle(few)
+    if not as_depth > AGREEMENT_MAX:
+        return Agreement(as_depth, math.nan)
+    inverse = 1.0 / few
+    if width is not None:  # only here its unit matters, and nobody told it
+        inverse *= _slope(wanted) / _slope(from_depth(inverse, fov=fov, view_width=width)[0])
+    return Agreement(as_depth, angle(inverse))
+
+
+def _slope(normals: NDArray[np.floating[Any]]) -> float:
+    """Median tangent of the angle that normals (..., 3) make with the camera's axis."""
+    x, y, z = np.moveaxis(normals, -1, 0)
+    return float(np.nanmedian(np.hypot(x, y) / np.maximum(z, 1e-6)))
+
+
+def reduced(depth: NDArray[np.floating[Any]], size: tuple[int, int]) -> Depth:
+    """Depth (H, W) averaged down to (height, width), nowhere across a jump.
+
+    Inverse depth is linear on a plane, so its mean over the area of a new pixel is that at the
+    centre. The mean is of the samples within `SAME_SURFACE` of the median: those of the surface
+    that has most of the pixel. NaN where no part of a new pixel has depth.
+    """
+    rows, columns = (_parts(old, new) for old, new in zip(depth.shape, size, strict=True))
+    values = np.array(
+        [[1.0 / depth[np.ix_(row, column)] for column, _ in columns] for row, _ in rows]
+    ).reshape(-1, *size)
+    shares = np.array(
+        [[np.outer(down, across) for _, across in columns] for _, down in rows]
+    ).reshape(-1, *size)
+    values[shares == 0] = np.nan
+    known = np.isfinite(values)
+    ordered = np.sort(values, axis=0)  # NaN last
+    middle = (np.maximum(known.sum(axis=0), 1) - 1) // 2
+    median = np.take_along_axis(ordered, middle[None], axis=0)
+    near = known & (np.abs(values - median) <= SAME_SURFACE * median)
+    weights = np.where(near, shares, 0.0)
+    total = weights.sum(axis=0)
+    mean = np.where(near, values, 0.0) * weights
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: Depth = (total / mean.sum(axis=0)).astype(np.float32)
+    found[total == 0] = np.nan
+    return found
+
+
+def _parts(old: int, new: int) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
+    """Along one side the k-th old sample of each new one, for every k, and its share there."""
+    table = area_shares(old, new)
+    first = table.indptr[:-1]
+    counts = np.diff(table.indptr)
+    found = []
+    for k in range(int(counts.max())):
+        place = first + np.minimum(k, counts - 1)
+        share = np.where(k < counts, table.data[place], 0.0)
+        found.append((table.indices[place].astype(np.intp), share))
+    return found
