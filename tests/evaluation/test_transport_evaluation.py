@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,8 +21,7 @@ from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.geometry import trace
-from pbrfit_evaluation import cycles, recipes
-from pbrfit_evaluation.depth import OF_SCENES, depth_of, with_depth
+from pbrfit_evaluation import cycles, recipes, transport
 from pbrfit_evaluation.suite import Verdict
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from pbrfit_evaluation.transport import SETUPS, SUITE, figures, measure, variants
@@ -40,7 +40,7 @@ def own_room(case: Case, _: int) -> Scene:
     )
     rays = -made.views.reshape(-1, 3)
     distance = trace(of.primitives, of.eye, rays @ of.turn.T).distance.reshape(made.valid.shape)
-    return with_depth(made, distance * made.views[..., 2])
+    return replace(made, depth=distance * made.views[..., 2])
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +52,11 @@ def exact() -> Scene:
 def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rooms without Cycles; a fit with geometry is one without, and says what it chose."""
 
-    def fit(scene: Scene, *, transport: str | None = None, **options: Any) -> Any:
+    def fit(scene: Scene, **options: Any) -> Any:
+        asked = options.pop("transport", None)
         result = recipes.fit(scene, iterations=2, uncertainty=False, **options)
-        if transport is not None:
-            assert OF_SCENES is False or depth_of(scene) is not None
+        if asked is not None:
+            assert scene.depth is not None
             chosen.append("bounce")
         return result
 
@@ -68,22 +69,12 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def all_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pretend that this version has all variants, but for integration."""
-    why = {True: "no pbrfit.scene.integration", False: ""}
-    for module in (variants, figures):
-        monkeypatch.setattr(module, "missing", lambda of: why[of.depth == "integrated"])
-    monkeypatch.setattr("pbrfit_evaluation.transport.missing", variants.missing)
+    """Pretend that this version has the option."""
+    for module in (variants, figures, transport):
+        monkeypatch.setattr(module, "missing", lambda _: "")
 
 
 # ------------------------------------------------------------------------------- what is measured
-
-
-def test_depth_stays_with_its_scene_until_it_is_taken(exact: Scene) -> None:
-    depth = depth_of(exact)
-    assert depth is not None
-    assert depth.dtype == np.float32
-    assert depth_of(with_depth(exact, None)) is None
-    assert depth_of(exact) is depth
 
 
 def test_setups_are_rows_of_table_1_by_cycles_with_true_normals() -> None:
@@ -97,7 +88,7 @@ def test_setups_are_rows_of_table_1_by_cycles_with_true_normals() -> None:
 
 def test_the_true_variant_is_told_the_truth(exact: Scene) -> None:
     scene, facts = told(exact, BY_KEY["true"], 2003)
-    np.testing.assert_array_equal(depth_of(scene), depth_of(exact))
+    np.testing.assert_array_equal(scene.depth, exact.depth)
     assert scene.segments is exact.segments
     assert facts["depth_off"] == 0
     assert facts["purity"] == 1
@@ -107,7 +98,7 @@ def test_the_true_variant_is_told_the_truth(exact: Scene) -> None:
 def test_variants_without_geometry_are_told_no_depth(exact: Scene) -> None:
     for key in ("constant", "default", "without"):
         scene, facts = told(exact, BY_KEY[key], 2003)
-        assert depth_of(scene) is None
+        assert scene.depth is None
         assert BY_KEY[key].transport is None
         assert "depth_off" not in facts
         np.testing.assert_array_equal(scene.images, exact.images)
@@ -118,9 +109,7 @@ def test_wrong_depth_is_told_and_rough_depth_is_worse(exact: Scene) -> None:
     network, rough = (by_key[key][1] for key in ("network", "rough"))
     assert 0.005 < network["depth_off"] < rough["depth_off"] < 0.2
     assert network["normals_off"] < rough["normals_off"]
-    np.testing.assert_array_equal(
-        depth_of(by_key["network"][0]), depth_of(by_key["network-found"][0])
-    )
+    np.testing.assert_array_equal(by_key["network"][0].depth, by_key["network-found"][0].depth)
 
 
 def test_segments_are_found_or_left_out(exact: Scene) -> None:
@@ -134,33 +123,20 @@ def test_segments_are_found_or_left_out(exact: Scene) -> None:
     assert "purity" not in facts
 
 
-def test_integrated_depth_is_of_the_other_room(
-    exact: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given: list[Any] = []
-
-    def depth_from_normals(*arguments: Any) -> Any:
-        given.extend(arguments)
-        return np.full((SIZE, SIZE), 2.0)
-
-    module = SimpleNamespace(depth_from_normals=depth_from_normals)
-    monkeypatch.setattr(measure, "import_module", lambda _: module)
+def test_integrated_depth_has_the_normals_and_does_not_know_jumps(exact: Scene) -> None:
     scene, facts = told(exact, BY_KEY["integrated"], 2003)
-    normals, fov, mask, segments = given
-    np.testing.assert_array_equal(normals, exact.normals)
-    assert fov == exact.fov
-    np.testing.assert_array_equal(mask, exact.valid)
-    assert segments is exact.segments
-    np.testing.assert_array_equal(depth_of(scene), np.full((SIZE, SIZE), 2.0, np.float32))
-    assert facts["depth_off"] > 0.05
+    assert scene.depth is not None
+    assert np.nanmedian(scene.depth) == pytest.approx(1)
+    assert facts["depth_off"] > 0.02
+    assert facts["normals_off"] < 8
 
 
 @pytest.mark.parametrize(
-    ("transport", "expected"),
+    ("chosen", "expected"),
     [(None, "none"), ("occlusion", "occlusion"), (SimpleNamespace(choice="bounce"), "bounce")],
 )
-def test_what_was_chosen_is_read_from_the_result(transport: Any, expected: str) -> None:
-    assert choice(SimpleNamespace(transport=transport)) == expected  # type: ignore[arg-type]
+def test_what_was_chosen_is_read_from_the_result(chosen: Any, expected: str) -> None:
+    assert choice(SimpleNamespace(transport=chosen)) == expected  # type: ignore[arg-type]
     assert choice(SimpleNamespace()) == "none"  # type: ignore[arg-type]
 
 
@@ -270,7 +246,7 @@ def test_cases_have_names_of_their_own_and_untuned_seeds(
     [part] = SUITE.parts
     cases = part.cases(asked(quick=quick))
     assert len({case.key for case in cases}) == len(cases)
-    assert len(cases) == (6 if quick else 4 * 9 * 10)
+    assert len(cases) == (6 if quick else 4 * 10 * 10)
     assert min(case.seed for case in cases) == 8100
     assert {case.variant for case in cases if case.picture} == {"without", "true"}
     monkeypatch.setattr(cycles, "why_not", lambda: "no bpy")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,8 +15,8 @@ from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.result.sheet import displayed
+from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.depth import depth_of, with_depth
 from pbrfit_evaluation.depth_errors import ROUGH, estimated, normals_off, off
 from pbrfit_evaluation.found_segments import found_segments, purity
 from pbrfit_evaluation.recipes import explain, fit
@@ -122,12 +121,12 @@ def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, fl
     number of segments and the share of pixels that are of the object that has most of their
     segment.
     """
-    true, valid = depth_of(exact), exact.valid
+    true, valid = exact.depth, exact.valid
     assert true is not None
     assert exact.segments is not None
     segments: NDArray[Any] | None = exact.segments
     if variant.segments == "found":
-        segments = found_segments(with_depth(exact, None))
+        segments = found_segments(exact)
     elif variant.segments == "none":
         segments = None
     depth: NDArray[Any] | None = None
@@ -139,8 +138,7 @@ def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, fl
         case "rough":
             depth = estimated(true, seed, noise=ROUGH)
         case "integrated":
-            integration = import_module("pbrfit.scene.integration")
-            depth = integration.depth_from_normals(exact.normals, exact.fov, valid, segments)
+            depth = depth_from_normals(exact.normals, exact.fov, segments=segments)
     facts = {}
     if depth is not None:
         facts["depth_off"] = off(depth, true, valid)
@@ -148,7 +146,7 @@ def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, fl
     if segments is not None:
         facts["segments"] = float(len(np.unique(segments[valid])))
         facts["purity"] = purity(segments[valid], exact.segments[valid])
-    return with_depth(replace(exact, segments=segments), depth), facts
+    return replace(exact, segments=segments, depth=depth), facts
 
 
 def choice(result: Result) -> str:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cache
-from importlib.util import find_spec
 from typing import Literal
 
 from pbrfit.result.options import FitOptions
-from pbrfit_evaluation.depth import OF_SCENES
 
 Depth = Literal["none", "true", "network", "rough", "integrated"]
 """The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""
@@ -74,8 +72,4 @@ def missing(variant: Variant) -> str:
     """What this version lacks for a variant; empty if it can be run."""
     if variant.transport is not None and "transport" not in {f.name for f in fields(FitOptions)}:
         return "decompose has no option transport"
-    if variant.depth != "none" and not OF_SCENES:
-        return "scenes have no depth"
-    if variant.depth == "integrated" and find_spec("pbrfit.scene.integration") is None:
-        return "no pbrfit.scene.integration"
     return ""
