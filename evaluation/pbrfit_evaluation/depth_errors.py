@@ -17,8 +17,6 @@ normals of such depth are off by some 15 degrees in the median, as those of netw
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -96,7 +94,7 @@ def off(found: Floats, true: Floats, valid: NDArray[np.bool_]) -> float:
 def normals_off(depth: Floats, normals: Floats, fov: float, valid: NDArray[np.bool_]) -> float:
     """Median angle in degrees between the normals of a depth map and given ones."""
     points = positions(depth, fov)
-    across = np.cross(*(np.gradient(points, axis=axis) for axis in (1, 0)))
+    across = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     with np.errstate(invalid="ignore"):
         facing = -across / np.linalg.norm(across, axis=-1, keepdims=True)
     return float(np.nanmedian(angles_between(facing, normals)[valid]))

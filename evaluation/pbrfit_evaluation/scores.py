@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model.reflection import render
-from pbrfit.result import metrics
+from pbrfit.result import metrics, relighting
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 
@@ -72,10 +71,7 @@ def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
     scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
     relight: dict[str, float | None] = dict.fromkeys(RELIGHT)
     if truth.relight_images is not None and truth.relight_lighting is not None:
-        rendered = render(
-            *(found, result.normals, truth.relight_lighting, result.fov, threads),
-            model=result.model,
-        )
+        rendered = relighting.relight(result, truth.relight_lighting, threads)
         shown = np.where(valid[..., None], truth.relight_images, np.nan)
         relight |= zip(RELIGHT, _relight(rendered, shown), strict=True)
     albedos = metrics.display(found.albedo, 1.0), metrics.display(true.albedo, 1.0)

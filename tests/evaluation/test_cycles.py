@@ -18,7 +18,6 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import InputError, Scene, render, sh_basis, shade, view_directions
-from pbrfit.model.geometry import angles_between, positions
 from pbrfit.model.reflection import MODELS
 from pbrfit.synthetic import World, draw, random_lights
 from pbrfit.synthetic.geometry import trace
@@ -37,7 +36,7 @@ from pbrfit_evaluation.cycles.export import Mesh, export, light_blockers
 from pbrfit_evaluation.cycles.job import Job, basis_polynomials, rendered
 from pbrfit_evaluation.cycles.scene import inner_pixels, random_point_lights
 from pbrfit_evaluation.cycles.spheres import FOV, relative_rmse, render_sphere, under, where_met
-from pbrfit_evaluation.depth import depth_of
+from pbrfit_evaluation.depth_errors import normals_off
 from pbrfit_evaluation.gap import spheres
 from pbrfit_evaluation.rooms.frustum import Frustum
 
@@ -270,7 +269,7 @@ def test_a_scene_from_renders(fake_worker: Fake, tmp_path: Path, light: Light) -
     assert scene.images.mean() == pytest.approx(0.4)
     assert scene.truth is not None
     np.testing.assert_array_equal(scene.truth.materials.albedo, 0.5)
-    np.testing.assert_array_equal(depth_of(scene), np.full((8, 8), 2, np.float32))
+    np.testing.assert_array_equal(scene.depth, np.full((8, 8), 2, np.float32))
     if light == "points":
         assert scene.truth.lighting is None
         assert scene.truth.relight_images is None
@@ -442,7 +441,7 @@ def test_maps_are_those_of_our_own_rays(bpy_cache: Path) -> None:
 def test_depth_is_that_of_our_own_rays(bpy_cache: Path) -> None:
     of = world("furnished")
     scene = render_scene(of, 48, FOV, lights=2, held_out=1, samples=1, cache=bpy_cache)
-    depth = depth_of(scene)
+    depth = scene.depth
     assert depth is not None
     assert np.isfinite(depth).all()  # a room is all around
     views = scene.views
@@ -450,10 +449,7 @@ def test_depth_is_that_of_our_own_rays(bpy_cache: Path) -> None:
     ours = hits.distance.reshape(48, 48) * views[..., 2]
     # Facets are within 3e-4 radii of what is round.
     np.testing.assert_allclose(depth[scene.valid], ours[scene.valid], rtol=1e-3)
-    across, down = (np.gradient(positions(depth, FOV), axis=axis) for axis in (1, 0))
-    normals = np.cross(down, across)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    assert np.median(angles_between(-normals, scene.normals)[scene.valid]) < 0.01
+    assert normals_off(depth, scene.normals, FOV, scene.valid) < 0.01
 
 
 def test_pictures_come_close_to_the_models_only_without_shadows(bpy_cache: Path) -> None:

@@ -44,6 +44,7 @@ SUITES = {
     "solvers": "whether gauss-newton reaches what it must",
     "stability": "numerical stability of the core",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
+    "transport": "what depth is worth where light is blocked and bounces",
     "uncertainty": "predicted deviations against many refits under noise",
 }
 """Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""

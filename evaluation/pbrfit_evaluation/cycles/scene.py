@@ -18,7 +18,6 @@ from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
 from pbrfit_evaluation.cycles.export import Shell, Stage, check_choice, export
 from pbrfit_evaluation.cycles.job import Distribution, Job, Transport, rendered
-from pbrfit_evaluation.depth import with_depth
 
 Array = NDArray[np.float64]
 Light = Literal["panorama", "points"]
@@ -97,7 +96,7 @@ def render_scene(
     -------
     Scene
         float64 radiance in linear Rec.709, exposed as by `make_scene`. The truth, and the depth in
-        metres (`depth_of`), are what Cycles saw at the pixels' centres. The mask leaves out pixels
+        metres, are what Cycles saw at the pixels' centres. The mask leaves out pixels
         at edges: those with a neighbour of another object or with a normal turned by more than
         `MAX_TURN`. Depth is known there too. `truth.lighting` and the relight pictures are there
         for panoramas alone.
@@ -155,19 +154,19 @@ def render_scene(
         clipped[~mask] = np.nan
         return clipped
 
-    scene = Scene(
+    return Scene(
         images=level * images,
         normals=np.where(mask[..., None], found.normals, np.nan).astype(np.float64),
         fov=fov,
         mask=mask,
         segments=found.segments,
+        depth=np.where(found.segments > 0, -found.positions[..., 2], np.nan),
         names=tuple(f"light_{i:02d}" for i in range(lights)),
         truth=Truth(
             materials=Materials(*map(inside, (found.albedo, found.roughness, found.metallic))),
             **{name: level * values for name, values in known.items()},
         ),
     )
-    return with_depth(scene, np.where(found.segments > 0, -found.positions[..., 2], np.nan))
 
 
 def inner_pixels(

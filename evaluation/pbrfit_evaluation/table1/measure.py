@@ -20,7 +20,6 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.depth import with_depth
 from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.scores import METAL, score
@@ -123,7 +122,7 @@ def _scene(task: Task, row: Row, threads: int) -> Scene:
             model=OTHER[task.model] if row.swapped else task.model,
             textures=_textures(task.textures),
         )
-    return with_depth(cycles_scene(task, row, threads), None)  # the paper has none
+    return replace(cycles_scene(task, row, threads), depth=None)  # the paper has none
 
 
 def cycles_scene(task: Task, row: Row, threads: int) -> Scene:

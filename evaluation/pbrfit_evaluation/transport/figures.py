@@ -1,0 +1,192 @@
+"""Rows, verdicts, the plot and strips of relit pictures."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.result.sheet import Panel as SheetPanel
+from pbrfit.result.sheet import as_png, sheet
+from pbrfit_evaluation import cycles
+from pbrfit_evaluation.suite import (
+    Column,
+    Line,
+    Panel,
+    Picture,
+    Plot,
+    Results,
+    Row,
+    Section,
+    Series,
+    Table,
+    Verdict,
+    numbers_csv,
+)
+from pbrfit_evaluation.transport.measure import NAMES, PICTURED, SHOWN, Case, Setup
+from pbrfit_evaluation.transport.variants import BY_KEY, TRUE, VARIANTS, WITHOUT, missing
+
+Of = Results[Case]
+
+ERRORS = ("albedo", "roughness", "metallic", "relight")
+METRICS = (*ERRORS, "recon", "seconds")
+FACTS = ("depth_off", "normals_off", "segments", "purity")
+CHOICES = ("none", "occlusion", "bounce")
+
+CONSTANT = "constant"
+
+BETTER = 1.0
+"""Mean error with true depth over that of the constant guess and over that without depth, at most:
+where light is blocked, geometry has to be worth something."""
+
+SPOILT = 1.03
+"""Mean error with any geometry over that without, at most: what `auto` takes has to be no worse."""
+
+
+def _lines(results: Of) -> Iterator[tuple[Setup, str]]:
+    for setup in results.options.setups:
+        for variant in VARIANTS:
+            if variant.key in results.options.variants:
+                yield setup, variant.key
+
+
+def rows(results: Of) -> list[Row]:
+    """A row a setup and variant; one that was not run says why."""
+    found = []
+    for setup, key in _lines(results):
+        of, variant = results.of(setup=setup, variant=key), BY_KEY[key]
+        if not of.pairs:
+            why = missing(variant) or cycles.why_not()
+            found.append(Row(NAMES[setup], 0, variant.words, {}, status=f"not run: {why}"))
+            continue
+        measured = of.metrics(METRICS, "scores")
+        measured |= {name: of.mean("facts", name).mean for name in FACTS}
+        if variant.transport is not None:
+            chosen = [values["choice"] for _, values in of.finished]
+            measured |= {f"chose_{one}": _share(chosen, one) for one in CHOICES}
+        scenes, status = len(of.finished), of.status("rooms")
+        found.append(
+            Row(NAMES[setup], scenes, variant.words, measured, status=status, guess=variant.guess)
+        )
+    return found
+
+
+def _share(chosen: Sequence[str], one: str) -> float:
+    return chosen.count(one) / len(chosen) if chosen else math.nan
+
+
+def verdicts(results: Of, _: object) -> Iterator[Verdict]:
+    """True depth beats the guess and what is found without it; no variant spoils anything."""
+    for setup, key in _lines(results):
+        if BY_KEY[key].transport is None or not results.of(setup=setup, variant=key).finished:
+            continue
+        case = f"{NAMES[setup]}, {BY_KEY[key].words}"
+        worst = {name: ratio(results, setup, name, key, WITHOUT) for name in ERRORS}
+        if key == TRUE and setup != "brdf":
+            for name in ERRORS:
+                over = ratio(results, setup, name, key, CONSTANT)
+                yield Verdict(f"{case}: {name} over the constant guess", over, BETTER)
+                yield Verdict(f"{case}: {name} over that without depth", worst[name], BETTER)
+            continue
+        name = max(worst, key=lambda one: worst[one])
+        yield Verdict(f"{case}: worst error over that without depth", worst[name], SPOILT, name)
+
+
+def ratio(results: Of, setup: Setup, name: str, variant: str, other: str) -> float:
+    """Mean error of a variant over that of another, of the rooms that both have."""
+    one, two = (
+        {case.seed: values["scores"][name] for case, values in of.finished}
+        for of in (results.of(setup=setup, variant=key) for key in (variant, other))
+    )
+    both = sorted(one.keys() & two.keys())
+    if not both:
+        return math.nan
+    return float(np.mean([one[seed] for seed in both]) / np.mean([two[seed] for seed in both]))
+
+
+def csvs(results: Of, _: object) -> dict[str, list[Line]]:
+    """Every number of every room, and what was chosen."""
+    chosen: list[Line] = [
+        {"part": "transport", "task": case.key, "figure": "choice", "value": values["choice"]}
+        for case, values in results.finished
+    ]
+    return {"scenes.csv": [*numbers_csv("transport", results), *chosen]}
+
+
+def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
+    """Errors, what was told and chosen, and relit pictures."""
+    yield Section(
+        "Errors",
+        "RMSE, linear values.",
+        [Table.of(found, [*(Column(name, best="low") for name in ERRORS), "recon", "seconds"])],
+        [_plot(found)] if results.finished else [],
+    )
+    headings = {
+        "depth_off": "depth off by,\nrelative",
+        "normals_off": "its normals\noff by, degrees",
+        "purity": "pixels of their\nsegment's object",
+    } | {f"chose_{one}": f"share of rooms:\n{one}" for one in CHOICES}
+    run = [row for row in found if row.scenes and not row.guess]
+    told = [*FACTS, *(f"chose_{one}" for one in CHOICES)]
+    yield Section(
+        "What fits were told, and what they chose",
+        "Depth after the best common factor.",
+        [Table.of(run, [Column(name, headings.get(name, "")) for name in told])],
+    )
+    strips = [
+        Picture(f"relit-{setup}", _caption(setup), as_png(strip))
+        for setup in results.options.setups
+        if (strip := relit(results.of(setup=setup))) is not None
+    ]
+    if strips:
+        yield Section("Relit pictures", "The first room of each setup.", figures=strips)
+
+
+def _caption(setup: Setup) -> str:
+    return f"{NAMES[setup]}: pictures of light that the fit has not seen."
+
+
+def _plot(found: Sequence[Row]) -> Plot:
+    """A panel an error, a line a setup, a colour a variant."""
+    panels = []
+    for name in ERRORS:
+        series = []
+        for look, variant in enumerate(VARIANTS):
+            of = [row for row in found if row.solver == variant.words and row.scenes]
+            mean, low, high = (
+                [row.metrics[f"{name}{end}"] or math.nan for row in of]
+                for end in ("", "_low", "_high")
+            )
+            if of:
+                names = [row.name for row in of]
+                series.append(Series(variant.words, mean, names, low=low, high=high, look=look))
+        panels.append(Panel("dots", series, f"{name} RMSE", log="x"))
+    setups = len({row.name for row in found if row.scenes})
+    size = (2.8, 0.8 + 1.2 * setups)
+    caption = "The same as a plot, with intervals."
+    return Plot("transport", caption, panels, columns=len(ERRORS), share_y="all", size=size)
+
+
+def relit(results: Of) -> NDArray[np.uint8] | None:
+    """Sheet of Cycles' pictures beside relit ones, a line for each light; None without any."""
+    kept = {case.variant: v["pictures"] for case, v in results.finished if "pictures" in v}
+    if not kept:
+        return None
+    columns = {"Cycles": _decoded(next(iter(kept.values())), "cycles")}
+    captions = {WITHOUT: "relit, without geometry", TRUE: "relit, with true depth"}
+    columns |= {captions[key]: _decoded(kept[key], "relit") for key in PICTURED if key in kept}
+    shown = min(SHOWN, *(len(of) for of in columns.values()))
+    grid: list[list[SheetPanel | None]] = [
+        [SheetPanel(name if i == 0 else "", of[i]) for name, of in columns.items()]
+        for i in range(shown)
+    ]
+    return sheet(grid)
+
+
+def _decoded(pictures: dict[str, Any], name: str) -> NDArray[np.float64]:
+    levels = np.frombuffer(base64.b64decode(pictures[name]), np.uint8)
+    return np.asarray(levels.reshape(pictures["shape"]) / 255)

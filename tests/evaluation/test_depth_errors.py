@@ -1,0 +1,107 @@
+"""Depth like a network's: errors have the sizes and lengths that are said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit.model.geometry import view_directions
+from pbrfit_evaluation import depth_errors
+from pbrfit_evaluation.depth_errors import (
+    LEAST,
+    NOISE,
+    ROUGH,
+    disturbed,
+    estimated,
+    normals_off,
+    off,
+)
+
+SIZE, FOV = 64, 60.0
+ALL = np.ones((SIZE, SIZE), bool)
+
+Array = NDArray[np.float64]
+
+
+def plane(normal: tuple[float, float, float], distance: float = 3.0) -> tuple[Array, Array]:
+    """Depth and normals (H, W, ...) of a plane."""
+    n = np.array(normal) / np.linalg.norm(normal)
+    views = view_directions(SIZE, SIZE, FOV)
+    depth = distance * n[2] / (views @ n) * views[..., 2]
+    return depth, np.broadcast_to(n, (SIZE, SIZE, 3))
+
+
+def step() -> Array:
+    depth = np.full((SIZE, SIZE), 3.0)
+    depth[:, SIZE // 2 :] = 2.0
+    return depth
+
+
+def test_normals_of_depth_are_those_of_its_surface() -> None:
+    depth, normals = plane((0.3, 0.4, 1.0))
+    assert normals_off(depth, normals, FOV, ALL) < 0.2
+    turned = plane((0.3, 0.4, 1.4))[1]
+    expected = np.degrees(np.arccos(normals[0, 0] @ turned[0, 0]))
+    assert normals_off(depth, turned, FOV, ALL) == pytest.approx(expected, abs=0.2)
+
+
+def test_a_common_factor_is_no_error() -> None:
+    depth = plane((0.3, 0.4, 1.0))[0]
+    assert off(1.7 * depth, depth, ALL) < 1e-12
+    assert off(depth + 0.3 * step(), depth, ALL) > 0.01
+
+
+def test_depth_is_off_as_networks_are() -> None:
+    depth, normals = plane((0.1, 0.3, 1.0))
+    rngs = [np.random.default_rng(seed) for seed in range(30)]
+    found = [disturbed(depth, rng) for rng in rngs]
+    assert 0.03 < np.mean([off(one, depth, ALL) for one in found]) < 0.06
+    assert 8 < np.mean([normals_off(one, normals, FOV, ALL) for one in found]) < 18
+    rough = disturbed(depth, np.random.default_rng(0), noise=ROUGH)
+    assert normals_off(rough, normals, FOV, ALL) > 30
+
+
+def test_noise_is_alike_over_a_few_pixels() -> None:
+    depth = np.full((SIZE, SIZE), 2.0)
+    smooth, noisy = (disturbed(depth, np.random.default_rng(4), noise=n) for n in (0.0, NOISE))
+    noise = np.log(noisy / smooth)
+    assert noise.std() == pytest.approx(NOISE, rel=0.2)
+    near, far = (np.corrcoef(noise[:, :-d].ravel(), noise[:, d:].ravel())[0, 1] for d in (2, 12))
+    assert near > 0.6
+    assert abs(far) < 0.3
+
+
+def test_edges_are_washed_out_over_two_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(depth_errors, "SCALE", 0.0)
+    monkeypatch.setattr(depth_errors, "SHIFT", 0.0)
+    row = disturbed(step(), np.random.default_rng(4), noise=0.0)[SIZE // 2]
+    assert (np.diff(row) <= 1e-12).all()
+    share = (1 / row - 1 / 3) / (1 / 2 - 1 / 3)
+    assert np.count_nonzero((share > 0.1) & (share < 0.9)) == 2
+    tilted = plane((0.3, 0.4, 1.0))[0]
+    inner = np.s_[4:-4, 4:-4]
+    blurred = disturbed(tilted, np.random.default_rng(4), noise=0.0)
+    np.testing.assert_allclose(blurred[inner], tilted[inner], rtol=1e-6)
+
+
+def test_what_is_unknown_stays_so_and_nothing_leaks_from_it() -> None:
+    depth = step()
+    depth[10:20, 5:15] = np.nan
+    found = disturbed(depth, np.random.default_rng(1))
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(depth))
+    with_other = np.where(np.isnan(depth), 1e6, depth)
+    near = np.abs(found / disturbed(with_other, np.random.default_rng(1)) - 1)
+    assert np.nanmedian(near) < 0.02
+
+
+def test_no_strength_changes_nothing_and_any_leaves_depth_positive() -> None:
+    depth = step()
+    np.testing.assert_allclose(disturbed(depth, np.random.default_rng(2), strength=0.0), depth)
+    wild = disturbed(depth, np.random.default_rng(2), strength=30.0)
+    assert (wild >= LEAST * depth).all()
+
+
+def test_errors_are_those_of_the_seed() -> None:
+    np.testing.assert_array_equal(estimated(step(), 3), estimated(step(), 3))
+    assert np.abs(estimated(step(), 3) / estimated(step(), 4) - 1).max() > 0.01
