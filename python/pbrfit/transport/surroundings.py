@@ -35,8 +35,8 @@ __all__ = [
 
 FRONT, BACK, SIDE, WALL = range(4)
 """Kinds of triangle: seen; unseen behind that; between both; wall, floor, ceiling, behind."""
-MAX_VERTICES = 60_000
-"""Points of the front, at most, unless said otherwise."""
+MAX_VERTICES = 66_000
+"""Points of the front, at most, unless said otherwise: all pixels of a picture of 256 x 256."""
 LIFT = 0.02
 """How far above the surface rays start, in the width of a pixel there: beyond rounding."""
 LIFT_OF_NOISE = 1.0

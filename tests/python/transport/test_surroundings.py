@@ -23,6 +23,7 @@ from pbrfit.transport.surroundings import (
     find_walls,
     surroundings,
 )
+from pbrfit.transport.walls import RUG, SAME_PLANE, _Plane, _without_rugs
 from small_worlds import (
     INNER,
     INWARDS,
@@ -147,16 +148,33 @@ def test_fronts_pass_through_the_points_and_reach_as_far_as_pixels_do() -> None:
     assert area == pytest.approx(seen.mask.sum() * pixel, rel=0.02)
 
 
-@pytest.mark.parametrize(("away", "is_wall"), [(0.2, False), (0.6, True)])
-def test_what_hangs_before_a_wall_is_none(away: float, is_wall: bool) -> None:
-    """The rule has its threshold at 0.1 median depths; here 0.27 m."""
+@pytest.mark.parametrize("away", [0.1, 0.2, 0.6])
+def test_what_hangs_or_stands_before_a_wall_is_none(away: float) -> None:
     panel = Box(centre=np.array([-0.2, 1.3, -3.6 + away / 2]), half=np.array([0.6, 0.6, away / 2]))
     seen = box_room(extra=(panel,))
-    assert 0.2 < 0.1 * scale_of(seen.points) < 0.6
     walls = find_walls(seen.points, seen.normals, seen.mask, seen.segments)
+    assert {wall.segment for wall in walls} >= {1, 3, 5}
     assert not any(wall.segment == 9 for wall in walls)
-    assert any(wall.segment == 5 for wall in walls)
-    assert is_wall == (away > 0.1 * scale_of(seen.points))
+
+
+@pytest.mark.parametrize(
+    ("away", "larger", "kept"),
+    [
+        (0.99 * RUG, False, ["wall"]),
+        (0.99 * RUG, True, ["wall"]),  # it hides most of the wall
+        (1.01 * RUG, False, ["wall", "other"]),
+        (0.99 * SAME_PLANE, True, ["other"]),  # one plane: the larger part tells it best
+        (-0.99 * SAME_PLANE, False, ["wall"]),
+    ],
+)
+def test_planes_before_a_parallel_one_are_rugs(away: float, larger: bool, kept: list[str]) -> None:
+    scale, normal = 3.0, np.array([0.0, 0.0, 1.0])
+    planes = [
+        _Plane(normal, -4.0, 1, 0.3, 0.0),
+        _Plane(normal, -4.0 + away * scale, 2, 0.4 if larger else 0.2, 0.0),
+    ]
+    found = {plane.segment for plane in _without_rugs(planes, scale)}
+    assert found == {{"wall": 1, "other": 2}[name] for name in kept}
 
 
 def test_holes_are_no_surface_and_no_error() -> None:
