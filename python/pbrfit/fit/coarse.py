@@ -115,7 +115,7 @@ def rounds(
             prior = normals.prior(objective, x, number)
             fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
         elif number < dielectric:
-            prior = fixed = _dielectric(objective, objective.put_best_albedo(x, everything))
+            prior = fixed = dielectric_prior(objective, objective.put_best_albedo(x, everything))
         sum_sq = fit_level(objective, x, fixed)
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
@@ -191,7 +191,7 @@ def fit_level(
     return sum_sq
 
 
-def _dielectric(objective: Objective, sum_sq: Array) -> GaussianPrior:
+def dielectric_prior(objective: Objective, sum_sq: Array) -> GaussianPrior:
     """Around a dielectric of middle roughness, as strong as what is left of the pixels allows."""
     used = slice(len(objective.layout.roughness_metallic))
     mean = np.tile([settings.START_ROUGHNESS, 0.0], (objective.pixels, 1))[:, used]

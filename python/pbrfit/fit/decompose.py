@@ -253,7 +253,8 @@ def _recon_rmse(scene: Scene, fit: FitOutput, model: Model, threads: int) -> flo
 def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[str, float]:
     """Final errors, computed in float64."""
     normals, materials = fit.normals, fit.materials
-    found = {"recon_rmse": _recon_rmse(scene, fit, model, threads)}
+    recon = fit.recon_rmse
+    found = {"recon_rmse": _recon_rmse(scene, fit, model, threads) if recon is None else recon}
     truth = scene.truth
     if truth is None:
         return found
@@ -261,9 +262,14 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     scaled = metrics.scaled_per_channel(materials.albedo, truth.materials.albedo)
     found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
-        rendered = render(
-            *(materials, normals, truth.relight_lighting, scene.fov, threads), model=model
-        )
+        lights = truth.relight_lighting
+        if fit.surrounded is not None and fit.surrounded.scenery is not None:
+            surrounded = fit.surrounded
+            rendered = surrounded.scenery.render(
+                materials, normals, lights, surrounded.transport, model=model, threads=threads
+            )
+        else:
+            rendered = render(materials, normals, lights, scene.fov, threads, model=model)
         found["relight_rmse"] = metrics.rmse(rendered, truth.relight_images)
     return found
 

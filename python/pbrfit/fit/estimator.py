@@ -135,12 +135,16 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
         level = Level.of(objective, settings.COARSE_PIXELS)
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
-        unknown = [] if run.camera.how != "assumed" or dielectric else [FIELD_OF_VIEW]
+        among = objective.transfer is not None
+        unknown = [FIELD_OF_VIEW]
+        if run.camera.how != "assumed" or dielectric or among:
+            unknown = []
         if known and not unknown:
             return judged(objective, x, level, run)
         x = x.copy()
         part = objective.part_of(x, level.pixels)
-        if dielectric:
+        if dielectric or among:
+            dielectric = True
             notes.append("as if all were dielectric")
         watch = Watch(run, x, level)
         first = settings.DIELECTRIC_ROUNDS if dielectric else 0

@@ -35,6 +35,7 @@ from pbrfit.scene.arrays import equal_channels
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.exposure import relative_exposures
 from pbrfit.scene.scene import Scene
+from pbrfit.transport.scenery import PixelTransfer
 
 SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""
@@ -181,7 +182,7 @@ class Objective:
         self._lay_out(layout)
         units = units or Normalization.of(scene, equal_exposures)
         self.weights = _weights(scene, units.largest_weight) if scene.weighted else None
-        self.transfer: Transfer | None = None
+        self.transfer: PixelTransfer | None = None
         # (N, P, channels): the weights of the samples, 0 at limits, times those of a robust loss
         # that squares stand for; None without both.
         self._scene, self.threads = scene, threads
@@ -428,10 +429,23 @@ class Objective:
             return np.ones(shape, bool)
         return np.broadcast_to((self.weights[:, pixels] > 0)[..., None], shape).copy()
 
+    def places_in(self, whole: Scene, pixels: NDArray[np.uint64] | None = None) -> NDArray[np.intp]:
+        """Where some pixels, or all, are in the picture that this one is, or is a window of."""
+        places = self._all_places()
+        if pixels is not None:
+            places = places[pixels]
+        window = getattr(self._scene, "window", None)
+        if window is None:
+            return places
+        rows, columns = np.divmod(places, self._scene.width)
+        height, width = whole.valid.shape
+        rows = np.arange(height)[window.rows][rows]
+        return np.asarray(rows * width + np.arange(width)[window.columns][columns])
+
     def _all_places(self) -> NDArray[np.intp]:
         return np.flatnonzero(self._scene.valid) if self._places is None else self._places
 
-    def among(self, transfer: Transfer | None) -> Objective:
+    def among(self, transfer: PixelTransfer | None) -> Objective:
         """The same with light that is blocked, and brought, as a transfer of these pixels says."""
         found = copy.copy(self)
         found.transfer = transfer
@@ -711,31 +725,6 @@ class Objective:
                 "lighting: expected known lights with equal channels for mono_light, found colour"
             )
         return known[:, : self.coefficients, : self.channels] / self._by_picture
-
-
-@dataclass(frozen=True, eq=False)
-class Transfer:
-    """What surroundings do to the light of pixels (`pbrfit.transport`)."""
-
-    rows: NDArray[np.float32]
-    """(P, R, 16): rows in the place of the model's."""
-    bounced: NDArray[np.float32] | None = None
-    """(P, R, N, C): what they bring of each picture, in picture units; None = nothing."""
-    gain: float = 1.0
-    """What that is multiplied by."""
-
-    def of(self, pixels: NDArray[np.uint64]) -> Transfer:
-        """Of some pixels."""
-        bounced = None if self.bounced is None else self.bounced[pixels]
-        return replace(self, rows=self.rows[pixels], bounced=bounced)
-
-    def scaled(self, units: NDArray[np.float64]) -> NDArray[np.float32] | None:
-        """(P, R, N·C): what is brought, in units of x, which are so many of each picture."""
-        if self.bounced is None:
-            return None
-        by_picture = (self.gain / units).astype(np.float32)[:, None]
-        pixels, rows = self.rows.shape[:2]
-        return (self.bounced * by_picture).reshape(pixels, rows, -1)
 
 
 @dataclass(frozen=True)

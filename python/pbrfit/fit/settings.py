@@ -442,6 +442,27 @@ errors, and another pass took 3 % more off them."""
 NORMALS_PATCH_SIDE = 4
 """Pixels along a side of the patches of a level whose offsets move together."""
 
+TRANSPORT_PIXELS = 400
+"""Pixels that lights are fitted to while surroundings are compared, and as many that are left
+out."""
+
+TRANSPORT_SEARCH_RAYS = 512
+TRANSPORT_RAYS = 2048
+"""Rays of a pixel, about, while surroundings are compared, and for the fit: tables are then within
+2 and 1 % of those of ten times as many."""
+
+TRANSPORT_ROUNDS = 4
+TRANSPORT_NEAR_ROUNDS = 1
+"""Rounds of joint steps for an alternative; and where lights begin at those of one like it."""
+
+TRANSPORT_ERRORS_MIN = 2.0
+"""Standard errors of the paired differences of left-out pixels from which one alternative is better:
+two, as is usual."""
+
+TRANSPORT_GAINS = (0.85, 0.7, 0.55, 1.2)
+"""Gains of brought light that are tried beside 1. A picture shows what a surface sends to the
+camera; where it is not matt, that is not what it sends to another one."""
+
 NORMALS_DIELECTRIC_ROUNDS = 3
 """First rounds of a search, in which metallic has a prior around 0 in place of the fitted one."""
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import scale
+from pbrfit.fit import scale, transport
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Progress, Run, SharedState
+from pbrfit.fit.transport import Surrounded
 from pbrfit.fit.uncertainty import estimate
 from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
@@ -27,6 +28,8 @@ from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
+
+HELD_BY_SURROUNDINGS = "surroundings block light, which is known for the given normals alone"
 
 Start = Materials | tuple[Materials, Array] | None
 """Maps to start from, alone or with lights."""
@@ -46,6 +49,8 @@ class FitSetup:
     """When the fit began, by `time.perf_counter`."""
     normals_hindrance: str | None
     """Why normals cannot be refined; None if they can."""
+    surrounded: Surrounded | None = None
+    """What was decided about surroundings; None = nothing yet."""
 
     def layout(self, scene: Scene) -> ParameterLayout:
         """Which unknowns a scene has."""
@@ -61,7 +66,7 @@ class FitSetup:
     ) -> Objective:
         """What is minimised."""
         options = self.options
-        return Objective(
+        objective = Objective(
             scene,
             threads=self.threads,
             sh_order=options.sh_order,
@@ -73,6 +78,9 @@ class FitSetup:
             model=options.model,
             units=units,
         )
+        if self.surrounded is None or free_normals:
+            return objective
+        return objective.among(self.surrounded.tables(objective))
 
     def run(
         self, scene: Scene, objective: Objective, shared_state: SharedState | None = None
@@ -118,11 +126,15 @@ class FitOutput:
     """Lights by which the monochrome weight was chosen; None = it was not."""
     noise: NoiseModel | None = None
     """Of samples; None where all weigh as given."""
+    surrounded: Surrounded | None = None
+    recon_rmse: float | None = None
+    """With surroundings, and the error with them: of all samples by their weights, each picture's
+    divided by its exposure."""
 
 
 def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     """Fit all pixels of a scene at once."""
-    found, refinement = fit_pixels(scene, setup, start)
+    found, refinement, surrounded = fit_pixels(scene, setup, start)
     run, x = found.run, found.x
     seconds = run.elapsed
     uncertainty = None
@@ -153,7 +165,15 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         scale=scale_in_words(run),
         measured_lighting=run.measured_lighting,
         noise=run.noise,
+        surrounded=surrounded,
+        recon_rmse=recon_among(run, x) if surrounded.transport.blocks else None,
     )
+
+
+def recon_among(run: Run, x: Array) -> float:
+    """Root mean square residual in picture units, of samples as they weigh in the scene."""
+    given = run.objective.weighed(None)
+    return given.residual_rmse(given.data_value_and_grad(x)[0])
 
 
 def scale_in_words(run: Run) -> str:
@@ -165,8 +185,8 @@ def scale_in_words(run: Run) -> str:
 
 def fit_pixels(
     scene: Scene, setup: FitSetup, start: Start, units: Normalization | None = None
-) -> tuple[refined_fit.PixelFit, Refinement]:
-    """Where the fit of a scene ends, and what was decided about its normals.
+) -> tuple[refined_fit.PixelFit, Refinement, Surrounded]:
+    """Where the fit of a scene ends, and what was decided about normals and surroundings.
 
     `units` as for `Objective`.
     """
@@ -176,15 +196,21 @@ def fit_pixels(
         return setup.objective(of, free_normals=free_normals, units=units)
 
     objective = make(scene, False)
+    run, x = setup.run(scene, objective), _start_of(objective, start)
+    surrounded = transport.choose(run, x, setup.options.transport)
+    if surrounded.transport.blocks:
+        setup = replace(setup, surrounded=surrounded, normals_hindrance=HELD_BY_SURROUNDINGS)
+        run.objective = make(scene, False)
+        x = _start_of(run.objective, start)
     found, refinement = refined_fit.fit(
-        setup.run(scene, objective),
-        _start_of(objective, start),
+        run,
+        x,
         make,
         start_given=start is not None,
         asked=setup.options.refine_normals,
         hindered=setup.normals_hindrance,
     )
-    return _with_scale(found, setup.options), refinement
+    return _with_scale(found, setup.options), refinement, surrounded
 
 
 @one_blas_thread()

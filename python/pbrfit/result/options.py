@@ -27,6 +27,9 @@ ROBUST_LOSSES: tuple[Loss, ...] = ("huber", "cauchy")
 Align = Literal["auto", "off"]
 ALIGNMENTS: tuple[Align, ...] = get_args(Align)
 
+TransportChoice = Literal["none", "occlusion", "bounce", "auto"]
+TRANSPORTS: tuple[TransportChoice, ...] = get_args(TransportChoice)
+
 Response = Literal["auto", "srgb", "linear", "fit"]
 RESPONSES: tuple[Response, ...] = get_args(Response)
 
@@ -171,6 +174,10 @@ class FitOptions:
         How surfaces reflect light (docs/model.md): "paper", its eq. 12; "principled", the BRDF of
         Blender's Principled node. None = that which the scene says its pictures were rendered
         with, else the default, `pbrfit.model.reflection.DEFAULT_MODEL`.
+    transport
+        What surroundings do to light, where the scene has depth (docs/transport.md): `"occlusion"`,
+        they block it; `"bounce"`, they also bring what pictures show of them; `"none"`; `"auto"`,
+        whichever explains pixels best that lights were not fitted to. `Result.transport` tells.
     uncertainty
         Whether to estimate standard deviations of the maps (docs/uncertainty.md).
 
@@ -195,6 +202,7 @@ class FitOptions:
     white: tuple[float, float, float] | None = None
     seed: int = 0
     model: Model | None = None
+    transport: TransportChoice = "auto"
     uncertainty: bool = True
 
     def __post_init__(self) -> None:
@@ -204,6 +212,7 @@ class FitOptions:
             response=_one_of("response", self.response, RESPONSES),
             refine_normals=_one_of("refine_normals", self.refine_normals, CHOICES),
             align=_one_of("align", self.align, ALIGNMENTS),
+            transport=_one_of("transport", self.transport, TRANSPORTS),
             iterations=whole_number("iterations", self.iterations),
             seed=whole_number("seed", self.seed),
             sh_order=whole_number("sh_order", self.sh_order),
@@ -240,9 +249,10 @@ class FitOptions:
     def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
         """Undo `to_json`; ValueError or TypeError if it is something else.
 
-        Results of versions that had no `refine_normals` or `align` were fitted without.
+        Results of versions that had no `refine_normals`, `align` or `transport` were fitted without.
         """
-        values = {"refine_normals": "off", "align": "off", **table(content)}
+        older = dict.fromkeys(("refine_normals", "align"), "off")
+        values = {**older, "transport": "none", **table(content)}
         if values.get("white") is not None:
             values["white"] = tuple(values["white"])
         if "priors" in values:
@@ -295,6 +305,11 @@ FLAGS: dict[str, Flag] = {
         "auto: pictures that are out of line with the others are put back, those of something else "
         "left out; off: pictures are taken as they are (default: %(default)s)",
         values=ALIGNMENTS,
+    ),
+    "transport": Flag(
+        "with depth: occlusion, surroundings block light; bounce, they also reflect it; auto: "
+        "whichever explains left-out pixels best (default: %(default)s)",
+        values=TRANSPORTS,
     ),
     "white": Flag(
         "a white or grey reference at this pixel, from the left and the top, and its albedo "

@@ -12,8 +12,8 @@ from pbrfit.transport.walls import Wall
 
 EYE = 1.6
 """Metres above the floor of a camera that a person holds: what the metres below are told by."""
-THICKNESS, HEIGHT, BEHIND, REACH = 0.5, 2.7, 1.2, 1.2
-"""Metres: of things, at most; of walls; behind the camera; beyond what is seen of a wall."""
+THICKNESS, HEIGHT, REACH = 0.5, 2.7, 1.2
+"""Metres: of things, at most; of walls; beyond what is seen of a wall."""
 DEPTH = 3.0
 """Metres of the median depth of a room whose floor is not seen."""
 
@@ -68,7 +68,7 @@ def default_extents(points: Array, walls: tuple[Wall, ...]) -> Extents:
     return Extents(
         thickness=THICKNESS * metre,
         height=HEIGHT * metre if upright else None,
-        behind=BEHIND * metre if upright else None,
+        behind=None,
         ceiling=False,
         blocks=(True,) * len(walls),
         reach=REACH * metre,

@@ -59,7 +59,9 @@ Stop = Callable[[], bool]
 
 ROUGHNESS_NODES = np.linspace(*settings.PRIOR_ROUGHNESS_NODES)
 METALLIC_NODES = np.linspace(*settings.PRIOR_METALLIC_NODES)
-METALLIC_DISTANCE = float(METALLIC_NODES[1] - METALLIC_NODES[0])
+PURE_NODES = np.array([0.0, 1.0])
+"""Among surroundings, of which something is always left that is none of a material: as large as a
+dielectric's lobe, so that metallic between both would take it up."""
 NODE_DISTANCE = float(ROUGHNESS_NODES[1] - ROUGHNESS_NODES[0])
 
 
@@ -268,12 +270,14 @@ class _Grid:
     """Likelihoods over the nodes, (roughness, metallic) row by row, with the lights of x."""
 
     def __init__(
-        self, objective: Objective, x: Array, variance: float, metallic: Array = METALLIC_NODES
+        self, objective: Objective, x: Array, variance: float, metallic: Array | None = None
     ) -> None:
         self._planes = len(objective.layout.roughness_metallic)
         self._problem, self._x = objective.problem, objective.for_core(x)
         self.objective, self._variance = objective, variance
         known = objective.known_metallic
+        if metallic is None:
+            metallic = METALLIC_NODES if objective.transfer is None else PURE_NODES
         self._metallic = metallic if known is None else np.array([known])
         nodes = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
         self.roughness, self.metallic = (of_nodes.ravel() for of_nodes in nodes)
@@ -429,7 +433,9 @@ class _Distributions:
         mean = share @ self.nodes
         variance = np.maximum(share @ self.nodes**2 - mean**2, 0)
         nearest = np.round(mean[:, 1])
-        pure = np.abs(mean[:, 1] - nearest) < METALLIC_DISTANCE / 2
+        levels = np.unique(self.nodes[:, 1])
+        half = np.diff(levels).min(initial=1.0) / 2
+        pure = np.abs(mean[:, 1] - nearest) < half
         mean[pure, 1], variance[pure, 1] = nearest[pure], 0
         return posterior._replace(mean=np.clip(mean[kind], 0, 1), variance=variance[kind])
 

@@ -161,6 +161,8 @@ def fit_tiles(
         scale=scale_in_words(clock),
         measured_lighting=clock.measured_lighting,
         noise=clock.noise,
+        surrounded=subset.surrounded,
+        recon_rmse=whole.rmse if subset.surrounded.transport.blocks else None,
     )
 
 
@@ -198,6 +200,8 @@ def _fit_tile(
     near, normals = subset.nearest.at(tile.outer)
     priors, shared_state = _scaled_to(subset, Totals(part, units, whole.channels), whole)
     setup = replace(setup, options=replace(setup.options, priors=priors), progress=None)
+    if subset.surrounded.transport.blocks:
+        setup = replace(setup, surrounded=subset.surrounded)
 
     def objective_of(of: Scene, free_normals: bool) -> Objective:
         objective = setup.objective(of, free_normals=free_normals, units=units)
