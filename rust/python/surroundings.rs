@@ -28,16 +28,26 @@ type Tables<'py> = (Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray3<f32>>>
 #[pymethods]
 impl PySurroundings {
     #[new]
-    fn new(py: Python<'_>, triangles: &Bound<'_, PyAny>) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        triangles: &Bound<'_, PyAny>,
+        surfaces: &Bound<'_, PyAny>,
+    ) -> PyResult<Self> {
         let triangles: PyReadonlyArray<'_, f32, Ix3> = array("triangles", triangles)?;
         let count = triangles.shape()[0];
         shape("triangles", &[count, 3, 3], triangles.shape())?;
         let corners = try_copied("triangles", &triangles)?;
+        let surfaces = try_copied("surfaces", &array::<u8, Ix1>("surfaces", surfaces)?)?;
         let surroundings = py.detach(|| {
             let corners: &[[f32; 3]] = corners.as_chunks().0;
-            Surroundings::new(corners.as_chunks().0)
+            Surroundings::new(corners.as_chunks().0, &surfaces)
         })?;
         Ok(Self { surroundings })
+    }
+
+    #[getter]
+    fn last_surface(&self) -> u8 {
+        self.surroundings.last_surface()
     }
 
     /// Distance to what each ray meets, infinite where it leaves.
@@ -57,7 +67,8 @@ impl PySurroundings {
             crate::Result::Ok(
                 rays.map(|(&origin, &direction)| {
                     let [origin, direction] = [origin, direction].map(|v: DVec3| v.as_vec3a());
-                    (self.surroundings.distance(origin, direction)).unwrap_or(f32::INFINITY)
+                    let hit = self.surroundings.hit(origin, direction);
+                    hit.map_or(f32::INFINITY, |hit| hit.distance)
                 })
                 .collect::<Vec<_>>(),
             )
@@ -67,7 +78,7 @@ impl PySurroundings {
 
     #[pyo3(signature = (
         points, normals, views, seeds, *,
-        rays, model, threads = 0, radiance = None, half_width = 0.0
+        rays, model, threads = 0, radiance = None, half_width = 0.0, nearest = None
     ))]
     #[expect(clippy::too_many_arguments)]
     fn transfer<'py>(
@@ -82,6 +93,7 @@ impl PySurroundings {
         threads: usize,
         radiance: Option<&Bound<'py, PyAny>>,
         half_width: f32,
+        nearest: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Tables<'py>> {
         let model: Model = model.parse()?;
         let points = array("points", points)?;
@@ -101,6 +113,10 @@ impl PySurroundings {
                 PyResult::Ok((try_copied("radiance", &radiance)?, size, values))
             })
             .transpose()?;
+        let nearest = match nearest {
+            Some(nearest) => try_copied("nearest", &array::<u32, Ix1>("nearest", nearest)?)?,
+            None => Vec::new(),
+        };
         let origins = Origins {
             points: &points,
             normals: &normals,
@@ -111,6 +127,7 @@ impl PySurroundings {
             samples,
             size: *size,
             half_width,
+            nearest: &nearest,
         });
         let found =
             py.detach(|| transfer(&self.surroundings, origins, model, rays, given, threads))?;

@@ -38,6 +38,23 @@ const BASE_WEIGHT: f64 = 0.2;
 /// apart.
 const RIDGE: f64 = 1e-7;
 
+/// Rays that are worked on together.
+pub(super) const RAYS: usize = 64;
+
+/// Some rays: their directions, axis by axis, and weights; those that are not used weigh 0.
+pub(super) struct Batch {
+    pub(super) direction: [[f32; RAYS]; 3],
+    pub(super) weight: [f32; RAYS],
+}
+
+impl Batch {
+    #[inline(always)]
+    pub(super) fn dot(&self, with: Vec3A, x: usize) -> f32 {
+        let [of_x, of_y, of_z] = &self.direction;
+        with.x * of_x[x] + with.y * of_y[x] + with.z * of_z[x]
+    }
+}
+
 /// q for one pixel.
 pub(super) struct Dual {
     rows: usize,
@@ -97,38 +114,52 @@ impl Dual {
         }
     }
 
-    /// q of a direction above the horizon, times `weight`.
-    #[inline]
-    pub(super) fn of(&self, direction: Vec3A, weight: f32) -> [f32; MAX_ROWS] {
-        let mut lobe = [0.0; VALUES];
+    /// q of some rays, by row; of rays that are not used it is finite.
+    #[inline(always)]
+    pub(super) fn fill(&self, rays: &Batch, q: &mut [[f32; RAYS]; MAX_ROWS]) {
+        let mut lobe = [[0.0; RAYS]; VALUES];
         match self.model {
             Model::Paper => {
-                let u = self.mirror.dot(direction);
-                if u > 0.0 {
-                    for (to, &r) in lobe.iter_mut().zip(&NODES) {
-                        *to = weight * radial(r as f32, u);
+                let mut u = [0.0; RAYS];
+                for x in 0..RAYS {
+                    u[x] = rays.dot(self.mirror, x);
+                }
+                for (values, &r) in lobe.iter_mut().zip(&NODES) {
+                    for x in 0..RAYS {
+                        let value = radial(r as f32, u[x]);
+                        values[x] = if u[x] > 0.0 { value } else { 0.0 };
                     }
                 }
             }
             Model::Principled => {
-                let half = (self.view + direction).normalize_or_zero();
-                let (n_h, v_h) = (self.normal.dot(half), self.view.dot(half));
-                let n_l = self.normal.dot(direction);
-                let schlick = ggx::schlick(f64::from(v_h.clamp(0.0, 1.0))) as f32;
+                let [mut n_h, mut n_l, mut schlick] = [[0.0; RAYS]; 3];
+                for x in 0..RAYS {
+                    // |v + l|² = 2 + 2 v·l, and v·h = |v + l|/2.
+                    let v_l = rays.dot(self.view, x);
+                    let length = (2.0 + 2.0 * v_l).max(f32::MIN_POSITIVE).sqrt();
+                    n_l[x] = rays.dot(self.normal, x);
+                    n_h[x] = (self.normal.dot(self.view) + n_l[x]) / length;
+                    let left = 1.0 - (0.5 * length).min(1.0);
+                    schlick[x] = left * left * (left * left) * left;
+                }
+                let (base, grazing) = lobe.split_at_mut(NODES.len());
                 for (n, &r) in NODES.iter().enumerate() {
-                    let value = weight * principled(r as f32, n_h, n_l, self.cosine);
-                    lobe[n] = value * (1.0 - schlick);
-                    lobe[NODES.len() + n] = value * schlick;
+                    for x in 0..RAYS {
+                        let value = principled(r as f32, n_h[x], n_l[x], self.cosine);
+                        base[n][x] = value * (1.0 - schlick[x]);
+                        grazing[n][x] = value * schlick[x];
+                    }
                 }
             }
         }
-        let mut q = [0.0; MAX_ROWS];
-        for (value, of_value) in lobe[..self.values].iter().zip(&self.matrix) {
-            for j in 0..MAX_ROWS {
-                q[j] += value * of_value[j];
+        for j in 0..self.rows {
+            q[j] = [0.0; RAYS];
+            for (values, of_value) in lobe[..self.values].iter().zip(&self.matrix) {
+                for x in 0..RAYS {
+                    q[j][x] += values[x] * of_value[j];
+                }
             }
         }
-        q
     }
 
     pub(super) fn rows(&self) -> usize {
@@ -138,7 +169,7 @@ impl Dual {
 
 /// The paper's lobe round about the mirror direction, whose bands are h_l: 4e/π / (1 + e − (1−e)u)²
 /// with e = α² = r⁴ and the cosine u > 0.
-#[inline]
+#[inline(always)]
 pub(super) fn radial(roughness: f32, u: f32) -> f32 {
     let e = roughness.powi(4);
     let root = 1.0 + e - (1.0 - e) * u;
@@ -146,7 +177,7 @@ pub(super) fn radial(roughness: f32, u: f32) -> f32 {
 }
 
 /// D V n·l of the principled model.
-#[inline]
+#[inline(always)]
 fn principled(roughness: f32, n_h: f32, n_l: f32, n_v: f32) -> f32 {
     let a2 = roughness.powi(4);
     let root = n_h * n_h * (a2 - 1.0) + 1.0;

@@ -19,6 +19,17 @@ pub struct Surroundings {
     bvh: Bvh2,
     /// In the order of the tree's leaves.
     triangles: Vec<Triangle>,
+    /// Which surface each is of.
+    surfaces: Vec<u8>,
+}
+
+/// Where a ray meets a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Along the ray.
+    pub distance: f32,
+    /// Number of the surface that the triangle is of.
+    pub surface: u8,
 }
 
 impl std::fmt::Debug for Surroundings {
@@ -28,8 +39,10 @@ impl std::fmt::Debug for Surroundings {
 }
 
 impl Surroundings {
-    /// Builds the tree; on one thread, so that it is always the same.
-    pub fn new(triangles: &[[[f32; 3]; 3]]) -> Result<Self> {
+    /// Builds the tree; on one thread, so that it is always the same. Each triangle is of a surface,
+    /// which has a number.
+    pub fn new(triangles: &[[[f32; 3]; 3]], surfaces: &[u8]) -> Result<Self> {
+        check::length("surfaces", triangles.len(), surfaces.len())?;
         check::moderate(
             "triangles",
             triangles.as_flattened().as_flattened(),
@@ -55,24 +68,34 @@ impl Surroundings {
             let mut unused = Duration::default();
             build_bvh2_from_tris(&given, BvhBuildParams::medium_build(), &mut unused)
         };
-        let triangles = bvh
-            .primitive_indices
-            .iter()
-            .map(|&i| given[i as usize])
-            .collect();
-        Ok(Self { bvh, triangles })
+        let order = || bvh.primitive_indices.iter().map(|&i| i as usize);
+        let triangles = order().map(|i| given[i]).collect();
+        let surfaces = order().map(|i| surfaces[i]).collect();
+        Ok(Self {
+            bvh,
+            triangles,
+            surfaces,
+        })
     }
 
-    /// How far a ray goes until it meets a triangle, from either side; None where it leaves.
+    /// The first triangle that a ray meets, from either side; None where it leaves.
     #[inline]
-    pub fn distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
+    pub fn hit(&self, origin: Vec3A, direction: Vec3A) -> Option<Hit> {
         let mut hit = RayHit::none();
         self.bvh.ray_traverse(
             Ray::new(origin, direction, 0.0, f32::INFINITY),
             &mut hit,
             |ray, i| self.triangles[i].intersect(ray),
         );
-        (hit.t < f32::INFINITY).then_some(hit.t)
+        (hit.t < f32::INFINITY).then(|| Hit {
+            distance: hit.t,
+            surface: self.surfaces[hit.primitive_id as usize],
+        })
+    }
+
+    /// The highest number of a surface.
+    pub fn last_surface(&self) -> u8 {
+        self.surfaces.iter().copied().max().unwrap_or(0)
     }
 
     /// Whether a ray meets any triangle.

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3A};
 
-use super::dual::Dual;
+use super::dual::{Batch, Dual, RAYS};
 use super::sampling::Rays;
 use super::surroundings::Surroundings;
 use crate::block::basis::Basis;
@@ -12,6 +12,7 @@ use crate::reflectance::reflection::{Reflection, each_entry};
 use crate::reflectance::sh::{self, COEFFICIENTS, Real};
 use crate::reflectance::shade::Frame;
 use crate::runtime::memory::zeros;
+use crate::runtime::simd::{Instructions, Isa, Kernel};
 use crate::runtime::{Error, Result, check, pool};
 
 /// Pixels in a piece of work.
@@ -39,6 +40,9 @@ pub struct Radiance<'a> {
     pub size: [usize; 2],
     /// Tangent of half of the horizontal field of view; 0 is orthographic.
     pub half_width: f32,
+    /// For each surface from number 1 on, which pixel shows it nearest to each pixel: (surface, row,
+    /// column), pixels counted row by row. Surface 0 is whatever a pixel shows.
+    pub nearest: &'a [u32],
 }
 
 impl<'a> Radiance<'a> {
@@ -46,20 +50,29 @@ impl<'a> Radiance<'a> {
         self.samples.len() / (self.size[0] * self.size[1]).max(1)
     }
 
-    /// What pictures have where a point is seen, or at the edge that is nearest to it.
-    fn at(&self, point: Vec3A) -> &'a [f32] {
+    /// What pictures have of a surface where a point of it is seen, or nearest to there.
+    fn at(&self, point: Vec3A, surface: u8) -> &'a [f32] {
         let [height, width] = self.size.map(|size| size as f32);
-        let scale = if self.half_width > 0.0 {
-            // Behind the camera the nearest edge is that in the point's direction.
-            self.half_width * (-point.z).max(1e-6 * point.length())
-        } else {
+        let scale = if self.half_width == 0.0 {
             1.0
+        } else if -point.z > 1e-3 * point.length() {
+            self.half_width * -point.z
+        } else {
+            // Behind the camera the nearest edge is that in the point's direction.
+            (point.x.abs())
+                .max(point.y.abs() * width / height)
+                .max(f32::MIN_POSITIVE)
         };
         let place = |x: f32, size: f32| (0.5 * (x + size)).clamp(0.0, size - 1.0) as usize;
         let column = place(point.x / scale * width, width);
         let row = place(-point.y / scale * width, height);
+        let mut pixel = row * self.size[1] + column;
+        if surface > 0 {
+            let of_surface = (usize::from(surface) - 1) * self.size[0] * self.size[1];
+            pixel = self.nearest[of_surface + pixel] as usize;
+        }
         let values = self.values();
-        &self.samples[(row * self.size[1] + column) * values..][..values]
+        &self.samples[pixel * values..][..values]
     }
 }
 
@@ -135,6 +148,15 @@ pub fn transfer(
         return Err(Error::argument("rays", "at least one", rays));
     }
     let values = radiance.as_ref().map_or(0, Radiance::values);
+    if let Some(radiance) = &radiance {
+        let size = radiance.size[0] * radiance.size[1];
+        let surfaces = usize::from(surroundings.last_surface());
+        check::length("nearest", surfaces * size, radiance.nearest.len())?;
+        if let Some(&beyond) = radiance.nearest.iter().find(|&&i| i as usize >= size) {
+            let expected = format!("pixels below {size}");
+            return Err(Error::argument("nearest", expected, beyond));
+        }
+    }
     with_model!(model, M => {
         let rows = 1 + M::ROWS;
         let mut found = Transfer {
@@ -195,39 +217,153 @@ impl Pixel<'_> {
         each_entry::<M, COEFFICIENTS>(|k, row, entry| rows[1 + row][k] = open.lobe[entry] as f32);
         let [normal, view, point] = [self.normal, self.view, self.point].map(|v| v.as_vec3a());
         let dual = Dual::new(self.model, cosine, normal, view);
-        let mut blocked = [[0.0; COEFFICIENTS]; 1 + MAX_ROWS];
-        let mut by_row = [0.0; 1 + MAX_ROWS];
-        Rays::new(normal, view, self.rays, self.seed).each(|direction, weight| {
-            let hit = match radiance {
-                None if !self.surroundings.blocks(point, direction) => return,
-                None => None,
-                Some(radiance) => {
-                    let Some(distance) = self.surroundings.distance(point, direction) else {
-                        return;
-                    };
-                    Some(radiance.at(point + distance * direction))
-                }
-            };
-            let harmonics = sh::basis(direction.to_array());
-            by_row[0] = weight * normal.dot(direction);
-            by_row[1..].copy_from_slice(&dual.of(direction, weight));
-            for (sums, factor) in blocked.iter_mut().zip(by_row) {
-                for k in 0..COEFFICIENTS {
-                    sums[k] += factor * harmonics[k];
+        let mut blocked = Blocked::new(&dual, normal, bounced);
+        Rays::new(normal, view, self.rays, self.seed).each(|direction, weight| match radiance {
+            None => {
+                if self.surroundings.blocks(point, direction) {
+                    blocked.push(direction, weight, &[]);
                 }
             }
-            if let Some(hit) = hit {
-                for (sums, factor) in bounced.chunks_mut(hit.len()).zip(by_row) {
-                    for (sum, value) in sums.iter_mut().zip(hit) {
-                        *sum += factor * value;
-                    }
+            Some(radiance) => {
+                if let Some(hit) = self.surroundings.hit(point, direction) {
+                    let shown = radiance.at(point + hit.distance * direction, hit.surface);
+                    blocked.push(direction, weight, shown);
                 }
             }
         });
+        let blocked = blocked.finish();
         debug_assert_eq!(rows.len(), 1 + dual.rows());
         for (row, blocked) in rows.iter_mut().zip(&blocked) {
             for k in 0..COEFFICIENTS {
                 row[k] -= blocked[k];
+            }
+        }
+    }
+}
+
+/// Sums over blocked rays, a batch of them at a time.
+struct Blocked<'a, 'b> {
+    dual: &'a Dual,
+    normal: Vec3A,
+    batch: Batch,
+    /// What each ray brings.
+    shown: [&'a [f32]; RAYS],
+    count: usize,
+    rows: [[f32; COEFFICIENTS]; 1 + MAX_ROWS],
+    bounced: &'b mut [f32],
+}
+
+impl<'a, 'b> Blocked<'a, 'b> {
+    fn new(dual: &'a Dual, normal: Vec3A, bounced: &'b mut [f32]) -> Self {
+        Self {
+            dual,
+            normal,
+            batch: Batch {
+                direction: [[0.0; RAYS]; 3],
+                weight: [0.0; RAYS],
+            },
+            shown: [&[]; RAYS],
+            count: 0,
+            rows: [[0.0; COEFFICIENTS]; 1 + MAX_ROWS],
+            bounced,
+        }
+    }
+
+    fn push(&mut self, direction: Vec3A, weight: f32, shown: &'a [f32]) {
+        for axis in 0..3 {
+            self.batch.direction[axis][self.count] = direction[axis];
+        }
+        self.batch.weight[self.count] = weight;
+        self.shown[self.count] = shown;
+        self.count += 1;
+        if self.count == RAYS {
+            self.add();
+        }
+    }
+
+    fn finish(mut self) -> [[f32; COEFFICIENTS]; 1 + MAX_ROWS] {
+        if self.count > 0 {
+            self.batch.weight[self.count..].fill(0.0);
+            self.add();
+        }
+        self.rows
+    }
+
+    fn add(&mut self) {
+        Instructions::best().run(AddRays {
+            dual: self.dual,
+            normal: self.normal,
+            batch: &self.batch,
+            shown: &self.shown[..self.count],
+            rows: &mut self.rows,
+            bounced: self.bounced,
+        });
+        self.count = 0;
+    }
+}
+
+/// Adds a batch of rays: Σ w q Y, and Σ w q times what they bring.
+struct AddRays<'a, 'b> {
+    dual: &'a Dual,
+    normal: Vec3A,
+    batch: &'b Batch,
+    shown: &'b [&'a [f32]],
+    rows: &'b mut [[f32; COEFFICIENTS]; 1 + MAX_ROWS],
+    bounced: &'b mut [f32],
+}
+
+impl Kernel for AddRays<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        /// Partial sums, so that additions need not wait for each other.
+        const LANES: usize = 16;
+        let Self {
+            dual,
+            normal,
+            batch,
+            shown,
+            rows,
+            bounced,
+        } = self;
+        let mut q = [[0.0; RAYS]; 1 + MAX_ROWS];
+        let (matt, lobe) = q.split_first_mut().expect("the matt part's row");
+        for x in 0..RAYS {
+            matt[x] = batch.weight[x] * batch.dot(normal, x);
+        }
+        dual.fill(batch, lobe.first_chunk_mut().expect("rows of the lobe"));
+        for row in &mut lobe[..dual.rows()] {
+            for x in 0..RAYS {
+                row[x] *= batch.weight[x];
+            }
+        }
+        let mut harmonics = [[0.0; RAYS]; COEFFICIENTS];
+        for x in 0..RAYS {
+            let of_ray = sh::basis(batch.direction.each_ref().map(|axis| axis[x]));
+            for k in 0..COEFFICIENTS {
+                harmonics[k][x] = of_ray[k];
+            }
+        }
+        for (sums, q) in rows.iter_mut().zip(&q[..1 + dual.rows()]) {
+            for k in 0..COEFFICIENTS {
+                let mut lanes = [0.0; LANES];
+                for (q, y) in q.chunks_exact(LANES).zip(harmonics[k].chunks_exact(LANES)) {
+                    for x in 0..LANES {
+                        lanes[x] += q[x] * y[x];
+                    }
+                }
+                sums[k] += lanes.iter().sum::<f32>();
+            }
+        }
+        if bounced.is_empty() {
+            return;
+        }
+        for (x, shown) in shown.iter().enumerate() {
+            for (sums, q) in bounced.chunks_exact_mut(shown.len()).zip(&q) {
+                for (sum, value) in sums.iter_mut().zip(*shown) {
+                    *sum += q[x] * value;
+                }
             }
         }
     }

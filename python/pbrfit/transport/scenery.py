@@ -19,7 +19,9 @@ from pbrfit.io.json_files import number, table
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
+from pbrfit.transport.extents import scale_of
 from pbrfit.transport.surroundings import (
+    WALL,
     Extents,
     Surroundings,
     Wall,
@@ -148,7 +150,42 @@ class Scenery:
         self.geometry: Surroundings = surroundings(
             self.points, self.normals, self.mask, self.segments, extents, self.walls
         )
-        self._core = _core.Surroundings(np.ascontiguousarray(self.geometry.triangles))
+        triangles = self.geometry.triangles
+        self._core = _core.Surroundings(np.ascontiguousarray(triangles), self._surfaces(triangles))
+
+    def _surfaces(self, triangles: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """(T,): from 1 on the number of the wall that a triangle is of; 0 where it is of none.
+
+        What is seen of a wall stands for what is not, behind things and beyond the picture.
+        """
+        found = np.zeros(len(triangles), np.uint8)
+        of_walls = self.geometry.kind == WALL
+        near = 1e-4 * scale_of(self.points)
+        for i, wall in enumerate(self.walls[:255], start=1):
+            on = (np.abs(wall.above(triangles)) < near).all(axis=-1) & of_walls
+            if wall.pixels.any():
+                found[on] = i
+        return found
+
+    @property
+    def _nearest(self) -> NDArray[np.uint32]:
+        """For each surface and pixel, flat, the pixel that shows the surface nearest to it."""
+        from scipy.ndimage import distance_transform_edt
+
+        places = np.arange(self.mask.size, dtype=np.uint32).reshape(self.mask.shape)
+        found = []
+        for wall in self.walls[:255]:
+            nearest = places
+            if wall.pixels.any():
+                nearest = places[
+                    tuple(
+                        distance_transform_edt(
+                            ~wall.pixels, return_distances=False, return_indices=True
+                        )
+                    )
+                ]
+            found.append(nearest.ravel())
+        return np.concatenate(found) if found else np.empty(0, np.uint32)
 
     def with_extents(self, extents: Extents) -> Scenery:
         """The same with other extents."""
@@ -181,7 +218,13 @@ class Scenery:
         if images is not None:
             count = images.shape[2:]
             half_width = math.tan(math.radians(self.fov) / 2)
-            given = {"radiance": images.reshape(*shape, -1), "half_width": half_width}
+            nearest = self._nearest
+            last = int(self._core.last_surface)
+            given = {
+                "radiance": images.reshape(*shape, -1),
+                "half_width": half_width,
+                "nearest": nearest[: last * self.mask.size],
+            }
         # Far from all, and so unblocked, where nobody knows where a pixel is.
         starts[~known] = 1e6 * (1 + np.abs(starts[known]).max(initial=1.0))
         found, bounced = self._core.transfer(
