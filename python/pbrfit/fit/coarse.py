@@ -116,6 +116,8 @@ def rounds(
             fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
         elif number < dielectric:
             prior = fixed = dielectric_prior(objective, objective.put_best_albedo(x, everything))
+        elif objective.transfer is not None and objective.metallic is not None:
+            prior = fixed = pure_prior(objective, x, left)
         sum_sq = fit_level(objective, x, fixed)
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
@@ -197,6 +199,37 @@ def dielectric_prior(objective: Objective, sum_sq: Array) -> GaussianPrior:
     mean = np.tile([settings.START_ROUGHNESS, 0.0], (objective.pixels, 1))[:, used]
     precision = misfit.variance(objective, sum_sq) / settings.DIELECTRIC_SIGMA**2
     return GaussianPrior(mean, np.full(mean.shape, precision))
+
+
+def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
+    """Around the metallic that segments have: 0 or 1; roughness is free.
+
+    Among surroundings something is always left of a pixel that is of no material, and as large as
+    a dielectric's highlight: metallic between both would take it up. A segment is of metal where the
+    ln of the likelihood ratios of its pixels says so, and what metals' share of surfaces says before.
+    Pixels that share what is left of them are no independent witnesses: each has
+    `PURE_EVIDENCE_MAX` at most. Pixels without a segment are witnesses of themselves alone.
+    """
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    roughness = np.linspace(*settings.PURE_ROUGHNESS_NODES)
+    grid = objective.problem.material_grid(
+        objective.for_core(x), everything, roughness, np.array([0.0, 1.0])
+    )
+    dielectric, metal = grid.min(axis=1).T.astype(np.float64)
+    variance = misfit.variance(objective, np.minimum(dielectric, metal))
+    shared = left.of_likelihood / left.variance if np.isfinite(left.variance) else 1.0
+    ratio = (dielectric - metal) / (2 * variance * shared)
+    evidence = np.clip(ratio, -settings.PURE_EVIDENCE_MAX, settings.PURE_EVIDENCE_MAX)
+    labels = objective.layout.segments
+    if labels is not None:
+        of_segment = np.bincount(labels, evidence)[labels]
+        evidence = np.where(labels > 0, of_segment, evidence)
+    share = settings.METAL_SHARE
+    is_metal = evidence + math.log(share / (1 - share)) > 0
+    mean = np.stack([np.zeros(objective.pixels), is_metal], axis=-1).astype(np.float64)
+    precision = np.zeros(mean.shape)
+    precision[:, 1] = variance / settings.PURE_SIGMA**2
+    return GaussianPrior(mean, precision)
 
 
 def _left(
