@@ -34,6 +34,7 @@ from pbrfit.model.reflection import (
     whole_number,
 )
 from pbrfit.result import metrics
+from pbrfit.result.data import storable_segments
 from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import hindrance
@@ -42,6 +43,7 @@ from pbrfit.scene import exposure
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
+from pbrfit.transport.decision import Transport
 
 __all__ = ["Progress", "decompose"]
 
@@ -149,6 +151,14 @@ def decompose(
     refinement = found.refinement
     if refinement.refined:
         refinement = refinement.with_change(angles_between(found.normals, given))
+    surrounded = found.surrounded
+    transport = Transport() if surrounded is None else surrounded.transport
+    segments = None
+    if surrounded is not None and transport.blocks and surrounded.scene.segments is not None:
+        segments = storable_segments(surrounded.scene.segments)
+    left_out = plan.left_out
+    if not transport.blocks:
+        left_out = (*left_out, f"surroundings: {transport.why}")
     result = Result(
         materials=found.materials,
         lighting=found.lighting,
@@ -165,7 +175,7 @@ def decompose(
         metrics=_metrics(scene, found, model, threads),
         options=options,
         assumed=_assumed(scene, found, options.model),
-        left_out=plan.left_out,
+        left_out=left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
         stages=found.stages,
@@ -173,7 +183,9 @@ def decompose(
         refinement=refinement,
         camera=found.camera,
         given_normals=given if refinement.refined else None,
-        depth=None if scene.depth is None else np.where(scene.valid, scene.depth, np.nan),
+        depth=scene.depth,
+        transport=transport,
+        segments=segments,
     )
     log.info(
         "%s after %d iterations, %.1f s: %s",
@@ -295,6 +307,11 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str
         assumed.setdefault("model", f"{scene.model}, with which the pictures were rendered")
     if fit.noise is not None and (remarks := fit.noise.remarks(scene.names, fit.exposures)):
         assumed["noise"] = remarks
+    surrounded = fit.surrounded
+    if surrounded is not None and surrounded.scenery is not None and surrounded.transport.blocks:
+        assumed["surroundings"] = surrounded.scenery.in_words(surrounded.transport)
+    elif surrounded is not None:
+        assumed["surroundings"] = f"none: {surrounded.transport.why}"
     assumed["scale"] = fit.scale
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)

@@ -31,7 +31,8 @@ from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.extents import Extents, candidates
-from pbrfit.transport.scenery import Kind, PixelTransfer, Scenery, Transport, filled
+from pbrfit.transport.decision import Kind, Transport
+from pbrfit.transport.scenery import PixelTransfer, Scenery, filled
 
 log = logging.getLogger("pbrfit")
 
