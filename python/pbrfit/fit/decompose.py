@@ -275,10 +275,11 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
         lights = truth.relight_lighting
-        if fit.surrounded is not None and fit.surrounded.scenery is not None:
-            surrounded = fit.surrounded
-            rendered = surrounded.scenery.render(
-                materials, normals, lights, surrounded.transport, model=model, threads=threads
+        scenery = None if fit.surrounded is None else fit.surrounded.scenery
+        if fit.surrounded is not None and scenery is not None:
+            transport = fit.surrounded.transport
+            rendered = scenery.render(
+                materials, normals, lights, transport, model=model, threads=threads
             )
         else:
             rendered = render(materials, normals, lights, scene.fov, threads, model=model)
@@ -310,7 +311,7 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str
     surrounded = fit.surrounded
     if surrounded is not None and surrounded.scenery is not None and surrounded.transport.blocks:
         assumed["surroundings"] = surrounded.scenery.in_words(surrounded.transport)
-    elif surrounded is not None:
+    elif surrounded is not None and scene.depth is not None:
         assumed["surroundings"] = f"none: {surrounded.transport.why}"
     assumed["scale"] = fit.scale
     if fit.exposures is not None:

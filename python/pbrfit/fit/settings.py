@@ -456,8 +456,8 @@ TRANSPORT_NEAR_ROUNDS = 1
 """Rounds of joint steps for an alternative; and where lights begin at those of one like it."""
 
 TRANSPORT_ERRORS_MIN = 2.0
-"""Standard errors of the paired differences of left-out pixels from which one alternative is better:
-two, as is usual."""
+"""Standard errors of the paired differences of left-out pixels from which one alternative is
+better: two, as is usual."""
 
 TRANSPORT_GAINS = (0.85, 0.7, 0.55, 1.2)
 """Gains of brought light that are tried beside 1. A picture shows what a surface sends to the

@@ -44,10 +44,11 @@ def write_materials(
 ) -> None:
     """Write `materials.exr`: linear float32 layers albedo, roughness, metallic, normal and mask.
 
-    `more` are further maps (H, W) by channel name; `whole` are such that hold outside the mask, too.
+    `more` are further maps (H, W) by channel name; `whole` are such that hold outside the mask,
+    too.
 
-    Of all others, pixels outside the mask take the values of the nearest pixel inside, so that no file holds NaN
-    and filters at the border do no harm; `mask.Y` says which are real.
+    Of all others, pixels outside the mask take the values of the nearest pixel inside, so that no
+    file holds NaN and filters at the border do no harm; `mask.Y` says which are real.
     """
     nearest = nearest_inside(mask)
     layers = {

@@ -21,7 +21,7 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.arrays import Source
-from pbrfit.transport.decision import Transport
+from pbrfit.transport.decision import NOT_TRIED, Transport
 
 if TYPE_CHECKING:
     from pbrfit.transport.scenery import Scenery
@@ -111,8 +111,8 @@ class ResultData:
     transport
         What was decided about surroundings, and why.
     segments
-        (H, W) integer ids, 0 = unclassified, by which walls are found again; None where surroundings
-        do nothing, or the scene had none.
+        (H, W) integer ids, 0 = unclassified, by which walls are found again; None where
+        surroundings do nothing, or the scene had none.
 
     Raises
     ------
@@ -144,7 +144,7 @@ class ResultData:
     given_normals: NDArray[np.float64] | None = None
     camera: Camera | None = None
     depth: NDArray[np.float32] | None = None
-    transport: Transport = Transport()
+    transport: Transport = NOT_TRIED
     segments: NDArray[np.integer[Any]] | None = None
 
     def __post_init__(self) -> None:

@@ -136,6 +136,8 @@ def relight(
 def _among_surroundings(result: ResultData, light: ArrayLike) -> NDArray[np.float64]:
     """Pictures under SH light by those under each SH function."""
     lights = checked_lighting(light)
+    if not np.isfinite(lights).all():
+        raise InputError("lighting: expected finite numbers, found NaN or infinity")
     pictures = result.basis_pictures
     assert pictures is not None
     found = np.empty((*lights.shape[:-2], *result.mask.shape, 3))

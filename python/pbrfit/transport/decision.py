@@ -47,9 +47,7 @@ class Transport:
         if content is None:
             return cls(why="the fit knew no surroundings")
         values = table(content)
-        kind = values.get("kind")
-        if kind not in get_args(Kind):
-            raise ValueError(f"transport kind {kind!r}")
+        [kind] = [one for one in get_args(Kind) if one == values.get("kind")]
         extents = None
         if values.get("extents") is not None:
             of_extents = table(values["extents"])
@@ -62,3 +60,7 @@ class Transport:
             number(values["gain"]),
             {name: number(value) for name, value in table(values["figures"]).items()},
         )
+
+
+NOT_TRIED = Transport()
+"""The decision about a scene without depth."""

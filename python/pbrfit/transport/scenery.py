@@ -1,7 +1,7 @@
 """A scene's surroundings, and what they do to the light of its pixels.
 
-`Scenery` is geometry, made from depth; `Transport` is what a fit decided about it, and what a result
-keeps; `PixelTransfer` are the tables that the core takes (docs/transport.md).
+`Scenery` is geometry, made from depth; `Transport` is what a fit decided about it, and what a
+result keeps; `PixelTransfer` are the tables that the core takes (docs/transport.md).
 """
 
 from __future__ import annotations
@@ -94,16 +94,17 @@ class Scenery:
         extents: Extents | None = None,
     ) -> None:
         self.fov, self.mask, self.segments = fov, mask, segments
+        self.normals = np.asarray(normals, np.float64)
         # As a result keeps them, so that what is built from it is the same to the last bit.
-        self.normals = np.asarray(np.asarray(normals, np.float32), np.float64)
+        self._rounded = np.asarray(np.asarray(normals, np.float32), np.float64)
         self.points = positions(depth, fov)
-        self.walls: tuple[Wall, ...] = find_walls(self.points, self.normals, mask, segments)
+        self.walls: tuple[Wall, ...] = find_walls(self.points, self._rounded, mask, segments)
         self._build(default_extents(self.points, self.walls) if extents is None else extents)
 
     def _build(self, extents: Extents) -> None:
         self.extents = extents
         self.geometry: Surroundings = surroundings(
-            self.points, self.normals, self.mask, self.segments, extents, self.walls
+            self.points, self._rounded, self.mask, self.segments, extents, self.walls
         )
         self._core = _core.Surroundings(np.ascontiguousarray(self.geometry.triangles))
 
@@ -236,9 +237,7 @@ class Scenery:
         known = np.isfinite(starts).all(axis=-1)
         towards = np.broadcast_to(np.asarray(direction, np.float64), (int(known.sum()), 3))
         found[known] = np.isinf(
-            self._core.distances(
-                np.ascontiguousarray(starts[known]), np.ascontiguousarray(towards)
-            )
+            self._core.distances(np.ascontiguousarray(starts[known]), np.ascontiguousarray(towards))
         )
         return found
 
@@ -246,13 +245,18 @@ class Scenery:
         """What a fit supposes, for people; lengths in median depths."""
         extents, names = self.extents, [name_of(wall, self.walls) for wall in self.walls]
         parts = [f"things up to {extents.thickness:.2g} deep"]
-        for verb, blocks in (("block light", True), ("let it through", False)):
+        for verb, one_verb, blocks in (
+            ("block light", "blocks light", True),
+            ("let it through", "lets it through", False),
+        ):
             these = [n for n, b in zip(names, extents.blocks, strict=True) if b == blocks]
             if these:
+                verb = verb if len(these) > 1 else one_verb
                 parts.append(f"{counted(these)} {verb}")
         if extents.height is not None:
             parts.append(f"walls {extents.height:.2g} high")
-            parts.append("a ceiling" if extents.ceiling else "open above")
+            if "ceiling" not in names:
+                parts.append("a ceiling supposed" if extents.ceiling else "open above")
         if any(extents.blocks):
             parts.append(
                 f"open behind the camera from {extents.reach:.2g} on"
@@ -323,4 +327,5 @@ def filled(image: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     if mask.all():
         return found
     rows, columns = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    return found[rows, columns]
+    nearest: NDArray[np.float32] = found[rows, columns]
+    return nearest
