@@ -20,7 +20,6 @@ from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
-from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
 from pbrfit.model.geometry import angles_between
@@ -125,6 +124,9 @@ def decompose(
         normals_hindrance=hindered,
     )
     layout = setup.layout(scene)
+    transfer = memory.TransferMemory.of(
+        layout, model, options.transport, depth=scene.depth is not None
+    )
     way = memory.plan(
         layout,
         options.solver,
@@ -132,9 +134,10 @@ def decompose(
         exact=scene.images.dtype != np.float32,
         refine_normals=refining and hindered is None,
         optional=options.refine_normals == "auto",
+        transfer=transfer,
     )
     memory.check(options.solver, way.needed)  # before anything large is made
-    if way.tiled and layout.pixels <= WHOLE_PIXELS_MAX:
+    if way.tiled and layout.pixels <= memory.whole_pixels_max(transfer):
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     setup = replace(setup, normals_hindrance=hindered or way.hindered)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)

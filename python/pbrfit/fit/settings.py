@@ -442,6 +442,10 @@ errors, and another pass took 3 % more off them."""
 NORMALS_PATCH_SIDE = 4
 """Pixels along a side of the patches of a level whose offsets move together."""
 
+TRANSPORT_WHOLE_PIXELS_MAX = 1 << 19
+"""Pixels above which a scene that may have surroundings is fitted in tiles. Its tables take up to
+4 kB a pixel with 16 colour pictures and the model paper, and 8 kB with principled: 4 GB."""
+
 TRANSPORT_PIXELS = 400
 """Pixels that lights are fitted to while surroundings are compared, and as many that are left
 out."""
