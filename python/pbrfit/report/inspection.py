@@ -88,8 +88,9 @@ def _surroundings(scene: Scene) -> str:
     if scene.depth is None:
         return "unknown: no depth is given"
     points = geometry.positions(scene.depth, scene.fov)
+    normals = np.asarray(scene.normals, np.float64)
     try:
-        walls = find_walls(points, scene.normals, scene.valid, scene.segments)
+        walls = find_walls(points, normals, scene.valid, scene.segments)
     except InputError as error:
         return f"none: {error}"
     return counted([name_of(wall, walls) for wall in walls]) or "no wall, no floor"
