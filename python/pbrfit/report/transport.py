@@ -53,6 +53,11 @@ def section(result: Result) -> str:
         "What no picture shows is supposed: how deep things are, how high walls, where the room "
         "ends behind the camera."
     )
+    if transport.kind == "bounce":
+        text += paragraph(
+            "The fit took what surfaces reflect from the pictures themselves; reconstructions and "
+            "relit pictures compute it from the maps."
+        )
     scenery = result.scenery
     if scenery is None:
         return text + _scores(result)

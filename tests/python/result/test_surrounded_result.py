@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from pbrfit import DirectionalLight, InputError, Materials, Result, Scene, decompose, relight
+from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
 from pbrfit.fit import settings
 from pbrfit.fit import transport as fit_transport
 from pbrfit.result.data import SEGMENT_MAX, storable_segments
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
-from relit import fitted
-from small_worlds import ball_on_floor, box_room
+from relit import even, fitted, shaded_ball
+from small_worlds import box_room
 
 FEW: dict[str, Any] = {"iterations": 2, "uncertainty": False, "equal_exposures": False}
 
@@ -50,13 +49,6 @@ def room_scene() -> Scene:
         segments=seen.segments,
         model="principled",
     )
-
-
-def even(mask: NDArray[np.bool_], albedo: float, roughness: float = 1.0) -> Materials:
-    def of(value: float) -> NDArray[np.float64]:
-        return np.where(mask, value, np.nan)
-
-    return Materials(np.repeat(of(albedo)[..., None], 3, axis=-1), of(roughness), of(0.0))
 
 
 @pytest.fixture(scope="module")
@@ -163,24 +155,6 @@ def test_unusable_light_is_refused_among_surroundings(loaded: Result) -> None:
         relight(loaded, np.zeros((3, 9)))
     with pytest.raises(InputError, match="finite"):
         relight(loaded, np.full((16, 3), np.nan))
-
-
-def shaded_ball() -> Result:
-    """A white ball on a white floor, occluding."""
-    seen = ball_on_floor(64)
-    depth = -seen.points[..., 2].astype(np.float32)
-    materials = even(seen.mask, 0.7)
-    return dataclasses.replace(
-        fitted(),
-        materials=materials,
-        normals=seen.normals,
-        mask=seen.mask,
-        fov=50.0,
-        uncertainty=None,
-        depth=depth,
-        segments=seen.segments,
-        transport=Transport("occlusion", "asked for"),
-    )
 
 
 def test_a_ball_throws_its_shadow_away_from_a_lamp() -> None:
