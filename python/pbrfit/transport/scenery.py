@@ -196,6 +196,7 @@ class Scenery:
             tables = self.transfer(places, model, threads=threads, normals=arguments[0])
             rendered = _core.render(*arguments, lights, threads, model, tables.rows)
             flat[:, places] = rendered
+            # Of larger pictures they are not kept: rows are then from fewer rays.
             if transport.kind == "bounce" and len(pieces) == 1:
                 rows.append(tables.rows)
         for _ in range(BOUNCES if transport.kind == "bounce" else 0):

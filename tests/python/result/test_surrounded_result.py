@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
+from pbrfit.batch.scenes import table
 from pbrfit.fit import settings
 from pbrfit.fit import transport as fit_transport
+from pbrfit.report.inspection import facts
 from pbrfit.result.data import SEGMENT_MAX, storable_segments
-from pbrfit.transport.decision import Transport
+from pbrfit.transport import scenery
+from pbrfit.transport.decision import Kind, Transport
 from pbrfit.transport.scenery import Scenery
 from relit import even, fitted, shaded_ball
 from small_worlds import box_room
@@ -208,3 +211,28 @@ def test_ids_too_large_for_float32_are_counted_anew() -> None:
     large = np.array([[7, SEGMENT_MAX + 1, 0, -3]])
     np.testing.assert_array_equal(storable_segments(large), [[1, 2, 0, -1]])
     np.testing.assert_array_equal(storable_segments(large[:, :2]), [[1, 2]])
+
+
+@pytest.mark.parametrize("kind", ["occlusion", "bounce"])
+def test_pieces_of_a_picture_give_the_same_light(
+    kind: Kind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = dataclasses.replace(shaded_ball(), transport=Transport(kind, "asked for"))
+    whole = relight(of, of.lighting[0])
+    monkeypatch.setattr(scenery, "PIECE", 1000)
+    pieces = relight(dataclasses.replace(of), of.lighting[0])
+    # Rows of the model under reflected light are from fewer rays where there are pieces.
+    atol = 0 if kind == "occlusion" else 0.05 * float(np.nanmax(whole))
+    np.testing.assert_allclose(pieces, whole, rtol=0, atol=atol)
+
+
+def test_what_was_decided_is_said_and_what_was_found_before(
+    made: tuple[Scene, Result, list[Scenery]], tmp_path: Path
+) -> None:
+    scene, result, _ = made
+    lines = table(result, scene, tmp_path)
+    [said] = [line for line in lines if line.startswith("surroundings")]
+    assert said.startswith("surroundings (occlusion): block light (asked for): things up to")
+    found = dict(facts(scene))["surroundings"]
+    assert "floor" in found
+    assert dict(facts(dataclasses.replace(scene, depth=None)))["surroundings"].startswith("unknown")
