@@ -14,6 +14,7 @@ __all__ = [
     "Neighbours",
     "Problem",
     "Raster",
+    "Surroundings",
     "allow_end",
     "decode_exr",
     "decode_icc",
@@ -74,6 +75,8 @@ def render(
     lighting: NDArray[np.float64],
     threads: int,
     model: str = "paper",
+    transfer: NDArray[np.float32] | None = None,
+    bounced: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float64]: ...
 def render_directional(
     normals: NDArray[np.float64],
@@ -102,6 +105,8 @@ class Problem:
     normals, views (P, 3) float64 unit vectors; weights (N, P) or (N, P, C) float32; lighting
     (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
     sh_order 2 or 3.
+    transfer (P, R, 16) stands in the place of the model's rows, R = 5 for "paper" and 11 for
+    "principled"; bounced (P, R, N·C) is what surfaces bring of each picture.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | tangent offsets (2 planes) |
     lighting (N, K, C)], without those that are known; normals are unless `free_normals`. A tangent
     offset (a, b), at most 1e3 in size, moves the given normal to (normal + a t₁ + b t₂)/√(1 + a² +
@@ -121,6 +126,8 @@ class Problem:
         lighting: NDArray[np.float64] | None = None,
         free_normals: bool = False,
         model: str = "paper",
+        transfer: NDArray[np.float32] | None = None,
+        bounced: NDArray[np.float32] | None = None,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...
@@ -316,6 +323,34 @@ class Groups:
         self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
     ) -> float:
         """As that of `Neighbours`."""
+
+@final
+class Surroundings:
+    """Triangles (T, 3, 3) float32 that light meets."""
+
+    def __new__(cls, triangles: NDArray[np.float32]) -> Surroundings: ...
+    def distances(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Distance (P,) to what each ray (P, 3) meets, infinite where it leaves."""
+
+    def transfer(
+        self,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64],
+        views: NDArray[np.float64],
+        seeds: NDArray[np.uint64],
+        *,
+        rays: int,
+        model: str,
+        threads: int = 0,
+        radiance: NDArray[np.float32] | None = None,
+        half_width: float = 0.0,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Rows (P, R, 16) of points (P, 3), and what surfaces of radiance (H, W, V) bring them.
+
+        `half_width` is the tangent of half the field of view of the picture with that radiance.
+        """
 
 @final
 class Raster:

@@ -450,6 +450,10 @@ METAL_SHARE = 0.1
 with; natural units of evidence that it adds at most; the standard deviation of its metallic then; and
 the share of surfaces that are of bare metal before anything is seen."""
 
+TRANSPORT_WHOLE_PIXELS_MAX = 1 << 19
+"""Pixels above which a scene that may have surroundings is fitted in tiles. Its tables take up to
+4 kB a pixel with 16 colour pictures and the model paper, and 8 kB with principled: 4 GB."""
+
 TRANSPORT_PIXELS = 400
 """Pixels that lights are fitted to while surroundings are compared, and as many that are left
 out."""
@@ -464,8 +468,8 @@ TRANSPORT_NEAR_ROUNDS = 1
 """Rounds of joint steps for an alternative; and where lights begin at those of one like it."""
 
 TRANSPORT_ERRORS_MIN = 2.0
-"""Standard errors of the paired differences of left-out pixels from which one alternative is better:
-two, as is usual."""
+"""Standard errors of the paired differences of left-out pixels from which one alternative is
+better: two, as is usual."""
 
 TRANSPORT_GAINS = (0.85, 0.7, 0.55, 1.2)
 """Gains of brought light that are tried beside 1. A picture shows what a surface sends to the
