@@ -442,13 +442,14 @@ errors, and another pass took 3 % more off them."""
 NORMALS_PATCH_SIDE = 4
 """Pixels along a side of the patches of a level whose offsets move together."""
 
-PURE_ROUGHNESS_NODES = (0.05, 1.0, 12)
+PURE_ROUGHNESS_NODES = (0.05, 1.0, 20)
 PURE_EVIDENCE_MAX = 1.0
-PURE_SIGMA = 0.05
+PURE_SIGMAS = (0.1, 0.05)
 METAL_SHARE = 0.1
-"""Where metallic is searched as 0 or 1: (lowest, highest, count) of roughness that a pixel is tried
-with; natural units of evidence that it adds at most; the standard deviation of its metallic then; and
-the share of surfaces that are of bare metal before anything is seen."""
+"""Among surroundings, where segments have about one roughness and metallic 0 or 1: (lowest, highest,
+count) of the roughness that they are tried with; natural units of evidence that a pixel adds at
+most, four times as many against a roughness; standard deviations of a pixel's roughness and
+metallic around its segment's; the share of surfaces of bare metal before anything is seen."""
 
 TRANSPORT_WHOLE_PIXELS_MAX = 1 << 19
 """Pixels above which a scene that may have surroundings is fitted in tiles. Its tables take up to
