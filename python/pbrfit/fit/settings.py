@@ -472,6 +472,10 @@ TRANSPORT_ERRORS_MIN = 2.0
 """Standard errors of the paired differences of left-out pixels from which one alternative is
 better: two, as is usual."""
 
+TRANSPORT_GAIN_MIN = 0.2
+"""By how much less surroundings have to leave than none, in the mean ln of squared residuals: a
+tenth of the root mean square. What differs less is a matter of which pixels are left out."""
+
 TRANSPORT_GAINS = (0.85, 0.7, 0.55, 1.2)
 """Gains of brought light that are tried beside 1. A picture shows what a surface sends to the
 camera; where it is not matt, that is not what it sends to another one."""

@@ -5,7 +5,9 @@ materials; then pixels of the second, with these lights, find their best materia
 of them is the score: the mean over pixels of ln(Σ residual²/Σ radiance²). A pixel has five unknowns
 whatever surroundings are, and the lights know nothing of it, so more freedom gains nothing by
 itself. Two alternatives differ where the mean of the paired differences is more than
-`TRANSPORT_ERRORS_MIN` of its standard errors from 0.
+`TRANSPORT_ERRORS_MIN` of its standard errors from 0. Left-out pixels share what is left with those
+beside them, so that alone says too much for many of them: surroundings are taken only where they
+leave less by `TRANSPORT_GAIN_MIN` as well.
 
 What no picture shows (`pbrfit.transport.extents`) is searched by the same score, one thing at a
 time, as long as something gains; and so is the gain of what is brought.
@@ -115,7 +117,7 @@ def choose(run: Run, x: Array, asked: str) -> Surrounded:
     return found
 
 
-class _Trial:
+class Trial:
     """An alternative, and what it left."""
 
     def __init__(self, kind: Kind, scenery: Scenery, gain: float) -> None:
@@ -125,13 +127,18 @@ class _Trial:
 
     @property
     def score(self) -> float:
+        """Mean over left-out pixels."""
         return float(self.left.mean())
 
-    def better_than(self, other: _Trial) -> bool:
+    def better_than(self, other: Trial) -> bool:
         """Whether what it left is surely less."""
         difference = self.left - other.left
         error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
         return bool(difference.mean() < -settings.TRANSPORT_ERRORS_MIN * error)
+
+    def clearly_better_than(self, other: Trial) -> bool:
+        """Whether it is also less by an amount that counts."""
+        return self.better_than(other) and self.score < other.score - settings.TRANSPORT_GAIN_MIN
 
 
 class _Search:
@@ -151,22 +158,22 @@ class _Search:
         assert scenery is not None
         asked = self._asked
         kinds: tuple[Kind, ...] = ("occlusion", "bounce") if asked == "auto" else (asked,)  # type: ignore[assignment]
-        tried = {kind: self._tried(_Trial(kind, scenery, 1.0)) for kind in kinds}
+        tried = {kind: self._tried(Trial(kind, scenery, 1.0)) for kind in kinds}
         best = min(tried.values(), key=lambda trial: trial.score)
         best = self._with_extents(best)
         if asked == "auto":
             other: Kind = "bounce" if best.kind == "occlusion" else "occlusion"
-            tried[other] = self._tried(_Trial(other, best.scenery, 1.0), best)
+            tried[other] = self._tried(Trial(other, best.scenery, 1.0), best)
             if tried[other].better_than(best):
                 best = self._with_extents(tried[other])
         if best.kind == "bounce":
             best = self._with_gain(best)
         tried[best.kind] = best
-        none = self._tried(_Trial("none", scenery, 1.0))
+        none = self._tried(Trial("none", scenery, 1.0))
         figures = {f"left_out_{kind}": one.score for kind, one in tried.items()}
         figures |= {"left_out_none": none.score, "left_out_pixels": float(len(none.left))}
-        if asked == "auto" and not best.better_than(none):
-            why = "surroundings explain left-out pixels no better"
+        if asked == "auto" and not best.clearly_better_than(none):
+            why = "surroundings explain left-out pixels hardly better"
             transport = Transport("none", why, None, 1.0, figures)
             return Surrounded(self._surrounded.scene, transport, None)
         why = "asked for" if asked != "auto" else "left-out pixels are explained better"
@@ -175,12 +182,12 @@ class _Search:
         found._images = self._surrounded._images
         return found
 
-    def _with_extents(self, best: _Trial) -> _Trial:
+    def _with_extents(self, best: Trial) -> Trial:
         """Change what no picture shows, one thing at a time, as long as that gains."""
         hopeful = list(candidates(best.scenery.extents))
         while hopeful and not self._run.out_of_time():
             trials = [
-                self._tried(_Trial(best.kind, best.scenery.with_extents(one), best.gain), best)
+                self._tried(Trial(best.kind, best.scenery.with_extents(one), best.gain), best)
                 for one in hopeful
             ]
             better = sorted(
@@ -196,14 +203,14 @@ class _Search:
             )
         return best
 
-    def _with_gain(self, best: _Trial) -> _Trial:
+    def _with_gain(self, best: Trial) -> Trial:
         for gain in settings.TRANSPORT_GAINS:
-            trial = self._tried(_Trial(best.kind, best.scenery, gain), best)
+            trial = self._tried(Trial(best.kind, best.scenery, gain), best)
             if trial.score < best.score:
                 best = trial
         return best
 
-    def _tried(self, trial: _Trial, near: _Trial | None = None) -> _Trial:
+    def _tried(self, trial: Trial, near: Trial | None = None) -> Trial:
         """An alternative with its scores; lights begin at those of one that is `near`."""
         objective, run = self._run.objective, self._run
         surrounded = self._surrounded

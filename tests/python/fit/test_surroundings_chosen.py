@@ -10,6 +10,7 @@ import pytest
 
 import pbrfit
 from pbrfit import InputError, Scene
+from pbrfit.fit.transport import Trial
 from pbrfit.model.materials import Materials
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.transport.decision import Transport
@@ -126,3 +127,17 @@ def test_holes_in_the_depth_block_nothing_and_break_nothing(
     found = pbrfit.decompose(holed, uncertainty=False)
     assert np.isfinite(found.albedo[found.mask]).all()
     assert found.transport.kind == "occlusion"
+
+
+@pytest.mark.parametrize(
+    ("gain", "spread", "clearly"),
+    [(0.21, 0.5, True), (0.19, 0.5, False), (0.21, 5.0, False), (-0.21, 0.5, False)],
+)
+def test_surroundings_have_to_leave_less_surely_and_by_a_tenth(
+    gain: float, spread: float, clearly: bool
+) -> None:
+    noise = np.random.default_rng(0).normal(size=400)
+    noise = spread * (noise - noise.mean()) / noise.std()
+    none, among = (Trial(kind, None, 1.0) for kind in ("none", "occlusion"))  # type: ignore[arg-type]
+    none.left, among.left = np.full(400, -5.0), -5.0 - gain + noise
+    assert among.clearly_better_than(none) == clearly
