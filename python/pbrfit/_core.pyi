@@ -14,6 +14,7 @@ __all__ = [
     "Neighbours",
     "Problem",
     "Raster",
+    "Surroundings",
     "allow_end",
     "decode_exr",
     "decode_icc",
@@ -74,6 +75,8 @@ def render(
     lighting: NDArray[np.float64],
     threads: int,
     model: str = "paper",
+    transfer: NDArray[np.float32] | None = None,
+    bounced: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float64]: ...
 def render_directional(
     normals: NDArray[np.float64],
@@ -106,6 +109,9 @@ class Problem:
     lighting (N, K, C)], without those that are known; normals are unless `free_normals`. A tangent
     offset (a, b), at most 1e3 in size, moves the given normal to (normal + a t₁ + b t₂)/√(1 + a² +
     b²). The loss is the (weighted) mean of the squared residuals, or of a robust loss of them.
+    `transfer` (P, R, 16) are rows in the place of the model's, the matt part's first: R = 5 of the
+    paper's model, 11 of the principled one; and `bounced` (P, R, N·C) what is brought to each, in
+    the unit of the images. Not with `free_normals`.
     """
 
     def __new__(
@@ -121,6 +127,8 @@ class Problem:
         lighting: NDArray[np.float64] | None = None,
         free_normals: bool = False,
         model: str = "paper",
+        transfer: NDArray[np.float32] | None = None,
+        bounced: NDArray[np.float32] | None = None,
     ) -> Problem: ...
     @property
     def size(self) -> int: ...
@@ -316,6 +324,43 @@ class Groups:
         self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
     ) -> float:
         """As that of `Neighbours`."""
+
+@final
+class Surroundings:
+    """Triangles (T, 3, 3) that light meets, from either side; each is of a surface, by number."""
+
+    def __new__(
+        cls, triangles: NDArray[np.float32], surfaces: NDArray[np.uint8]
+    ) -> Surroundings: ...
+    @property
+    def last_surface(self) -> int:
+        """The highest number of a surface."""
+    def distances(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Distance (R,) to what each ray meets first, infinite where it leaves."""
+    def transfer(
+        self,
+        points: NDArray[np.float64],
+        normals: NDArray[np.float64],
+        views: NDArray[np.float64],
+        seeds: NDArray[np.uint64],
+        *,
+        rays: int,
+        model: str,
+        threads: int = 0,
+        radiance: NDArray[np.float32] | None = None,
+        half_width: float = 0.0,
+        nearest: NDArray[np.uint32] | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Rows (P, R, 16) of pixels, and what is brought to them (P, R, V), from rays of each.
+
+        Rays start at points (P, 3), and follow from a pixel's own number in seeds (P,). `radiance`
+        (H, W, V), V values of each pixel of pictures, tells what a blocked ray brings; None =
+        nothing. `half_width` is the tangent of half of their horizontal field of view, 0 =
+        orthographic. `nearest` (S·H·W,) has for each surface from number 1 on, and each pixel, the
+        pixel that shows the surface nearest to it; surface 0 is whatever a pixel shows.
+        """
 
 @final
 class Raster:

@@ -11,7 +11,7 @@ use std::time::Duration;
 use crate::runtime::{Error, Result, check};
 
 /// Largest coordinate that is taken: its square is finite in float32.
-pub(super) const LARGEST: f64 = 1e12;
+pub const LARGEST: f64 = 1e12;
 
 /// Triangles in a tree of boxes.
 #[derive(Clone)]
