@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from random_pixels import Array, Example, Kind, Pixels
 
@@ -152,7 +153,8 @@ def dense(example: Seen, pixels: Pixels) -> Dense:
     return Dense(matrix, gradient, forward, follow, curvature)
 
 
-def close(found: Array, expected: Array, share: float) -> None:
+def close(found: NDArray[Any], expected: NDArray[Any], share: float) -> None:
+    """Within a share of the largest expected value."""
     np.testing.assert_allclose(found, expected, rtol=0, atol=share * np.abs(expected).max())
 
 

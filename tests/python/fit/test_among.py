@@ -44,6 +44,12 @@ def example_of(kind: Surroundings, pictures: int = 6) -> Among:
     return Among(kind, PIXELS, pictures, noise=0.3)
 
 
+def contiguous(example: Among) -> tuple[Array, Array, Array]:
+    """Albedo in three channels, roughness and metallic."""
+    albedo, roughness, metallic = map(np.ascontiguousarray, example.material(example.truth))
+    return albedo, roughness, metallic
+
+
 def split(example: Among, gradient: Array) -> dict[str, Array]:
     """Gradient of the loss by unknowns of pixels (P, D), and of the lights."""
     maps = example.kind.unknowns * example.pixels
@@ -83,8 +89,8 @@ def test_the_slow_model_is_that_of_the_open_sky_where_nothing_is(model: str, cha
     weights = _core.shade(
         example.given,
         example.views,
-        *map(np.ascontiguousarray, example.material(example.truth)),
-        model,
+        *contiguous(example),
+        model=model,
     )[:, :channels]
     np.testing.assert_allclose(example.slopes()[1], weights, rtol=0, atol=1e-6)
 
@@ -233,10 +239,12 @@ def test_planted_materials_are_found_from_nothing(kind: Surroundings) -> None:
     nodes = np.linspace(0.05, 1, 12), np.linspace(0, 1, 6)
     x = example.x(np.full_like(example.truth, 0.5))
     truth = example.unknowns(example.truth)
-    single = {"images": example.targets.swapaxes(0, 1).astype(np.float32)}
+    single: dict[str, Any] = {"images": example.targets.swapaxes(0, 1).astype(np.float32)}
     for exact, median, most in ((False, 1e-6, 2e-5), (True, 1e-13, 1e-11)):
         problem = example.problem(**({} if exact else single))
-        found, squares = problem.fit_materials(x, example.everything, *nodes, starts=3, exact_steps=3)
+        found, squares = problem.fit_materials(
+            x, example.everything, *nodes, starts=3, exact_steps=3
+        )
         error = np.abs(found - truth).max(axis=1)
         assert np.median(error) < median
         assert error.max() < most
@@ -248,11 +256,11 @@ def test_planted_materials_are_found_from_nothing(kind: Surroundings) -> None:
 def test_fitted_materials_leave_what_the_slow_model_says(kind: Surroundings) -> None:
     example = example_of(kind)
     nodes = np.linspace(0.05, 1, 8), np.linspace(0, 1, 4)
-    for options in ({"exact_steps": 3}, {"exact_steps": 0}):
+    for exact_steps in (3, 0):
         found, squares = example.problem().fit_materials(
-            example.x(), example.everything, *nodes, starts=2, steps=30, **options
+            example.x(), example.everything, *nodes, starts=2, steps=30, exact_steps=exact_steps
         )
-        share = 1e-11 if options["exact_steps"] else 1e-5
+        share = 1e-11 if exact_steps else 1e-5
         np.testing.assert_allclose(squares, example.squares(found), rtol=share)
         assert (squares <= example.squares(example.unknowns(example.truth)) * (1 + 1e-5)).all()
         # At a minimum: no slope where no bound is, and nothing goes below the roughness of the grid.
@@ -340,16 +348,15 @@ def test_same_bits_at_any_number_of_threads(model: str) -> None:
 @pytest.mark.parametrize("bounce", [False, True])
 def test_pictures_are_those_of_the_slow_model(model: str, bounce: bool) -> None:
     example = Among(Surroundings(model=model, bounce=bounce), PIXELS, 4)
-    materials = map(np.ascontiguousarray, example.material(example.truth))
     found = _core.render(
         example.given,
         example.views,
-        *materials,
+        *contiguous(example),
         example.lights,
         1,
-        model,
-        example.rows,
-        example.given_bounced(),
+        model=model,
+        transfer=example.rows,
+        bounced=example.given_bounced(),
     )
     close(found.swapaxes(0, 1), example.radiance(example.truth), 1e-12)
 
