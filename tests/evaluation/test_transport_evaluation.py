@@ -10,7 +10,6 @@ import json
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,12 +20,12 @@ from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.geometry import trace
-from pbrfit_evaluation import cycles, recipes, transport
+from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.suite import Verdict
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
-from pbrfit_evaluation.transport import SETUPS, SUITE, figures, measure, variants
-from pbrfit_evaluation.transport.measure import NAMES, ROWS, Case, choice, told
-from pbrfit_evaluation.transport.variants import BY_KEY, VARIANTS, missing
+from pbrfit_evaluation.transport import SETUPS, SUITE, figures, measure
+from pbrfit_evaluation.transport.measure import NAMES, ROWS, Case, told
+from pbrfit_evaluation.transport.variants import BY_KEY, VARIANTS
 
 SIZE = 24
 
@@ -50,28 +49,14 @@ def exact() -> Scene:
 
 @pytest.fixture
 def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rooms without Cycles; a fit with geometry is one without, and says what it chose."""
+    """Rooms without Cycles, and short fits."""
 
     def fit(scene: Scene, **options: Any) -> Any:
-        asked = options.pop("transport", None)
-        result = recipes.fit(scene, iterations=2, uncertainty=False, **options)
-        if asked is not None:
-            assert scene.depth is not None
-            chosen.append("bounce")
-        return result
+        return recipes.fit(scene, iterations=2, uncertainty=False, **options)
 
-    chosen: list[str] = []
     monkeypatch.setattr(measure, "room", own_room)
     monkeypatch.setattr(measure, "fit", fit)
-    monkeypatch.setattr(measure, "choice", lambda _: chosen.pop() if chosen else "none")
     monkeypatch.setattr(cycles, "why_not", lambda: None)
-
-
-@pytest.fixture
-def all_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pretend that this version has the option."""
-    for module in (variants, figures, transport):
-        monkeypatch.setattr(module, "missing", lambda _: "")
 
 
 # ------------------------------------------------------------------------------- what is measured
@@ -131,15 +116,6 @@ def test_integrated_depth_has_the_normals_and_does_not_know_jumps(exact: Scene) 
     assert facts["normals_off"] < 8
 
 
-@pytest.mark.parametrize(
-    ("chosen", "expected"),
-    [(None, "none"), ("occlusion", "occlusion"), (SimpleNamespace(choice="bounce"), "bounce")],
-)
-def test_what_was_chosen_is_read_from_the_result(chosen: Any, expected: str) -> None:
-    assert choice(SimpleNamespace(transport=chosen)) == expected  # type: ignore[arg-type]
-    assert choice(SimpleNamespace()) == "none"  # type: ignore[arg-type]
-
-
 @pytest.mark.usefixtures("stand_ins")
 def test_a_room_is_measured_and_pictured() -> None:
     found = measure.run(Case("shadows", "without", 2003, SIZE, 4, picture=True), 1)
@@ -154,9 +130,6 @@ def test_a_room_is_measured_and_pictured() -> None:
     assert "pictures" not in measure.run(Case("shadows", "constant", 2003, SIZE, 4), 1)
 
 
-@pytest.mark.skipif(
-    any(missing(variant) for variant in VARIANTS), reason="this version cannot run all variants"
-)
 @pytest.mark.slow
 @pytest.mark.parametrize("key", [variant.key for variant in VARIANTS])
 def test_every_variant_runs(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -223,14 +196,13 @@ def test_ratios_are_of_rooms_that_both_have() -> None:
 def test_rows_say_what_was_chosen_and_why_some_were_not_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(figures, "missing", lambda one: "no depth" if one.depth != "none" else "")
     monkeypatch.setattr(cycles, "why_not", lambda: "no bpy")
     pairs = of("shadows", "without", 1, 0.3), of("shadows", "true", 1, 0.2)
     options = asked(setups=("shadows",))
     rows = {row.solver: row for row in figures.rows(recorded(*pairs, **vars(options)))}
     assert rows["true depth"].metrics["chose_occlusion"] == 1
     assert "chose_occlusion" not in rows["no depth"].metrics
-    assert rows["rough depth"].status == "not run: no depth"
+    assert rows["rough depth"].status == "not run: no bpy"
     assert rows["constant guess"].status == "not run: no bpy"
 
 
@@ -238,7 +210,6 @@ def test_rows_say_what_was_chosen_and_why_some_were_not_run(
 
 
 @pytest.mark.parametrize("quick", [False, True])
-@pytest.mark.usefixtures("all_there")
 def test_cases_have_names_of_their_own_and_untuned_seeds(
     quick: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import Materials, Result, decompose
+from pbrfit.transport.decision import Transport
 from scene_files import room
+from small_worlds import ball_on_floor
 
 SIDE = 32
 
@@ -35,6 +37,33 @@ def ball(like: Result, albedo: float = 0.8, roughness: float = 0.6) -> Result:
     )
     return dataclasses.replace(
         like, materials=materials, normals=normals, mask=inside, fov=0.0, uncertainty=None
+    )
+
+
+def even(mask: NDArray[np.bool_], albedo: float, roughness: float = 1.0) -> Materials:
+    """One material in a mask."""
+
+    def of(value: float) -> NDArray[np.float64]:
+        return np.where(mask, value, np.nan)
+
+    return Materials(np.repeat(of(albedo)[..., None], 3, axis=-1), of(roughness), of(0.0))
+
+
+def shaded_ball() -> Result:
+    """A light ball on a light floor, which block light."""
+    seen = ball_on_floor(64)
+    depth = -seen.points[..., 2].astype(np.float32)
+    materials = even(seen.mask, 0.7)
+    return dataclasses.replace(
+        fitted(),
+        materials=materials,
+        normals=seen.normals,
+        mask=seen.mask,
+        fov=50.0,
+        uncertainty=None,
+        depth=depth,
+        segments=seen.segments,
+        transport=Transport("occlusion", "asked for"),
     )
 
 

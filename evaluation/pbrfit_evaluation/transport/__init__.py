@@ -11,7 +11,7 @@ from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 from pbrfit_evaluation.transport import figures
 from pbrfit_evaluation.transport.measure import FIRST_SEED, PICTURED, Case, Setup, run
-from pbrfit_evaluation.transport.variants import BY_KEY, VARIANTS, missing
+from pbrfit_evaluation.transport.variants import BY_KEY, VARIANTS
 
 SETUPS: tuple[Setup, ...] = get_args(Setup)
 
@@ -40,7 +40,7 @@ def cases(options: Options) -> list[Case]:
             cycles_cache=absolute(options.cycles_cache),
         )
         for variant in VARIANTS
-        if variant.key in options.variants and not missing(variant)
+        if variant.key in options.variants
         for setup in options.setups
         for i in range(options.scenes)
     ]

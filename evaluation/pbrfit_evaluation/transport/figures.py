@@ -28,7 +28,7 @@ from pbrfit_evaluation.suite import (
     numbers_csv,
 )
 from pbrfit_evaluation.transport.measure import NAMES, PICTURED, SHOWN, Case, Setup
-from pbrfit_evaluation.transport.variants import BY_KEY, TRUE, VARIANTS, WITHOUT, missing
+from pbrfit_evaluation.transport.variants import BY_KEY, TRUE, VARIANTS, WITHOUT
 
 Of = Results[Case]
 
@@ -60,7 +60,7 @@ def rows(results: Of) -> list[Row]:
     for setup, key in _lines(results):
         of, variant = results.of(setup=setup, variant=key), BY_KEY[key]
         if not of.pairs:
-            why = missing(variant) or cycles.why_not()
+            why = cycles.why_not()
             found.append(Row(NAMES[setup], 0, variant.words, {}, status=f"not run: {why}"))
             continue
         measured = of.metrics(METRICS, "scores")

@@ -98,7 +98,7 @@ def run(case: Case, threads: int) -> dict[str, Any]:
     found = {
         "scores": score(result, scene, threads).as_json(),
         "facts": facts,
-        "choice": choice(result),
+        "choice": result.transport.kind,
     }
     if case.picture:
         found["pictures"] = pictures(result, scene, threads)
@@ -147,12 +147,6 @@ def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, fl
         facts["segments"] = float(len(np.unique(segments[valid])))
         facts["purity"] = purity(segments[valid], exact.segments[valid])
     return replace(exact, segments=segments, depth=depth), facts
-
-
-def choice(result: Result) -> str:
-    """What the fit chose: "none", "occlusion" or "bounce"."""
-    chosen = getattr(result, "transport", None)
-    return str(getattr(chosen, "choice", chosen or "none"))
 
 
 def pictures(result: Result, scene: Scene, threads: int) -> dict[str, Any]:

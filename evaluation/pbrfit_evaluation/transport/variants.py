@@ -1,12 +1,9 @@
-"""What a fit is told of the geometry, and what this version of pbrfit can be told."""
+"""What a fit is told of the geometry."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from functools import cache
+from dataclasses import dataclass
 from typing import Literal
-
-from pbrfit.result.options import FitOptions
 
 Depth = Literal["none", "true", "network", "rough", "integrated"]
 """The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""
@@ -65,11 +62,3 @@ VARIANTS = (
 )
 
 BY_KEY = {variant.key: variant for variant in VARIANTS}
-
-
-@cache
-def missing(variant: Variant) -> str:
-    """What this version lacks for a variant; empty if it can be run."""
-    if variant.transport is not None and "transport" not in {f.name for f in fields(FitOptions)}:
-        return "decompose has no option transport"
-    return ""

@@ -61,8 +61,16 @@ def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitM
     held = pixels * (pictures * of_samples + 24 + of_maps)
     refining = options.refine_normals != "off" and pictures >= PICTURES_MIN
     optional = options.refine_normals == "auto"
+    depth = any((folder / name).exists() for name in DEPTH_FILES)
+    # The dearer model where only the scene's description says which it is.
+    model = options.model or "principled"
     found = memory.plan(
-        layout, options.solver, held=held, refine_normals=refining, optional=optional
+        layout,
+        options.solver,
+        held=held,
+        refine_normals=refining,
+        optional=optional,
+        transfer=memory.TransferMemory.of(layout, model, options.transport, depth=depth),
     ).needed
     reading_takes = held + DECODING_BYTES * full[0] * full[1]
     return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0, 0, 0)

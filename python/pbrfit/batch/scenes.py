@@ -184,9 +184,16 @@ def table(result: Result, scene: Scene, output: Path) -> list[str]:
             at_start = _error(result.history[key][0]) if known else ""
             lines.append(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
     lines.append(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
+    if result.depth is not None:
+        lines.append(f"surroundings ({result.options.transport}): {_surroundings(result)}")
     if result.left_out:
         lines.append(f"left out: {'; '.join(result.left_out)}")
     return lines
+
+
+def _surroundings(result: Result) -> str:
+    """What was decided about them."""
+    return result.assumed.get("surroundings", f"none: {result.transport.why}")
 
 
 def _error(value: float) -> str:

@@ -48,6 +48,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_light(parser)
     cli.add_flags(
+        parser,
+        no_shadows=cli.switch(
+            "light as if there were no surroundings, where the fit decided for some"
+        ),
+    )
+    cli.add_flags(
         parser.add_argument_group("output"),
         turntable=cli.value(
             "N",
@@ -187,10 +193,12 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
 
 def _frames(result: Result, light: Light, options: argparse.Namespace) -> Iterator[Radiance]:
     """The picture, or those of a turntable, one at a time."""
-    yield relight(result, light, options.threads)
+    shadows = not options.no_shadows
+    yield relight(result, light, options.threads, shadows=shadows)
     count = options.turntable or 1
     for k in range(1, count):
-        yield relight(result, turned(light, 360 * k / count), options.threads)
+        light_there = turned(light, 360 * k / count)
+        yield relight(result, light_there, options.threads, shadows=shadows)
 
 
 def _write(
@@ -222,11 +230,19 @@ def _frame_name(k: int, options: argparse.Namespace) -> str:
     return f"frame_{k:0{digits}}.{options.format or 'exr'}"
 
 
+def _shadows(result: Result) -> str:
+    if result.scenery is None:
+        return "none: the result has no depth"
+    return f"by surroundings of {len(result.scenery.geometry.triangles)} triangles"
+
+
 def _facts_of_output(
     options: argparse.Namespace, kind: str, result: Result, screen: Screen, radiance: Range
 ) -> Iterator[tuple[str, str]]:
     height, width = result.mask.shape
     what = f"{options.out}: {width} × {height}"
+    if result.transport.blocks:
+        yield "shadows", "left out, as asked for" if options.no_shadows else _shadows(result)
     if options.turntable is not None:
         several = f"{options.turntable} frames, {360 / options.turntable:g} degrees apart"
         what += f", {several if options.turntable > 1 else '1 frame'}"

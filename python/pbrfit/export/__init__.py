@@ -157,8 +157,8 @@ def _write_gltf(folder: Path, maps: Maps, planned: Plan, fov: float) -> Exported
 def _write_exr(folder: Path, maps: Maps, planned: Plan, result: Result) -> Iterator[ExportedFile]:
     (folder / "exr").mkdir()
     path = "exr/materials.exr"
-    more = result.further_layers()
-    write_materials(folder / path, result.materials, result.normals, result.mask, more)
+    layers = result.further_layers(), result.whole_layers()
+    write_materials(folder / path, result.materials, result.normals, result.mask, *layers)
     yield _file(folder, path, "all maps as layers; normals as vectors, Y up", _LINEAR)
     for texture in planned.textures:
         path = f"exr/{texture.name}.exr"

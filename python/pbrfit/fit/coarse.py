@@ -116,6 +116,8 @@ def rounds(
             fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
         elif number < dielectric:
             prior = fixed = dielectric_prior(objective, objective.put_best_albedo(x, everything))
+        elif objective.transfer is not None and objective.metallic is not None:
+            prior = fixed = pure_prior(objective, x, left)
         sum_sq = fit_level(objective, x, fixed)
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
@@ -197,6 +199,43 @@ def dielectric_prior(objective: Objective, sum_sq: Array) -> GaussianPrior:
     mean = np.tile([settings.START_ROUGHNESS, 0.0], (objective.pixels, 1))[:, used]
     precision = misfit.variance(objective, sum_sq) / settings.DIELECTRIC_SIGMA**2
     return GaussianPrior(mean, np.full(mean.shape, precision))
+
+
+def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
+    """Around what segments are made of: metallic 0 or 1, and about one roughness.
+
+    Among surroundings something is always left of a pixel that is of no material, and as large as
+    a dielectric's highlight: metallic between 0 and 1, or a roughness of its own, would take it up.
+    A segment is of metal where the sum of its pixels' log likelihood ratios says so, beside the
+    share of surfaces that metals have. Pixels that share what is left of them are no independent
+    witnesses: none adds more than `PURE_EVIDENCE_MAX`. Pixels without a segment are witnesses of
+    themselves alone, and of any roughness.
+    """
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    nodes = np.linspace(*settings.PURE_ROUGHNESS_NODES)
+    grid = objective.problem.material_grid(
+        objective.for_core(x), everything, nodes, np.array([0.0, 1.0])
+    ).astype(np.float64)
+    best = grid.min(axis=(1, 2))
+    variance = misfit.variance(objective, best)
+    shared = left.of_likelihood / left.variance if np.isfinite(left.variance) else 1.0
+    grid = (grid - best[:, None, None]) / (2 * variance * shared)
+    largest = settings.PURE_EVIDENCE_MAX
+    evidence = np.clip(np.subtract(*grid.min(axis=1).T), -largest, largest)
+    labels = objective.layout.segments
+    if labels is not None:
+        evidence = np.where(labels > 0, np.bincount(labels, evidence)[labels], evidence)
+    share = settings.METAL_SHARE
+    is_metal = evidence + math.log(share / (1 - share)) > 0
+    mean, precision = np.zeros((2, objective.pixels, 2))
+    mean[:, 1], precision[:, 1] = is_metal, variance / settings.PURE_SIGMAS[1] ** 2
+    if labels is not None:
+        own = np.where(is_metal[:, None], grid[:, :, 1], grid[:, :, 0])
+        of_segment = np.zeros((labels.max() + 1, len(nodes)))
+        np.add.at(of_segment, labels, np.minimum(own, 4 * largest))
+        mean[:, 0] = nodes[of_segment.argmin(axis=1)][labels]
+        precision[:, 0] = np.where(labels > 0, variance / settings.PURE_SIGMAS[0] ** 2, 0.0)
+    return GaussianPrior(mean, precision)
 
 
 def _left(

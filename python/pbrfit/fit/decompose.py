@@ -20,7 +20,6 @@ from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
-from pbrfit.fit.settings import WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
 from pbrfit.model.geometry import angles_between
@@ -34,6 +33,7 @@ from pbrfit.model.reflection import (
     whole_number,
 )
 from pbrfit.result import metrics
+from pbrfit.result.data import storable_segments
 from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import hindrance
@@ -42,6 +42,7 @@ from pbrfit.scene import exposure
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
+from pbrfit.transport.decision import Transport
 
 __all__ = ["Progress", "decompose"]
 
@@ -123,6 +124,9 @@ def decompose(
         normals_hindrance=hindered,
     )
     layout = setup.layout(scene)
+    transfer = memory.TransferMemory.of(
+        layout, model, options.transport, depth=scene.depth is not None
+    )
     way = memory.plan(
         layout,
         options.solver,
@@ -130,9 +134,10 @@ def decompose(
         exact=scene.images.dtype != np.float32,
         refine_normals=refining and hindered is None,
         optional=options.refine_normals == "auto",
+        transfer=transfer,
     )
     memory.check(options.solver, way.needed)  # before anything large is made
-    if way.tiled and layout.pixels <= WHOLE_PIXELS_MAX:
+    if way.tiled and layout.pixels <= memory.whole_pixels_max(transfer):
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     setup = replace(setup, normals_hindrance=hindered or way.hindered)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)
@@ -149,6 +154,14 @@ def decompose(
     refinement = found.refinement
     if refinement.refined:
         refinement = refinement.with_change(angles_between(found.normals, given))
+    surrounded = found.surrounded
+    transport = Transport() if surrounded is None else surrounded.transport
+    segments = None
+    if surrounded is not None and transport.blocks and surrounded.scene.segments is not None:
+        segments = storable_segments(surrounded.scene.segments)
+    left_out = plan.left_out
+    if not transport.blocks:
+        left_out = (*left_out, f"surroundings: {transport.why}")
     result = Result(
         materials=found.materials,
         lighting=found.lighting,
@@ -165,7 +178,7 @@ def decompose(
         metrics=_metrics(scene, found, model, threads),
         options=options,
         assumed=_assumed(scene, found, options.model),
-        left_out=plan.left_out,
+        left_out=left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
         stages=found.stages,
@@ -173,7 +186,9 @@ def decompose(
         refinement=refinement,
         camera=found.camera,
         given_normals=given if refinement.refined else None,
-        depth=None if scene.depth is None else np.where(scene.valid, scene.depth, np.nan),
+        depth=scene.depth,
+        transport=transport,
+        segments=segments,
     )
     log.info(
         "%s after %d iterations, %.1f s: %s",
@@ -263,10 +278,11 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
         lights = truth.relight_lighting
-        if fit.surrounded is not None and fit.surrounded.scenery is not None:
-            surrounded = fit.surrounded
-            rendered = surrounded.scenery.render(
-                materials, normals, lights, surrounded.transport, model=model, threads=threads
+        scenery = None if fit.surrounded is None else fit.surrounded.scenery
+        if fit.surrounded is not None and scenery is not None:
+            transport = fit.surrounded.transport
+            rendered = scenery.render(
+                materials, normals, lights, transport, model=model, threads=threads
             )
         else:
             rendered = render(materials, normals, lights, scene.fov, threads, model=model)
@@ -295,6 +311,11 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str
         assumed.setdefault("model", f"{scene.model}, with which the pictures were rendered")
     if fit.noise is not None and (remarks := fit.noise.remarks(scene.names, fit.exposures)):
         assumed["noise"] = remarks
+    surrounded = fit.surrounded
+    if surrounded is not None and surrounded.scenery is not None and surrounded.transport.blocks:
+        assumed["surroundings"] = surrounded.scenery.in_words(surrounded.transport)
+    elif surrounded is not None and scene.depth is not None:
+        assumed["surroundings"] = f"none: {surrounded.transport.why}"
     assumed["scale"] = fit.scale
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)

@@ -6,7 +6,7 @@ import logging
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -19,8 +19,11 @@ from pbrfit.fit.settings import (
     PRIOR_ROUGHNESS_NODES,
     PRODUCT_PIXELS,
     TILES_SUBSET_PIXELS_MAX,
+    TRANSPORT_WHOLE_PIXELS_MAX,
     WHOLE_PIXELS_MAX,
 )
+from pbrfit.model.reflection import Model
+from pbrfit.result.options import TransportChoice
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import AT_ONCE_MAX
 
@@ -51,6 +54,12 @@ without them in three states; pairs of neighbours and their weights; normals in 
 priors of two fits. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 beside the
 rest."""
 
+TRANSFER_ROWS: dict[Model, int] = {"paper": 5, "principled": 11}
+"""Rows R of a pixel's table of surroundings."""
+
+TRANSFER_COLUMNS = 16
+"""SH functions that each row has a value of, whatever the lights' order is."""
+
 VECTOR_BYTES = 5 * 24
 """Bytes a pixel while the core is made: view directions, and two copies of those and of normals."""
 
@@ -80,11 +89,13 @@ class FitMemory:
     refining: int = 0
     """Beside all of these while the solver fits refined normals: cores of the fits before and of
     free normals, and states of all pixels; 0 where normals are held."""
+    transfer: int = 0
+    """Beside all but the last: tables of surroundings, in which no normals are refined."""
 
     @property
     def further(self) -> int:
         """That are not there yet."""
-        return self.core + max(self.making, self.solver) + self.refining
+        return self.core + max(self.making, self.solver) + max(self.refining, self.transfer)
 
     @property
     def peak(self) -> int:
@@ -95,7 +106,7 @@ class FitMemory:
 def of_fit(
     scene: Scene, layout: ParameterLayout, method: Method, *, refine_normals: bool = False
 ) -> FitMemory:
-    """What `decompose` needs of memory with a solver."""
+    """What `decompose` needs of memory with a solver, without surroundings."""
     return of_layout(
         layout,
         method,
@@ -103,6 +114,35 @@ def of_fit(
         exact=scene.images.dtype != np.float32,
         refine_normals=refine_normals,
     )
+
+
+@dataclass(frozen=True)
+class TransferMemory:
+    """Bytes that tables of surroundings take."""
+
+    of_pixel: int
+    """A pixel that is fitted: R × (16 + N·C) float32 in Python and in the core, and for a while
+    what is reflected once more, in the unit of x."""
+    of_picture: int
+    """A pixel of the whole picture: all pictures in float32, here and in the core; 0 where nothing
+    is reflected."""
+
+    @classmethod
+    def of(
+        cls, layout: ParameterLayout, model: Model, asked: TransportChoice, *, depth: bool
+    ) -> TransferMemory | None:
+        """What a fit may need that is asked for some `FitOptions.transport`; None = nothing."""
+        if not depth or asked == "none":
+            return None
+        samples = layout.pictures * layout.channels if asked != "occlusion" else 0
+        rows = TRANSFER_ROWS[model]
+        return cls(4 * rows * (2 * TRANSFER_COLUMNS + 3 * samples), 2 * 4 * samples)
+
+
+def whole_pixels_max(transfer: TransferMemory | None) -> int:
+    """Pixels that are fitted at once at most."""
+    limit = WHOLE_PIXELS_MAX
+    return limit if transfer is None else min(limit, TRANSPORT_WHOLE_PIXELS_MAX)
 
 
 def bytes_of(scene: Scene) -> int:
@@ -119,13 +159,15 @@ def of_layout(
     held: int,
     exact: bool = False,
     refine_normals: bool = False,
+    transfer: TransferMemory | None = None,
 ) -> FitMemory:
-    """As `of_fit`, for `held` bytes of the scene's arrays.
+    """As `of_fit`, for `held` bytes of the scene's arrays, with tables of surroundings if any.
 
     With `exact` pictures are in float64, and the core has them in 48 bits.
     """
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
     planes = pictures * (channels + layout.weighted)
+    size = layout.valid.size
     blocks = BLOCK * -(-pixels // BLOCK)
     samples = 4 * (planes + exact * pictures * channels)
     core = (samples + DIRECTION_BYTES) * blocks
@@ -143,6 +185,7 @@ def of_layout(
         making=(samples + VECTOR_BYTES) * pixels,
         solver=solver,
         refining=refining,
+        transfer=0 if transfer is None else transfer.of_pixel * pixels + transfer.of_picture * size,
     )
 
 
@@ -166,13 +209,22 @@ def _of_few_pixels(layout: ParameterLayout, core: int) -> int:
 
 
 def of_tiles(
-    layout: ParameterLayout, *, held: int, exact: bool = False, refine_normals: bool = False
+    layout: ParameterLayout,
+    *,
+    held: int,
+    exact: bool = False,
+    refine_normals: bool = False,
+    transfer: TransferMemory | None = None,
 ) -> FitMemory:
     """The same where the scene is fitted in tiles: as of a subset, and maps of all pixels."""
     pixels = min(TILES_SUBSET_PIXELS_MAX, layout.pixels)
     few = replace(layout, valid=np.ones((1, pixels), dtype=bool), segments=None)
     subset = of_layout(few, "gauss-newton", held=held, exact=exact, refine_normals=refine_normals)
-    return replace(subset, solver=subset.solver + MAPS_BYTES * layout.pixels)
+    tables = 0
+    if transfer is not None:
+        tables = transfer.of_pixel * pixels + transfer.of_picture * layout.valid.size
+    solver = subset.solver + MAPS_BYTES * layout.pixels
+    return replace(subset, solver=solver, transfer=tables)
 
 
 def check(method: Method, needed: FitMemory) -> None:
@@ -183,8 +235,11 @@ def check(method: Method, needed: FitMemory) -> None:
     free = available()
     if free is not None and needed.further > free:
         advice = "; solver gauss-newton needs less" if method == "lbfgsb" else ""
-        if needed.refining:
-            advice += f"; refine_normals off needs {size(needed.refining)} less"
+        if needed.transfer > needed.refining:
+            less = needed.transfer - needed.refining
+            advice += f"; transport none needs {size(less)} less"
+        elif needed.refining:
+            advice += f"; refine_normals off needs {size(needed.refining - needed.transfer)} less"
         raise InputError(
             f"solver {method}: expected {size(needed.further)} of memory to be available, "
             f"found {size(free)}; use smaller or fewer pictures{advice}"
@@ -214,21 +269,23 @@ def plan(
     exact: bool = False,
     refine_normals: bool,
     optional: bool = False,
+    transfer: TransferMemory | None = None,
 ) -> Plan:
     """How a scene is fitted: the first of these ways that there is memory for.
 
-    The solver gauss-newton fits it at once, or in tiles where it has more than `WHOLE_PIXELS_MAX`
+    The solver gauss-newton fits it at once, or in tiles where it has more than `whole_pixels_max`
     valid pixels; or in tiles all the same; or without refining normals, where that is `optional`.
     The solver lbfgsb has no tiles. Where there is memory for none, it is the way that needs least.
     Other arguments are those of `of_layout`.
     """
     ways = []
     for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
-        if solver == "lbfgsb" or layout.pixels <= WHOLE_PIXELS_MAX:
-            needed = of_layout(layout, solver, held=held, exact=exact, refine_normals=refining)
+        takes: dict[str, Any] = {"held": held, "exact": exact, "transfer": transfer}
+        if solver == "lbfgsb" or layout.pixels <= whole_pixels_max(transfer):
+            needed = of_layout(layout, solver, refine_normals=refining, **takes)
             ways.append(Plan(False, refining, needed))
         if solver == "gauss-newton":
-            needed = of_tiles(layout, held=held, exact=exact, refine_normals=refining)
+            needed = of_tiles(layout, refine_normals=refining, **takes)
             ways.append(Plan(True, refining, needed))
     free = available()
     fit = [way for way in ways if free is None or way.needed.further <= free]

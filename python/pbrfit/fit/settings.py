@@ -442,6 +442,19 @@ errors, and another pass took 3 % more off them."""
 NORMALS_PATCH_SIDE = 4
 """Pixels along a side of the patches of a level whose offsets move together."""
 
+PURE_ROUGHNESS_NODES = (0.05, 1.0, 20)
+PURE_EVIDENCE_MAX = 1.0
+PURE_SIGMAS = (0.1, 0.05)
+METAL_SHARE = 0.1
+"""Among surroundings, where segments have about one roughness, and metallic 0 or 1: (lowest,
+highest, count) of the roughness that they are tried with; natural units of evidence that a pixel
+adds at most, four times as many against a roughness; standard deviations of a pixel's roughness and
+metallic around its segment's; the share of surfaces of bare metal before anything is seen."""
+
+TRANSPORT_WHOLE_PIXELS_MAX = 1 << 19
+"""Pixels above which a scene that may have surroundings is fitted in tiles. Its tables take up to
+4 kB a pixel with 16 colour pictures and the model paper, and 8 kB with principled: 4 GB."""
+
 TRANSPORT_PIXELS = 400
 """Pixels that lights are fitted to while surroundings are compared, and as many that are left
 out."""
@@ -456,8 +469,8 @@ TRANSPORT_NEAR_ROUNDS = 1
 """Rounds of joint steps for an alternative; and where lights begin at those of one like it."""
 
 TRANSPORT_ERRORS_MIN = 2.0
-"""Standard errors of the paired differences of left-out pixels from which one alternative is better:
-two, as is usual."""
+"""Standard errors of the paired differences of left-out pixels from which one alternative is
+better: two, as is usual."""
 
 TRANSPORT_GAINS = (0.85, 0.7, 0.55, 1.2)
 """Gains of brought light that are tried beside 1. A picture shows what a surface sends to the

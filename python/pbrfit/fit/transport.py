@@ -30,8 +30,9 @@ from pbrfit.fit.run import Run
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
+from pbrfit.transport.decision import Kind, Transport
 from pbrfit.transport.extents import Extents, candidates
-from pbrfit.transport.scenery import Kind, PixelTransfer, Scenery, Transport, filled
+from pbrfit.transport.scenery import PixelTransfer, Scenery, filled
 
 log = logging.getLogger("pbrfit")
 
@@ -72,7 +73,7 @@ class Surrounded:
         scenery: Scenery | None = None,
         rays: int = settings.TRANSPORT_RAYS,
     ) -> PixelTransfer | None:
-        """Of pixels of an objective, of the whole scene or a window of it; None if nothing blocks."""
+        """Of pixels of an objective, of the scene or a window of it; None if nothing blocks."""
         kind = self.transport.kind if kind is None else kind
         scenery = self.scenery if scenery is None else scenery
         if kind == "none" or scenery is None:
@@ -130,7 +131,7 @@ class _Trial:
         """Whether what it left is surely less."""
         difference = self.left - other.left
         error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
-        return float(difference.mean()) < -settings.TRANSPORT_ERRORS_MIN * error
+        return bool(difference.mean() < -settings.TRANSPORT_ERRORS_MIN * error)
 
 
 class _Search:

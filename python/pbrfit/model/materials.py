@@ -40,13 +40,15 @@ def write_materials(
     normals: NDArray[Any],
     mask: NDArray[np.bool_],
     more: Mapping[str, NDArray[Any]] | None = None,
+    whole: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
     """Write `materials.exr`: linear float32 layers albedo, roughness, metallic, normal and mask.
 
-    `more` are further maps (H, W) by channel name.
+    `more` are further maps (H, W) by channel name; `whole` are such that hold outside the mask,
+    too.
 
-    Pixels outside the mask take the values of the nearest pixel inside, so that no file holds NaN
-    and filters at the border do no harm; `mask.Y` says which are real.
+    Of all others, pixels outside the mask take the values of the nearest pixel inside, so that no
+    file holds NaN and filters at the border do no harm; `mask.Y` says which are real.
     """
     nearest = nearest_inside(mask)
     layers = {
@@ -57,6 +59,7 @@ def write_materials(
         **(more or {}),
     }
     channels = {name: layer[nearest].astype(np.float32) for name, layer in layers.items()}
+    channels |= {name: layer.astype(np.float32) for name, layer in (whole or {}).items()}
     channels["mask.Y"] = mask.astype(np.float32)
     images.write_exr(path, channels)
 

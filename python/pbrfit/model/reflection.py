@@ -219,9 +219,7 @@ def render(
         If shapes do not fit together or a value is out of range.
     """
     model = checked_model(model)
-    light = _array("lighting", lighting, (16, 3))
-    if light.ndim > 3:
-        raise InputError(f"lighting: expected shape (16, 3) or (N, 16, 3), found {light.shape}")
+    light = checked_lighting(lighting)
     view = _View.of_maps(materials, normals, fov)
     images = view.pictures(
         _core.render(
@@ -229,6 +227,14 @@ def render(
         )
     )
     return images[0] if light.ndim == 2 else images
+
+
+def checked_lighting(lighting: ArrayLike) -> Array:
+    """SH lights (16, 3) or (N, 16, 3) in float64; InputError if they are something else."""
+    light = _array("lighting", lighting, (16, 3))
+    if light.ndim > 3:
+        raise InputError(f"lighting: expected shape (16, 3) or (N, 16, 3), found {light.shape}")
+    return light
 
 
 def render_rows(

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
+from pbrfit._core import InputError
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.plan import FitPlan
 from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.normal_files import UNCERTAINTY
 from pbrfit.model import geometry
-from pbrfit.model.reflection import DEFAULT_MODEL
-from pbrfit.result.options import Priors
+from pbrfit.model.reflection import DEFAULT_MODEL, chosen_model
+from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.refinement import hindrance
 from pbrfit.scene.depth import compared
 from pbrfit.scene.registration import register
 from pbrfit.scene.scene import Scene
+from pbrfit.transport.scenery import counted, name_of
+from pbrfit.transport.surroundings import find_walls
 
 
 def _needed(scene: Scene, layout: ParameterLayout) -> str:
     """Memory that `decompose` needs at its peak, beside the interpreter and its libraries."""
     refinable = hindrance(scene) is None
+    model, depth = chosen_model(None, scene.model), scene.depth is not None
+    transfer = memory.TransferMemory.of(layout, model, FitOptions().transport, depth=depth)
     of_solver = {
         solver: memory.plan(
             layout,
@@ -29,6 +34,7 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
             exact=scene.images.dtype != np.float32,
             refine_normals=refinable,
             optional=True,
+            transfer=transfer,
         )
         for solver in memory.METHODS
     }
@@ -37,10 +43,11 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
         f"{', in tiles' if way.tiled else ''}"
         for solver, way in of_solver.items()
     )
-    if of_solver["gauss-newton"].needed.refining:
-        found += (
-            f"; {memory.size(of_solver['gauss-newton'].needed.refining)} less with normals held"
-        )
+    needed = of_solver["gauss-newton"].needed
+    if needed.refining > needed.transfer:
+        found += f"; {memory.size(needed.refining - needed.transfer)} less with normals held"
+    elif needed.transfer > needed.refining:
+        found += f"; {memory.size(needed.transfer - needed.refining)} less with --transport none"
     return found
 
 
@@ -76,6 +83,19 @@ def _depth(scene: Scene) -> str:
     return f"{said}; its normals {angle:.1f} degrees (median) from the given ones"
 
 
+def _surroundings(scene: Scene) -> str:
+    """What of them is found in the depth."""
+    if scene.depth is None:
+        return "unknown: no depth is given"
+    points = geometry.positions(scene.depth, scene.fov)
+    normals = np.asarray(scene.normals, np.float64)
+    try:
+        walls = find_walls(points, normals, scene.valid, scene.segments)
+    except InputError as error:
+        return f"none: {error}"
+    return counted([name_of(wall, walls) for wall in walls]) or "no wall, no floor"
+
+
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout, reason = ParameterLayout.of(scene), hindrance(scene)
@@ -93,6 +113,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("facing away", f"{100 * away.mean():.1f} % of the normals"),
         ("normal error", _normal_sigma(scene)),
         ("depth", _depth(scene)),
+        ("surroundings", _surroundings(scene)),
         ("refine normals", f"not possible: {reason}" if reason else "possible"),
         ("segments", "none" if layout.segments is None else f"{layout.segment_count} ids"),
         (

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
-from pbrfit.report import budget, figures, maps, normals, verdict, viewer
+from pbrfit.report import budget, figures, maps, normals, transport, verdict, viewer
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
 from pbrfit.report.html import (
@@ -40,10 +40,11 @@ TITLES = {
     "maps": "Maps",
     "pictures": "Pictures",
     "lights": "Lights",
+    "surroundings": "Surroundings",
     "history": "Error against run time",
     "origin": "Run details",
 }
-"""Headings by anchor, in their order."""
+"""Headings by anchor, in their order; sections without content are left out."""
 
 REFLECTION: Mapping[Model, str] = {
     "paper": (
@@ -94,6 +95,7 @@ def page(result: Result, originals: Originals) -> str:
     fixed = {
         "relight": _size_remark("The view's maps", view.side, result) + view.made,
         "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
+        "surroundings": transport.section(result),
         "history": _history(result),
         "origin": _origin(result),
     }
@@ -124,7 +126,8 @@ def page(result: Result, originals: Originals) -> str:
 
 def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str, str]) -> str:
     title = _title(result)
-    links = "".join(f'<a href="#{key}">{escape(text)}</a>' for key, text in TITLES.items())
+    titles = {key: text for key, text in TITLES.items() if sections[key]}
+    links = "".join(f'<a href="#{key}">{escape(text)}</a>' for key, text in titles.items())
     tables = "".join(table(content) for content in verdict.key_numbers(result, pictures))
     body = [
         f'<header><h1>{escape(title)}</h1><nav aria-label="Sections">{links}</nav></header>',
@@ -134,7 +137,7 @@ def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str
         *(
             f'<section id="{key}" aria-labelledby="{key}-title">'
             f'<h2 id="{key}-title">{escape(title)}</h2>{sections[key]}</section>'
-            for key, title in TITLES.items()
+            for key, title in titles.items()
         ),
         "</main>",
     ]

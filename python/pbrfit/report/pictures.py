@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pbrfit.model.reflection import render
 from pbrfit.report import budget, lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences, metrics
+from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 
@@ -77,9 +77,7 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
 def _one(
     result: Result, scene: Scene | None, i: int, sides: Sequence[int]
 ) -> tuple[Fit | None, tuple[tuple[bytes, ...], ...]]:
-    rendered = render(
-        result.materials, result.normals, result.lighting[i], result.fov, model=result.model
-    )
+    rendered = relight(result, result.lighting[i])
     if scene is None:
         white = metrics.white_of(rendered)
         return None, tuple(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from pbrfit.report.pictures import Picture, median_share, worst
 from pbrfit.result.data import Status
 from pbrfit.result.result import Result
 from pbrfit.result.uncertainty import PARAMETERS
+from pbrfit.transport.decision import Kind
 
 EXPLAINED = (
     (0.01, "explain the pictures almost exactly"),
@@ -24,6 +25,13 @@ EXPLAINED = (
 
 MODEL_FAILS = 0.05
 """Median residual, relative to the pictures' RMS, above which it is hardly noise alone."""
+
+LACKS: Mapping[Kind, str] = {
+    "none": "shadows, near lamps, light between surfaces",
+    "occlusion": "near lamps, light between surfaces",
+    "bounce": "near lamps",
+}
+"""What pictures may hold that the model does not, by what surroundings do."""
 
 NOT_TOLD = 0.005
 """Share of pixels with an undetermined value above which a sentence says so."""
@@ -87,9 +95,9 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
     text += "."
     if share >= MODEL_FAILS:
         text += (
-            " If the pictures are not that noisy, the model lacks something: shadows, near lamps, "
-            "light between surfaces, or correct normals. Do not trust the maps where the residuals "
-            "are large."
+            f" If the pictures are not that noisy, the model lacks something: "
+            f"{LACKS[result.transport.kind]}, or correct normals. Do not trust the maps where the "
+            "residuals are large."
         )
     return text
 

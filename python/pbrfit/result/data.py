@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.lazy import lazy
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
@@ -20,6 +21,10 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.arrays import Source
+from pbrfit.transport.decision import NOT_TRIED, Transport
+
+if TYPE_CHECKING:
+    from pbrfit.transport.scenery import Scenery
 
 GIVEN_NORMALS = tuple(f"normal_given.{name}" for name in "XYZ")
 NORMAL_CHANGE = "normal_change.Y"
@@ -27,6 +32,12 @@ NORMAL_CHANGE = "normal_change.Y"
 
 DEPTH = "depth.Z"
 """Layer of `materials.exr` where the scene had depth: 0 where it is unknown."""
+
+SEGMENT = "segment.ID"
+"""Layer of `materials.exr` where surroundings block light and the scene had segments."""
+
+SEGMENT_MAX = 1 << 24
+"""Largest id that float32 holds; with larger ones all are counted anew, in their order."""
 
 
 class Status(StrEnum):
@@ -96,7 +107,12 @@ class ResultData:
         (H, W, 3), the scene's normals where they were refined; else None. NaN outside the mask.
     depth
         (H, W) float32, the scene's distances along the camera's axis; None where it had none. NaN
-        where they are unknown and outside the mask.
+        where they are unknown. What is outside the mask blocks light, too.
+    transport
+        What was decided about surroundings, and why.
+    segments
+        (H, W) integer ids, 0 = unclassified, by which walls are found again; None where
+        surroundings do nothing, or the scene had none.
 
     Raises
     ------
@@ -128,11 +144,43 @@ class ResultData:
     given_normals: NDArray[np.float64] | None = None
     camera: Camera | None = None
     depth: NDArray[np.float32] | None = None
+    transport: Transport = NOT_TRIED
+    segments: NDArray[np.integer[Any]] | None = None
 
     def __post_init__(self) -> None:
         if self.refinement.refined != (self.given_normals is not None):
             expected = "the normals before" if self.refinement.refined else "none without"
             raise InputError(f"given_normals: expected {expected} their refinement")
+
+    @lazy
+    def scenery(self) -> Scenery | None:
+        """Surroundings as the fit had them, built when first asked for; None where they do nothing.
+
+        Raises InputError if the depth has too few points.
+        """
+        if not self.transport.blocks or self.depth is None:
+            return None
+        # Here: what finds walls takes longer to import than a result.
+        from pbrfit.transport.scenery import Scenery
+
+        normals = self.normals if self.given_normals is None else self.given_normals
+        extents = self.transport.extents
+        return Scenery(self.depth, normals, self.mask, self.segments, self.fov, extents)
+
+    @lazy
+    def basis_pictures(self) -> NDArray[np.float32] | None:
+        """(16, H, W, 3): what is seen among the surroundings under each SH function alone.
+
+        Pictures are linear in the light, so these give them under any. NaN outside the mask; None
+        where surroundings do nothing.
+        """
+        if self.scenery is None:
+            return None
+        functions = np.repeat(np.eye(16)[..., None], 3, axis=-1)
+        pictures = self.scenery.render(
+            self.materials, self.normals, functions, self.transport, model=self.model
+        )
+        return pictures.astype(np.float32)
 
     @property
     def normal_change(self) -> NDArray[np.float64] | None:
@@ -157,15 +205,35 @@ class ResultData:
         return self.materials.metallic
 
     def further_layers(self) -> dict[str, NDArray[Any]]:
-        """Layers (H, W) of `materials.exr` beside materials, normals and mask, by channel."""
+        """Layers (H, W) of `materials.exr` beside materials, normals and mask, by channel.
+
+        These and `whole_layers` are all.
+        """
         layers: dict[str, NDArray[Any]] = {}
         if self.given_normals is not None:
             layers |= {name: self.given_normals[..., i] for i, name in enumerate(GIVEN_NORMALS)}
             # Of the normals as they are stored: what is read back and saved again is the same.
             stored = (one.astype(np.float32) for one in (self.normals, self.given_normals))
             layers[NORMAL_CHANGE] = angles_between(*(one.astype(np.float64) for one in stored))
-        if self.depth is not None:
-            layers[DEPTH] = np.where(np.isfinite(self.depth), self.depth, np.float32(0))
         if self.uncertainty is not None:
             layers |= self.uncertainty.layers()
         return layers
+
+    def whole_layers(self) -> dict[str, NDArray[Any]]:
+        """Layers (H, W) of `materials.exr` that hold outside the mask, too, by channel."""
+        layers: dict[str, NDArray[Any]] = {}
+        if self.depth is not None:
+            layers[DEPTH] = np.where(np.isfinite(self.depth), self.depth, np.float32(0))
+        if self.segments is not None:
+            layers[SEGMENT] = self.segments
+        return layers
+
+
+def storable_segments(segments: NDArray[np.integer[Any]]) -> NDArray[np.integer[Any]]:
+    """Ids (H, W) that float32 holds: the same, or counted anew in their order, 0 staying 0."""
+    if np.abs(segments.astype(np.float64)).max(initial=0) <= SEGMENT_MAX:
+        return segments.astype(np.int32)
+    ids = np.unique(segments)
+    counted = np.arange(len(ids)) - np.searchsorted(ids, 0)
+    counted += (counted >= 0) & (0 not in ids)
+    return counted[np.searchsorted(ids, segments)].astype(np.int32)

@@ -249,7 +249,7 @@ class FitOptions:
     def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
         """Undo `to_json`; ValueError or TypeError if it is something else.
 
-        Results of versions that had no `refine_normals`, `align` or `transport` were fitted without.
+        Results of versions without `refine_normals`, `align` or `transport` were fitted without.
         """
         older = dict.fromkeys(("refine_normals", "align"), "off")
         values = {**older, "transport": "none", **table(content)}

@@ -13,10 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
 from pbrfit.model import lighting
-from pbrfit.model.reflection import Model, checked_model, render, render_directional
+from pbrfit.model.reflection import (
+    Model,
+    checked_lighting,
+    checked_model,
+    render,
+    render_directional,
+)
 
 if TYPE_CHECKING:
-    from pbrfit.result.result import Result
+    from pbrfit.result.data import ResultData
 
 
 @dataclass(frozen=True)
@@ -70,18 +76,21 @@ class DirectionalLight:
 
 
 def relight(
-    result: Result,
+    result: ResultData,
     light: ArrayLike | DirectionalLight,
     threads: int = 0,
     *,
     model: Model | None = None,
+    shadows: bool = True,
 ) -> NDArray[np.float64]:
     """Radiance of the recovered surfaces under other light.
 
     SH light goes through the model that the materials were fitted with (docs/model.md), and gives
     with the result's own lights the reconstructions of its pictures. A `DirectionalLight` goes
     through the model's full reflection, because its highlights are beyond what SH light holds.
-    Light from other surfaces and shadows are in neither.
+    Where the fit decided for surroundings (`Result.transport`), they block light; and SH light is
+    reflected between surfaces if the pictures told that. Light that surfaces reflect is left out
+    under a `DirectionalLight`. Elsewhere nothing casts a shadow.
 
     Parameters
     ----------
@@ -93,6 +102,8 @@ def relight(
         0 = one for each processor; the result does not depend on it.
     model
         Which model the result is expected to be of; None = whichever it is.
+    shadows
+        Whether surroundings do to light what the fit decided; without any it makes no difference.
 
     Returns
     -------
@@ -108,12 +119,31 @@ def relight(
         raise InputError(
             f"model: expected {result.model}, with which the result was fitted, found {model}"
         )
+    scenery = result.scenery if shadows else None
     if isinstance(light, DirectionalLight):
-        return render_directional(
+        picture = render_directional(
             *(result.materials, result.normals, light.direction, light.color, result.fov, threads),
             model=result.model,
         )
+        if scenery is not None:
+            picture[result.mask] *= scenery.open_to(light.direction)[:, None]
+        return picture
+    if scenery is not None:
+        return _among_surroundings(result, light)
     return render(result.materials, result.normals, light, result.fov, threads, model=result.model)
+
+
+def _among_surroundings(result: ResultData, light: ArrayLike) -> NDArray[np.float64]:
+    """Pictures under SH light by those under each SH function."""
+    lights = checked_lighting(light)
+    if not np.isfinite(lights).all():
+        raise InputError("lighting: expected finite numbers, found NaN or infinity")
+    pictures = result.basis_pictures
+    assert pictures is not None
+    found = np.empty((*lights.shape[:-2], *result.mask.shape, 3))
+    for index in np.ndindex(lights.shape[:-2]):
+        np.einsum("kc,khwc->hwc", lights[index], pictures, out=found[index])
+    return found
 
 
 @overload

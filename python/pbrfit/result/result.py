@@ -33,7 +33,7 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
 from pbrfit.result.camera import Camera
-from pbrfit.result.data import DEPTH, GIVEN_NORMALS, ResultData, Stage, Status
+from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.options import FitOptions
@@ -43,6 +43,7 @@ from pbrfit.scene.arrays import Source
 from pbrfit.scene.folder import is_scene
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
+from pbrfit.transport.decision import Transport
 
 CONTAINS = ("result.json", "materials.exr")
 """Files by which a folder is known for a result."""
@@ -96,6 +97,7 @@ class Result(ResultData):
             self.normals,
             self.mask,
             self.further_layers(),
+            self.whole_layers(),
         )
         Lighting(self.pictures, self.lighting).save(folder / "lighting.json")
         self.history.save(folder / "history.csv")
@@ -114,6 +116,7 @@ class Result(ResultData):
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
             "normals": self.refinement.as_json(),
             "camera": None if self.camera is None else self.camera.as_json(),
+            "transport": self.transport.as_json(),
             "options": self.options.to_json(),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
@@ -153,6 +156,7 @@ class Result(ResultData):
             # Earlier versions wrote none of these.
             source, of_normals = content.get("scene"), content.get("normals")
             camera = content.get("camera")
+            transport = Transport.from_json(content.get("transport"))
             refinement = NOT_ASKED if of_normals is None else Refinement.from_json(of_normals)
             return cls(
                 materials=materials,
@@ -182,7 +186,14 @@ class Result(ResultData):
                 given_normals=(
                     _given_normals(layers, of_maps, mask) if refinement.refined else None
                 ),
-                depth=_depth(layers, mask),
+                # Earlier versions wrote the depth of the mask alone, and nearest pixels around it.
+                depth=_depth(layers, None if "transport" in content else mask),
+                transport=transport,
+                segments=(
+                    layers[SEGMENT].astype(np.int32)
+                    if transport.blocks and SEGMENT in layers
+                    else None
+                ),
             )
         except UNFIT as error:
             if isinstance(error, InputError) and str(folder) in str(error):
@@ -294,11 +305,14 @@ def _given_normals(layers: Layers, file: Path, mask: NDArray[np.bool_]) -> NDArr
     return np.where(mask[..., None], given, np.nan)
 
 
-def _depth(layers: Layers, mask: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+def _depth(layers: Layers, mask: NDArray[np.bool_] | None) -> NDArray[np.float32] | None:
     if DEPTH not in layers:
         return None
     depth = layers[DEPTH]
-    return np.where(mask & (depth > 0) & np.isfinite(depth), depth, np.float32(np.nan))
+    there = (depth > 0) & np.isfinite(depth)
+    if mask is not None:
+        there &= mask
+    return np.where(there, depth, np.float32(np.nan))
 
 
 def _check_layers(layers: Layers, file: Path, names: Sequence[str], told: str) -> None:

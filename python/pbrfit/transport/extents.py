@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pbrfit.transport.rays import Array
-from pbrfit.transport.walls import Wall
+
+if TYPE_CHECKING:  # a result reads extents, and has no need of what finds walls
+    from pbrfit.transport.walls import Wall
 
 EYE = 1.6
 """Metres above the floor of a camera that a person holds: what the metres below are told by."""

@@ -13,10 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import cg
-from scipy.spatial import cKDTree
 
 from pbrfit.transport.rays import Array, Rays, rays_of
 
@@ -108,13 +104,16 @@ class Relief:
 
     def pieces(self, those: Mask) -> NDArray[np.int32]:
         """(h, w): numbers of the connected pieces of some pixels, from 0; −1 elsewhere."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         height, width = those.shape
         number = np.arange(height * width).reshape(height, width)
         right = self.right & those[:, 1:] & those[:, :-1]
         down = self.down & those[1:] & those[:-1]
         ends = np.concatenate([number[:, :-1][right], number[:-1][down]])
         others = np.concatenate([number[:, 1:][right], number[1:][down]])
-        graph = sparse.coo_array(
+        graph = coo_array(
             (np.ones(len(ends), bool), (ends, others)), shape=(number.size, number.size)
         )
         labels = connected_components(graph, directed=False)[1].reshape(height, width)
@@ -297,6 +296,8 @@ def _lone(found: Relief) -> Mask:
 
 def _trusted(found: Relief) -> Array:
     """(h, w): how much each distance counts at first; little beside jumps."""
+    from scipy.ndimage import binary_dilation
+
     here = found.here
     trusted = np.where(here & ~_lone(found), 1.0, 0.0)
     beside = np.zeros(here.shape, bool)
@@ -306,7 +307,7 @@ def _trusted(found: Relief) -> Array:
     across = here[1:] & here[:-1] & ~found.down
     beside[1:] |= across
     beside[:-1] |= across
-    trusted[ndimage.binary_dilation(beside, iterations=1) & here] *= BESIDE_JUMPS
+    trusted[binary_dilation(beside, iterations=1) & here] *= BESIDE_JUMPS
     return trusted
 
 
@@ -316,6 +317,9 @@ def _calmed(found: Relief, measured: Array, trusted: Array, noise: float) -> Arr
     Least squares of ln t (perspective) or t (orthographic): steps to NORMAL_ERROR, the measured
     ones to `noise`.
     """
+    from scipy import sparse
+    from scipy.sparse.linalg import cg
+
     flat = found.rays.orthographic
     scale = float(np.nanmedian(measured)) if flat else 1.0
     value = measured / scale if flat else np.log(measured)
@@ -393,6 +397,8 @@ def _normals(
     points: Array, normals: Array, mask: Mask, segments: NDArray[np.integer], directions: Array
 ) -> Array:
     """Normals of all points, facing the camera: given, of a point nearby, or of neighbours."""
+    from scipy.spatial import cKDTree
+
     here = np.isfinite(points).all(axis=-1)
     known = here & mask & np.isfinite(normals).all(axis=-1)
     found = np.full(points.shape, np.nan)

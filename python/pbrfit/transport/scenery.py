@@ -1,25 +1,26 @@
 """A scene's surroundings, and what they do to the light of its pixels.
 
-`Scenery` is geometry, made from depth; `Transport` is what a fit decided about it, and what a result
-keeps; `PixelTransfer` are the tables that the core takes (docs/transport.md).
+`Scenery` is geometry, made from depth; `Transport` is what a fit decided about it, and what a
+result keeps; `PixelTransfer` are the tables that the core takes (docs/transport.md).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, get_args
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
-from pbrfit.io.json_files import number, table
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
+from pbrfit.transport.decision import Transport
 from pbrfit.transport.extents import scale_of
+from pbrfit.transport.room import room_axes
 from pbrfit.transport.surroundings import (
     WALL,
     Extents,
@@ -32,9 +33,6 @@ from pbrfit.transport.surroundings import (
 
 Array = NDArray[np.float64]
 
-Kind = Literal["none", "occlusion", "bounce"]
-"""Whether surroundings do nothing, block light, or also bring the light that they reflect."""
-
 RAYS = 2048
 """Rays of a pixel, about. Tables are then within 1 % of those of ten times as many."""
 
@@ -42,56 +40,14 @@ BOUNCES = 3
 """How often light is reflected between surfaces that a picture shows under a new light. Each time
 less than half of it is left in a room of ordinary paint."""
 
+BOUNCE_RAYS = 512
+"""Rays of a pixel that tell what surfaces bring it: within 2 % of those of many more."""
 
-@dataclass(frozen=True)
-class Transport:
-    """What a fit decided about surroundings, and why."""
+NAMED = 0.8
+"""Cosine between a wall's normal and an axis of the room from which it is called by that axis."""
 
-    kind: Kind = "none"
-    why: str = "no depth is given"
-    extents: Extents | None = None
-    gain: float = 1.0
-    """What light from surfaces is multiplied by, beside what pictures show of them."""
-    figures: Mapping[str, float] = field(default_factory=dict)
-    """Mean of ln(residual²/radiance²) of pixels that lights were not fitted to: `left_out_none`,
-    `left_out_occlusion`, `left_out_bounce`, as far as they were tried, and `left_out_pixels`."""
-
-    @property
-    def blocks(self) -> bool:
-        """Whether surroundings do anything."""
-        return self.kind != "none"
-
-    def as_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `transport`."""
-        return {
-            "kind": self.kind,
-            "why": self.why,
-            "extents": None if self.extents is None else asdict(self.extents),
-            "gain": self.gain,
-            "figures": dict(self.figures),
-        }
-
-    @classmethod
-    def from_json(cls, content: Any) -> Transport:
-        """Undo `as_json`; ValueError if it is something else. None, of older results, is none."""
-        if content is None:
-            return cls(why="the fit knew no surroundings")
-        values = table(content)
-        kind = values.get("kind")
-        if kind not in get_args(Kind):
-            raise ValueError(f"transport kind {kind!r}")
-        extents = None
-        if values.get("extents") is not None:
-            of_extents = table(values["extents"])
-            of_extents["blocks"] = tuple(map(bool, of_extents["blocks"]))
-            extents = Extents(**of_extents)
-        return cls(
-            kind,
-            str(values["why"]),
-            extents,
-            number(values["gain"]),
-            {name: number(value) for name, value in table(values["figures"]).items()},
-        )
+PIECE = 1 << 16
+"""Pixels whose tables are held at once while pictures are rendered: 50 to 200 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,14 +97,16 @@ class Scenery:
     ) -> None:
         self.fov, self.mask, self.segments = fov, mask, segments
         self.normals = np.asarray(normals, np.float64)
+        # As a result keeps them, so that what is built from it is the same to the last bit.
+        self._rounded = np.asarray(np.asarray(normals, np.float32), np.float64)
         self.points = positions(depth, fov)
-        self.walls: tuple[Wall, ...] = find_walls(self.points, self.normals, mask, segments)
+        self.walls: tuple[Wall, ...] = find_walls(self.points, self._rounded, mask, segments)
         self._build(default_extents(self.points, self.walls) if extents is None else extents)
 
     def _build(self, extents: Extents) -> None:
         self.extents = extents
         self.geometry: Surroundings = surroundings(
-            self.points, self.normals, self.mask, self.segments, extents, self.walls
+            self.points, self._rounded, self.mask, self.segments, extents, self.walls
         )
         triangles = self.geometry.triangles
         self._core = _core.Surroundings(np.ascontiguousarray(triangles), self._surfaces(triangles))
@@ -271,30 +229,133 @@ class Scenery:
         """
         given = np.asarray(lighting, np.float64)
         lights = given.reshape(-1, *given.shape[-2:])
-        places = np.flatnonzero(self.mask)
-        n = np.asarray(normals, np.float64).reshape(-1, 3)[places]
-        tables = self.transfer(places, model, threads=threads, normals=n)
-        arguments = (
-            n,
-            views(self.mask.shape, self.fov, places),
-            *(
-                np.ascontiguousarray(of_map.reshape(len(self.mask.ravel()), -1)[places], np.float64)
-                for of_map in (materials.albedo, materials.roughness, materials.metallic)
-            ),
-        )
-        arguments = (*arguments[:3], arguments[3][:, 0], arguments[4][:, 0])
-        count = len(lights)
-        rendered = _core.render(*arguments, lights, threads, model, tables.rows)
+        shape, count = self.mask.shape, len(lights)
+        pictures = np.full((count, *shape, 3), np.nan)
+        flat = pictures.reshape(count, -1, 3)
+        pieces = _pieces(np.flatnonzero(self.mask))
+        of_pixels = [self._arguments(materials, normals, places) for places in pieces]
+        rows = []
+        for places, arguments in zip(pieces, of_pixels, strict=True):
+            tables = self.transfer(places, model, threads=threads, normals=arguments[0])
+            rendered = _core.render(*arguments, lights, threads, model, tables.rows)
+            flat[:, places] = rendered
+            # Of larger pictures they are not kept: rows are then from fewer rays.
+            if transport.kind == "bounce" and len(pieces) == 1:
+                rows.append(tables.rows)
         for _ in range(BOUNCES if transport.kind == "bounce" else 0):
-            shown = np.zeros((*self.mask.shape, count * 3), np.float32)
-            shown[self.mask] = rendered.transpose(1, 0, 2).reshape(len(places), -1)
-            images = filled(shown, self.mask).reshape(*self.mask.shape, count, 3)
-            tables = self.transfer(places, model, threads=threads, images=images, normals=n)
-            bounced = replace(tables, gain=transport.gain).scaled(np.ones(count))
-            rendered = _core.render(*arguments, lights, threads, model, tables.rows, bounced)
-        pictures = np.full((count, *self.mask.shape, 3), np.nan)
-        pictures[:, self.mask] = rendered
-        return pictures.reshape(*given.shape[:-2], *self.mask.shape, 3)
+            shown = pictures.transpose(1, 2, 0, 3).reshape(*shape, -1)
+            images = filled(shown, self.mask).reshape(*shape, count, 3)
+            for i, (places, arguments) in enumerate(zip(pieces, of_pixels, strict=True)):
+                tables = self.transfer(
+                    places,
+                    model,
+                    rays=BOUNCE_RAYS,
+                    threads=threads,
+                    images=images,
+                    normals=arguments[0],
+                )
+                bounced = replace(tables, gain=transport.gain).scaled(np.ones(count))
+                kept = rows[i] if rows else tables.rows
+                flat[:, places] = _core.render(*arguments, lights, threads, model, kept, bounced)
+        return pictures.reshape(*given.shape[:-2], *shape, 3)
+
+    def open_to(
+        self, direction: ArrayLike, places: NDArray[np.intp] | None = None
+    ) -> NDArray[np.bool_]:
+        """Whether light from far away, from one direction, meets nothing before a pixel.
+
+        Parameters
+        ----------
+        direction
+            (3,) unit vector in camera space from the surface to the light.
+        places
+            (P,) pixels, counted row by row; None = those of the mask.
+
+        Returns
+        -------
+        (P,); True where nobody knows where a pixel is.
+        """
+        places = np.flatnonzero(self.mask) if places is None else places
+        starts = self.geometry.starts.reshape(-1, 3)[places].astype(np.float64)
+        found = np.ones(len(places), bool)
+        known = np.isfinite(starts).all(axis=-1)
+        towards = np.broadcast_to(np.asarray(direction, np.float64), (int(known.sum()), 3))
+        found[known] = np.isinf(
+            self._core.distances(np.ascontiguousarray(starts[known]), np.ascontiguousarray(towards))
+        )
+        return found
+
+    def in_words(self, transport: Transport) -> str:
+        """What a fit supposes, for people; lengths in median depths."""
+        extents, names = self.extents, [name_of(wall, self.walls) for wall in self.walls]
+        parts = [f"things up to {extents.thickness:.2g} deep"]
+        for verb, one_verb, blocks in (
+            ("block light", "blocks light", True),
+            ("let it through", "lets it through", False),
+        ):
+            these = [n for n, b in zip(names, extents.blocks, strict=True) if b == blocks]
+            if these:
+                verb = verb if len(these) > 1 else one_verb
+                parts.append(f"{counted(these)} {verb}")
+        if extents.height is not None:
+            parts.append(f"walls {extents.height:.2g} high")
+            if "ceiling" not in names:
+                parts.append("a ceiling supposed" if extents.ceiling else "open above")
+        if any(extents.blocks):
+            parts.append(
+                f"open behind the camera from {extents.reach:.2g} on"
+                if extents.behind is None
+                else f"a wall {extents.behind:.2g} behind the camera"
+            )
+        what = "block light" if transport.kind == "occlusion" else "block and reflect light"
+        gain = f", {transport.gain:g} of what pictures show" if transport.gain != 1 else ""
+        return f"{what}{gain} ({transport.why}): {', '.join(parts)}; in median depths"
+
+    def _arguments(
+        self, materials: Materials, normals: NDArray[Any], places: NDArray[np.intp]
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Normals, views, albedo, roughness and metallic of pixels, for the core."""
+        albedo, roughness, metallic = (
+            np.ascontiguousarray(of_map.reshape(self.mask.size, -1)[places], np.float64)
+            for of_map in (materials.albedo, materials.roughness, materials.metallic)
+        )
+        n = np.asarray(normals, np.float64).reshape(-1, 3)[places]
+        n = n / np.linalg.norm(n, axis=-1, keepdims=True)
+        views_of = np.ascontiguousarray(views(self.mask.shape, self.fov, places))
+        return np.ascontiguousarray(n), views_of, albedo, roughness[:, 0], metallic[:, 0]
+
+
+def name_of(wall: Wall, walls: tuple[Wall, ...]) -> str:
+    """What a wall is called by where it is in the room."""
+    if wall.level:
+        return "floor" if wall.level == 1 else "ceiling"
+    right, up, ahead = room_axes(walls)
+    along = {
+        "left wall": right,
+        "right wall": -right,
+        "wall ahead": -ahead,
+        "wall behind": ahead,
+        "level surface": up,
+    }
+    name, closeness = max(
+        ((name, float(wall.normal @ axis)) for name, axis in along.items()), key=lambda one: one[1]
+    )
+    return name if closeness > NAMED else "slanted wall"
+
+
+def counted(names: Sequence[str]) -> str:
+    """Names, each once with how many there are of it: "floor, 2 left walls"."""
+    parts = []
+    for name in dict.fromkeys(names):
+        count = names.count(name)
+        several = f"{count} {name.replace('wall', 'walls').replace('surface', 'surfaces')}"
+        parts.append(several if count > 1 else name)
+    return ", ".join(parts)
+
+
+def _pieces(places: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Places in pieces of PIECE."""
+    return [places[i : i + PIECE] for i in range(0, len(places), PIECE)]
 
 
 def views(shape: tuple[int, ...], fov: float, places: NDArray[np.intp]) -> Array:
@@ -310,4 +371,5 @@ def filled(image: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
     if mask.all():
         return found
     rows, columns = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    return found[rows, columns]
+    nearest: NDArray[np.float32] = found[rows, columns]
+    return nearest

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from pbrfit.transport.rays import Array
 from pbrfit.transport.relief import Mask, Relief, relief
@@ -347,6 +346,8 @@ def _regions(coarse: Relief) -> NDArray[np.int32]:
 
 def _largest_piece(coarse: Relief, taken: NDArray[np.intp]) -> float:
     """Share of the picture of the largest connected piece of some of its points."""
+    from scipy import ndimage
+
     there = np.zeros(coarse.here.shape, bool)
     there.flat[np.flatnonzero(coarse.here)[taken]] = True
     labels, count = ndimage.label(there, structure=np.ones((3, 3)))

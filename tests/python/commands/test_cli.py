@@ -39,7 +39,7 @@ def outcome(out: Path) -> Any:
 
 def without_priors(left_out: list[str]) -> list[str]:
     """Beside priors, which depend on the lights that were found."""
-    return [entry for entry in left_out if not entry.startswith("prior")]
+    return [entry for entry in left_out if not entry.startswith(("prior", "surroundings"))]
 
 
 # decompose

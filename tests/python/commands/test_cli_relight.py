@@ -22,7 +22,7 @@ from pbrfit.io.relit_files import ANIMATIONS, write_animation
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting, rotated
 from pbrfit.model.panorama import WINDOWS
-from relit import ball, fitted, side_lit
+from relit import ball, fitted, shaded_ball, side_lit
 from scene_files import Argument, run, write_exr, write_folder, write_hdr
 
 Array = NDArray[np.floating[Any]]
@@ -83,6 +83,29 @@ def test_a_hard_light_as_linear_exr(room: Path, tmp_path: Path) -> None:
     assert [path.name for path in out.parent.iterdir()] == ["out.exr"]
     header = OpenEXR.File(str(out)).header()
     np.testing.assert_allclose(np.ravel(header["chromaticities"])[:2], [0.64, 0.33], rtol=1e-6)
+
+
+def test_surroundings_throw_shadows_unless_told_otherwise(tmp_path: Path) -> None:
+    shaded_ball().save(tmp_path / "result")
+    loaded = Result.load(tmp_path / "result")
+    found = {}
+    for flags in ((), ("--no-shadows",)):
+        arguments = (tmp_path / "result", "--light", "-80,45", *flags)
+        out = tmp_path / f"{len(flags)}.exr"
+        text = done("relight", *arguments, "--out", out)
+        assert ("triangles" in said(text)["shadows"]) == (not flags)
+        found[flags] = exr(out)
+        expected = relight(loaded, DirectionalLight(-80, 45), shadows=not flags)
+        shown = found[flags][..., :3][loaded.mask]
+        np.testing.assert_allclose(shown, expected[loaded.mask], rtol=1e-6, atol=1e-7)
+    assert found[()].mean() < found["--no-shadows",].mean()
+
+
+def test_without_surroundings_no_shadows_is_harmless(room: Path, tmp_path: Path) -> None:
+    for name, flags in (("with", ()), ("without", ("--no-shadows",))):
+        text = done("relight", room, "--light", "0,45", *flags, "--out", tmp_path / f"{name}.exr")
+        assert "shadows" not in said(text)
+    np.testing.assert_array_equal(exr(tmp_path / "with.exr"), exr(tmp_path / "without.exr"))
 
 
 def test_a_panorama_turned(folders: Path, pano: Path, tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def some_weights(seed: int = 0) -> NDArray[np.float32]:
 
 def without_priors(result: pbrfit.Result) -> list[str]:
     """What was left out beside priors, which depend on the lights that were found."""
-    return [entry for entry in result.left_out if not entry.startswith("prior")]
+    return [entry for entry in result.left_out if not entry.startswith(("prior", "surroundings"))]
 
 
 def assert_same_bits(a: pbrfit.Result, b: pbrfit.Result) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from pbrfit._core import InputError
 from pbrfit.fit import memory
 from pbrfit.fit.memory import FitMemory, Method
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.settings import TRANSPORT_WHOLE_PIXELS_MAX, WHOLE_PIXELS_MAX
 
 GIB = 2**30
 
@@ -190,6 +193,109 @@ class TestRefiningNormals:
     def test_is_refused_where_it_was_asked_for(self, scene: pbrfit.Scene) -> None:
         with pytest.raises(InputError, match=r"; refine_normals off needs \d+ MiB less$"):
             pbrfit.decompose(scene, iterations=2, refine_normals="on")
+
+
+TABLES = """
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import pbrfit
+from pbrfit.fit import memory
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.transport import Surrounded
+from pbrfit.transport.decision import Transport
+from pbrfit.transport.scenery import Scenery
+
+kind, model = sys.argv[1:]
+size = 192
+images = np.random.default_rng(0).random((16, size, size, 3), dtype=np.float32)
+depth = np.ones((size, size), np.float32)
+depth[60:90, 60:90] = 0.8
+normals = np.zeros((size, size, 3))
+normals[..., 2] = 1
+scene = pbrfit.Scene(images=images, normals=normals, fov=50.0, depth=depth)
+surrounded = Surrounded(
+    scene, Transport(kind), Scenery(depth, normals, scene.valid, None, scene.fov)
+)
+
+
+def resident(name):
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(name):
+            return 1024 * int(line.split()[1])
+
+
+objective = Objective(scene, model=model)
+surrounded.tables(objective, np.arange(100, dtype=np.uint64), rays=8)  # imports
+surrounded._images = None
+Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
+before = resident("VmRSS")
+objective = objective.among(surrounded.tables(objective, rays=8))
+takes = memory.TransferMemory.of(ParameterLayout.of(scene), model, kind, depth=True)
+print(resident("VmHWM") - before, (takes.of_pixel + takes.of_picture) * size**2)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell the peak")
+@pytest.mark.parametrize(
+    ("kind", "model"), [("occlusion", "principled"), ("bounce", "paper"), ("bounce", "principled")]
+)
+def test_tables_of_surroundings_take_what_is_said(kind: str, model: str) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", TABLES, kind, model], check=True, capture_output=True, text=True
+    )
+    taken, said = map(int, run.stdout.split())
+    assert 0.8 * said < taken < 1.25 * said
+
+
+class TestTablesInPlans:
+    def layout(self, pixels: int) -> ParameterLayout:
+        return dataclasses.replace(
+            ParameterLayout.of(scene_of(8, 3)), valid=np.broadcast_to(np.True_, (1, pixels))
+        )
+
+    def tables(self, depth: bool = True, asked: Any = "auto") -> memory.TransferMemory | None:
+        return memory.TransferMemory.of(self.layout(4), "principled", asked, depth=depth)
+
+    def plan(self, pixels: int, transfer: memory.TransferMemory | None) -> memory.Plan:
+        return memory.plan(
+            self.layout(pixels), "gauss-newton", held=0, refine_normals=False, transfer=transfer
+        )
+
+    def test_there_are_none_without_depth_and_where_none_were_asked_for(self) -> None:
+        assert self.tables(depth=False) is None
+        assert self.tables(asked="none") is None
+        occluding, reflecting = self.tables(asked="occlusion"), self.tables()
+        assert occluding is not None
+        assert reflecting is not None
+        assert occluding.of_picture == 0
+        assert reflecting.of_pixel > occluding.of_pixel
+
+    @pytest.mark.usefixtures("system")
+    def test_scenes_with_them_go_to_tiles_earlier(self) -> None:
+        most = TRANSPORT_WHOLE_PIXELS_MAX
+        assert not self.plan(most, self.tables()).tiled
+        assert self.plan(most + 1, self.tables()).tiled
+        assert not self.plan(most + 1, None).tiled
+        assert self.plan(WHOLE_PIXELS_MAX + 1, None).tiled
+
+    @pytest.mark.usefixtures("system")
+    def test_they_are_beside_all_but_refined_normals(self) -> None:
+        tables = self.tables()
+        assert tables is not None
+        bare, full = self.plan(1000, None).needed, self.plan(1000, tables).needed
+        assert full.further - bare.further == 1000 * (tables.of_pixel + tables.of_picture)
+        refining = dataclasses.replace(full, refining=full.transfer + 7)
+        assert refining.further == full.further + 7
+
+    def test_advice_is_to_do_without(self, system: Path) -> None:
+        write(system / "proc/meminfo", "MemAvailable: 10 kB\n")
+        needed = self.plan(1000, self.tables()).needed
+        with pytest.raises(InputError, match=r"; transport none needs \d+ MiB less$"):
+            memory.check("gauss-newton", needed)
 
 
 class TestPrediction:

@@ -111,6 +111,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "align": "auto",
         "seed": 0,
         "response": "auto",
+        "transport": "auto",
         "refine_normals": "auto",
         "model": None,
         "uncertainty": True,
@@ -124,9 +125,10 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "alignment": "not checked: pictures below 24 pixels",
         "scale": "by the highlights of dielectrics",
     }
-    masked, monochrome = content["left_out"]
+    masked, monochrome, surroundings = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
     assert monochrome.startswith("prior monochrome: lights are 0.")
+    assert surroundings == "surroundings: no depth is given"
     assert content["inputs"] == {"images/a.exr": "0" * 64}
 
     light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))
@@ -316,13 +318,13 @@ def test_depth_of_the_scene_goes_through_fit_and_file(tmp_path: Path) -> None:
     depth[2, 3] = np.nan
     found = decompose(dataclasses.replace(made, depth=depth), iterations=2, priors=Priors.none())
     assert found.depth is not None
-    expected = np.where(made.valid, depth, np.nan)
+    expected = depth  # outside the mask, too, where things block light
     np.testing.assert_array_equal(found.depth, expected)
     found.save(tmp_path / "out")
     [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
     stored = part.channels["depth.Z"].pixels
     assert stored[2, 3] == 0  # unknown
-    assert stored[0, 0] == 2.5  # outside the mask: as the nearest pixel inside
+    assert stored[0, 0] == 2.5  # outside the mask
     loaded = Result.load(tmp_path / "out")
     assert loaded.depth is not None
     assert loaded.depth.dtype == np.float32

@@ -1,0 +1,158 @@
+"""What surroundings were supposed, on which figures, and what they do to light."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.io.resampling import reduced_size
+from pbrfit.report import figures, raster
+from pbrfit.report.html import Cell, Look, Table, heads, number, paragraph, table
+from pbrfit.report.notation import percent, plain
+from pbrfit.report.surroundings import plan_key, plan_view
+from pbrfit.result import metrics
+from pbrfit.result.relighting import DirectionalLight, relight
+from pbrfit.result.result import Result
+from pbrfit.transport.decision import Kind
+from pbrfit.transport.scenery import Scenery, counted, name_of
+
+WORDS: Mapping[Kind, str] = {
+    "none": "do nothing: all light reaches every surface",
+    "occlusion": "block light",
+    "bounce": "block light, and reflect it to each other",
+}
+"""What surroundings do, by the kinds of `Transport`."""
+
+SIDE = 384
+"""Longer side of the relit pictures."""
+
+LAMPS = tuple(DirectionalLight(azimuth, up) for up in (35, 50, 65) for azimuth in (-45, -20, 30))
+"""Lamps that may show shadows, from the upper left first."""
+
+LEAST_OPEN = 0.35
+"""Share of the pixels that a lamp should reach; else the one that reaches most is taken."""
+
+NO_LIGHT = 0.02
+"""Share of the pixels below which no lamp is shown: walls keep all of them out."""
+
+
+def section(result: Result) -> str:
+    """HTML about surroundings; nothing where the fit knew none."""
+    transport = result.transport
+    if not transport.blocks:
+        if not transport.figures:
+            return ""
+        return paragraph(
+            f"Surroundings {WORDS['none']}. The fit left them out: {transport.why}."
+        ) + (_scores(result))
+    text = paragraph(
+        f"Things, walls and floor that the depth shows {WORDS[transport.kind]} ({transport.why}). "
+        "What no picture shows is supposed: how deep things are, how high walls, where the room "
+        "ends behind the camera."
+    )
+    if transport.kind == "bounce":
+        text += paragraph(
+            "The fit took what surfaces reflect from the pictures themselves; reconstructions and "
+            "relit pictures compute it from the maps."
+        )
+    scenery = result.scenery
+    if scenery is None:
+        return text + _scores(result)
+    above, side = plan_view(scenery.geometry, scenery.points)
+    plans = f'<div class="plans">{above}{side}</div>{plan_key()}'
+    tables = f'<div class="numbers">{_supposed(scenery)}{_scores(result)}</div>'
+    return text + plans + tables + _relit(result, scenery)
+
+
+def _supposed(scenery: Scenery) -> str:
+    """The extents, in median depths."""
+    extents = scenery.extents
+    facts: list[tuple[str, str, float | None]] = [
+        ("things are deep, at most", plain(extents.thickness), extents.thickness)
+    ]
+    if extents.height is not None:
+        facts += [
+            ("walls are high, at least", plain(extents.height), extents.height),
+            ("ceiling", "supposed" if extents.ceiling else "as far as one is seen", None),
+        ]
+    if extents.behind is not None:
+        facts.append(("wall behind the camera, at", plain(extents.behind), extents.behind))
+    elif extents.blocks:
+        facts += [
+            ("behind the camera", "open", None),
+            ("walls go on beyond what is seen", plain(extents.reach), extents.reach),
+        ]
+    rows = [(Cell(label), number(text, value)) for label, text, value in facts]
+    for label, which in (("light is blocked by", True), ("light goes through", False)):
+        names = [
+            name_of(wall, scenery.walls)
+            for wall, blocks in zip(scenery.walls, extents.blocks, strict=True)
+            if blocks == which
+        ]
+        if names:
+            rows.append((Cell(label), number(counted(names))))
+    return f"<div>{table(Table((), rows, 'Supposed, in median depths:'))}</div>"
+
+
+def _scores(result: Result) -> str:
+    """What each alternative left of pixels that lights were not fitted to."""
+    scores = result.transport.figures
+    rows = []
+    for kind, words in WORDS.items():
+        score = scores.get(f"left_out_{kind}")
+        if score is None:
+            continue
+        chosen = kind == result.transport.kind
+        share = math.exp(score / 2)
+        look: Look = "best" if chosen else "number"
+        said = f"{words} (chosen)" if chosen else words
+        rows.append((Cell(said), Cell(percent(share), look, share)))
+    if not rows:
+        return ""
+    count = scores.get("left_out_pixels")
+    of_how_many = f"{count:.0f} " if count else ""
+    caption = (
+        f"Residual of {of_how_many}pixels that the lights were not fitted to, relative to the "
+        "pictures there (geometric mean), by what surroundings do:"
+    )
+    return f"<div>{table(Table(heads('surroundings', 'residual'), rows, caption))}</div>"
+
+
+def _relit(result: Result, scenery: Scenery) -> str:
+    """The same light with and without surroundings."""
+    first = f"light of {result.pictures[0]}"
+    cards = _pair(result, result.lighting[0], first)
+    lamp = _lamp(scenery)
+    if lamp is not None:
+        cards += _pair(result, lamp, "a hard lamp")
+    text = "Each pair has the same light and the same exposure."
+    if lamp is not None:
+        text += (
+            f" The lamp is far away, at azimuth {lamp.azimuth:g}° and elevation "
+            f"{lamp.elevation:g}°; what surfaces reflect of it is left out."
+        ).replace("-", "−")
+    heading = "<h3>With and without surroundings</h3>"
+    return heading + paragraph(text, "note") + figures.grid(cards, "relit maps")
+
+
+def _pair(result: Result, light: NDArray[np.float64] | DirectionalLight, name: str) -> list[str]:
+    among, without = (relight(result, light, shadows=one) for one in (True, False))
+    white = metrics.white_of(without)
+    size = reduced_size(result.mask.shape, SIDE)
+    found = []
+    for picture, how in ((among, "with surroundings"), (without, "without")):
+        png = raster.picture_png(metrics.display(raster.reduced(picture, SIDE), white))
+        shown = figures.picture(png, size, f"Relit by {name}, {how}")
+        found.append(figures.figure(shown, how, name))
+    return found
+
+
+def _lamp(scenery: Scenery) -> DirectionalLight | None:
+    """A lamp that reaches some surfaces and not all."""
+    shares = [float(scenery.open_to(lamp.direction).mean()) for lamp in LAMPS]
+    good = [i for i, share in enumerate(shares) if share >= LEAST_OPEN]
+    best = good[0] if good else int(np.argmax(shares))
+    return LAMPS[best] if shares[best] >= NO_LIGHT else None

@@ -1,0 +1,238 @@
+"""Results among surroundings: what they keep, what is built from it again, and relighting."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
+from pbrfit.batch.scenes import table
+from pbrfit.fit import settings
+from pbrfit.fit import transport as fit_transport
+from pbrfit.report.inspection import facts
+from pbrfit.result.data import SEGMENT_MAX, storable_segments
+from pbrfit.transport import scenery
+from pbrfit.transport.decision import Kind, Transport
+from pbrfit.transport.scenery import Scenery
+from relit import even, fitted, shaded_ball
+from small_worlds import box_room
+
+FEW: dict[str, Any] = {"iterations": 2, "uncertainty": False, "equal_exposures": False}
+
+
+def room_scene() -> Scene:
+    """The box room under three lights from above, with what blocks them; a part has no pixels."""
+    seen = box_room(40)
+    mask = seen.mask.copy()
+    mask[:, :6] = False
+    depth = -seen.points[..., 2].astype(np.float32)
+    scenery = Scenery(depth, seen.normals, seen.mask, seen.segments, 65.0)
+    shape = mask.shape
+    materials = even(seen.mask, 0.6)
+    rng = np.random.default_rng(3)
+    lights = np.zeros((4, 16, 3))
+    lights[:, 0] = 3.0
+    lights[:, 1:4] = rng.normal(0, 1.5, (4, 3, 1))
+    lights[:, 4:9] = rng.normal(0, 0.5, (4, 5, 1))
+    pictures = scenery.render(
+        materials, seen.normals, lights, Transport("occlusion"), model="principled"
+    )
+    assert pictures.shape == (4, *shape, 3)
+    return Scene(
+        images=np.maximum(np.nan_to_num(pictures), 1e-3).astype(np.float32),
+        normals=np.where(mask[..., None], seen.normals, np.nan),
+        mask=mask,
+        fov=65.0,
+        depth=depth,
+        segments=seen.segments,
+        model="principled",
+    )
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Scene, Result, list[Scenery]]:
+    """A fit among surroundings that were not searched for long, and the scenery that it chose."""
+    chosen = []
+    real = fit_transport.choose
+
+    def choose(*arguments: object) -> fit_transport.Surrounded:
+        found = real(*arguments)  # type: ignore[arg-type]
+        assert found.scenery is not None
+        chosen.append(found.scenery)
+        return found
+
+    scene = room_scene()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(settings, "TRANSPORT_PIXELS", 40)
+        patch.setattr(settings, "TRANSPORT_ROUNDS", 1)
+        patch.setattr(fit_transport, "candidates", lambda _: [])
+        patch.setattr(fit_transport, "choose", choose)
+        result = decompose(scene, transport="occlusion", **FEW)
+    return scene, result, chosen
+
+
+@pytest.fixture
+def loaded(made: tuple[Scene, Result, list[Scenery]], tmp_path: Path) -> Result:
+    made[1].save(tmp_path / "result")
+    return Result.load(tmp_path / "result")
+
+
+def test_scenery_of_a_loaded_result_is_that_of_the_fit(
+    made: tuple[Scene, Result, list[Scenery]], loaded: Result
+) -> None:
+    _, result, [chosen] = made
+    for one in (result, loaded):
+        assert one.scenery is not None
+        np.testing.assert_array_equal(one.scenery.geometry.triangles, chosen.geometry.triangles)
+        np.testing.assert_array_equal(one.scenery.geometry.starts, chosen.geometry.starts)
+        np.testing.assert_array_equal(one.scenery.geometry.kind, chosen.geometry.kind)
+
+
+def test_the_decision_is_kept(
+    made: tuple[Scene, Result, list[Scenery]], loaded: Result, tmp_path: Path
+) -> None:
+    scene, result, _ = made
+    assert result.transport.kind == "occlusion"
+    assert loaded.transport == result.transport
+    assert loaded.segments is not None
+    np.testing.assert_array_equal(loaded.segments, scene.segments)
+    np.testing.assert_array_equal(loaded.depth, scene.depth)  # outside the mask, too
+    content = json.loads((tmp_path / "result" / "result.json").read_text("utf-8"))
+    assert content["transport"]["kind"] == "occlusion"
+    words = content["assumed"]["surroundings"]
+    assert words.startswith("block light (asked for)")
+    assert "floor" in words
+    assert not any(line.startswith("surroundings") for line in loaded.left_out)
+
+
+def test_older_results_have_no_surroundings(
+    made: tuple[Scene, Result, list[Scenery]], tmp_path: Path
+) -> None:
+    made[1].save(tmp_path / "result")
+    file = tmp_path / "result" / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    del content["transport"]
+    file.write_text(json.dumps(content), "utf-8")
+    older = Result.load(tmp_path / "result")
+    assert not older.transport.blocks
+    assert older.scenery is None
+    assert older.segments is None
+    assert older.depth is not None
+    assert np.isnan(older.depth[~older.mask]).all()
+
+
+def test_a_result_without_depth_says_that_nothing_was_done() -> None:
+    result = fitted()
+    assert result.transport == Transport()
+    assert result.scenery is None
+    assert "surroundings: no depth is given" in result.left_out
+    with_it, without = (relight(result, result.lighting[0], shadows=one) for one in (True, False))
+    np.testing.assert_array_equal(with_it, without)
+
+
+def test_relit_by_its_lights_the_pictures_come_back(
+    made: tuple[Scene, Result, list[Scenery]], loaded: Result
+) -> None:
+    scene, _, _ = made
+    true = np.where(scene.valid[..., None], scene.images, np.nan)
+    among, without = (relight(loaded, loaded.lighting, shadows=one) for one in (True, False))
+    off = [float(np.sqrt(np.nanmean((one - true) ** 2))) for one in (among, without)]
+    assert off[0] == pytest.approx(loaded.metrics["recon_rmse"], rel=0.02)
+    assert off[0] < 0.2 * off[1]
+    assert np.isnan(among[:, ~loaded.mask]).all()
+    assert loaded.scenery is not None
+    at_once = loaded.scenery.render(
+        *(loaded.materials, loaded.normals, loaded.lighting, loaded.transport), model=loaded.model
+    )
+    np.testing.assert_allclose(among, at_once, atol=1e-5)
+    np.testing.assert_allclose(relight(loaded, loaded.lighting[1]), among[1], atol=1e-12)
+
+
+def test_unusable_light_is_refused_among_surroundings(loaded: Result) -> None:
+    with pytest.raises(InputError, match="lighting: expected shape"):
+        relight(loaded, np.zeros((3, 9)))
+    with pytest.raises(InputError, match="finite"):
+        relight(loaded, np.full((16, 3), np.nan))
+
+
+def test_a_ball_throws_its_shadow_away_from_a_lamp() -> None:
+    result = shaded_ball()
+    lamp = DirectionalLight(azimuth=-80.0, elevation=45.0)  # from the left
+    lit, bare = relight(result, lamp), relight(result, lamp, shadows=False)
+    assert result.segments is not None
+    floor = result.segments == 1
+    dark = floor & (lit[..., 1] == 0) & (bare[..., 1] > 0)
+    share = dark.sum() / floor.sum()
+    assert 0.01 < share < 0.3
+    ball_at = np.nonzero(result.segments == 2)[1].mean()
+    assert np.nonzero(dark)[1].mean() > ball_at + 3
+    open_floor = floor & ~dark
+    np.testing.assert_array_equal(lit[open_floor], bare[open_floor])
+
+
+def test_the_sky_is_dimmed_where_things_stand() -> None:
+    """Under even light all is as bright as it sees sky; beside the ball less than far away."""
+    result = shaded_ball()
+    even_light = np.zeros((16, 3))
+    even_light[0] = 2 * np.sqrt(np.pi)
+    lit, bare = relight(result, even_light), relight(result, even_light, shadows=False)
+    assert result.segments is not None
+    floor = result.segments == 1
+    ratio = (lit / bare)[..., 1]
+    assert np.nanmax(ratio[floor]) > 0.97
+    assert np.nanmin(ratio[floor]) < 0.8
+
+
+def test_what_surfaces_bring_makes_pictures_brighter() -> None:
+    result = shaded_ball()
+    light = np.zeros((16, 3))
+    light[0] = 2 * np.sqrt(np.pi)
+    light[1] = 1.0
+    blocked = relight(result, light)
+    bounced = relight(
+        dataclasses.replace(result, transport=Transport("bounce", "asked for")), light
+    )
+    assert (bounced[result.mask] >= blocked[result.mask] - 1e-5).all()
+    assert np.nanmean(bounced) > 1.01 * np.nanmean(blocked)
+    none = dataclasses.replace(result, transport=Transport("bounce", "asked for", gain=0.0))
+    np.testing.assert_allclose(relight(none, light), blocked, atol=1e-5)
+
+
+def test_ids_too_large_for_float32_are_counted_anew() -> None:
+    small = np.array([[0, 7, 9]])
+    np.testing.assert_array_equal(storable_segments(small), small)
+    at = np.array([[0, SEGMENT_MAX]])
+    np.testing.assert_array_equal(storable_segments(at), at)
+    large = np.array([[7, SEGMENT_MAX + 1, 0, -3]])
+    np.testing.assert_array_equal(storable_segments(large), [[1, 2, 0, -1]])
+    np.testing.assert_array_equal(storable_segments(large[:, :2]), [[1, 2]])
+
+
+@pytest.mark.parametrize("kind", ["occlusion", "bounce"])
+def test_pieces_of_a_picture_give_the_same_light(
+    kind: Kind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = dataclasses.replace(shaded_ball(), transport=Transport(kind, "asked for"))
+    whole = relight(of, of.lighting[0])
+    monkeypatch.setattr(scenery, "PIECE", 1000)
+    pieces = relight(dataclasses.replace(of), of.lighting[0])
+    # Rows of the model under reflected light are from fewer rays where there are pieces.
+    atol = 0 if kind == "occlusion" else 0.05 * float(np.nanmax(whole))
+    np.testing.assert_allclose(pieces, whole, rtol=0, atol=atol)
+
+
+def test_what_was_decided_is_said_and_what_was_found_before(
+    made: tuple[Scene, Result, list[Scenery]], tmp_path: Path
+) -> None:
+    scene, result, _ = made
+    lines = table(result, scene, tmp_path)
+    [said] = [line for line in lines if line.startswith("surroundings")]
+    assert said.startswith("surroundings (occlusion): block light (asked for): things up to")
+    found = dict(facts(scene))["surroundings"]
+    assert "floor" in found
+    assert dict(facts(dataclasses.replace(scene, depth=None)))["surroundings"].startswith("unknown")
