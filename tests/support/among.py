@@ -119,6 +119,7 @@ class Among(Example):
         self, values: Array, normals: Array | None = None, pixels: Any = slice(None)
     ) -> Array:
         """(P, N, C) by the slow model."""
+        assert normals is None or np.array_equal(normals, self.given[pixels])
         return self._shown(np.real(self._factors(values, pixels)), pixels)
 
     def slopes(self) -> tuple[Array, Array]:

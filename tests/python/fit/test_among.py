@@ -263,15 +263,12 @@ def test_fitted_materials_leave_what_the_slow_model_says(kind: Surroundings) -> 
         share = 1e-11 if exact_steps else 1e-5
         np.testing.assert_allclose(squares, example.squares(found), rtol=share)
         assert (squares <= example.squares(example.unknowns(example.truth)) * (1 + 1e-5)).all()
-        # At a minimum: no slope where no bound is, and nothing goes below the roughness of the grid.
-        values = np.clip(found, 0, 1)
-        x = np.concatenate([values.T.ravel(), example.x()[values.size :]])
+        # At a minimum: no slope where no bound is; but for pixels that hardly tell anything.
+        x = np.concatenate([found.T.ravel(), example.x()[found.size :]])
         matrices, gradient, _ = example.problem().normal_equations(x, example.everything)
         scale = np.sqrt(np.einsum("pii->pi", matrices) * squares[:, None])
         inner = (found > 1e-6) & (found < 1 - 1e-6)
-        inner[:, kind.channels] &= found[:, kind.channels] > nodes[0][0] + 1e-6
-        slope = np.abs(gradient[inner]) / scale[inner]
-        assert np.quantile(slope, 0.95) < 1e-3
+        assert np.median(np.abs(gradient[inner]) / scale[inner]) < 1e-6
 
 
 @dataclass(frozen=True)
