@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import InputError, Scene, _core, decompose
-from pbrfit.model.lighting import sh_basis
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import MODELS, Model, render
 from pbrfit.synthetic.geometry import Box, Plane, rotation
@@ -52,6 +51,15 @@ def random_materials(shape: tuple[int, ...], seed: int = 0) -> Materials:
     )
 
 
+def arrays(materials: Materials) -> tuple[Array, Array, Array]:
+    """Of pixels, as the core takes them."""
+    return (
+        np.asarray(materials.albedo, float),
+        np.asarray(materials.roughness, float),
+        np.asarray(materials.metallic, float),
+    )
+
+
 def even_materials(shape: tuple[int, ...]) -> Materials:
     return Materials(np.full((*shape, 3), 0.7), np.full(shape, 0.6), np.zeros(shape))
 
@@ -62,7 +70,7 @@ def lamps(count: int, seed: int = 3) -> Array:
     lights[:, 0] = 3.0
     lights[:, 1:4] = rng.normal(0, 1.0, (count, 3, 1))
     lights[:, 4:] = rng.normal(0, 0.3, (count, 12, 1))
-    return np.asarray(lights * rng.uniform(0.8, 1.2, (count, 1, 3)))
+    return np.asarray(lights * rng.uniform(0.8, 1.2, (count, 1, 3)), float)
 
 
 @pytest.mark.slow
@@ -101,7 +109,7 @@ def test_pictures_are_linear_in_the_light(model: Model) -> None:
     one, other = lamps(2)
     lights = np.stack([one, other, one + other, -2 * one])
     for kind, share in (("occlusion", 1e-12), ("bounce", 1e-4)):
-        transport = Transport(kind)
+        transport = Transport(kind)  # type: ignore[arg-type]
         shown = scenery.render(materials, seen.normals, lights, transport, model=model)
         a, b, both, twice = shown[:, seen.mask]
         np.testing.assert_allclose(both, a + b, rtol=0, atol=share * np.abs(both).max())
@@ -113,8 +121,8 @@ def turned_light(lights: Array, turn: Array) -> Array:
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(400, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    shown = np.einsum("dk,nkc->ndc", sh_basis(directions @ turn), lights)
-    found = [np.linalg.lstsq(sh_basis(directions), one, rcond=None)[0] for one in shown]
+    shown = np.einsum("dk,nkc->ndc", _core.sh_basis(directions @ turn), lights)
+    found = [np.linalg.lstsq(_core.sh_basis(directions), one, rcond=None)[0] for one in shown]
     return np.stack(found)
 
 
@@ -140,9 +148,7 @@ def test_a_scene_that_turns_with_its_light_looks_the_same(model: Model) -> None:
         )
         return _core.render(
             *directions,
-            materials.albedo,
-            materials.roughness,
-            materials.metallic,
+            *arrays(materials),
             lights,
             1,
             model=model,
@@ -168,13 +174,13 @@ def test_tables_are_within_one_per_cent_of_those_of_ten_times_the_rays(model: Mo
     lights, errors, sizes = lamps(6), [], []
     for roughness in (0.2, 0.4, 0.6, 0.9):
         for metallic in (0.0, 1.0):
-            of_pixels = [
+            of_pixels = (
                 np.full((len(places), 3), 0.7),
                 np.full(len(places), roughness),
                 np.full(len(places), metallic),
-            ]
+            )
 
-            def shown(rows: Any, of_pixels: list[Array] = of_pixels) -> Array:
+            def shown(rows: Any, of_pixels: tuple[Array, Array, Array] = of_pixels) -> Array:
                 return _core.render(
                     normals, views, *of_pixels, lights, 1, model=model, transfer=rows
                 )
@@ -219,7 +225,7 @@ def test_a_closed_box_is_dark(model: Model) -> None:
         model=model,
     )
     given = random_materials((count,))
-    of_pixels = given.albedo, given.roughness, given.metallic
+    of_pixels = arrays(given)
     dark, lit = (
         _core.render(normals, views, *of_pixels, UNIFORM, 1, model=model, transfer=table)
         for table in (rows, None)
@@ -240,7 +246,7 @@ def test_a_white_room_as_bright_as_the_sky_is_not_seen(model: Model) -> None:
     points = scenery.points.reshape(-1, 3)[places]
     views = -points / np.linalg.norm(points, axis=1, keepdims=True)
     normals = seen.normals.reshape(-1, 3)[places]
-    of_pixels = given.albedo, given.roughness, given.metallic
+    of_pixels = arrays(given)
     among = _core.render(
         normals,
         views,
@@ -302,14 +308,14 @@ def wrong(scene: Scene, materials: Materials, **options: Any) -> Array:
         **options,
     )
     found, valid = result.materials, scene.valid
-    return np.max(
+    worst: Array = np.maximum.reduce(
         [
             np.abs(found.albedo - materials.albedo)[valid].max(axis=-1),
             np.abs(found.roughness - materials.roughness)[valid],
             np.abs(found.metallic - materials.metallic)[valid],
-        ],
-        axis=0,
+        ]
     )
+    return worst
 
 
 def in_the_open(scene: Scene, materials: Materials, lights: Array, model: Model) -> Scene:
