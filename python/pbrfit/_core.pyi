@@ -105,12 +105,13 @@ class Problem:
     normals, views (P, 3) float64 unit vectors; weights (N, P) or (N, P, C) float32; lighting
     (N, K, C) float64, known; metallic a number, known; threads 0 = all. K = (sh_order + 1)²,
     sh_order 2 or 3.
-    transfer (P, R, 16) stands in the place of the model's rows, R = 5 for "paper" and 11 for
-    "principled"; bounced (P, R, N·C) is what surfaces bring of each picture.
     Unknowns x = [albedo (C planes of P) | roughness | metallic | tangent offsets (2 planes) |
     lighting (N, K, C)], without those that are known; normals are unless `free_normals`. A tangent
     offset (a, b), at most 1e3 in size, moves the given normal to (normal + a t₁ + b t₂)/√(1 + a² +
     b²). The loss is the (weighted) mean of the squared residuals, or of a robust loss of them.
+    `transfer` (P, R, 16) are rows in the place of the model's, the matt part's first: R = 5 of the
+    paper's model, 11 of the principled one; and `bounced` (P, R, N·C) what is brought to each, in
+    the unit of the images. Not with `free_normals`.
     """
 
     def __new__(
@@ -326,14 +327,18 @@ class Groups:
 
 @final
 class Surroundings:
-    """Triangles (T, 3, 3) float32 that light meets."""
+    """Triangles (T, 3, 3) that light meets, from either side; each is of a surface, by number."""
 
-    def __new__(cls, triangles: NDArray[np.float32]) -> Surroundings: ...
+    def __new__(
+        cls, triangles: NDArray[np.float32], surfaces: NDArray[np.uint8]
+    ) -> Surroundings: ...
+    @property
+    def last_surface(self) -> int:
+        """The highest number of a surface."""
     def distances(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """Distance (P,) to what each ray (P, 3) meets, infinite where it leaves."""
-
+        """Distance (R,) to what each ray meets first, infinite where it leaves."""
     def transfer(
         self,
         points: NDArray[np.float64],
@@ -346,10 +351,15 @@ class Surroundings:
         threads: int = 0,
         radiance: NDArray[np.float32] | None = None,
         half_width: float = 0.0,
+        nearest: NDArray[np.uint32] | None = None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """Rows (P, R, 16) of points (P, 3), and what surfaces of radiance (H, W, V) bring them.
+        """Rows (P, R, 16) of pixels, and what is brought to them (P, R, V), from rays of each.
 
-        `half_width` is the tangent of half the field of view of the picture with that radiance.
+        Rays start at points (P, 3), and follow from a pixel's own number in seeds (P,). `radiance`
+        (H, W, V), V values of each pixel of pictures, tells what a blocked ray brings; None =
+        nothing. `half_width` is the tangent of half of their horizontal field of view, 0 =
+        orthographic. `nearest` (S·H·W,) has for each surface from number 1 on, and each pixel, the
+        pixel that shows the surface nearest to it; surface 0 is whatever a pixel shows.
         """
 
 @final

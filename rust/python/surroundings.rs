@@ -9,8 +9,8 @@ use super::model::array3;
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::runtime::check;
-use crate::transport::surroundings::Surroundings;
+use crate::runtime::{Error, check};
+use crate::transport::surroundings::{LARGEST, Surroundings};
 use crate::transport::table::{Origins, Radiance, Transfer, transfer};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -63,6 +63,8 @@ impl PySurroundings {
         let distances = py.detach(|| {
             check::length("directions", origins.len(), directions.len())?;
             check::unit_vectors("directions", &directions)?;
+            let coordinates: Vec<f64> = origins.iter().flat_map(DVec3::to_array).collect();
+            check::moderate("origins", &coordinates, LARGEST)?;
             let rays = origins.iter().zip(&directions);
             crate::Result::Ok(
                 rays.map(|(&origin, &direction)| {
@@ -147,6 +149,10 @@ pub(super) fn given(
     expected: [usize; 3],
 ) -> PyResult<Option<Transfer>> {
     let Some(transfer) = transfer else {
+        if bounced.is_some() {
+            let expected = "rows, beside what is brought to them";
+            return Err(Error::argument("transfer", expected, "none").into());
+        }
         return Ok(None);
     };
     let [pixels, rows, values] = expected;

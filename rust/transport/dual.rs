@@ -178,7 +178,7 @@ pub(super) fn radial(roughness: f32, u: f32) -> f32 {
 
 /// D V n·l of the principled model.
 #[inline(always)]
-fn principled(roughness: f32, n_h: f32, n_l: f32, n_v: f32) -> f32 {
+pub(super) fn principled(roughness: f32, n_h: f32, n_l: f32, n_v: f32) -> f32 {
     let a2 = roughness.powi(4);
     let root = n_h * n_h * (a2 - 1.0) + 1.0;
     let slanted = |x: f32| (x * x * (1.0 - a2) + a2).sqrt();

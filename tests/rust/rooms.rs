@@ -6,11 +6,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each with those that it may use.
-const ROOMS: [(&str, &[&str]); 8] = [
+const ROOMS: [(&str, &[&str]); 9] = [
     ("runtime", &[]),
     ("reflectance", &["runtime"]),
     ("block", &["runtime", "reflectance"]),
-    ("problem", &["runtime", "reflectance", "block"]),
+    ("transport", &["runtime", "reflectance", "block"]),
+    ("problem", &["runtime", "reflectance", "block", "transport"]),
     ("pixel", &["runtime", "reflectance", "block", "problem"]),
     (
         "schur",
@@ -23,6 +24,7 @@ const ROOMS: [(&str, &[&str]); 8] = [
             "runtime",
             "reflectance",
             "block",
+            "transport",
             "problem",
             "pixel",
             "schur",

@@ -120,7 +120,7 @@ class Scenery:
         of_walls = self.geometry.kind == WALL
         near = 1e-4 * scale_of(self.points)
         for i, wall in enumerate(self.walls[:255], start=1):
-            on = (np.abs(wall.above(triangles)) < near).all(axis=-1) & of_walls
+            on = (np.abs(wall.above(triangles.astype(np.float64))) < near).all(axis=-1) & of_walls
             if wall.pixels.any():
                 found[on] = i
         return found

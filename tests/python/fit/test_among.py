@@ -1,0 +1,411 @@
+"""The objective of pixels among surroundings, and all that is made of it, against a slow model."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import reference
+from among import ROWS, Among, Surroundings
+from finite_differences import ridders
+from pbrfit import _core
+from pbrfit._core import InputError
+from pbrfit.model.reflection import MODELS
+from random_pixels import Array
+from shared_system import Seen, System, accuracy, close, dense
+
+PIXELS = 150
+"""More than are worked on side by side."""
+
+KINDS = (
+    Surroundings(),
+    Surroundings(model="principled"),
+    Surroundings(bounce=False),
+    Surroundings(model="principled", bounce=False, weights=3),
+    Surroundings(weights=3),
+    Surroundings(channels=1, weights=2),
+    Surroundings(model="principled", channels=1),
+    Surroundings(sh_order=2, metallic=0.3, weights=2),
+    Surroundings(model="principled", sh_order=2, channels=1, metallic=0.0),
+    Surroundings(model="principled", known_lights=True),
+    Surroundings(known_lights=True, weights=3, channels=1),
+)
+every_kind = pytest.mark.parametrize("kind", KINDS, ids=str)
+any_number = pytest.mark.parametrize("pictures", [3, 17])
+
+
+@functools.cache
+def example_of(kind: Surroundings, pictures: int = 6) -> Among:
+    """Whose pictures its materials do not explain."""
+    return Among(kind, PIXELS, pictures, noise=0.3)
+
+
+def contiguous(example: Among) -> tuple[Array, Array, Array]:
+    """Albedo in three channels, roughness and metallic."""
+    albedo, roughness, metallic = map(np.ascontiguousarray, example.material(example.truth))
+    return albedo, roughness, metallic
+
+
+def split(example: Among, gradient: Array) -> dict[str, Array]:
+    """Gradient of the loss by unknowns of pixels (P, D), and of the lights."""
+    maps = example.kind.unknowns * example.pixels
+    return {
+        "materials": gradient[:maps].reshape(-1, example.pixels).T,
+        "lights": gradient[maps:],
+    }
+
+
+def gradient_of_the_slow_model(example: Among, loss: Any) -> tuple[float, Array, Array]:
+    """Loss, and gradient by unknowns of pixels (P, D) and by the lights, as of `value_and_grad`."""
+    j, by_light = example.jacobian()
+    value, slope = loss(example.radiance(example.truth) - example.targets)
+    total = example.omega.sum()
+    scaled = example.omega * slope / total
+    return (
+        float((example.omega * value).sum() / total),
+        np.einsum("pnci,pnc->pi", j, scaled),
+        np.einsum("pnc,pck->nkc", scaled, by_light).ravel(),
+    )
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_slow_model_is_that_of_the_open_sky_where_nothing_is(model: str, channels: int) -> None:
+    """Its factors times the rows of the open sky are the weights of the core's reference."""
+    example = Among(Surroundings(model=model, channels=channels, bounce=False), PIXELS)
+    core = _core.Surroundings(np.empty((0, 3, 3), np.float32), np.empty(0, np.uint8))
+    example.rows = core.transfer(
+        np.zeros((PIXELS, 3)),
+        example.given,
+        example.views,
+        example.everything,
+        rays=1,
+        model=model,
+    )[0]
+    weights = _core.shade(
+        example.given,
+        example.views,
+        *contiguous(example),
+        model=model,
+    )[:, :channels]
+    np.testing.assert_allclose(example.slopes()[1], weights, rtol=0, atol=1e-6)
+
+
+@every_kind
+@any_number
+def test_loss_and_gradient_are_those_of_the_slow_model(kind: Surroundings, pictures: int) -> None:
+    example = example_of(kind, pictures)
+    for robust, loss in (
+        (None, reference.squares),
+        (("huber", 0.4), reference.huber(0.4)),
+        (("cauchy", 0.4), reference.cauchy(0.4)),
+    ):
+        expected, of_pixels, of_lights = gradient_of_the_slow_model(example, loss)
+        value, gradient = example.problem().value_and_grad(example.x(), robust)
+        assert value == pytest.approx(expected, rel=1e-5)
+        found = split(example, gradient)
+        for i in range(kind.unknowns):
+            close(found["materials"][:, i], of_pixels[:, i], 1e-5)
+        if kind.known_lights:
+            assert found["lights"].size == 0
+        else:
+            close(found["lights"], of_lights, 1e-5)
+
+
+@every_kind
+def test_residuals_are_those_of_the_slow_model(kind: Surroundings) -> None:
+    example = example_of(kind)
+    pixels = np.random.default_rng(1).permutation(PIXELS)[:140].astype(np.uint64)
+    found = example.problem().residuals(example.x(), pixels)
+    expected = (example.radiance(example.truth) - example.targets)[pixels].swapaxes(0, 1)
+    close(found, expected, 1e-7)
+
+
+@every_kind
+@any_number
+def test_slopes_are_those_of_differences(kind: Surroundings, pictures: int) -> None:
+    """By every unknown, in float64: Σ ω (I − T)² of each pixel against its gradient."""
+    example = example_of(kind, pictures)
+    problem, everything = example.problem(), example.everything
+    _, half, _ = problem.normal_equations(example.x(), everything)
+    values = example.unknowns(example.truth)
+
+    def squares(x: Array) -> Array:
+        found: Array = problem.normal_equations(x, everything)[2]
+        return found
+
+    for i in range(kind.unknowns):
+
+        def moved(by: float, i: int = i) -> Array:
+            changed = values.copy()
+            changed[:, i] += by
+            return squares(np.concatenate([changed.T.ravel(), example.x()[values.size :]]))
+
+        slope, _ = ridders(moved, 0.02)
+        close(2 * half[:, i], slope, 1e-7)
+    if kind.known_lights:
+        return
+    gram, right = problem.light_equations(example.x()[: values.size])
+    gradient = 2 * (np.einsum("cnkl,nlc->cnk", gram, example.lights) - right)
+    for c, n, k in [(0, 0, 0), (kind.channels - 1, pictures - 1, kind.coefficients - 1), (0, 1, 5)]:
+
+        def lit(by: float, c: int = c, n: int = n, k: int = k) -> float:
+            lights = example.lights.copy()
+            lights[n, k, c] += by
+            x = np.concatenate([values.T.ravel(), lights.ravel()])
+            return float(squares(x).sum())
+
+        slope, _ = ridders(lit, 0.1)
+        assert gradient[c, n, k] == pytest.approx(float(slope), abs=1e-7 * np.abs(gradient).max())
+
+
+@every_kind
+def test_normal_equations_are_products_of_derivatives(kind: Surroundings) -> None:
+    example = example_of(kind)
+    pixels = np.random.default_rng(2).permutation(PIXELS)[:140].astype(np.uint64)
+    j, by_light = (part[pixels] for part in example.jacobian())
+    slopes, _ = example.slopes()
+    omega = example.omega[pixels]
+    residual = (example.radiance(example.truth) - example.targets)[pixels]
+    problem = example.problem()
+    by_unknowns, of_light, weights = problem.derivatives(example.x(), pixels)
+    close(by_unknowns, slopes[pixels], 1e-12)
+    close(of_light, by_light, 1e-12)
+    np.testing.assert_array_equal(weights, omega)
+    matrices, gradient, squares = problem.normal_equations(example.x(), pixels)
+    close(matrices, np.einsum("pnci,pnc,pncj->pij", j, omega, j), 1e-12)
+    close(gradient, np.einsum("pnci,pnc->pi", j, omega * residual), 1e-12)
+    close(squares, (omega * residual**2).sum(axis=(1, 2)), 1e-12)
+    rng = np.random.default_rng(3)
+    roots = rng.normal(size=(len(pixels), kind.unknowns, kind.unknowns))
+    covariances = roots @ roots.transpose(0, 2, 1)
+    modes = rng.normal(size=(6, *example.lights.shape))
+    effects = np.einsum("pnci,pnc,pck,mnkc->pmi", j, omega, by_light, modes)
+    moves = problem.moves_with_lights(example.x(), pixels, covariances, modes)
+    close(moves, np.square(effects @ covariances).sum(axis=1), 1e-11)
+
+
+@every_kind
+def test_light_equations_are_those_of_the_slow_model(kind: Surroundings) -> None:
+    example = example_of(kind)
+    maps = example.x()[: kind.unknowns * PIXELS]
+    gram, right = example.problem().light_equations(maps)
+    w, omega = example.slopes()[1], example.omega
+    dark = example.targets.copy()
+    if example.bounced is not None:
+        of_material = np.real(example._factors(example.truth))
+        dark -= np.einsum("pcs,psnc->pnc", of_material, example.bounced)
+    close(right, np.einsum("pnc,pck->cnk", omega * dark, w), 1e-12)
+    expected = np.einsum("pnc,pck,pcl->cnkl", omega, w, w)
+    close(gram, expected if kind.weights else expected[:, :1] / 1.0, 1e-12)
+
+
+@every_kind
+def test_best_albedo_is_that_of_least_squares(kind: Surroundings) -> None:
+    """And the grid has its sums at its nodes."""
+    example = example_of(kind)
+    nodes = np.array([0.1, 0.35, 0.8, 1.0]), np.array([0.0, 0.4, 1.0])
+    if kind.metallic is not None:
+        nodes = nodes[0], np.array([kind.metallic])
+    grid = example.problem().material_grid(example.x(), example.everything, *nodes)
+    c = kind.channels
+    for i, r in enumerate(nodes[0]):
+        for j, m in enumerate(nodes[1]):
+            values = example.truth.copy()
+            values[:, c], values[:, c + 1] = r, m
+            albedo, squares = example.problem().best_albedo(example.x(values), example.everything)
+            assert ((albedo >= 0) & (albedo <= 1)).all()
+            np.testing.assert_allclose(
+                squares, example.squares(example.unknowns(np.hstack([albedo, values[:, c:]]))), 1e-9
+            )
+            np.testing.assert_allclose(grid[:, i, j], squares, rtol=2e-4)
+            # Nothing beside it is better.
+            for step in (-1e-3, 1e-3):
+                for channel in range(c):
+                    near = albedo.copy()
+                    near[:, channel] = np.clip(near[:, channel] + step, 0, 1)
+                    unknowns = example.unknowns(np.hstack([near, values[:, c:]]))
+                    assert (example.squares(unknowns) >= squares * (1 - 1e-7)).all()
+
+
+@every_kind
+def test_planted_materials_are_found_from_nothing(kind: Surroundings) -> None:
+    """As well as under the open sky."""
+    example = Among(kind, 60, 16)
+    nodes = np.linspace(0.05, 1, 12), np.linspace(0, 1, 6)
+    x = example.x(np.full_like(example.truth, 0.5))
+    truth = example.unknowns(example.truth)
+    single: dict[str, Any] = {"images": example.targets.swapaxes(0, 1).astype(np.float32)}
+    for exact, median, most in ((False, 1e-6, 2e-5), (True, 1e-13, 1e-11)):
+        problem = example.problem(**({} if exact else single))
+        found, squares = problem.fit_materials(
+            x, example.everything, *nodes, starts=3, exact_steps=3
+        )
+        error = np.abs(found - truth).max(axis=1)
+        assert np.median(error) < median
+        assert error.max() < most
+        if exact:
+            np.testing.assert_allclose(squares, example.squares(found), rtol=0, atol=1e-20)
+
+
+@every_kind
+def test_fitted_materials_leave_what_the_slow_model_says(kind: Surroundings) -> None:
+    example = example_of(kind)
+    nodes = np.linspace(0.05, 1, 8), np.linspace(0, 1, 4)
+    for exact_steps in (3, 0):
+        found, squares = example.problem().fit_materials(
+            example.x(), example.everything, *nodes, starts=2, steps=30, exact_steps=exact_steps
+        )
+        share = 1e-11 if exact_steps else 1e-5
+        np.testing.assert_allclose(squares, example.squares(found), rtol=share)
+        assert (squares <= example.squares(example.unknowns(example.truth)) * (1 + 1e-5)).all()
+        # At a minimum: no slope where no bound is; but for pixels that hardly tell anything.
+        x = np.concatenate([found.T.ravel(), example.x()[found.size :]])
+        matrices, gradient, _ = example.problem().normal_equations(x, example.everything)
+        scale = np.sqrt(np.einsum("pii->pi", matrices) * squares[:, None])
+        inner = (found > 1e-6) & (found < 1 - 1e-6)
+        assert np.median(np.abs(gradient[inner]) / scale[inner]) < 1e-6
+
+
+@dataclass(frozen=True)
+class SystemAmong(System):
+    """A `System` with surroundings."""
+
+    model: str = "paper"
+    bounce: bool = True
+
+
+SYSTEMS = {
+    "paper": SystemAmong(damping=1e-3),
+    "principled, held at bounds": SystemAmong(model="principled", bounds=True, damping=1e-3),
+    "no bounce, weighted": SystemAmong(bounce=False, weights=3, damping=1e-2),
+    "principled, with prior, clusters": SystemAmong(model="principled", prior=True, clusters=4),
+    "grey, weighted, known metallic": SystemAmong(
+        channels=1, weights=2, metallic=0.3, damping=1e-2
+    ),
+    "principled, order 2, mono": SystemAmong(
+        model="principled", sh_order=2, mono=True, damping=1e-3
+    ),
+    "known lights, clusters": SystemAmong(prior=True, clusters=3, known_lights=True),
+}
+
+
+class SeenAmong(Among, Seen):
+    """`Seen` among surroundings."""
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_the_lights_system_is_that_of_the_slow_model(system: str) -> None:
+    example = SeenAmong(SYSTEMS[system])
+    expected, moves = dense(example, example.chosen), example.moves()
+    share = accuracy(example.kind)
+    product, gradient = example.ask("schur_product", moves)
+    close(product, expected.matrix @ moves, share)
+    close(gradient, expected.gradient, share)
+    matrix, again = example.ask("schur_complement")
+    close(matrix, expected.matrix, share)
+    close(again, expected.gradient, share)
+    kept = example.ask("kept_system")
+    np.testing.assert_array_equal(kept.gradient, gradient)
+    close(kept.product(moves), product, 1e-5)
+    before = example.unknowns(example.truth)[example.chosen]
+    after = np.clip(before + expected.steps(moves, example.kind.of_material), 0, 1)
+    np.testing.assert_allclose(example.ask("back_substitute", moves), after, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_same_bits_at_any_number_of_threads(model: str) -> None:
+    example = Among(Surroundings(model=model, weights=3), 3000, 5, noise=0.1)
+    x, everything = example.x(), example.everything
+    nodes = np.linspace(0.1, 1, 5), np.linspace(0, 1, 3)
+
+    def all_of_it(threads: int) -> list[Any]:
+        problem = example.problem(threads)
+        moves = np.random.default_rng(0).normal(size=example.lights.size)
+        return [
+            *problem.value_and_grad(x),
+            problem.residuals(x, everything),
+            *problem.fit_materials(x, everything, *nodes),
+            *problem.normal_equations(x, everything),
+            *problem.light_equations(x[: 5 * 3000]),
+            *problem.schur_product(x, everything, moves, damping=1e-3),
+            problem.back_substitute(x, everything, moves, damping=1e-3),
+            problem.material_grid(x, everything, *nodes),
+        ]
+
+    for one, two in zip(all_of_it(1), all_of_it(2), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("bounce", [False, True])
+def test_pictures_are_those_of_the_slow_model(model: str, bounce: bool) -> None:
+    example = Among(Surroundings(model=model, bounce=bounce), PIXELS, 4)
+    found = _core.render(
+        example.given,
+        example.views,
+        *contiguous(example),
+        example.lights,
+        1,
+        model=model,
+        transfer=example.rows,
+        bounced=example.given_bounced(),
+    )
+    close(found.swapaxes(0, 1), example.radiance(example.truth), 1e-12)
+
+
+def test_the_rows_of_the_open_sky_change_rounding_alone() -> None:
+    for model in MODELS:
+        example = Among(Surroundings(model=model, bounce=False), PIXELS, 5, noise=0.2)
+        core = _core.Surroundings(np.empty((0, 3, 3), np.float32), np.empty(0, np.uint8))
+        rows, _ = core.transfer(
+            np.zeros((PIXELS, 3)),
+            example.given,
+            example.views,
+            example.everything,
+            rays=1,
+            model=model,
+        )
+        among, without = example.problem(transfer=rows), example.problem(transfer=None)
+        for a, b in zip(
+            among.value_and_grad(example.x()), without.value_and_grad(example.x()), strict=True
+        ):
+            close(np.asarray(a), np.asarray(b), 1e-6)
+
+
+TABLE = np.zeros((PIXELS, 5, 16), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"free_normals": True, "bounced": None}, "transfer: expected given normals"),
+        ({"transfer": TABLE[:-1]}, "transfer: expected"),
+        ({"transfer": TABLE[:, :4]}, "transfer: expected"),
+        ({"transfer": TABLE[..., :9]}, "transfer: expected"),
+        ({"transfer": TABLE[0]}, "transfer: expected"),
+        ({"transfer": TABLE.astype(float)}, "transfer: expected"),
+        ({"transfer": np.full_like(TABLE, np.nan)}, "transfer: expected"),
+        ({"transfer": np.full_like(TABLE, 1e20)}, "transfer: expected"),
+        ({"model": "principled"}, "transfer: expected"),
+        ({"bounced": np.zeros((PIXELS, 5, 17), np.float32)}, "bounced: expected"),
+        ({"bounced": np.zeros((PIXELS, 4, 18), np.float32)}, "bounced: expected"),
+        ({"bounced": np.zeros((PIXELS, 5, 6, 3), np.float32)}, "bounced: expected"),
+        ({"bounced": np.full((PIXELS, 5, 18), np.inf, np.float32)}, "bounced: expected"),
+        ({"transfer": None}, "transfer: expected"),
+    ],
+)
+def test_unusable_tables_are_refused_in_one_line(changes: dict[str, Any], message: str) -> None:
+    example = example_of(KINDS[0])
+    with pytest.raises(InputError, match=f"^{message}") as caught:
+        example.problem(**changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_tables_have_as_many_rows_as_the_model() -> None:
+    for model, rows in ROWS.items():
+        assert example_of(Surroundings(model=model)).rows.shape == (PIXELS, rows, 16)
