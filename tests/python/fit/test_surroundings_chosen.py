@@ -17,7 +17,7 @@ from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
 from small_worlds import box_room
 
-SIZE, FOV, PICTURES = 24, 70.0, 10
+SIZE, FOV, PICTURES = 24, 70.0, 8
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def error(found: pbrfit.Result, maps: Materials, name: str) -> float:
     return float(np.sqrt(np.nanmean(np.square(difference))))
 
 
-@pytest.mark.parametrize("kind", ["occlusion", "bounce"])
+@pytest.mark.parametrize("kind", ["occlusion", pytest.param("bounce", marks=pytest.mark.slow)])
 def test_pictures_among_surroundings_are_explained_by_them(room: dict[str, Any], kind: str) -> None:
     scene = scene_of(room, kind)
     found = pbrfit.decompose(scene, uncertainty=False)
@@ -86,6 +86,7 @@ def test_pictures_without_shadows_are_left_without(room: dict[str, Any]) -> None
     np.testing.assert_array_equal(found.lighting, without.lighting)
 
 
+@pytest.mark.slow
 def test_the_result_does_not_depend_on_threads(room: dict[str, Any]) -> None:
     scene = scene_of(room, "bounce")
     one, two = (
@@ -115,13 +116,10 @@ def test_relighting_has_the_shadows_that_were_found(room: dict[str, Any]) -> Non
     assert np.abs(with_them - shown)[valid].mean() < 0.3 * np.abs(without - shown)[valid].mean()
 
 
-@pytest.mark.parametrize("holes", [np.nan, 0.0, np.inf, -1.0])
-def test_holes_in_the_depth_block_nothing_and_break_nothing(
-    room: dict[str, Any], holes: float
-) -> None:
+def test_holes_in_the_depth_block_nothing_and_break_nothing(room: dict[str, Any]) -> None:
     scene = scene_of(room, "occlusion")
     depth = scene.depth.copy()  # type: ignore[union-attr]
-    depth[5:9, 4:12] = holes
+    depth[5:9, 4:12] = np.nan
     given = room["given"] | {"depth": depth}
     holed = Scene(images=scene.images, **given)
     found = pbrfit.decompose(holed, uncertainty=False)
