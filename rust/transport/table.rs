@@ -656,7 +656,7 @@ mod tests {
                     let rows = found.rows_of::<M>(p);
                     // Row by row to rounding: what is taken is what is given.
                     let y0 = (4.0 * std::f64::consts::PI).sqrt();
-                    let mut expected = vec![0.0; 1 + M::ROWS];
+                    let mut expected = [0.0; 1 + M::ROWS];
                     expected[0] = open.diffuse[0];
                     each_entry::<M, 1>(|_, row, entry| expected[1 + row] = open.lobe[entry]);
                     for (s, expected) in expected.iter().enumerate() {
