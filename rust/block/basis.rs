@@ -13,15 +13,17 @@ use crate::runtime::simd::{Isa, Kernel, Vectors};
 pub struct Basis<T: Copy + Default = f32> {
     /// A_l Y_k(n)
     pub diffuse: [Plane<T>; COEFFICIENTS],
-    /// R_jk, coefficient by coefficient.
-    pub lobe: [Plane<T>; MAX_LOBE],
+    /// R_jk, coefficient by coefficient; on the heap, for a thread's stack is small.
+    pub lobe: Box<[Plane<T>; MAX_LOBE]>,
 }
 
 impl<T: Copy + Default> Default for Basis<T> {
     fn default() -> Self {
         Self {
             diffuse: [Plane::default(); COEFFICIENTS],
-            lobe: [Plane::default(); MAX_LOBE],
+            lobe: (vec![Plane::default(); MAX_LOBE].into_boxed_slice())
+                .try_into()
+                .unwrap_or_else(|_| unreachable!("as many as there are")),
         }
     }
 }
