@@ -77,6 +77,7 @@ def test_pictures_among_surroundings_are_explained_by_them(room: dict[str, Any],
     assert found.metrics["recon_rmse"] < 0.3 * without.metrics["recon_rmse"]
 
 
+@pytest.mark.slow
 def test_pictures_without_shadows_are_left_without(room: dict[str, Any]) -> None:
     scene = scene_of(room, None)
     found = pbrfit.decompose(scene, uncertainty=False, refine_normals="off")
@@ -105,6 +106,7 @@ def test_surroundings_need_depth(room: dict[str, Any]) -> None:
         pbrfit.decompose(scene, transport="shadows")
 
 
+@pytest.mark.slow
 def test_relighting_has_the_shadows_that_were_found(room: dict[str, Any]) -> None:
     scene = scene_of(room, "occlusion")
     found = pbrfit.decompose(scene, uncertainty=False, transport="occlusion")
@@ -116,6 +118,7 @@ def test_relighting_has_the_shadows_that_were_found(room: dict[str, Any]) -> Non
     assert np.abs(with_them - shown)[valid].mean() < 0.3 * np.abs(without - shown)[valid].mean()
 
 
+@pytest.mark.slow
 def test_holes_in_the_depth_block_nothing_and_break_nothing(room: dict[str, Any]) -> None:
     scene = scene_of(room, "occlusion")
     depth = scene.depth.copy()  # type: ignore[union-attr]
