@@ -149,8 +149,8 @@ class _Search:
         objective = run.objective
         chosen = evenly_spaced(objective.pixels, 2 * settings.TRANSPORT_PIXELS)
         self._fitted, self._left_out = chosen[::2], chosen[1::2]
-        self._pictures = objective.pictures(self._left_out)
-        self._shown = np.square(self._pictures).sum(axis=(0, 2)) > 0
+        self._size = np.square(objective.pictures(self._left_out)).sum(axis=(0, 2))
+        self._shown = self._size > 0
 
     def best(self) -> Surrounded:
         """The scene with what was decided."""
@@ -248,8 +248,9 @@ class _Search:
         if few.lighting is not None:
             other[left_out.layout.maps.stop :] = part[few.layout.maps.stop :]
         sum_sq = fit_level(left_out, other)[self._shown]
-        size = np.square(self._pictures).sum(axis=(0, 2))[self._shown]
-        trial.left = np.log(np.maximum(sum_sq / size, settings.NOISE_VARIANCE_MIN))
+        trial.left = np.log(
+            np.maximum(sum_sq / self._size[self._shown], settings.NOISE_VARIANCE_MIN)
+        )
         trial.x = part
         return trial
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
+from pbrfit.lazy import lazy
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
@@ -125,7 +126,7 @@ class Scenery:
                 found[on] = i
         return found
 
-    @property
+    @lazy
     def _nearest(self) -> NDArray[np.uint32]:
         """For each surface and pixel, flat, the pixel that shows the surface nearest to it."""
         from scipy.ndimage import distance_transform_edt
