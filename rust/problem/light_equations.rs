@@ -83,7 +83,7 @@ impl Problem {
             let material = self.material::<C>(maps, p);
             let frame = self.frame::<M>(maps, p);
             let weights = shade(&frame, &material);
-            let factors = factors_at(&frame, &material);
+            let factors = M::SURROUNDED.then(|| factors_at(&frame, &material));
             for (c, sum) in sums.iter_mut().enumerate() {
                 let w = &weights[c][..k];
                 let mut add_gram = |gram: usize, omega: f64| {
@@ -103,7 +103,7 @@ impl Problem {
                         add_gram(i, omega);
                     }
                     let target = self.targets.get(block, c, i, x)
-                        - self.bounced_radiance::<M, C>(&factors, p, c, i);
+                        - self.bounced_radiance::<M, C>(factors.as_ref(), p, c, i);
                     let target = omega * target;
                     for (right, w) in sum.right[i * k..][..k].iter_mut().zip(w) {
                         *right += target * w;

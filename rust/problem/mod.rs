@@ -305,13 +305,13 @@ impl Problem {
             let (block, x) = (p / BLOCK, p % BLOCK);
             let (frame, material) = (self.frame::<M>(maps, p), self.material::<C>(maps, p));
             let weights = shade(&frame, &material);
-            let factors = factors_at(&frame, &material);
+            let factors = M::SURROUNDED.then(|| factors_at(&frame, &material));
             for (c, w) in weights.iter().enumerate() {
                 for i in 0..self.pictures {
                     let light = lighting[i * k * C + c..].iter().step_by(C);
                     let radiance: f64 = w[..k].iter().zip(light).map(|(w, l)| w * l).sum();
                     residuals[(i * pixels.len() + j) * C + c] =
-                        (radiance + self.bounced_radiance::<M, C>(&factors, p, c, i)
+                        (radiance + self.bounced_radiance::<M, C>(factors.as_ref(), p, c, i)
                             - self.targets.get(block, c, i, x)) as f32;
                 }
             }

@@ -76,15 +76,16 @@ impl Problem {
         }
     }
 
-    /// What is brought to the radiance of a pixel with some factors.
+    /// What is brought to the radiance of a pixel with some factors; none where it is not among any.
     pub(crate) fn bounced_radiance<M: Reflection, const C: usize>(
         &self,
-        factors: &M::Factors<C>,
+        factors: Option<&M::Factors<C>>,
         p: usize,
         channel: usize,
         picture: usize,
     ) -> f64 {
-        let Some(transfer) = self.transfer.as_ref().filter(|t| !t.bounced.is_empty()) else {
+        let transfer = self.transfer.as_ref().filter(|t| !t.bounced.is_empty());
+        let (Some(transfer), Some(factors)) = (transfer, factors) else {
             return 0.0;
         };
         (0..=M::ROWS)
