@@ -1,0 +1,145 @@
+"""Lamps: lights from single directions, far away or near, one or several a picture.
+
+A lamp has no size. A far one shines along one direction everywhere and is told as `DirectionalLight`
+is: by the radiance of a white diffuse surface that faces it, its irradiance over π. A near one at q
+brings a point p of the scene, from the direction (q − p)/d at the distance d = |q − p|,
+
+    E/π = color / d² · max(axis · (p − q)/d, 0)^exponent,
+
+with an exponent of 0 where it shines alike to all sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.checks import reals
+
+Array = NDArray[np.float64]
+
+UNIT = 1e-5
+"""Largest difference of a direction's length from 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamps:
+    """K lamps of N pictures.
+
+    Attributes
+    ----------
+    pictures
+        (K,) index of the picture that each lights, from 0; in rising order.
+    places
+        (K, 3), camera space (X right, Y up, Z towards the viewer): of far lamps the unit vector
+        from the scene to the lamp; of near ones where they are, in the unit of the scene's depth,
+        the camera at 0.
+    near
+        (K,) bool.
+    colors
+        (K, 3), linear Rec.709, 0 or more: radiance of a white diffuse surface that faces the lamp,
+        of near ones at a distance of 1. NaN = unknown.
+    axes, exponents
+        (K, 3) unit vectors and (K,): where near lamps shine, and how much they are gathered there;
+        an exponent of 0 = alike to all sides.
+
+    Raises
+    ------
+    InputError
+        If a shape does not fit or a value cannot be used; one line that names it.
+    """
+
+    pictures: NDArray[np.intp]
+    places: Array
+    near: NDArray[np.bool_] = field(default=None)  # type: ignore[assignment]
+    colors: Array = field(default=None)  # type: ignore[assignment]
+    axes: Array = field(default=None)  # type: ignore[assignment]
+    exponents: Array = field(default=None)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        pictures = np.asarray(self.pictures)
+        count = pictures.size
+        if pictures.shape != (count,) or pictures.dtype.kind not in "iu":
+            raise InputError(f"lamps: expected indices of pictures (K,), found {pictures.dtype}")
+        if count and (pictures.min() < 0 or (np.diff(pictures) < 0).any()):
+            raise InputError("lamps: expected indices of pictures in rising order, from 0")
+        near = np.zeros(count, bool) if self.near is None else np.asarray(self.near, bool)
+        axes = np.tile([0.0, 0.0, -1.0], (count, 1)) if self.axes is None else self.axes
+        values: dict[str, Any] = {
+            "places": (self.places, (count, 3)),
+            "colors": (np.full((count, 3), np.nan) if self.colors is None else self.colors, None),
+            "axes": (axes, (count, 3)),
+            "exponents": (np.zeros(count) if self.exponents is None else self.exponents, (count,)),
+        }
+        for name, (given, shape) in values.items():
+            array = reals(f"lamps: {name}", given).astype(np.float64)
+            expected = (count, 3) if shape is None else shape
+            if array.shape != expected:
+                raise InputError(f"lamps: expected {name} {expected}, found {array.shape}")
+            if name != "colors" and not np.isfinite(array).all():
+                raise InputError(f"lamps: expected finite {name}, found NaN or infinity")
+            object.__setattr__(self, name, array)
+        if near.shape != (count,):
+            raise InputError(f"lamps: expected near {(count,)}, found {near.shape}")
+        for name, vectors in (("places of far lamps", self.places[~near]), ("axes", self.axes)):
+            if (np.abs(np.linalg.norm(vectors, axis=-1) - 1) > UNIT).any():
+                raise InputError(f"lamps: expected {name} of unit length")
+        if (self.colors < 0).any() or np.isinf(self.colors).any() or (self.exponents < 0).any():
+            raise InputError("lamps: expected finite colors and exponents, 0 or more")
+        object.__setattr__(self, "pictures", pictures.astype(np.intp))
+        object.__setattr__(self, "near", near)
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+    @property
+    def colored(self) -> bool:
+        """Whether all colours are known."""
+        return not np.isnan(self.colors).any()
+
+    def of_pictures(self, chosen: Sequence[int]) -> Lamps:
+        """The lamps of some pictures, which are counted anew in this order."""
+        rows = [np.flatnonzero(self.pictures == i) for i in chosen]
+        of = np.concatenate([*rows, np.zeros(0, np.intp)]).astype(np.intp)
+        renamed = np.repeat(np.arange(len(rows)), [len(one) for one in rows])
+        return Lamps(
+            renamed.astype(np.intp),
+            self.places[of],
+            self.near[of],
+            self.colors[of],
+            self.axes[of],
+            self.exponents[of],
+        )
+
+    def at(self, points: Array | None, count: int = 1) -> tuple[Array, Array]:
+        """Unit vectors to the lamps (P, K, 3), and strengths (P, K) that colours are multiplied by.
+
+        Parameters
+        ----------
+        points
+            (P, 3) in the unit of near lamps; None = nobody knows, and all lamps are far: `count`
+            points.
+
+        Raises
+        ------
+        InputError
+            If lamps are near and there are no points.
+        """
+        if points is None and self.near.any():
+            raise InputError("lamps: expected depth for near lamps, found none")
+        size = count if points is None else len(points)
+        directions = np.tile(self.places, (size, 1, 1))
+        strengths = np.ones((size, len(self)))
+        if points is not None and self.near.any():
+            away = self.places[self.near] - points[:, None, :]
+            squared = np.maximum(np.einsum("pkx,pkx->pk", away, away), np.finfo(np.float64).tiny)
+            away /= np.sqrt(squared)[..., None]
+            along = np.maximum(-np.einsum("pkx,kx->pk", away, self.axes[self.near]), 0.0)
+            directions[:, self.near] = away
+            strengths[:, self.near] = along ** self.exponents[self.near] / squared
+        return directions, strengths
