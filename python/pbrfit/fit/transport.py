@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.coarse import dielectric_prior, fit_level
-from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.joint import SharedFit, Stop, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.run import Run
@@ -229,21 +229,11 @@ class _Search:
             halves.append(half)
         few, left_out = halves
         part = objective.part_of(self._x, self._fitted) if near is None else near.x.copy()
-        everything = np.arange(few.pixels, dtype=np.uint64)
         if near is None:
             part = few.with_best_lights(part)
         if few.lighting is not None:
-            shared = SharedFit(LightPrior.around(few, part))
-            rounds = settings.TRANSPORT_ROUNDS if near is None else settings.TRANSPORT_NEAR_ROUNDS
-            for number in range(rounds):
-                prior = None
-                if near is None and number < settings.DIELECTRIC_ROUNDS:
-                    prior = dielectric_prior(few, few.put_best_albedo(part, everything))
-                sum_sq = fit_level(few, part, prior)
-                variance = misfit.variance(few, sum_sq)
-                shared.lights = shared.lights.weighing(variance, variance, few.pixels)
-                fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=run.out_of_time)
-                minimize(fit, settings.COARSE_STEPS, 1.0)
+            near_rounds = None if near is None else settings.TRANSPORT_NEAR_ROUNDS
+            find_lights(few, part, run.out_of_time, near_rounds)
         other = objective.part_of(self._x, self._left_out)
         if few.lighting is not None:
             other[left_out.layout.maps.stop :] = part[few.layout.maps.stop :]
@@ -253,6 +243,21 @@ class _Search:
         )
         trial.x = part
         return trial
+
+
+def find_lights(few: Objective, part: Array, stop: Stop, near_rounds: int | None = None) -> None:
+    """Rounds of joint steps on some pixels, whose x changes; fewer from lights that are near."""
+    shared = SharedFit(LightPrior.around(few, part))
+    everything = np.arange(few.pixels, dtype=np.uint64)
+    for number in range(near_rounds or settings.TRANSPORT_ROUNDS):
+        prior = None
+        if near_rounds is None and number < settings.DIELECTRIC_ROUNDS:
+            prior = dielectric_prior(few, few.put_best_albedo(part, everything))
+        sum_sq = fit_level(few, part, prior)
+        variance = misfit.variance(few, sum_sq)
+        shared.lights = shared.lights.weighing(variance, variance, few.pixels)
+        fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
+        minimize(fit, settings.COARSE_STEPS, 1.0)
 
 
 def _changed_too(before: Extents, best: Extents, others: list[Extents]) -> Iterator[Extents]:

@@ -17,6 +17,7 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Progress, Run, SharedState
 from pbrfit.fit.transport import Surrounded
 from pbrfit.fit.uncertainty import estimate
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
@@ -128,8 +129,10 @@ class FitOutput:
     """Of samples; None where all weigh as given."""
     surrounded: Surrounded | None = None
     recon_rmse: float | None = None
-    """With surroundings, and the error with them: of all samples by their weights, each picture's
-    divided by its exposure."""
+    """With surroundings or lamps, and the error with them: of all samples by their weights, each
+    picture's divided by its exposure."""
+    lamps: Lamps | None = None
+    """Of the pictures, in picture units; None where light is spherical harmonics alone."""
 
 
 def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:

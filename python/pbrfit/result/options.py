@@ -30,6 +30,9 @@ ALIGNMENTS: tuple[Align, ...] = get_args(Align)
 TransportChoice = Literal["none", "occlusion", "bounce", "auto"]
 TRANSPORTS: tuple[TransportChoice, ...] = get_args(TransportChoice)
 
+LightChoice = Literal["sh", "lamps", "auto"]
+LIGHTS: tuple[LightChoice, ...] = get_args(LightChoice)
+
 Response = Literal["auto", "srgb", "linear", "fit"]
 RESPONSES: tuple[Response, ...] = get_args(Response)
 
@@ -178,6 +181,12 @@ class FitOptions:
         What surroundings do to light, where the scene has depth (docs/transport.md): `"occlusion"`,
         they block it; `"bounce"`, they also bring what pictures show of them; `"none"`; `"auto"`,
         whichever explains pixels best that lights were not fitted to. `Result.transport` tells.
+    light
+        What lights the pictures (docs/lamps.md): `"sh"`, light from all around, as spherical
+        harmonics; `"lamps"`, in each picture a lamp and faint light from all around; `"auto"`,
+        lamps where they explain pixels clearly better that lights were not fitted to.
+    same_lamp
+        Whether all lamps have the same colour and strength: one that was carried around.
     uncertainty
         Whether to estimate standard deviations of the maps (docs/uncertainty.md).
 
@@ -203,6 +212,8 @@ class FitOptions:
     seed: int = 0
     model: Model | None = None
     transport: TransportChoice = "auto"
+    light: LightChoice = "auto"
+    same_lamp: bool = False
     uncertainty: bool = True
 
     def __post_init__(self) -> None:
@@ -213,6 +224,8 @@ class FitOptions:
             refine_normals=_one_of("refine_normals", self.refine_normals, CHOICES),
             align=_one_of("align", self.align, ALIGNMENTS),
             transport=_one_of("transport", self.transport, TRANSPORTS),
+            light=_one_of("light", self.light, LIGHTS),
+            same_lamp=_flag("same_lamp", self.same_lamp),
             iterations=whole_number("iterations", self.iterations),
             seed=whole_number("seed", self.seed),
             sh_order=whole_number("sh_order", self.sh_order),
@@ -249,10 +262,11 @@ class FitOptions:
     def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
         """Undo `to_json`; ValueError or TypeError if it is something else.
 
-        Results of versions without `refine_normals`, `align` or `transport` were fitted without.
+        Results of versions without `refine_normals`, `align`, `transport` or `light` were fitted
+        without.
         """
         older = dict.fromkeys(("refine_normals", "align"), "off")
-        values = {**older, "transport": "none", **table(content)}
+        values = {**older, "transport": "none", "light": "sh", **table(content)}
         if values.get("white") is not None:
             values["white"] = tuple(values["white"])
         if "priors" in values:
@@ -311,6 +325,12 @@ FLAGS: dict[str, Flag] = {
         "whichever explains left-out pixels best (default: %(default)s)",
         values=TRANSPORTS,
     ),
+    "light": Flag(
+        "sh: light from all around, as spherical harmonics; lamps: a lamp in each picture and faint "
+        "light from all around; auto: whichever explains left-out pixels best (default: %(default)s)",
+        values=LIGHTS,
+    ),
+    "same_lamp": Flag("all lamps have one colour and strength", kind=bool),
     "white": Flag(
         "a white or grey reference at this pixel, from the left and the top, and its albedo "
         f"(default: {WHITE_ALBEDO:g}; a grey card: 0.18): fixes the scale of albedo",

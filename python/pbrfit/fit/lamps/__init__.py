@@ -1,0 +1,1 @@
+"""Fits of pictures whose light comes from lamps."""

@@ -1,0 +1,139 @@
+"""Whether pictures are lit by lamps, or from all around.
+
+As for surroundings (`pbrfit.fit.transport`), two sets of pixels decide: lights of both kinds are
+fitted to the first with their materials; pixels of the second find their best materials under
+these, and the score is the mean over them of ln(Σ residual²/Σ radiance²). Normals are the same for
+both and held, so that a pixel has five unknowns either way, and the lights know nothing of it.
+
+What harmonics leave of a lamp cannot be small. Of the clamped cosine, what bands above 2 hold has
+0.9 % of the energy (R. Ramamoorthi and P. Hanrahan, "On the relationship between radiance and
+irradiance", JOSA A 18, 2001), a tenth of the radiance, and the surfaces that a picture shows see
+part of it. Where harmonics leave less than `HARMONICS_LEFT_MIN`, lamps are not tried.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.coarse import fit_level
+from pbrfit.fit.lamps.estimator import LampFit, LampStart
+from pbrfit.fit.lamps.joint import SurfacePrior, fit_surfaces
+from pbrfit.fit.lamps.problem import LampPixels, radiance
+from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.tiles.windows import SceneCutter, strided_window
+from pbrfit.fit.transport import find_lights
+from pbrfit.fit.whole_picture import FitSetup
+from pbrfit.scene.scene import Scene
+from pbrfit.threads import one_blas_thread
+
+Array = NDArray[np.float64]
+
+HARMONICS_LEFT_MIN = 0.02
+"""Relative root mean square that harmonics have to leave of left-out pixels before lamps are tried:
+a fifth of what they cannot show of a lamp's shading on surfaces that face all ways."""
+
+PICTURES_MIN = 3
+"""With fewer, almost any lamp explains them."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What lights the pictures, and why."""
+
+    lamps: bool
+    why: str
+    figures: dict[str, float] = field(default_factory=dict)
+    """`left_out_sh`, `left_out_lamps`: scores; `left_out_pixels`."""
+
+
+@one_blas_thread()
+def choose(scene: Scene, setup: FitSetup, start: LampStart | None = None) -> Choice:
+    """What `auto` takes."""
+    if scene.lighting is not None:
+        return Choice(False, "lights are known")
+    if scene.lamps is not None:
+        return Choice(True, "lamps are given")
+    if len(scene.images) < PICTURES_MIN:
+        return Choice(False, f"fewer than {PICTURES_MIN} pictures")
+    if start is not None:
+        scene = replace(scene, normals=start.normals, normals_known=True)
+    valid = np.flatnonzero(scene.valid.ravel())
+    chosen = evenly_spaced(len(valid), 2 * settings.TRANSPORT_PIXELS).astype(np.intp)
+    places = valid[chosen]
+    by_sh = _left_by_harmonics(scene, setup, places)
+    figures = {"left_out_sh": float(by_sh.mean()), "left_out_pixels": float(len(by_sh))}
+    left = float(np.exp(by_sh.mean() / 2))
+    if left < HARMONICS_LEFT_MIN:
+        return Choice(False, f"they leave {100 * left:.2g} % of left-out pixels", figures)
+    by_lamps = _left_by_lamps(scene, setup, start, places)
+    figures["left_out_lamps"] = float(by_lamps.mean())
+    difference = by_lamps - by_sh
+    error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
+    gain = -float(difference.mean())
+    clear = gain > max(settings.TRANSPORT_ERRORS_MIN * error, settings.TRANSPORT_GAIN_MIN)
+    of_lamps = float(np.exp(by_lamps.mean() / 2))
+    return Choice(
+        clear,
+        f"of left-out pixels lamps leave {100 * of_lamps:.2g} %, light from all around "
+        f"{100 * left:.2g} %",
+        figures,
+    )
+
+
+def _left_by_harmonics(scene: Scene, setup: FitSetup, places: NDArray[np.intp]) -> Array:
+    """(Q,): score of each second place."""
+    small = scene
+    if int(scene.valid.sum()) > settings.STRIDED_SUBSET_EXCESS * 4 * len(places):
+        window = strided_window(scene.valid, len(places), 4 * len(places))
+        small = SceneCutter(scene).cut(window)
+    objective = setup.objective(small)
+    chosen = evenly_spaced(objective.pixels, len(places))
+    fitted, left_out = chosen[::2], chosen[1::2]
+    x = objective.start()
+    few, other = objective.restricted(fitted), objective.restricted(left_out)
+    part = few.with_best_lights(objective.part_of(x, fitted))
+    find_lights(few, part, lambda: False)
+    rest = objective.part_of(x, left_out)
+    rest[other.layout.maps.stop :] = part[few.layout.maps.stop :]
+    sum_sq = fit_level(other, rest)
+    size = np.square(objective.pictures(left_out)).sum(axis=(0, 2))
+    return _scores(sum_sq, size)
+
+
+def _left_by_lamps(
+    scene: Scene, setup: FitSetup, start: LampStart | None, places: NDArray[np.intp]
+) -> Array:
+    held = replace(setup, progress=None, options=replace(setup.options, refine_normals="off"))
+    trial = LampFit(scene, held, start)
+    fit = trial.joint(places[::2])
+    normals = np.asarray(scene.normals if start is None else start.normals, np.float64)
+    other = LampPixels.of(scene, normals, trial.model, setup.threads, places[1::2])
+    count = len(other)
+    prior = SurfacePrior(np.zeros((count, 7)), np.zeros((count, 7)))
+    left = np.full(count, np.inf)
+    kinds = (0.0, 1.0) if setup.options.metallic is None else (setup.options.metallic,)
+    for kind in kinds:
+        for roughness in (0.2, 0.5):
+            state = replace(
+                fit.state,
+                normals=other.normals,
+                albedo=np.full((count, 3), 0.3 if kind < 0.5 else 0.6),
+                roughness=np.full(count, roughness),
+                metallic=np.full(count, kind),
+                seen=None,
+            )
+            state, _, _ = fit_surfaces(
+                other, state, other.weights, prior, iterations=25, free_normals=False
+            )
+            residual = other.residuals(radiance(other, state))
+            left = np.minimum(left, (other.weights * residual**2).sum(axis=(1, 2)))
+    return _scores(left, (other.weights * other.samples**2).sum(axis=(1, 2)))
+
+
+def _scores(squares: Array, size: Array) -> Array:
+    shown = size > 0
+    return np.asarray(np.log(np.maximum(squares[shown] / size[shown], settings.NOISE_VARIANCE_MIN)))

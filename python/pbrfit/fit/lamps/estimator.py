@@ -1,0 +1,489 @@
+"""A fit under lamps: from a scene to surfaces, lamps and ambient light.
+
+Stages: `lamps: start`, normals and lamps by matt shading; `lamps`, the joint fit of pixels that
+stand for all (`joint`), alternatives far and near where there is depth; `surfaces`, each pixel by
+itself with shadows and metals (`surfaces`); then the lights once more with what that found.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.fit.lamps import surfaces
+from pbrfit.fit.lamps.joint import (
+    Freedom,
+    JointLamps,
+    Noise,
+    SurfacePrior,
+    fit_surfaces,
+    minimize,
+)
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.start import far_lamps, near_lamps
+from pbrfit.fit.run import Progress, material_errors
+from pbrfit.fit.sampling import evenly_spaced_over
+from pbrfit.fit.whole_picture import FitOutput, FitSetup
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.materials import Materials
+from pbrfit.result.camera import Camera
+from pbrfit.result.data import Stage, Status
+from pbrfit.result.history import HistoryRow
+from pbrfit.result.refinement import Refinement
+from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.scene.scene import Scene
+from pbrfit.threads import one_blas_thread
+
+Array = NDArray[np.float64]
+
+JOINT_PIXELS = 1500
+"""That lamps are found by: some 20 unknowns a lamp have 100 times as many samples each."""
+
+ROUNDS, STEPS = 6, 6
+"""Of weights, and of joint steps in each."""
+
+ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
+"""Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
+
+ROUGHNESS_SPREAD_MIN = 0.03
+"""Least spread of roughness inside a label: less is seen by nobody."""
+
+FREE_OFFSETS = 1.0
+"""Prior standard deviation of the tangent offsets of normals that nobody gave: 45 degrees."""
+
+GIVEN_DEGREES = 5.0
+"""Of given normals whose deviation nobody told, where they are refined."""
+
+
+@dataclass(frozen=True, eq=False)
+class LampStart:
+    """Where a joint fit begins, over the valid pixels."""
+
+    lamps: Lamps
+    normals: Array
+    albedo: Array
+    """(H, W, 3) each."""
+    note: str
+
+
+class _Clock:
+    """Stages, history and limits of a fit of lamps."""
+
+    def __init__(self, scene: Scene, setup: FitSetup) -> None:
+        self.scene, self.setup = scene, setup
+        self.stages: list[Stage] = []
+        self.rows: list[HistoryRow] = []
+        self.steps = 0
+        self.unmeasured = 0.0
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the fit began."""
+        return time.perf_counter() - self.setup.began - self.unmeasured
+
+    def out_of_time(self) -> bool:
+        """Whether the limits of time or steps are reached."""
+        limit = self.setup.options.time_limit
+        late = limit is not None and self.elapsed >= limit
+        return late or self.steps >= self.setup.options.iterations
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[list[str]]:
+        """Time a part, with notes about it."""
+        began, notes = self.elapsed, list[str]()
+        yield notes
+        self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
+
+    def record(self, fit: JointLamps, scale: float, samples: int) -> None:
+        """A row of the history, and a call of `progress`."""
+        shown = radiance(fit.pixels, fit.state)
+        residual = fit.pixels.residuals(shown)
+        rmse = float(np.sqrt(np.mean(residual**2))) * scale
+        self.rows.append(
+            HistoryRow(self.elapsed, self.steps, self.steps, fit.cost / max(samples, 1), rmse)
+        )
+        if self.setup.progress is not None:
+            began = time.perf_counter()
+            limit = self.setup.options.iterations
+            state = fit.state
+            maps = Materials(state.albedo, state.roughness, state.metallic)
+            self.setup.progress(
+                Progress(
+                    min(self.steps, limit),
+                    limit,
+                    self.steps,
+                    rmse,
+                    self.elapsed,
+                    lambda: (maps, state.ambient),
+                )
+            )
+            self.unmeasured += time.perf_counter() - began
+
+
+def learnt_roughness(
+    pixels: LampPixels, state: LampState, information: Array, prior: SurfacePrior
+) -> SurfacePrior:
+    """The prior with the mean and spread that roughness has in each label, by one step of EM."""
+    mean, precision = prior.mean.copy(), prior.precision.copy()
+    filled = information[:, :6, :6].copy()
+    np.einsum("puu->pu", filled)[:] += 1e-9
+    variance = np.linalg.inv(filled)[:, 5, 5]
+    variance = np.clip(variance, 0, 1)
+    for label in np.unique(pixels.labels):
+        of = pixels.labels == label
+        weight = 1 / np.maximum(variance[of], ROUGHNESS_SPREAD_MIN**2)
+        middle = float((weight * state.roughness[of]).sum() / weight.sum())
+        square = (state.roughness[of] - middle) ** 2 + variance[of]
+        spread = float(np.sqrt(np.mean(square)))
+        spread = min(max(spread, ROUGHNESS_SPREAD_MIN), ROUGHNESS_SPREAD)
+        mean[of, 5], precision[of, 5] = middle, spread**-2
+    return SurfacePrior(mean, precision)
+
+
+def first_prior(pixels: LampPixels, offset_sigma: Array | float) -> SurfacePrior:
+    """Before anything was fitted; `offset_sigma` of each tangent offset, radians."""
+    count = len(pixels)
+    mean, precision = np.zeros((count, 7)), np.zeros((count, 7))
+    mean[:, 5], precision[:, 5] = ROUGHNESS_MEAN, ROUGHNESS_SPREAD**-2
+    precision[:, :2] = np.broadcast_to(np.asarray(offset_sigma, float) ** -2.0, (count,))[:, None]
+    return SurfacePrior(mean, precision)
+
+
+def of_labels(
+    prior: SurfacePrior, few: LampPixels, pixels: LampPixels, sigma: Array | float
+) -> SurfacePrior:
+    """What was learnt by some pixels, for others."""
+    found = first_prior(pixels, sigma)
+    for label in np.unique(few.labels):
+        one = int(np.flatnonzero(few.labels == label)[0])
+        of = pixels.labels == label
+        found.mean[of, 5], found.precision[of, 5] = prior.mean[one, 5], prior.precision[one, 5]
+    return found
+
+
+def log_likelihood(fit: JointLamps) -> float:
+    """Of the samples, with the noise of the fit: normal, or outliers."""
+    shown = radiance(fit.pixels, fit.state)
+    residuals = fit.pixels.residuals(shown)
+    level = np.maximum(shown, fit.pixels.samples)
+    share = np.clip(fit.noise.outliers, 1e-3, 0.5)
+    odds = fit.noise.log_odds(residuals, level)
+    return float((np.log(share / fit.noise.brightest) + np.logaddexp(0, odds)).sum())
+
+
+class LampFit:
+    """A fit of a scene under lamps, stage by stage."""
+
+    def __init__(self, scene: Scene, setup: FitSetup, start: LampStart | None = None) -> None:
+        self.scene, self.setup, self.options = scene, setup, setup.options
+        self.clock = _Clock(scene, setup)
+        assert setup.options.model is not None
+        self.model = setup.options.model
+        self.start = start
+        self.free_normals = not scene.normals_known or self.options.refine_normals == "on"
+        self.figures: dict[str, float] = {}
+        self._shared_covariance: Array | None = None
+
+    def solve(self) -> FitOutput:
+        """All stages."""
+        scene = self.scene
+        places = np.flatnonzero(scene.valid.ravel())
+        labels = np.zeros(len(places), np.intp) if scene.labels is None else scene.labels[0]
+        rows = evenly_spaced_over(labels, JOINT_PIXELS).astype(np.intp)
+        fit = self.joint(places[rows])
+        with self.clock.stage("surfaces") as notes:
+            bands = self._surfaces(fit)
+            metal = float(np.mean(np.concatenate([one.state.metallic for one in bands]) > 0.5))
+            notes.append(f"{len(places)} pixels, {100 * metal:.2g} % metal")
+        return self._output(fit, bands)
+
+    def joint(self, places: NDArray[np.intp]) -> JointLamps:
+        """The joint fit of pixels at places that explains them best."""
+        with self.clock.stage("lamps: start") as notes:
+            few, starts = self._starts(places)
+            notes += [name for name, _, _ in starts]
+        with self.clock.stage("lamps") as notes:
+            fits = [(name, self._joint(few, lamps, albedo)) for name, lamps, albedo in starts]
+            scores = {name: log_likelihood(fit) for name, fit in fits}
+            name, fit = max(fits, key=lambda one: scores[one[0]])
+            if len(fits) > 1:
+                self.figures |= {f"log_likelihood_{key}": value for key, value in scores.items()}
+            notes.append(self._said(name, fit))
+        return fit
+
+    @property
+    def normals(self) -> Array:
+        """(H, W, 3): that the fit begins with."""
+        return np.asarray(
+            self.scene.normals if self.start is None else self.start.normals, np.float64
+        )
+
+    def _starts(
+        self, places: NDArray[np.intp]
+    ) -> tuple[LampPixels, list[tuple[str, Lamps, Array]]]:
+        """Pixels at places, and named lamps with their albedos (P, 3)."""
+        known = self.scene.lamps
+        few = LampPixels.of(self.scene, self.normals, self.model, self.setup.threads, places)
+        if self.start is not None:
+            lamps = self.start.lamps
+            lamps = replace(lamps, colors=lamps.colors / few.scale)
+            albedo = self.start.albedo.reshape(-1, 3)[places]
+            return few, [(self.start.note, lamps, albedo)]
+        if known is not None:
+            return few, [("known lamps", *colored(few, known))]
+        found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
+        if few.points is not None:
+            lamps, albedo, _ = near_lamps(few)
+            found.append(("near lamps", lamps, albedo))
+        return few, found
+
+    def _offset_sigma(self, places: NDArray[np.intp]) -> Array:
+        """(P,): prior standard deviation of each tangent offset, radians."""
+        scene = self.scene
+        if not scene.normals_known:
+            return np.full(len(places), FREE_OFFSETS)
+        degrees = np.full(len(places), GIVEN_DEGREES)
+        if scene.normal_sigma is not None:
+            degrees = np.maximum(scene.normal_sigma.reshape(-1)[places], 0.1)
+        return np.asarray(np.radians(degrees) / np.sqrt(2))
+
+    # Joint
+
+    def _joint(self, few: LampPixels, lamps: Lamps, albedo: Array) -> JointLamps:
+        state = LampState(
+            lamps,
+            np.zeros((few.pictures, 16, 3)),
+            few.normals.copy(),
+            np.clip(albedo, 0.01, 0.99),
+            np.full(len(few), ROUGHNESS_MEAN),
+            np.full(len(few), self.options.metallic or 0.0),
+        )
+        known = self.scene.lamps
+        freedom = Freedom(
+            normals=self.free_normals,
+            places=known is None,
+            colors=True,
+            ambient_terms=self.ambient_terms,
+            same_lamp=self.options.same_lamp,
+        )
+        prior = first_prior(few, self._offset_sigma(few.places))
+        fit = JointLamps(few, state, Noise.first(few), prior, freedom)
+        samples = int(np.count_nonzero(few.weights))
+        fit.reweigh(renew=False)
+        fit.state, _, _ = fit_surfaces(
+            few, fit.state, fit.weights, fit.prior, iterations=10, free_normals=freedom.normals
+        )
+        if not self.clock.rows:
+            self.clock.record(fit, few.scale, samples)
+        for _ in range(ROUNDS):
+            if self.clock.out_of_time():
+                break
+            self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
+            fit.state, _, information = fit_surfaces(
+                few,
+                fit.state,
+                fit.weights,
+                fit.prior,
+                iterations=surfaces.STEPS,
+                free_normals=freedom.normals,
+            )
+            fit.prior = learnt_roughness(few, fit.state, information, fit.prior)
+            fit.reweigh()
+            self.clock.record(fit, few.scale, samples)
+        return fit
+
+    @property
+    def ambient_terms(self) -> int:
+        """Coefficients of ambient light: a constant; more would stand for the lamps themselves."""
+        return 1
+
+    def _said(self, name: str, fit: JointLamps) -> str:
+        strengths = fit.state.lamps.colors.mean(axis=-1)
+        spread = float(np.std(np.log(np.maximum(strengths, 1e-12))))
+        said = (
+            f"{name}: {len(strengths)} lamps by {len(fit.pixels)} pixels; noise "
+            f"{fit.noise.floor * fit.pixels.scale:.2g} and {100 * fit.noise.relative:.2g} % of the "
+            f"radiance, {100 * float(fit.noise.outliers.mean()):.2g} % outliers; strengths differ "
+            f"by {100 * spread:.2g} %"
+        )
+        if spread < 0.05 and not self.options.same_lamp:
+            said += ", as of one lamp (--same-lamp)"
+        return said
+
+    # Surfaces
+
+    def _surfaces(self, fit: JointLamps) -> list[surfaces.Band]:
+        """All pixels under the lights of a fit, band by band."""
+        scene, few = self.scene, fit.pixels
+        places = np.flatnonzero(scene.valid.ravel())
+        albedo = _spread(fit.state.albedo, few.places, places, scene.width)
+        found = []
+        for band in surfaces.bands(scene.valid):
+            pixels = LampPixels.of(
+                scene, self.normals, self.model, self.setup.threads, places[band]
+            )
+            prior = of_labels(fit.prior, few, pixels, self._offset_sigma(pixels.places))
+            state = replace(
+                fit.state,
+                normals=pixels.normals,
+                albedo=albedo[band],
+                roughness=np.clip(prior.mean[:, 5], 0.05, 1),
+                metallic=np.full(len(pixels), self.options.metallic or 0.0),
+                seen=None,
+            )
+            found.append(
+                surfaces.fit_band(
+                    pixels,
+                    state,
+                    fit.noise,
+                    prior,
+                    fit.freedom,
+                    scene.width,
+                    metals=self.options.metallic is None,
+                    uncertain=self._covariance(fit) if self.options.uncertainty else None,
+                )
+            )
+        return found
+
+    def _covariance(self, fit: JointLamps) -> Array:
+        """(M, M): of what all pixels share."""
+        if self._shared_covariance is None:
+            shared, _, _ = fit.information()
+            basis = fit.basis(len(shared))
+            inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
+            self._shared_covariance = basis @ inner @ basis.T
+        return self._shared_covariance
+
+    # Output
+
+    def _output(self, fit: JointLamps, bands: list[surfaces.Band]) -> FitOutput:
+        scene, clock = self.scene, self.clock
+        seconds, scale = clock.elapsed, fit.pixels.scale
+
+        def whole(name: str) -> Array:
+            return _map(np.concatenate([getattr(one.state, name) for one in bands]), scene.valid)
+
+        squares = sum(one.squares for one in bands)
+        total = sum(one.total for one in bands)
+        rmse = float(np.sqrt(squares / max(total, 1e-300))) * scale
+        maps = Materials(whole("albedo"), whole("roughness"), whole("metallic"))
+        lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * scale)
+        errors = {} if scene.truth is None else material_errors(maps, scene.truth.materials)
+        loss = clock.rows[-1].loss if clock.rows else 0.0
+        row = HistoryRow(seconds, clock.steps, clock.steps, loss, rmse, **errors)
+        limit = self.options.time_limit
+        status, reason = Status.CONVERGED, "lamps, ambient light and surfaces change no more"
+        if limit is not None and seconds >= limit:
+            status, reason = Status.TIME_LIMIT, f"the time limit of {limit:g} s was reached"
+        elif clock.steps >= self.options.iterations:
+            status = Status.ITERATION_LIMIT
+            reason = f"{clock.steps} iterations were made"
+        refined = self.free_normals and scene.normals_known
+        why = "asked for" if refined else "none were given" if self.free_normals else "held"
+        return FitOutput(
+            materials=maps,
+            lighting=fit.state.ambient * scale,
+            normals=whole("normals"),
+            uncertainty=self._uncertainty(fit, bands, scale) if self.options.uncertainty else None,
+            status=status,
+            reason=reason,
+            rows=(*clock.rows, row),
+            evaluations=clock.steps,
+            iterations=clock.steps,
+            stages=tuple(clock.stages),
+            seconds=seconds,
+            refinement=Refinement(self.options.refine_normals, refined, why),
+            camera=Camera(scene.fov, "given" if scene.fov_known else "assumed"),
+            exposures=None,
+            scale="by the highlights of dielectrics, around a mean albedo of 0.35",
+            measured_lighting=None,
+            recon_rmse=rmse,
+            lamps=lamps,
+        )
+
+    def _uncertainty(
+        self, fit: JointLamps, bands: list[surfaces.Band], scale: float
+    ) -> Uncertainty:
+        valid = self.scene.valid
+        covariance = self._covariance(fit)
+        of_scale = float(np.sqrt(max(_scale_variance(fit, covariance), 0)))
+        variance, marginal, held = (
+            np.concatenate([getattr(one, name) for one in bands])
+            for name in ("variance", "marginal", "held")
+        )
+
+        def maps(values: Array) -> Materials:
+            sigma = _map(np.where(held, 0.0, np.minimum(np.sqrt(values), 1.0)), valid)
+            return Materials(sigma[..., 2:5], sigma[..., 5], sigma[..., 6])
+
+        def flags(of_unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+            of = of_unknowns
+            found = np.stack([of[:, 2:5].any(axis=-1), of[:, 5], of[:, 6]], axis=-1)
+            return np.asarray(_map(found, valid, False), bool)
+
+        return Uncertainty(
+            conditional=maps(variance),
+            marginal=maps(marginal),
+            undetermined=flags(~held & (marginal > 1 / 12)),
+            on_bound=flags(held),
+            noise=fit.noise.floor * scale,
+            albedo_scale=(of_scale, of_scale, of_scale),
+            priors=True,
+            light_pixels=len(fit.pixels),
+            light_modes=int(np.linalg.matrix_rank(covariance, hermitian=True)),
+            omitted=0.0,
+        )
+
+
+def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
+    """Known lamps with colours to begin with, and albedos (P, 3), by the given normals."""
+    from pbrfit.fit.lamps.start import colored_by
+
+    directions, strengths = known.at(pixels.points, len(pixels))
+    cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
+    ordinary = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
+    return colored_by(pixels, known, cosines, ordinary[:, known.pictures] * (cosines > 0))
+
+
+def _scale_variance(fit: JointLamps, covariance: Array) -> float:
+    """Of the mean logarithm of the lamps' colours."""
+    lamps = fit.state.lamps
+    slope = np.zeros(len(covariance))
+    count = 3 * len(lamps)
+    slope[count : 2 * count] = (1 / np.maximum(lamps.colors, 1e-12)).ravel() / count
+    return float(slope @ covariance @ slope)
+
+
+def _map(values: Array, valid: NDArray[np.bool_], fill: float = np.nan) -> Array:
+    """(H, W, ...): values of the valid pixels at their places."""
+    found = np.full((*valid.shape, *values.shape[1:]), fill, values.dtype)
+    found[valid] = values
+    return found
+
+
+def _spread(values: Array, few: NDArray[np.intp], places: NDArray[np.intp], width: int) -> Array:
+    """(P, ...): at places, what the nearest of some others have."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(np.stack(np.divmod(few, width), axis=-1))
+    return np.asarray(values[tree.query(np.stack(np.divmod(places, width), axis=-1))[1]])
+
+
+@one_blas_thread()
+def fit_lamps(scene: Scene, setup: FitSetup) -> FitOutput:
+    """Fit surfaces, lamps and ambient light to a scene.
+
+    Raises
+    ------
+    InputError
+        If known lamps are near and there is no depth.
+    """
+    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
+        raise InputError("lamps: expected depth for near lamps, found none")
+    return LampFit(scene, setup).solve()

@@ -1,0 +1,509 @@
+"""Lamps, ambient light and surfaces together: Levenberg–Marquardt with the pixels eliminated.
+
+The unknowns that all pixels share, y, are each lamp's place and colour and each picture's ambient
+light. Each pixel has its own z: two offsets of its normal, albedo, roughness. With their Jacobians,
+the weights W of the samples and the precisions Q of the priors, a step solves
+
+    [Σ J_yᵀ W J_y + Q_y   Σ_p B_pᵀ] [δy]      [g_y]
+    [      B_p               A_p  ] [δz_p] = −[g_p],     A_p = J_pᵀ W J_p + Q_p,  B_p = J_pᵀ W J_y.
+
+A_p is 6 × 6, so the pixels are eliminated one by one: with A_p = C Cᵀ and Z_p = C⁻¹ B_p,
+
+    (Σ J_yᵀ W J_y + Q_y − Σ_p Z_pᵀ Z_p) δy = −g_y + Σ_p Z_pᵀ C⁻¹ g_p.
+
+Each sample sees one picture's lights, so that B_p is filled picture by picture.
+
+**Weights.** What a shadow, a reflection of a neighbour or a highlight of another shape leaves is no
+noise. A sample is ordinary with a normal distribution of variance s² = σ² + (κ I)², or an outlier
+that may be anything up to the brightest sample. Its weight is the probability that it is ordinary,
+over s². Both parts of s² and the share of outliers are found from the residuals in each round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit.fit.lamps.problem import (
+    MEAN_RADIANCE,
+    LampPixels,
+    LampState,
+    radiance,
+    slopes,
+    tangents,
+)
+from pbrfit.model.lamps import Lamps
+
+Array = NDArray[np.float64]
+
+UNKNOWNS = 6
+"""Of a pixel in joint steps: two offsets of the normal, albedo, roughness. Metallic waits."""
+
+OFFSET_STEP_MAX = 0.3
+"""Largest step of a normal's tangent offset, a tangent."""
+
+PLACE_STEP_MAX = 0.5
+"""Largest step of a lamp's place, of the distance or of the direction, a tangent."""
+
+NOISE_MIN = 1e-4
+"""Least σ, in units where the mean radiance is 0.4: below what 8 bits or float16 can tell."""
+
+OUTLIERS_MAX = 0.5
+"""Largest share of outliers in a picture: with more, they would be the rule."""
+
+AMBIENT_SHARE = 0.1
+"""Prior standard deviation of each ambient coefficient, of the mean radiance: a lamp in a room
+whose walls bring a tenth of the light."""
+
+ALBEDO_MEAN, ALBEDO_SPREAD = 0.35, 0.5
+"""What the mean albedo of a scene is before anything is known, and by how much its logarithm is
+uncertain: only highlights tell the scale between lamps and albedo."""
+
+TINT_SPREAD = 0.2
+"""By how much the logarithm of the lamps' mean colour in a channel differs from grey in pictures
+whose white was balanced: a colour temperature that is off by about 1,000 K at 5,000 K."""
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Of samples under lamps."""
+
+    floor: float
+    """σ, in the pictures' scale."""
+    relative: float
+    """κ, of the radiance."""
+    outliers: Array
+    """(N,): share of outliers of each picture."""
+    brightest: float
+    """The range that outliers are in."""
+
+    @classmethod
+    def first(cls, pixels: LampPixels, relative: float = 0.1) -> Noise:
+        """Before anything was fitted."""
+        brightest = float(np.quantile(pixels.samples, 0.999))
+        return cls(0.02, relative, np.full(pixels.pictures, 0.1), max(brightest, NOISE_MIN))
+
+    def variance(self, shown: Array) -> Array:
+        """(...,) of ordinary samples, by the radiance that the model has there."""
+        return self.floor**2 + (self.relative * shown) ** 2
+
+    def ordinary(self, residuals: Array, shown: Array) -> Array:
+        """(P, N): the probability that a sample, all its channels, is no outlier."""
+        return 1 / (1 + np.exp(np.clip(-self.log_odds(residuals, shown), -50, 50)))
+
+    def log_odds(self, residuals: Array, shown: Array) -> Array:
+        """(P, N): ln of the odds that a sample is ordinary."""
+        variance = self.variance(shown)
+        # Channels share what is left of them, so they tell as much as one.
+        misfit = 0.5 * (np.square(residuals) / variance).mean(axis=-1)
+        density = 0.5 * np.log(2 * np.pi * variance.mean(axis=-1))
+        share = np.clip(self.outliers, 1e-3, OUTLIERS_MAX)
+        return np.log(1 / share - 1) - misfit - density + np.log(self.brightest)
+
+    def renewed(self, pixels: LampPixels, residuals: Array, shown: Array, freedom: float) -> Noise:
+        """From residuals; `freedom` is the share of them that the unknowns have not taken up."""
+        data = pixels.weights > 0
+        ordinary = self.ordinary(residuals, shown)
+        weights = (ordinary[..., None] * data).ravel()
+        squares = np.square(residuals).ravel() / freedom
+        bright = np.square(shown).ravel()
+        floor2, relative2 = self.floor**2, self.relative**2
+        for _ in range(20):
+            # The likelihood's equations, weighted by 1/variance²: two straight lines.
+            variance = np.maximum(floor2 + relative2 * bright, NOISE_MIN**2)
+            w = weights / variance**2
+            a, b, c = w.sum(), (w * bright).sum(), (w * bright * bright).sum()
+            d, e = (w * squares).sum(), (w * bright * squares).sum()
+            determinant = a * c - b * b
+            if determinant > 1e-12 * a * c:
+                floor2, relative2 = (c * d - b * e) / determinant, (a * e - b * d) / determinant
+            if floor2 < NOISE_MIN**2 or determinant <= 1e-12 * a * c:
+                floor2 = NOISE_MIN**2
+                relative2 = max((e - b * floor2) / max(c, 1e-300), 0.0)
+            if relative2 < 0:
+                relative2, floor2 = 0.0, max(d / max(a, 1e-300), NOISE_MIN**2)
+        seen = np.maximum(data.any(axis=-1).sum(axis=0), 1)
+        share = ((1 - ordinary) * data.any(axis=-1)).sum(axis=0) / seen
+        return Noise(
+            float(np.sqrt(floor2)),
+            float(np.sqrt(relative2)),
+            np.clip(share, 1e-3, OUTLIERS_MAX),
+            self.brightest,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePrior:
+    """Gaussian priors on the surface of each pixel: offsets, albedo, roughness, metallic."""
+
+    mean: Array
+    precision: Array
+    """(P, 7) each."""
+
+    def of_rows(self, rows: NDArray[np.intp] | slice) -> SurfacePrior:
+        """Of some of the pixels."""
+        return SurfacePrior(self.mean[rows], self.precision[rows])
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What is unknown beside albedo and roughness."""
+
+    normals: bool
+    places: bool = True
+    colors: bool = True
+    ambient_terms: int = 1
+    """Coefficients of each picture's ambient light: 0, 1, 4 or 9."""
+    same_lamp: bool = False
+    """Whether all lamps have one colour."""
+
+
+def fit_surfaces(
+    pixels: LampPixels,
+    state: LampState,
+    weights: Array,
+    prior: SurfacePrior,
+    *,
+    iterations: int,
+    free_normals: bool,
+    free_metallic: bool = False,
+    free_roughness: bool = True,
+) -> tuple[LampState, Array, Array]:
+    """The best surface of each pixel under the lights of a state; their costs and information."""
+    directions, strengths = state.incident(pixels)
+    normals, albedo, roughness, metallic, cost, information = _core.fit_under_lamps(
+        pixels.samples,
+        np.ascontiguousarray(weights),
+        pixels.limits,
+        pixels.views,
+        directions,
+        strengths[..., None] * state.lamps.colors,
+        state.lamps.pictures.astype(np.uint64),
+        state.ambient,
+        pixels.normals,
+        state.normals,
+        state.albedo,
+        state.roughness,
+        state.metallic,
+        prior.mean,
+        prior.precision,
+        free_normals,
+        free_metallic,
+        free_roughness,
+        iterations,
+        pixels.threads,
+        pixels.model,
+    )
+    return state.with_surface(normals, albedo, roughness, metallic), cost, information
+
+
+class JointLamps:
+    """The joint fit of some pixels; `state` is where it stands."""
+
+    def __init__(
+        self,
+        pixels: LampPixels,
+        state: LampState,
+        noise: Noise,
+        prior: SurfacePrior,
+        freedom: Freedom,
+        *,
+        visibility: Callable[[Lamps], Array] | None = None,
+    ) -> None:
+        self.pixels, self.state, self.noise = pixels, state, noise
+        self.prior, self.freedom = prior, freedom
+        self.visibility = visibility
+        self.damping = 1e-3
+        self.cost = np.inf
+        self.weights = np.zeros(pixels.samples.shape)
+        self._log_brightness = float(
+            np.log(np.maximum(pixels.samples.mean(), NOISE_MIN) / ALBEDO_MEAN)
+        )
+
+    def reweigh(self, *, renew: bool = True) -> None:
+        """New noise and weights by what is left now."""
+        if self.visibility is not None:
+            self.state = replace(self.state, seen=self.visibility(self.state.lamps))
+        shown = radiance(self.pixels, self.state)
+        residuals = self.pixels.residuals(shown)
+        if renew:
+            self.noise = self.noise.renewed(
+                self.pixels, residuals, np.maximum(shown, self.pixels.samples), self._free_share()
+            )
+        # By what is seen, if that is more: else a sample whose model is black would weigh most.
+        level = np.maximum(shown, self.pixels.samples)
+        ordinary = self.noise.ordinary(residuals, level)
+        self.weights = self.pixels.weights * ordinary[..., None] / self.noise.variance(level)
+        self.cost = self._cost(self.state, shown)
+
+    def _free_share(self) -> float:
+        samples = max(int(np.count_nonzero(self.pixels.weights)), 1)
+        own = 6 if self.freedom.normals else 4
+        taken = own * len(self.pixels) + self._size()
+        return float(max(1 - taken / samples, 0.1))
+
+    def _size(self) -> int:
+        count = 6 * len(self.state.lamps)
+        return count + 3 * self.freedom.ambient_terms * self.pixels.pictures
+
+    def _scale_of(self, lamps: Lamps) -> Array:
+        """(4,): what the lamps' strength and tint are off, in standard deviations of their prior.
+
+        Mean and deviations from it of the mean logarithm of their colours.
+        """
+        if not self.freedom.colors:
+            return np.zeros(4)
+        directions, strengths = self.state.incident(self.pixels)
+        cosines = np.einsum("px,pkx->pk", self.state.normals, directions)
+        shading = np.maximum((np.maximum(cosines, 0) * strengths).mean(axis=0), 1e-9)
+        colors = np.log(np.maximum(lamps.colors, 1e-12))
+        level = float((colors.mean(axis=-1) + np.log(shading)).mean()) - self._log_brightness
+        tint = colors.mean(axis=0)
+        return np.concatenate([[level / ALBEDO_SPREAD], (tint - tint.mean()) / TINT_SPREAD])
+
+    def _slope_of_scale(self, lamps: Lamps) -> Array:
+        """(4, 3 K): its derivatives by the colours."""
+        by_log = np.concatenate(
+            [np.full((1, 3), 1 / 3) / ALBEDO_SPREAD, (np.eye(3) - 1 / 3) / TINT_SPREAD]
+        )
+        slope = by_log[:, None] / np.maximum(lamps.colors, 1e-12) / len(lamps)
+        return np.asarray(slope.reshape(4, -1))
+
+    def _cost(self, state: LampState, shown: Array | None = None) -> float:
+        shown = radiance(self.pixels, state) if shown is None else shown
+        residuals = self.pixels.residuals(shown)
+        cost = float((self.weights * residuals * residuals).sum())
+        cost += (
+            float((state.ambient[:, : self.freedom.ambient_terms] ** 2).sum())
+            / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
+        )
+        surface = np.concatenate(
+            [
+                self._offsets(state.normals),
+                state.albedo,
+                state.roughness[:, None],
+                state.metallic[:, None],
+            ],
+            axis=-1,
+        )
+        cost += float((self.prior.precision * (surface - self.prior.mean) ** 2).sum())
+        return cost + float((self._scale_of(state.lamps) ** 2).sum())
+
+    def _offsets(self, normals: Array) -> Array:
+        base = self.pixels.normals
+        frames = tangents(base)
+        cosine = np.maximum(np.einsum("px,px->p", normals, base), 1e-6)
+        return np.einsum("px,ptx->pt", normals, frames) / cosine[:, None]
+
+    def step(self) -> float:
+        """One step; the relative decrease of the cost, 0 where none was found."""
+        system = self.system()
+        for _ in range(8):
+            trial = self._moved(system)
+            before = self.cost
+            if trial is not None:
+                state, _, _ = fit_surfaces(
+                    self.pixels,
+                    trial,
+                    self.weights,
+                    self.prior,
+                    iterations=3,
+                    free_normals=self.freedom.normals,
+                )
+                cost = self._cost(state)
+                if cost < before:
+                    self.state, self.cost = state, cost
+                    self.damping = max(self.damping * 0.2, 1e-7)
+                    return (before - cost) / max(before, 1e-300)
+            self.damping = min(self.damping * 8, 1e6)
+        return 0.0
+
+    def information(self) -> tuple[Array, Array, Array]:
+        """S (M, M) of the lights with pixels eliminated, undamped; A (P, 6, 6) and B (P, 6, M)."""
+        shared, _, own, mixed, _ = self.system()
+        factor = np.linalg.cholesky(own)
+        z = np.linalg.solve(factor, mixed).reshape(-1, mixed.shape[-1])
+        return shared - z.T @ z, own, mixed
+
+    def system(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
+        pixels, state, terms = self.pixels, self.state, self.freedom.ambient_terms
+        found = slopes(pixels, state, ambient_terms=terms)
+        residuals = pixels.residuals(found.radiance)
+        bounded = (residuals == 0) & (pixels.limits > 0)
+        weights = np.where(bounded, 0.0, self.weights)
+        by_surface = found.by_surface[..., :UNKNOWNS]
+        if not self.freedom.normals:
+            by_surface = by_surface.copy()
+            by_surface[..., :2] = 0.0
+        weighted = weights[..., None] * by_surface
+        own = np.einsum("picu,picv->puv", weighted, by_surface)
+        gradients = np.einsum("picu,pic->pu", weighted, residuals)
+        prior = self.prior
+        surface = np.concatenate(
+            [self._offsets(state.normals), state.albedo, state.roughness[:, None]], axis=-1
+        )
+        precision = prior.precision[:, :UNKNOWNS]
+        gradients += precision * (surface - prior.mean[:, :UNKNOWNS])
+        np.einsum("puu->pu", own)[:] += precision
+        # What is held has a row of its own and no gradient.
+        held = np.zeros((len(pixels), UNKNOWNS), bool)
+        held[:, :2] = not self.freedom.normals
+        at = surface[:, 2:]
+        held[:, 2:] = ((at <= 0) & (gradients[:, 2:] > 0)) | ((at >= 1) & (gradients[:, 2:] < 0))
+        diagonal = np.einsum("puu->pu", own)
+        held |= diagonal <= 0
+        own[held] = 0.0
+        np.swapaxes(own, 1, 2)[held] = 0.0
+        diagonal[held] = 1.0
+        gradients[held] = 0.0
+        weighted = np.where(held[:, None, None], 0.0, weighted)
+        lamps = len(state.lamps)
+        size = self._size()
+        shared, mixed = np.zeros((size, size)), np.zeros((len(pixels), UNKNOWNS, size))
+        gradient = np.zeros(size)
+        for i in range(pixels.pictures):
+            columns, slope = self._of_picture(i, found)
+            flat = slope.reshape(-1, len(columns))
+            scaled = weights[:, i].reshape(-1, 1) * flat
+            shared[np.ix_(columns, columns)] += flat.T @ scaled
+            gradient[columns] += scaled.T @ residuals[:, i].ravel()
+            mixed[..., columns] = np.einsum("pcu,pcm->pum", weighted[:, i], slope)
+        # Priors of what is shared.
+        first = 6 * lamps
+        if terms:
+            precision_of = 1 / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
+            values = state.ambient[:, :terms].reshape(-1)
+            gradient[first:] += precision_of * values
+            shared[np.arange(first, size), np.arange(first, size)] += precision_of
+        if self.freedom.colors:
+            slope = np.zeros((4, size))
+            slope[:, 3 * lamps : first] = self._slope_of_scale(state.lamps)
+            shared += slope.T @ slope
+            gradient += slope.T @ self._scale_of(state.lamps)
+        return shared, gradient, own, mixed, gradients
+
+    def _of_picture(self, picture: int, found: object) -> tuple[NDArray[np.intp], Array]:
+        """Which of the shared unknowns a picture sees, and its slopes (P, 3, those)."""
+        lamps, terms = self.state.lamps, self.freedom.ambient_terms
+        count = len(self.pixels)
+        of = np.flatnonzero(lamps.pictures == picture)
+        columns, parts = [], []
+        for k in of:
+            slope = found.by_place[:, k]  # type: ignore[attr-defined]
+            if self.freedom.places:
+                columns.append(3 * k + np.arange(3))
+                parts.append(slope)
+            if self.freedom.colors:
+                by_color = np.zeros((count, 3, 3))
+                np.einsum("pcc->pc", by_color)[:] = found.by_color[:, k]  # type: ignore[attr-defined]
+                columns.append(3 * len(lamps) + 3 * k + np.arange(3))
+                parts.append(by_color)
+        if terms:
+            by_ambient = np.zeros((count, 3, terms, 3))
+            weights = found.by_ambient[..., :terms]  # type: ignore[attr-defined]
+            for c in range(3):
+                by_ambient[:, c, :, c] = weights[:, c]
+            columns.append(6 * len(lamps) + 3 * terms * picture + np.arange(3 * terms))
+            parts.append(by_ambient.reshape(count, 3, -1))
+        if not columns:
+            return np.zeros(0, np.intp), np.zeros((count, 3, 0))
+        return np.concatenate(columns), np.concatenate(parts, axis=-1)
+
+    def _moved(self, system: tuple[Array, Array, Array, Array, Array]) -> LampState | None:
+        """The state after a step with the present damping; None if there is none."""
+        shared, gradient, own, mixed, gradients = system
+        own = own.copy()
+        np.einsum("puu->pu", own)[:] *= 1 + self.damping
+        lamps, terms = self.state.lamps, self.freedom.ambient_terms
+        basis = self.basis(len(gradient))
+        try:
+            factor = np.linalg.cholesky(own)
+            solved = np.linalg.solve(factor, np.concatenate([mixed, gradients[..., None]], axis=-1))
+            z, y = solved[..., :-1].reshape(-1, len(gradient)), solved[..., -1].reshape(-1)
+            matrix = basis.T @ (shared - z.T @ z) @ basis
+            right = basis.T @ (z.T @ y - gradient)
+            diagonal = np.einsum("mm->m", matrix)
+            diagonal += self.damping * np.maximum(np.diag(basis.T @ shared @ basis), 1e-12)
+            change = basis @ np.linalg.solve(matrix, right)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.isfinite(change).all():
+            return None
+        # Pixels: −C⁻ᵀ (C⁻¹ g + Z δy).
+        of_pixels = np.linalg.solve(
+            np.swapaxes(factor, 1, 2),
+            -(y + z @ change).reshape(len(own), UNKNOWNS)[..., None],
+        )[..., 0]
+        places = change[: 3 * len(lamps)].reshape(-1, 3)
+        colors = change[3 * len(lamps) : 6 * len(lamps)].reshape(-1, 3)
+        ambient = self.state.ambient.copy()
+        if terms:
+            ambient[:, :terms] += change[6 * len(lamps) :].reshape(-1, terms, 3)
+        reach = np.where(lamps.near, np.linalg.norm(lamps.places, axis=-1), 1.0)
+        longest = np.maximum(np.linalg.norm(places, axis=-1) / (PLACE_STEP_MAX * reach), 1.0)
+        moved = lamps.places + places / longest[:, None]
+        far = ~lamps.near
+        moved[far] /= np.linalg.norm(moved[far], axis=-1, keepdims=True)
+        tinted = np.clip(lamps.colors + colors, lamps.colors * 0.2, lamps.colors * 5)
+        normals = self.state.normals
+        if self.freedom.normals:
+            offsets = of_pixels[:, :2]
+            length = np.maximum(np.linalg.norm(offsets, axis=-1) / OFFSET_STEP_MAX, 1.0)
+            offsets = offsets / length[:, None]
+            turned = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
+            turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
+            visible = np.einsum("px,px->p", turned, self.pixels.views) > 0.02
+            normals = np.where(visible[:, None], turned, normals)
+        return replace(
+            self.state,
+            lamps=replace(lamps, places=moved, colors=tinted),
+            ambient=ambient,
+            normals=normals,
+            albedo=np.clip(self.state.albedo + of_pixels[:, 2:5], 0, 1),
+            roughness=np.clip(self.state.roughness + np.clip(of_pixels[:, 5], -0.2, 0.2), 0.03, 1),
+        )
+
+    def basis(self, size: int) -> Array:
+        """(M, free): the directions in which what is shared may move."""
+        lamps = self.state.lamps
+        count, free = len(lamps), []
+        if self.freedom.places:
+            frames = tangents(np.where(lamps.near[:, None], [0.0, 0.0, 1.0], lamps.places))
+            for k in range(count):
+                vectors = np.eye(3) if lamps.near[k] else frames[k]
+                block = np.zeros((size, len(vectors)))
+                block[3 * k : 3 * k + 3] = vectors.T
+                free.append(block)
+        if self.freedom.colors:
+            block = np.zeros((size, 3 * count))
+            block[3 * count : 6 * count] = np.eye(3 * count)
+            if self.freedom.same_lamp:
+                block = block.reshape(size, count, 3).sum(axis=1)
+            free.append(block)
+        terms = self.freedom.ambient_terms
+        if terms:
+            block = np.zeros((size, size - 6 * count))
+            block[6 * count :] = np.eye(size - 6 * count)
+            free.append(block)
+        return np.concatenate(free, axis=1) if free else np.zeros((size, 0))
+
+
+def minimize(
+    fit: JointLamps, *, rounds: int, steps: int, stop: Callable[[], bool] = lambda: False
+) -> int:
+    """Rounds of weights with joint steps in each; how many steps were made."""
+    made = 0
+    for number in range(rounds):
+        fit.reweigh(renew=number > 0)
+        for _ in range(steps):
+            if stop():
+                return made
+            made += 1
+            if fit.step() < 1e-4:
+                break
+    return made

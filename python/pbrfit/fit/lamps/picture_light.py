@@ -1,0 +1,205 @@
+"""The lamp and ambient light of one more picture, on a surface that is known.
+
+What held-out pictures are explained by, and relighting by a photograph: 3 + 2 + 3 T numbers for all
+pixels. Directions on a grid are tried, each with the colour and ambient light that are best by
+linear least squares; from the best Gauss and Newton go on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
+from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.lighting import _spread_directions
+from pbrfit.result.result import Result
+
+Array = NDArray[np.float64]
+
+PIXELS = 4000
+"""That a light of some ten numbers is fitted to."""
+
+DIRECTIONS = 400
+"""On the whole sphere: 10 degrees apart."""
+
+STEPS = 30
+
+RIDGE = 1e-6
+"""Of the linear equations, of their trace."""
+
+
+def fit_picture_light(
+    result: Result,
+    picture: NDArray[np.floating],
+    weights: NDArray[np.floating] | None = None,
+    direction: Array | None = None,
+    *,
+    ambient_terms: int = 4,
+) -> tuple[Lamps, Array]:
+    """The light of a picture (H, W, 3) of the same view, linear Rec.709.
+
+    Parameters
+    ----------
+    result
+        Whose materials and normals are held.
+    picture
+        Radiance, as the result's pictures.
+    weights
+        (H, W, 3) or (H, W): how much samples count, 0 = not at all; None = all alike.
+    direction
+        (3,) unit vector to the lamp, if it is known.
+    ambient_terms
+        Coefficients of ambient light: 0, 1, 4 or 9.
+
+    Returns
+    -------
+    lamps, ambient
+        One lamp, and SH light (16, 3).
+    """
+    valid = np.flatnonzero(result.mask.ravel())
+    samples = np.asarray(picture, np.float64).reshape(-1, 3)[valid]
+    counted = np.ones_like(samples)
+    if weights is not None:
+        given = np.asarray(weights, np.float64)
+        given = given[..., None] if given.ndim == 2 else given
+        counted = np.broadcast_to(given, picture.shape).reshape(-1, 3)[valid].copy()
+    counted[~np.isfinite(samples)] = 0
+    samples = np.where(counted > 0, samples, 0.0)
+    from pbrfit.model.geometry import view_directions
+
+    height, width = result.mask.shape
+    views = view_directions(height, width, result.fov).reshape(-1, 3)[valid]
+    scale = max(float(samples.mean()) / 0.4, 1e-12)
+    pixels = LampPixels(
+        samples[:, None] / scale,
+        counted[:, None],
+        np.zeros((len(valid), 1, 3), np.uint8),
+        views,
+        None,
+        result.normals.reshape(-1, 3)[valid],
+        np.zeros(len(valid), np.intp),
+        valid,
+        scale,
+        result.model,
+        0,
+    )
+    state = LampState(
+        Lamps(np.zeros(1, np.intp), np.array([[0.0, 0, 1]]), colors=np.ones((1, 3))),
+        np.zeros((1, 16, 3)),
+        pixels.normals,
+        np.asarray(result.albedo, np.float64).reshape(-1, 3)[valid],
+        np.asarray(result.roughness, np.float64).reshape(-1)[valid],
+        np.asarray(result.metallic, np.float64).reshape(-1)[valid],
+    )
+    found = light_of_picture(pixels, state, direction, ambient_terms)
+    return replace(found.lamps, colors=found.lamps.colors * scale), found.ambient[0] * scale
+
+
+def light_of_picture(
+    pixels: LampPixels, state: LampState, direction: Array | None, terms: int
+) -> LampState:
+    """The state with the best light of its one picture, all else held."""
+    rows = evenly_spaced(len(pixels), PIXELS).astype(np.intp)
+    few, some = pixels.of_rows(rows), state.of_rows(rows)
+    ambient = _core.shade(
+        some.normals, few.views, some.albedo, some.roughness, some.metallic, few.model
+    ).reshape(-1, 3, 16)[..., :terms]
+    tried = _spread_directions(DIRECTIONS) if direction is None else np.atleast_2d(direction)
+    unit = _core.lamp_radiance(
+        some.normals,
+        few.views,
+        some.albedo,
+        some.roughness,
+        some.metallic,
+        np.broadcast_to(tried, (len(few), *tried.shape)).copy(),
+        few.threads,
+        few.model,
+    )
+    best, light = np.inf, None
+    for k in range(len(tried)):
+        left, color, of_ambient = _linear(few, unit[:, k], ambient)
+        if left < best:
+            best, light = left, (tried[k], color, of_ambient)
+    assert light is not None
+    lamps = replace(state.lamps, places=light[0][None], colors=np.maximum(light[1], 1e-9)[None])
+    around = np.zeros((1, 16, 3))
+    around[0, :terms] = light[2]
+    some = replace(some, lamps=lamps, ambient=around)
+    if direction is None:
+        some = _refined(few, some, terms)
+    return replace(state, lamps=some.lamps, ambient=some.ambient)
+
+
+def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[float, Array, Array]:
+    """What is left with the best colour and ambient light of a direction, and these."""
+    total, color, around = 0.0, np.zeros(3), np.zeros((ambient.shape[-1], 3))
+    for c in range(3):
+        columns = np.concatenate([unit[:, c, None], ambient[:, c]], axis=1)
+        w, y = pixels.weights[:, 0, c], pixels.samples[:, 0, c]
+        matrix = columns.T @ (w[:, None] * columns)
+        matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) + 1e-12
+        found = np.linalg.solve(matrix, columns.T @ (w * y))
+        if found[0] < 0:
+            found[0] = 0.0
+        total += float((w * (y - columns @ found) ** 2).sum())
+        color[c], around[:, c] = found[0], found[1:]
+    return total, color, around
+
+
+def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
+    """Gauss-Newton with damping on direction, colour and ambient light."""
+    damping = 1e-3
+
+    def cost_of(one: LampState) -> float:
+        residual = radiance(pixels, one) - pixels.samples
+        return float((pixels.weights * residual**2).sum())
+
+    cost = cost_of(state)
+    for _ in range(STEPS):
+        found = slopes(pixels, state, ambient_terms=terms)
+        residual = found.radiance - pixels.samples
+        frame = tangents(state.lamps.places)[0]
+        parts = [np.einsum("pcx,tx->pct", found.by_place[:, 0], frame)]
+        by_color = np.zeros((len(pixels), 3, 3))
+        np.einsum("pcc->pc", by_color)[:] = found.by_color[:, 0]
+        parts.append(by_color)
+        if terms:
+            assert found.by_ambient is not None
+            around = np.zeros((len(pixels), 3, terms, 3))
+            for c in range(3):
+                around[:, c, :, c] = found.by_ambient[:, c, :terms]
+            parts.append(around.reshape(len(pixels), 3, -1))
+        jacobian = np.concatenate(parts, axis=-1).reshape(3 * len(pixels), -1)
+        w = pixels.weights[:, 0].reshape(-1)
+        matrix = jacobian.T @ (w[:, None] * jacobian)
+        gradient = jacobian.T @ (w * residual[:, 0].reshape(-1))
+        while damping < 1e6:
+            damped = matrix + np.diag(damping * np.diag(matrix) + 1e-12 * np.trace(matrix))
+            change = -np.linalg.solve(damped, gradient)
+            place = state.lamps.places[0] + np.clip(change[:2], -0.3, 0.3) @ frame
+            ambient = state.ambient.copy()
+            ambient[0, :terms] += change[5:].reshape(terms, 3)
+            trial = replace(
+                state,
+                lamps=replace(
+                    state.lamps,
+                    places=(place / np.linalg.norm(place))[None],
+                    colors=np.maximum(state.lamps.colors + change[2:5], 0.0),
+                ),
+                ambient=ambient,
+            )
+            new = cost_of(trial)
+            if new < cost:
+                break
+            damping *= 10
+        else:
+            return state
+        gain, state, cost, damping = cost - new, trial, new, damping * 0.2
+        if gain < 1e-8 * cost:
+            break
+    return state

@@ -1,0 +1,293 @@
+"""Pixels under lamps: their samples, what lamps and ambient light make of a state, and its slopes.
+
+The radiance of pixel p in picture i is
+
+    I_pi = Σ_k in i  c_k s_pk V_pk R(n_p, v_p, ω_pk; m_p) + Σ_j w_j(n_p, v_p; m_p) L_ij,
+
+with the colour c_k of a lamp, its strength s_pk there (1 of a far lamp, 1/d² of a near one), V_pk
+whether it is seen, R = π f_r (n·ω)⁺ of the reflection model, and the weights w_j that the model
+gives to ambient light L_i, spherical harmonics of a low order. Pictures are in units of one scale
+that makes their mean radiance `MEAN_RADIANCE`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit import _core
+from pbrfit.model.geometry import positions
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.reflection import Model
+from pbrfit.scene.arrays import AT_LEAST, AT_MOST
+from pbrfit.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+MEAN_RADIANCE = 0.4
+"""Of all samples, in the unit that pictures are fitted in."""
+
+
+@dataclass(frozen=True, eq=False)
+class LampPixels:
+    """Samples of P pixels in N pictures, and what is known of these pixels."""
+
+    samples: Array
+    """(P, N, 3), in units of `scale`."""
+    weights: Array
+    """(P, N, 3): 0 = no data; else what the scene says."""
+    limits: NDArray[np.uint8]
+    """(P, N, 3), as `SceneArrays.limits`."""
+    views: Array
+    points: Array | None
+    """(P, 3) each: unit vectors to the camera, and places; None without depth."""
+    normals: Array
+    """(P, 3): the given normals, or those that were found first; offsets are from these."""
+    labels: NDArray[np.intp]
+    """(P,): of groups whose roughness is much alike; 0 = unclassified."""
+    places: NDArray[np.intp]
+    """(P,): in the picture, row by row."""
+    scale: float
+    model: Model
+    threads: int
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        normals: Array,
+        model: Model,
+        threads: int,
+        places: NDArray[np.intp] | None = None,
+    ) -> LampPixels:
+        """Of the valid pixels of a scene, or some of them; `normals` (H, W, 3)."""
+        valid = np.flatnonzero(scene.valid.ravel())
+        places = valid if places is None else places
+        count = len(scene.images)
+        samples = np.empty((len(places), count, 3))
+        weights = np.ones((len(places), count, 3))
+        limits = np.zeros((len(places), count, 3), np.uint8)
+        for i in range(count):
+            samples[:, i] = scene.samples(i, places)
+            if scene.weights is not None:
+                weights[:, i] = scene.weights[i].reshape(-1)[places, None]
+            if scene.limits is not None:
+                limits[:, i] = scene.limits[i].reshape(-1, 3)[places]
+        scale = scene.mean_brightness() / MEAN_RADIANCE
+        scale = scale if scale > 0 else 1.0
+        flat = np.zeros(scene.valid.size, np.intp)
+        if scene.labels is not None:
+            flat[valid] = scene.labels[0]
+        points = None
+        if scene.depth is not None:
+            found = positions(scene.depth, scene.fov).reshape(-1, 3)[places].astype(np.float64)
+            points = found if np.isfinite(found).all() else None
+        return cls(
+            samples / scale,
+            weights / weights.max(),
+            limits,
+            scene.views.reshape(-1, 3)[places],
+            points,
+            np.asarray(normals, np.float64).reshape(-1, 3)[places],
+            flat[places],
+            places,
+            scale,
+            model,
+            threads,
+        )
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    @property
+    def pictures(self) -> int:
+        """N."""
+        return self.samples.shape[1]
+
+    def of_rows(self, rows: NDArray[np.intp] | slice) -> LampPixels:
+        """Some of the pixels."""
+        return replace(
+            self,
+            **{
+                name: getattr(self, name)[rows]
+                for name in ("samples", "weights", "limits", "views", "normals", "labels", "places")
+            },
+            points=None if self.points is None else self.points[rows],
+        )
+
+    def of_pictures(self, chosen: list[int]) -> LampPixels:
+        """All of the pixels in some of the pictures."""
+        return replace(
+            self,
+            **{name: getattr(self, name)[:, chosen] for name in ("samples", "weights", "limits")},
+        )
+
+    def residuals(self, radiance: Array) -> Array:
+        """(P, N, 3): what a radiance is too much; 0 where a sample only bounds it, and is kept."""
+        residual = radiance - self.samples
+        kept = ((self.limits == AT_LEAST) & (residual > 0)) | (
+            (self.limits == AT_MOST) & (residual < 0)
+        )
+        return np.where(kept | (self.weights == 0), 0.0, residual)
+
+
+@dataclass(frozen=True, eq=False)
+class LampState:
+    """Lamps, ambient light and the surface of the pixels."""
+
+    lamps: Lamps
+    """With colours in units of the pictures' scale."""
+    ambient: Array
+    """(N, 16, 3), likewise."""
+    normals: Array
+    albedo: Array
+    roughness: Array
+    metallic: Array
+    """(P, 3), (P, 3), (P,), (P,)."""
+    seen: Array | None = None
+    """(P, K): share of a lamp that a pixel sees; None = all."""
+
+    def with_surface(
+        self, normals: Array, albedo: Array, roughness: Array, metallic: Array
+    ) -> LampState:
+        """The same lights on another surface."""
+        return replace(self, normals=normals, albedo=albedo, roughness=roughness, metallic=metallic)
+
+    def of_rows(self, rows: NDArray[np.intp] | slice) -> LampState:
+        """The same lights on some of the pixels."""
+        return replace(
+            self,
+            normals=self.normals[rows],
+            albedo=self.albedo[rows],
+            roughness=self.roughness[rows],
+            metallic=self.metallic[rows],
+            seen=None if self.seen is None else self.seen[rows],
+        )
+
+    def incident(self, pixels: LampPixels) -> tuple[Array, Array]:
+        """Unit vectors to the lamps (P, K, 3), and what colours are multiplied by (P, K)."""
+        directions, strengths = self.lamps.at(pixels.points, len(pixels))
+        return directions, strengths if self.seen is None else strengths * self.seen
+
+
+def surface_of(state: LampState) -> tuple[Array, Array, Array, Array]:
+    """In the order that the core takes it."""
+    return state.normals, state.albedo, state.roughness, state.metallic
+
+
+def radiance(pixels: LampPixels, state: LampState) -> Array:
+    """(P, N, 3)."""
+    directions, strengths = state.incident(pixels)
+    normals, albedo, roughness, metallic = surface_of(state)
+    of_lamps = _core.lamp_radiance(
+        normals, pixels.views, albedo, roughness, metallic, directions, pixels.threads, pixels.model
+    )
+    of_lamps *= strengths[..., None] * state.lamps.colors
+    found = np.zeros(pixels.samples.shape)
+    for k, picture in enumerate(state.lamps.pictures):
+        found[:, picture] += of_lamps[:, k]
+    if state.ambient.any():
+        weights = _core.shade(normals, pixels.views, albedo, roughness, metallic, pixels.model)
+        weights = weights.reshape(-1, 3, 16)
+        found += np.einsum("pcj,ijc->pic", weights, state.ambient)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Radiance of pixels and its derivatives."""
+
+    radiance: Array
+    """(P, N, 3)."""
+    by_surface: Array
+    """(P, N, 3, 7): by two offsets of the normal, the albedo's channels, roughness, metallic."""
+    by_place: Array
+    """(P, K, 3, 3): by the place of each lamp, channel before axis; of far lamps by a vector in the
+    plane that is perpendicular to the direction."""
+    by_color: Array
+    """(P, K, 3): of each channel, by that channel of the colour."""
+    by_ambient: Array | None
+    """(P, 3, 16): by ambient light, of any picture; None where it is not asked for."""
+
+
+def tangents(normals: Array) -> Array:
+    """(P, 2, 3): unit vectors that are perpendicular to a normal and to each other.
+
+    Those of T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6, 2017.
+    """
+    x, y, z = normals.T
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    second = np.stack([b, sign + y * y * a, -y], axis=-1)
+    return np.stack([first, second], axis=1)
+
+
+def slopes(pixels: LampPixels, state: LampState, *, ambient_terms: int) -> Slopes:
+    """At a state; ambient light has its first `ambient_terms` coefficients."""
+    lamps = state.lamps
+    directions, strengths = state.incident(pixels)
+    normals, albedo, roughness, metallic = surface_of(state)
+    args = pixels.views, albedo, roughness, metallic
+    value, by_normal, by_direction, by_albedo, by_roughness, by_metallic = _core.lamp_slopes(
+        normals, *args, directions, pixels.threads, pixels.model
+    )
+    frames = tangents(normals)
+    lit = strengths[..., None] * lamps.colors
+    found = np.zeros(pixels.samples.shape)
+    by_surface = np.zeros((*found.shape, 7))
+    of_offsets = np.einsum("pkcx,ptx->pkct", by_normal, frames)
+    for k, picture in enumerate(lamps.pictures):
+        found[:, picture] += lit[:, k] * value[:, k]
+        by_surface[:, picture, :, :2] += lit[:, k, :, None] * of_offsets[:, k]
+        for c in range(3):
+            by_surface[:, picture, c, 2 + c] += lit[:, k, c] * by_albedo[:, k, c]
+        by_surface[:, picture, :, 5] += lit[:, k] * by_roughness[:, k]
+        by_surface[:, picture, :, 6] += lit[:, k] * by_metallic[:, k]
+    by_place = by_direction * lit[..., None]
+    near = lamps.near
+    if near.any():
+        assert pixels.points is not None
+        distance = np.linalg.norm(lamps.places[near] - pixels.points[:, None], axis=-1)[..., None]
+        along = -np.einsum("pkx,kx->pk", directions[:, near], lamps.axes[near])[..., None]
+        gathered = lamps.exponents[near, None] / np.maximum(along, np.finfo(np.float64).tiny)
+        # d/dq of 1/d² (axis·(p−q)/d)^e, over itself.
+        by_strength = -2 * directions[:, near] - gathered * (
+            lamps.axes[near] + along * directions[:, near]
+        )
+        by_place[:, near] += (lit * value)[:, near, :, None] * by_strength[:, :, None, :]
+        by_place[:, near] /= distance[..., None]
+    by_ambient = None
+    if ambient_terms:
+        by_ambient = _core.shade(normals, *args, pixels.model).reshape(-1, 3, 16)
+        found += np.einsum("pcj,ijc->pic", by_ambient, state.ambient)
+        if state.ambient.any():
+            by_surface += _ambient_by_surface(pixels, state, frames, ambient_terms)
+    return Slopes(found, by_surface, by_place, strengths[..., None] * value, by_ambient)
+
+
+def _ambient_by_surface(pixels: LampPixels, state: LampState, frames: Array, terms: int) -> Array:
+    """(P, N, 3, 7): what ambient light adds to `by_surface`: slopes of weights, times the light."""
+    normals, albedo, roughness, metallic = surface_of(state)
+    found = np.zeros((*pixels.samples.shape, 7))
+    for j in range(terms):
+        for c in range(3):
+            cotangent = np.zeros((len(pixels), 3, 16))
+            cotangent[:, c, j] = 1.0
+            by_albedo, by_roughness, by_metallic, by_normal = _core.shade_vjp(
+                normals, pixels.views, albedo, roughness, metallic, cotangent, pixels.model
+            )
+            of_weight = np.concatenate(
+                [
+                    np.einsum("px,ptx->pt", by_normal, frames),
+                    by_albedo,
+                    by_roughness[:, None],
+                    by_metallic[:, None],
+                ],
+                axis=-1,
+            )
+            found[:, :, c] += of_weight[:, None] * state.ambient[None, :, j, c, None]
+    return found

@@ -1,0 +1,260 @@
+"""The surfaces of all pixels under lamps that were found: shadows, metals, deviations.
+
+**Shadows.** Whether a sample is an outlier is judged with its neighbours where it is too dark: a
+cast shadow covers more than a pixel. The log odds of being ordinary are averaged over 3 × 3 pixels
+there. What is too bright is judged alone: highlights are as narrow as they are.
+
+**Metals.** A surface is a dielectric or a metal; what is between is a mixture inside a pixel. Each
+pixel is fitted as both. With equal priors on all else, Laplace's approximation of the evidence is
+
+    ln p(y | kind) = −½ (cost + ln det H) + const,
+
+H the information of the pixel's unknowns. Residuals of neighbours and channels are alike, so that
+costs count as a share of the samples that are independent, and log odds are averaged over 3 × 3
+pixels. The share of metals of each label is found by expectation and maximisation, and metallic is
+the probability; where that is not near 0 or 1 the rest is fitted once more with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.lamps.joint import (
+    UNKNOWNS,
+    Freedom,
+    JointLamps,
+    Noise,
+    SurfacePrior,
+    fit_surfaces,
+)
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+
+Array = NDArray[np.float64]
+
+BAND_PIXELS = 40_000
+"""That are fitted at once: some 100 MB with 12 pictures."""
+
+ROUNDS = 3
+"""Of weights and surfaces: shadows that hide behind a wrong normal show in the second."""
+
+STEPS = 12
+"""Of each pixel in a round."""
+
+METAL_SHARE = 0.05
+"""Share of metals that each label is expected to have before it was looked at."""
+
+SURE = 0.95
+"""Probability from which a pixel is a metal, or a dielectric, altogether."""
+
+
+INDEPENDENT = 1 / 3
+"""Share of a pixel's samples that count in the choice between dielectric and metal: the three
+channels of a sample share what is left of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """What was found of some pixels of a scene."""
+
+    state: LampState
+    variance: Array
+    marginal: Array
+    """(P, 7) each: of offsets, albedo, roughness, metallic by the data alone, with the lights held
+    and with the lights as uncertain as they are."""
+    held: NDArray[np.bool_]
+    """(P, 7): on a bound, or not free."""
+    squares: float
+    total: float
+    """Weighted sum of squared residuals, and sum of the scene's weights."""
+    outliers: Array
+    """(P, N): the probability that a sample is one."""
+
+
+def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slice]:
+    """Ranges of the valid pixels that make up whole rows."""
+    counts = valid.sum(axis=1)
+    size, start = 0, 0
+    for count in counts.tolist():
+        if size and size + count > at_most:
+            yield slice(start, start + size)
+            start, size = start + size, 0
+        size += count
+    if size:
+        yield slice(start, start + size)
+
+
+def neighbour_means(values: Array, places: NDArray[np.intp], width: int) -> Array:
+    """(P, ...): means over the 3 × 3 pixels around each, of those that are there."""
+    from scipy.ndimage import uniform_filter
+
+    rows, columns = np.divmod(places, width)
+    first = int(rows.min())
+    shape = int(rows.max()) - first + 1, width
+    flat = values.reshape(len(values), -1)
+    there = np.zeros(shape)
+    there[rows - first, columns] = 1.0
+    counts = uniform_filter(there, 3, mode="constant")[rows - first, columns]
+    found = np.empty_like(flat)
+    for j in range(flat.shape[1]):
+        grid = np.zeros(shape)
+        grid[rows - first, columns] = flat[:, j]
+        found[:, j] = uniform_filter(grid, 3, mode="constant")[rows - first, columns] / counts
+    return found.reshape(values.shape)
+
+
+def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int) -> Array:
+    """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
+    shown = radiance(pixels, state)
+    residuals = pixels.residuals(shown)
+    level = np.maximum(shown, pixels.samples)
+    odds = np.clip(noise.log_odds(residuals, level), -20, 20)
+    dark = residuals.mean(axis=-1) > 0
+    odds = np.where(dark, neighbour_means(odds, pixels.places, width), odds)
+    ordinary = 1 / (1 + np.exp(-odds))
+    return np.asarray(pixels.weights * ordinary[..., None] / noise.variance(level))
+
+
+def fit_band(
+    pixels: LampPixels,
+    state: LampState,
+    noise: Noise,
+    prior: SurfacePrior,
+    freedom: Freedom,
+    width: int,
+    *,
+    metals: bool,
+    uncertain: Array | None,
+) -> Band:
+    """Surfaces of some pixels; `uncertain`, the lights' covariance, where deviations are wanted."""
+    weights = np.zeros(pixels.samples.shape)
+    cost = information = np.zeros(0)
+    for _ in range(ROUNDS):
+        weights = weights_of(pixels, state, noise, width)
+        state, cost, information = fit_surfaces(
+            pixels, state, weights, prior, iterations=STEPS, free_normals=freedom.normals
+        )
+    if metals:
+        state = _with_metals(
+            pixels, state, weights, prior, width, cost, information, freedom.normals
+        )
+    residual = pixels.residuals(radiance(pixels, state))
+    ordinary = weights * noise.variance(np.maximum(pixels.samples + residual, pixels.samples))
+    zeros = np.zeros((len(pixels), 7))
+    variance, marginal, held = zeros, zeros, zeros.astype(bool)
+    if uncertain is not None:
+        variance, marginal, held = deviations(pixels, state, noise, weights, freedom, uncertain)
+    return Band(
+        state,
+        variance,
+        marginal,
+        held,
+        float((pixels.weights * residual**2).sum()),
+        float(pixels.weights.sum()),
+        1 - ordinary.mean(axis=-1),
+    )
+
+
+def _with_metals(
+    pixels: LampPixels,
+    state: LampState,
+    weights: Array,
+    prior: SurfacePrior,
+    width: int,
+    cost: Array,
+    information: Array,
+    free_normals: bool,
+) -> LampState:
+    """A state of dielectrics, with metals where these explain the samples better."""
+    count = len(pixels)
+    bright = np.clip(state.albedo * 1.5, 0.1, 1.0)
+    shiny = np.maximum(state.roughness, 0.25)
+    metal = state.with_surface(state.normals, bright, shiny, np.ones(count))
+    metal, metal_cost, metal_information = fit_surfaces(
+        pixels, metal, weights, prior, iterations=2 * STEPS, free_normals=free_normals
+    )
+    odds = -0.5 * INDEPENDENT * (metal_cost - cost)
+    odds -= 0.5 * (log_determinant(metal_information) - log_determinant(information))
+    odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width)
+    share = metal_shares(odds, pixels.labels)
+    chance = 1 / (1 + np.exp(-np.clip(odds + np.log(share / (1 - share)), -50, 50)))
+    chance = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))
+    take = chance > 0.5
+    state = state.with_surface(
+        np.where(take[:, None], metal.normals, state.normals),
+        np.where(take[:, None], metal.albedo, state.albedo),
+        np.where(take, metal.roughness, state.roughness),
+        chance,
+    )
+    between = np.flatnonzero((chance > 0) & (chance < 1))
+    if len(between):
+        refitted, _, _ = fit_surfaces(
+            pixels.of_rows(between),
+            state.of_rows(between),
+            weights[between],
+            prior.of_rows(between),
+            iterations=STEPS,
+            free_normals=free_normals,
+        )
+        for name in ("normals", "albedo", "roughness"):
+            getattr(state, name)[between] = getattr(refitted, name)
+    return state
+
+
+def log_determinant(information: Array) -> Array:
+    """(P,): of the unknowns that are determined."""
+    diagonal = np.einsum("puu->pu", information)
+    solid = information.copy()
+    np.einsum("puu->pu", solid)[:] = np.where(diagonal > 0, diagonal, 1.0)
+    return np.asarray(np.linalg.slogdet(solid)[1])
+
+
+def metal_shares(odds: Array, labels: NDArray[np.intp]) -> Array:
+    """(P,): share of metals of each pixel's label, by expectation and maximisation."""
+    found = np.full(len(odds), METAL_SHARE)
+    for label in np.unique(labels):
+        of = odds[labels == label]
+        share = METAL_SHARE
+        for _ in range(30):
+            chance = 1 / (1 + np.exp(-np.clip(of + np.log(share / (1 - share)), -50, 50)))
+            # One pixel's worth of the first share keeps it off 0 and 1.
+            share = (float(chance.sum()) + METAL_SHARE) / (len(of) + 1)
+        found[labels == label] = np.clip(share, 1e-4, 1 - 1e-4)
+    return found
+
+
+def deviations(
+    pixels: LampPixels,
+    state: LampState,
+    noise: Noise,
+    weights: Array,
+    freedom: Freedom,
+    covariance: Array | None,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """(P, 7) variances with lights held and as uncertain as `covariance`, and what is held."""
+    count = len(pixels)
+    none = SurfacePrior(np.zeros((count, 7)), np.zeros((count, 7)))
+    fit = JointLamps(pixels, state, noise, none, freedom)
+    fit.weights = weights
+    _, _, own, mixed, _ = fit.system()
+    variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
+    held = np.zeros((count, 7), bool)
+    held[:, 0:2] = not freedom.normals
+    held[:, 2:5] = (state.albedo <= 0) | (state.albedo >= 1)
+    held[:, 5] = (state.roughness <= 0) | (state.roughness >= 1)
+    damped = own.copy()
+    np.einsum("puu->pu", damped)[:] += 1e-9
+    inverse = np.linalg.inv(damped)
+    variance[:, :UNKNOWNS] = np.einsum("puu->pu", inverse)
+    marginal[:] = variance
+    if covariance is not None:
+        moves = np.matmul(inverse, mixed)
+        marginal[:, :UNKNOWNS] += np.einsum(
+            "pum,mn,pun->pu", moves, covariance, moves, optimize=True
+        )
+    chance = state.metallic
+    variance[:, 6] = marginal[:, 6] = chance * (1 - chance)
+    return variance, marginal, held
