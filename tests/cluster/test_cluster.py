@@ -177,7 +177,7 @@ def test_a_failing_scene_is_told_of_with_its_warnings(machines: Machines, tmp_pa
     machines.add_worker()
     for name in ("one", "two"):
         make_scene("room", size=12, lights=3).save(tmp_path / "scenes" / name)
-    (tmp_path / "scenes" / "one" / "normals.exr").unlink()
+    (tmp_path / "scenes" / "one" / "normals.png").touch()
     (tmp_path / "scenes" / "two" / "Mask.tif").touch()
     run = batch(tmp_path / "scenes", tmp_path / "out", *FEW, "--cluster", machines.address)
     told, errors = finished(run, 1)

@@ -100,6 +100,10 @@ def decompose(
     model = chosen_model(options.model, scene.model)
     threads = whole_number("threads", threads)
     start = _to_start_from(start, model)
+    if not scene.normals_known:
+        raise InputError(
+            "normals: expected known ones, found none; `pbrfit normals` gives a scene folder some"
+        )
     # Here and not above: scipy.optimize would double the time of `import pbrfit`. Before the clock
     # starts: loading it is no part of the fit.
     importlib.import_module("scipy.optimize")

@@ -14,6 +14,7 @@ from pbrfit.model import geometry
 from pbrfit.model.reflection import DEFAULT_MODEL, chosen_model
 from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.refinement import hindrance
+from pbrfit.scene import known_lamps
 from pbrfit.scene.depth import compared
 from pbrfit.scene.registration import register
 from pbrfit.scene.scene import Scene
@@ -62,6 +63,8 @@ def _aligned(scene: Scene) -> list[tuple[str, str]]:
 
 def _normal_sigma(scene: Scene) -> str:
     """Standard deviation of the given normals."""
+    if not scene.normals_known:
+        return "none given"
     if scene.normal_sigma is None:
         return "unknown"
     middle, high = np.percentile(scene.normal_sigma[scene.valid], [50, 95])
@@ -77,6 +80,8 @@ def _depth(scene: Scene) -> str:
     found = [name for name in DEPTH_FILES if name in scene.inputs]
     said = f"{found[0]}, " if found else ""
     said += f"{low:.3g} to {high:.3g}, unknown in {unknown:.1f} % of the mask"
+    if not scene.normals_known:
+        return said
     angle = compared(scene.depth, scene.normals, scene.fov).depth
     if np.isnan(angle):
         return said
@@ -87,6 +92,8 @@ def _surroundings(scene: Scene) -> str:
     """What of them is found in the depth."""
     if scene.depth is None:
         return "unknown: no depth is given"
+    if not scene.normals_known:
+        return "unknown: no normals are given"
     points = geometry.positions(scene.depth, scene.fov)
     normals = np.asarray(scene.normals, np.float64)
     try:
@@ -96,11 +103,29 @@ def _surroundings(scene: Scene) -> str:
     return counted([name_of(wall, walls) for wall in walls]) or "no wall, no floor"
 
 
+def _lamps(scene: Scene) -> str:
+    """How many lamps are known, and how far apart far ones are."""
+    lamps = scene.lamps
+    if lamps is None:
+        return "unknown"
+    said, far = known_lamps.in_words(lamps), lamps.places[~lamps.near]
+    if len(far) < 2:
+        return said
+    tilt = np.degrees(np.arccos(np.clip(far[:, 2], -1.0, 1.0)))
+    return (
+        f"{said}; far ones up to {known_lamps.spread(far):.0f} degrees apart, {tilt.min():.0f} to "
+        f"{tilt.max():.0f} from the viewer"
+    )
+
+
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout, reason = ParameterLayout.of(scene), hindrance(scene)
     radiance = np.stack([scene.samples(i) for i in range(len(scene.images))])
-    away = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
+    away = "unknown: no normals are given"
+    if scene.normals_known:
+        facing = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
+        away = f"{100 * facing.mean():.1f} % of the normals"
     found = [
         ("pictures", f"{len(scene.images)} of {scene.width} × {scene.height} pixels"),
         ("", f"{scene.names[0]} ... {scene.names[-1]}"),
@@ -110,7 +135,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
             f"to {radiance.max():.4g}",
         ),
         ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
-        ("facing away", f"{100 * away.mean():.1f} % of the normals"),
+        ("facing away", away),
         ("normal error", _normal_sigma(scene)),
         ("depth", _depth(scene)),
         ("surroundings", _surroundings(scene)),
@@ -121,6 +146,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
             "grey: one channel will be fitted" if layout.channels == 1 else "three channels",
         ),
         ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
+        ("lamps", _lamps(scene)),
         *_aligned(scene),
         ("ground truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]

@@ -17,6 +17,7 @@ from pbrfit.io import limits as file_limits
 from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
 from pbrfit.scene.correction import Correction, radius_squared
@@ -40,6 +41,9 @@ that of a lens of 31 mm on a 35 mm camera."""
 
 MIN_NORMAL_LENGTH = 0.1
 """Normals shorter than this have no direction worth normalising."""
+
+SHAPE_PICTURES_MIN = 3
+"""Pictures under different lights from which on normals can be found where none are given."""
 
 MAX_FACING_AWAY = 0.05
 """Share of normals that may face away from the camera before a warning is due."""
@@ -91,7 +95,8 @@ class SceneArrays:
         (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit.
     normals
         (H, W, 3), camera space (X right, Y up, Z towards the viewer); normalised here, NaN outside
-        the mask.
+        the mask. None = unknown, of three pictures or more: it reads (0, 0, 1) everywhere, and
+        `normals_known` is False.
     depth
         (H, W), distance from the camera along its axis, positive, in any unit, with an orthographic
         camera half of the picture's width; None = unknown. Kept as float32, NaN where it is 0,
@@ -139,6 +144,10 @@ class SceneArrays:
     correction
         What undoes the camera's tone curve and vignetting in `samples`; None = nothing. A fit finds
         it.
+    lamps
+        Known lamps of the pictures, whose colours may be unknown; None = unknown.
+    normals_known
+        Whether somebody told the normals; False where they stand for ones that nobody told.
 
     Raises
     ------
@@ -147,7 +156,7 @@ class SceneArrays:
     """
 
     images: NDArray[np.floating[Any]]
-    normals: NDArray[np.floating[Any]]
+    normals: NDArray[np.floating[Any]] = None  # type: ignore[assignment]  # an array once it is made
     fov: float = None  # type: ignore[assignment]  # a number once the scene is made
     mask: NDArray[np.bool_] | None = None
     segments: NDArray[np.integer[Any]] | None = None
@@ -165,6 +174,8 @@ class SceneArrays:
     fov_known: bool = True
     correction: Correction | None = None
     depth: NDArray[np.floating[Any]] | None = None
+    lamps: Lamps | None = None
+    normals_known: bool = True
 
     def __post_init__(self) -> None:
         images = any_array("images", self.images)
@@ -221,16 +232,20 @@ class SceneArrays:
             _check_truth(self.truth, n, height, width)
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
                 raise InputError("truth: expected materials of some valid pixels, found only NaN")
-        normals = unit_normals(self.normals, valid)
-        depth, of_depth = checked_depth(self.depth, normals, fov)
+        _check_lamps(self.lamps, n)
+        given: Any = self.normals
+        normals = unit_normals(_facing((height, width), n) if given is None else given, valid)
+        normals_known = bool(self.normals_known and given is not None)
+        depth, of_depth = checked_depth(self.depth, normals, fov, normals_known=normals_known)
         if of_depth:
             assumed = {
                 **assumed,
                 "depth": "; ".join(filter(None, [assumed.get("depth"), *of_depth])),
             }
         normal_sigma = _sigma(self.normal_sigma, valid)
-        _warn_if_facing_away(normals[valid], fov, valid)
-        _warn_if_flat(normals[valid])
+        if normals_known:
+            _warn_if_facing_away(normals[valid], fov, valid)
+            _warn_if_flat(normals[valid])
         values = {
             "images": images,
             "normals": normals,
@@ -247,6 +262,7 @@ class SceneArrays:
             "names": names,
             "model": None if self.model is None else checked_model(self.model),
             "fov_known": bool(self.fov_known and told is not None),
+            "normals_known": normals_known,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -564,6 +580,27 @@ def _refuse(bad: NDArray[np.bool_], expected: str, found: str) -> None:
         raise InputError(
             f"{expected}, found {np.count_nonzero(bad)} that are {found}, the first at row {row}, "
             f"column {column}; a mask can leave them out"
+        )
+
+
+def _facing(shape: tuple[int, int], pictures: int) -> NDArray[np.float64]:
+    """Normals (H, W, 3) that face the camera, of surfaces whose normals the pictures will tell."""
+    if pictures < SHAPE_PICTURES_MIN:
+        raise InputError(
+            f"normals: expected unit vectors, found none; {SHAPE_PICTURES_MIN} or more pictures "
+            "under different lights need none"
+        )
+    return np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3))
+
+
+def _check_lamps(lamps: Any, pictures: int) -> None:
+    if lamps is None:
+        return
+    if not isinstance(lamps, Lamps):
+        raise InputError(f"lamps: expected Lamps, found {of_what(lamps)}")
+    if len(lamps) and lamps.pictures[-1] >= pictures:
+        raise InputError(
+            f"lamps: expected indices of pictures below {pictures}, found {lamps.pictures[-1]}"
         )
 
 

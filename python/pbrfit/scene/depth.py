@@ -48,7 +48,7 @@ averaged down are one surface; others lie beyond a jump."""
 
 
 def checked_depth(
-    given: Any, normals: NDArray[np.floating[Any]], fov: float
+    given: Any, normals: NDArray[np.floating[Any]], fov: float, *, normals_known: bool = True
 ) -> tuple[Depth | None, list[str]]:
     """Depth as a scene keeps it, and what there is to say about it.
 
@@ -60,6 +60,8 @@ def checked_depth(
         (H, W, 3) unit vectors in camera space, NaN where there are none.
     fov
         Horizontal field of view in degrees, 0 = orthographic.
+    normals_known
+        False = the normals stand for unknown ones, and depth is not compared with them.
 
     Returns
     -------
@@ -82,6 +84,8 @@ def checked_depth(
     notes = []
     if holes:
         notes.append(f"{holes} pixels of 0, negative or infinite depth left out")
+    if not normals_known:
+        return depth, notes
     found = compared(depth, normals, fov, at_most=COMPARED_MAX)
     if found.inverse:
         raise InputError(

@@ -16,6 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import DEPTH_FILES, find_depth
+from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, Convention, find_normals
 from pbrfit.io.output import digest
 from pbrfit.io.quoting import quoted, shown
@@ -29,7 +30,7 @@ log = logging.getLogger("pbrfit")
 CONTAINS = ("scene.toml", "truth")
 """What a scene folder must hold to be replaced: ground truth tells it from somebody's pictures."""
 
-NOT_PICTURES = frozenset({".csv", ".db", ".ini", ".json", ".md", ".toml", ".txt", ".xmp"})
+NOT_PICTURES = frozenset({".csv", ".db", ".ini", ".json", ".lp", ".md", ".toml", ".txt", ".xmp"})
 """Suffixes of files that may lie beside pictures."""
 
 MAX_ID = 65535
@@ -124,11 +125,11 @@ def find_pictures(folder: Path) -> list[Path]:
 def input_files(folder: Path) -> list[Path]:
     """All files of a scene folder that `load` reads, and so those that its result depends on.
 
-    Raises InputError or FileNotFoundError as `find_pictures`, or if there are two with depth.
+    Raises InputError or FileNotFoundError as `find_pictures`, or if there are two with depth, or
+    with lamps.
     """
-    depth = find_depth(folder)
     found = [*find_pictures(folder), *find_normals(folder), *(folder / part for part in PARTS)]
-    found += [] if depth is None else [depth]
+    found += [path for path in (find_depth(folder), find_lamps(folder)) if path is not None]
     return [*(path for path in found if path.exists()), *truth_files(folder)]
 
 
@@ -149,7 +150,7 @@ def is_scene(folder: Path) -> bool:
 
 def warn_of_near_misses(folder: Path) -> None:
     """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
-    parts = (*NORMAL_FILES, *DEPTH_FILES, *PARTS)
+    parts = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)
     stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight"}
     for path in sorted(folder.iterdir()):
         if path.is_file() and path.stem.lower() in stems and path.name not in parts:

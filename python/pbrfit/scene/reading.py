@@ -16,18 +16,22 @@ from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
+from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.normal_files import UNCERTAINTY, find_normals, read_normals, read_uncertainty
 from pbrfit.io.output import digest
 from pbrfit.io.quoting import quoted
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import geometry
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
 from pbrfit.scene import depth as scene_depth
+from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import (
     FIRST_FOV,
     MIN_NORMAL_LENGTH,
+    SHAPE_PICTURES_MIN,
     SceneArrays,
     Source,
     Truth,
@@ -120,7 +124,7 @@ def load(
     mask &= _read_mask(notes, full_size)
     if not mask.any():
         raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
-    normals, sigma = _read_normals(notes, settings, mask)
+    normals, sigma = _read_or_leave_normals(notes, settings, mask, len(names))
     segments = _read_segments(notes, full_size)
     depth = _read_depth(notes, full_size)
     if full_size != size:
@@ -138,6 +142,8 @@ def load(
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
+    lamps = _read_lamps(notes, names)
+
     decided, assumed["fov"] = decided_fov(folder, fov, settings, read.focal_length, full_size)
 
     if settings.model is not None:
@@ -149,7 +155,8 @@ def load(
     try:
         return kind(
             images=read.pixels,
-            normals=normals,
+            normals=normals,  # type: ignore[arg-type]  # None = unknown
+            lamps=lamps,
             depth=depth,
             fov=FIRST_FOV if decided is None else decided,
             fov_known=decided is not None,
@@ -398,24 +405,45 @@ def _read_depth(notes: _Notes, size: tuple[int, int]) -> NDArray[np.float32] | N
     return depth
 
 
+def _read_lamps(notes: _Notes, names: tuple[str, ...]) -> Lamps | None:
+    path = find_lamps(notes.folder)
+    if path is None:
+        return None
+    notes.has(path.relative_to(notes.folder).as_posix())
+    lamps, notes.assumed["lamps"] = known_lamps.load(path, names)
+    return lamps
+
+
 def _averaged(
-    normals: NDArray[np.float64],
+    normals: NDArray[np.float64] | None,
     mask: NDArray[np.bool_],
     segments: NDArray[np.uint16] | None,
     size: tuple[int, int],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint16] | None]:
+) -> tuple[NDArray[np.float64] | None, NDArray[np.bool_], NDArray[np.uint16] | None]:
     """Reduce maps to a smaller size.
 
     A pixel is used when all pixels that it averages are, so that nothing from outside the mask
     gets in; ids are not averaged but taken from the middle.
     """
     small_mask = averaged(mask, size) > 1 - 1e-4
-    small_normals = averaged_channels(np.where(mask[..., None], normals, 0.0), size)
-    # Opposite normals cancel.
-    small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
+    small_normals = None
+    if normals is not None:
+        small_normals = averaged_channels(np.where(mask[..., None], normals, 0.0), size)
+        # Opposite normals cancel.
+        small_mask &= np.linalg.norm(small_normals, axis=-1) >= MIN_NORMAL_LENGTH
     if segments is not None:
         segments = at_centres(segments, size)
     return small_normals, small_mask, segments
+
+
+def _read_or_leave_normals(
+    notes: _Notes, settings: Settings, mask: NDArray[np.bool_], pictures: int
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float32] | None]:
+    """As `_read_normals`; None where there are none and the pictures are enough to tell them."""
+    if find_normals(notes.folder) or pictures < SHAPE_PICTURES_MIN:
+        return _read_normals(notes, settings, mask)
+    notes.assumed["normals"] = "none given: found from the pictures"
+    return None, None
 
 
 def _read_normals(
@@ -425,7 +453,10 @@ def _read_normals(
     folder = notes.folder
     found = find_normals(folder)
     if not found:
-        raise InputError(f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals")
+        raise InputError(
+            f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals ({SHAPE_PICTURES_MIN} or "
+            "more pictures under different lights need none)"
+        )
     if len(found) == 2:
         raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
     [path] = found

@@ -413,6 +413,7 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
         weights=weights,
         names=tuple(scene.names[i] for i in kept),
         lighting=None if scene.lighting is None else scene.lighting[kept],
+        lamps=None if scene.lamps is None else scene.lamps.of_pictures(kept),
         truth=truth,
         **changed,
     )

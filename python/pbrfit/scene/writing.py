@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.depth_files import write_depth
+from pbrfit.io.lamp_files import LAMP_FILES
 from pbrfit.io.normal_files import write_normals
 from pbrfit.io.output import new_folder
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import write_materials
+from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
 from pbrfit.scene.folder import CONTAINS, MAX_ID, SEGMENT_FILE
 
@@ -27,10 +29,11 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
         for i, (name, image) in enumerate(zip(scene.names, scene.images, strict=True)):
             limits = None if scene.limits is None else scene.limits[i]
             _write_picture(folder / "images" / f"{name}.exr", image, limits)
-        normals = np.where(scene.valid[..., None], scene.normals, 0.0).astype(np.float32)
-        sigma = scene.normal_sigma
-        uncertainty = None if sigma is None else np.where(scene.valid, sigma, np.float32(0))
-        write_normals(folder / "normals.exr", normals, uncertainty)
+        if scene.normals_known:
+            normals = np.where(scene.valid[..., None], scene.normals, 0.0).astype(np.float32)
+            sigma = scene.normal_sigma
+            uncertainty = None if sigma is None else np.where(scene.valid, sigma, np.float32(0))
+            write_normals(folder / "normals.exr", normals, uncertainty)
         fov = f"fov = {float(scene.fov)!r}\n" if scene.fov_known else ""
         model = "" if scene.model is None else f'model = "{scene.model}"\n'
         (folder / "scene.toml").write_text(fov + model, encoding="utf-8")
@@ -46,6 +49,8 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
             images.write_png(folder / SEGMENT_FILE, _ids(scene.segments), tag=None)
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
+        if scene.lamps is not None:
+            known_lamps.save(folder / LAMP_FILES[0], scene.lamps, scene.names)
         if scene.truth is not None:
             _write_truth(scene.truth, scene, folder / "truth")
 

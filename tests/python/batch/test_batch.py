@@ -105,7 +105,7 @@ def test_processes_give_the_same_bits_as_one_after_the_other(folder: Path, tmp_p
 def test_a_failing_scene_stops_no_process_and_is_told_of(
     folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (folder / "one" / "normals.exr").unlink()
+    (folder / "one" / "normals.png").touch()
     shutil.rmtree(folder / "two")
     (folder / "drei ä 面" / "Mask.tif").touch()
     given, out = [folder / name for name in NAMES], tmp_path / "out"

@@ -182,7 +182,7 @@ def test_a_batch_goes_on_where_nobody_can_be_told_of_a_failure(tmp_path: Path, h
     """Its messages go to a disk that is full, or nowhere."""
     for name in ("one", "two"):
         write_folder(tmp_path / "scenes" / name)
-    (tmp_path / "scenes" / "one" / "normals.exr").unlink()
+    (tmp_path / "scenes" / "one" / "normals.png").touch()
     arguments = ["decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW, "--json"]
     with Path("/dev/full").open("w") as full:
         found = subprocess.run(

@@ -648,8 +648,8 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         lambda f: write_exr(f / "images" / "light_02.exr", room().images[0][:, 1:]),
         "light_02.exr: expected the size of light_00.exr, 16 × 16 pixels, found 15 × 16",
     ),
-    "no normals": (
-        lambda f: (f / "normals.exr").unlink(),
+    "two pictures and no normals": (
+        lambda f: [(f / "normals.exr").unlink(), (f / "images" / "light_02.exr").unlink()],
         "scene: expected normals.exr or normals.png .*Marigold.*--from flat.*found no normals",
     ),
     "normals twice": (

@@ -177,6 +177,8 @@ class SceneCutter:
             file_noise=scene.file_noise,
             normal_sigma=of(scene.normal_sigma),
             names=scene.names,
+            lamps=scene.lamps,
+            normals_known=scene.normals_known,
             truth=None if scene.truth is None else Truth(cut_maps(scene.truth.materials, window)),
             model=scene.model,
             whole=scene,

@@ -1,0 +1,364 @@
+"""Files that say where the lamps of pictures are: found in a scene folder, read, written.
+
+`.lp` is the form of reflectance transformation imaging: a count, then a line a picture with its
+file name and a direction. `lights.csv` is a table, `lights.json` this project's own form. All have
+X right, Y up, Z towards the viewer. What is read is rows as they stand in the file; which picture
+each is of is told by `matched`.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pbrfit._core import InputError
+from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, whole, write_json
+from pbrfit.io.quoting import listed, quoted, shown
+
+LAMP_FILES = ("lights.json", "lights.csv")
+"""Names in a scene folder, beside any `*.lp`."""
+
+LAMP_SUFFIXES = (".lp", ".csv", ".json")
+
+VERSION = 1
+"""Of `lights.json`."""
+
+LENGTH_OFF_MAX = 0.02
+"""Largest difference of a direction's length from 1 that is rounding; beyond, vectors of a file are
+places on a dome, of which only the direction is known."""
+
+BEHIND_MAX = 0.5
+"""Share of directions that may point away from the viewer: above, the file has another Z axis."""
+
+FAR, NEAR = "far", "near"
+"""Kinds of lamps in a CSV file."""
+
+COLUMNS = ("picture", "x", "y", "z", "r", "g", "b", "kind")
+
+Vector = tuple[float, float, float]
+
+UNKNOWN: Vector = (math.nan, math.nan, math.nan)
+"""A colour that nobody told."""
+
+
+@dataclass(frozen=True)
+class LampRow:
+    """A lamp as a file has it."""
+
+    picture: str
+    """Name of the picture that it lights, as written; empty = the file tells by order."""
+    place: Vector
+    """Unit vector to a far lamp, or where a near one is."""
+    near: bool = False
+    color: Vector = UNKNOWN
+    """Linear Rec.709; NaN = unknown."""
+    axis: Vector = (0.0, 0.0, -1.0)
+    exponent: float = 0.0
+
+
+def find_lamps(folder: Path) -> Path | None:
+    """The file with lamps that a scene folder has; `*.lp` may also lie beside the pictures.
+
+    Raises InputError if there are several.
+    """
+    found = [path for name in LAMP_FILES if (path := folder / name).exists()]
+    for below in (folder, folder / "images"):
+        if below.is_dir():
+            found += sorted(p for p in below.iterdir() if _is_lp(p) and p.is_file())
+    if len(found) > 1:
+        names = listed(path.relative_to(folder).as_posix() for path in found)
+        raise InputError(f"{folder}: expected one file with lamps, found {names}")
+    return found[0] if found else None
+
+
+def _is_lp(path: Path) -> bool:
+    return path.suffix.lower() == ".lp" and not path.name.startswith(".")
+
+
+def read_lamps(path: Path) -> tuple[list[LampRow], str]:
+    """Lamps of a file, and what was decided about them, in words; empty where that is nothing.
+
+    Raises InputError if the file is of another form, or has vectors that are no directions; OSError
+    if it cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in LAMP_SUFFIXES:
+        raise InputError(
+            f"{path}: expected lamps in {', '.join(LAMP_SUFFIXES)}, found {shown(path.name)}"
+        )
+    rows = {".lp": _of_lp, ".csv": _of_csv, ".json": _of_json}[suffix](path)
+    if not rows:
+        raise InputError(f"{path}: expected lamps, found none")
+    return _directions(path, rows)
+
+
+def matched(path: Path, rows: Sequence[LampRow], names: Sequence[str]) -> tuple[list[int], bool]:
+    """Which picture each row is of, and whether the names told it.
+
+    Names are compared without folder, suffix and case. Where no name is that of a picture, rows
+    are of the pictures in their order, if there are as many.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    rows
+        As `read_lamps` gives them.
+    names
+        Of the pictures, without suffix.
+
+    Raises
+    ------
+    InputError
+        If the file names pictures that are not there, has none for some picture, or has no names
+        and another count.
+    """
+    places = {name.casefold(): i for i, name in enumerate(names)}
+    if len(places) < len(names):  # names that differ in case alone
+        places = {name: i for i, name in enumerate(names)}
+    found = [_place(row.picture, places) for row in rows]
+    if all(i is None for i in found):
+        if len(rows) != len(names):
+            example = f" (such as {shown(rows[0].picture)})" if rows[0].picture else ""
+            raise InputError(
+                f"{path}: expected a lamp for each of the {len(names)} pictures, found "
+                f"{len(rows)}, none with a picture's name{example}"
+            )
+        return list(range(len(names))), False
+    missing = [row.picture for row, i in zip(rows, found, strict=True) if i is None]
+    if missing:
+        raise InputError(
+            f"{path}: expected names of pictures, found {shown(missing[0]) or 'none'}"
+            f"{_more(missing)}, which no picture has"
+        )
+    without = [name for i, name in enumerate(names) if i not in found]
+    if without:
+        raise InputError(
+            f"{path}: expected a lamp for every picture, found none for {shown(without[0])}"
+            f"{_more(without)}"
+        )
+    return [i for i in found if i is not None], True
+
+
+def write_lamps(path: Path, rows: Iterable[LampRow]) -> None:
+    """Write `lights.json`."""
+    write_json(path, {"version": VERSION, "lamps": [_as_json(row) for row in rows]})
+
+
+def _place(picture: str, places: dict[str, int]) -> int | None:
+    """Of a picture by its name in a file: with or without folder, suffix and case."""
+    last = re.split(r"[/\\]", picture.strip())[-1]
+    for name in (last, last.rpartition(".")[0]):
+        for form in (name, name.casefold()):
+            if form in places:
+                return places[form]
+    return None
+
+
+def _more(names: Sequence[str]) -> str:
+    return f" and {len(names) - 1} more" if len(names) > 1 else ""
+
+
+def _directions(path: Path, rows: list[LampRow]) -> tuple[list[LampRow], str]:
+    """Rows whose far lamps have unit vectors."""
+    for i, row in enumerate(rows):
+        if not all(map(math.isfinite, row.place)):
+            raise InputError(
+                f"{path}: lamp {i + 1}: expected finite numbers, found NaN or infinity"
+            )
+        if not row.near and not any(row.place):
+            raise InputError(f"{path}: lamp {i + 1}: expected a direction, found (0, 0, 0)")
+    far = [row for row in rows if not row.near]
+    behind = sum(row.place[2] < 0 for row in far)
+    if far and behind > BEHIND_MAX * len(far):
+        raise InputError(
+            f"{path}: expected Z towards the viewer, found {behind} of {len(far)} directions with "
+            "negative z: likely Z away from the viewer"
+        )
+    lengths = [math.hypot(*row.place) for row in far]
+    made = [row if row.near else replace(row, place=_unit(row.place)) for row in rows]
+    if all(abs(length - 1) <= LENGTH_OFF_MAX for length in lengths):
+        return made, ""
+    return made, (
+        f"vectors of length {min(lengths):.3g} to {max(lengths):.3g} are taken as places on a "
+        "dome, of which only the direction counts"
+    )
+
+
+def _unit(vector: Vector) -> Vector:
+    if abs(math.hypot(*vector) - 1) < 1e-12:
+        return vector  # to the bit: what is written and read again stays the same
+    largest = max(map(abs, vector))  # squares of it neither overflow nor vanish
+    scaled = [one / largest for one in vector]
+    length = math.hypot(*scaled)
+    return scaled[0] / length, scaled[1] / length, scaled[2] / length
+
+
+def _lines(path: Path, expected: str) -> list[str]:
+    """Lines of a text file, without a byte order mark."""
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise unfit(path, expected, error) from None
+
+
+def _of_lp(path: Path) -> list[LampRow]:
+    expected = "a count, then lines of file name, x, y, z"
+    lines = [line for line in _lines(path, expected) if line.strip()]
+    if not lines or not re.fullmatch(r"\s*\d{1,9}\s*", lines[0]):
+        found = quoted(lines[0]) if lines else "an empty file"
+        raise InputError(f"{path}: expected {expected}, found {found} in place of the count")
+    count = int(lines[0])
+    if count != len(lines) - 1:
+        raise InputError(f"{path}: expected {count} lamps, as it says, found {len(lines) - 1}")
+    rows = []
+    for i, line in enumerate(lines[1:]):
+        parts = line.rsplit(maxsplit=3)  # names may have spaces
+        if len(parts) != 4:
+            raise InputError(
+                f"{path}: lamp {i + 1}: expected file name, x, y, z, found {quoted(line)}"
+            )
+        rows.append(LampRow(parts[0].strip(), _vector(path, i, parts[1:])))
+    return rows
+
+
+def _of_csv(path: Path) -> list[LampRow]:
+    expected = f"a table with the columns {', '.join(COLUMNS[:4])}, and maybe r, g, b and kind"
+    lines = [line for line in _lines(path, expected) if line.strip(" ,;\t\r")]
+    if not lines:
+        raise InputError(f"{path}: expected {expected}, found an empty file")
+    separator = max(",;\t", key=lines[0].count)
+    try:
+        cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
+    except csv.Error as error:
+        raise unfit(path, expected, error) from None
+    header = [cell.lower() for cell in cells[0]]
+    if {"x", "y", "z"} <= set(header):
+        unknown = [name for name in header if name not in COLUMNS]
+        if unknown or len(set(header)) < len(header):
+            raise InputError(f"{path}: expected {expected}, found {listed(header)}")
+        rows = cells[1:]
+    else:
+        forms = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}
+        if len(header) not in forms:
+            raise InputError(
+                f"{path}: expected {expected}, found {len(header)} columns without a header"
+            )
+        header, rows = list(forms[len(header)]), cells
+    found = []
+    for i, row in enumerate(rows):
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}: lamp {i + 1}: expected {len(header)} values, found {len(row)}"
+            )
+        found.append(_of_row(path, i, dict(zip(header, row, strict=True))))
+    return found
+
+
+def _of_row(path: Path, i: int, row: dict[str, str]) -> LampRow:
+    """A line of a CSV file by its columns."""
+    kind = row.get("kind", "").lower() or FAR
+    if kind not in (FAR, NEAR):
+        raise InputError(
+            f"{path}: lamp {i + 1}: expected kind {FAR} or {NEAR}, found {quoted(kind)}"
+        )
+    given = [row.get(name, "") for name in "rgb"]
+    color = _vector(path, i, [cell or "nan" for cell in given])
+    place = _vector(path, i, [row[name] for name in "xyz"])
+    return LampRow(row.get("picture", ""), place, kind == NEAR, color=_color(path, i, color))
+
+
+def _vector(path: Path, i: int, cells: Sequence[str]) -> Vector:
+    try:
+        x, y, z = map(float, cells)
+    except ValueError:
+        raise InputError(
+            f"{path}: lamp {i + 1}: expected numbers, found {quoted(' '.join(cells))}"
+        ) from None
+    return x, y, z
+
+
+def _color(path: Path, i: int, color: Vector) -> Vector:
+    if any(value < 0 or math.isinf(value) for value in color):
+        raise InputError(
+            f"{path}: lamp {i + 1}: expected a color of 0 or more, found {quoted(color)}"
+        )
+    return color
+
+
+def _of_json(path: Path) -> list[LampRow]:
+    expected = "JSON with version and lamps, each with picture and direction or position"
+    content = read_json(path, expected)
+    try:
+        content = table(content)
+        version, lamps = whole(content["version"]), content["lamps"]
+        if version != VERSION:
+            raise ValueError(f"version {version} in place of {VERSION}")
+        if not isinstance(lamps, list):
+            raise ValueError(f"{quoted(lamps)} in place of a list of lamps")
+    except UNFIT as error:
+        raise unfit(path, expected, error) from None
+    rows = []
+    for i, lamp in enumerate(lamps):
+        try:
+            rows.append(_from_json(path, i, table(lamp)))
+        except UNFIT as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{path}: lamp {i + 1}: expected picture and direction or position, found "
+                f"{type(error).__name__}: {shown(error)}"
+            ) from None
+    return rows
+
+
+KEYS = ("picture", "direction", "position", "color", "axis", "exponent")
+
+
+def _from_json(path: Path, i: int, lamp: dict[str, Any]) -> LampRow:
+    unknown = [key for key in lamp if key not in KEYS]
+    if unknown:
+        raise ValueError(f"key {quoted(unknown[0])} in place of {', '.join(KEYS)}")
+    near = "position" in lamp
+    if near == ("direction" in lamp):
+        raise ValueError("both or neither of direction and position")
+    row = LampRow(text(lamp["picture"]), _numbers(lamp["position" if near else "direction"]), near)
+    if lamp.get("color") is not None:
+        values = [math.nan if one is None else one for one in lamp["color"]]
+        row = replace(row, color=_color(path, i, _numbers(values, finite=False)))
+    if not near and {"axis", "exponent"} & set(lamp):
+        raise ValueError("axis or exponent of a lamp without position")
+    if "axis" in lamp:
+        axis = _numbers(lamp["axis"])
+        if not any(axis):
+            raise ValueError("axis (0, 0, 0)")
+        row = replace(row, axis=_unit(axis))
+    exponent = number(lamp.get("exponent", 0.0))
+    if exponent < 0:
+        raise ValueError(f"exponent {exponent:g} in place of 0 or more")
+    return replace(row, exponent=exponent)
+
+
+def _numbers(value: Any, *, finite: bool = True) -> Vector:
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError(f"{quoted(value)} in place of three numbers")
+    x, y, z = (
+        one if not finite and isinstance(one, float) and math.isnan(one) else number(one)
+        for one in value
+    )
+    return x, y, z
+
+
+def _as_json(row: LampRow) -> dict[str, Any]:
+    made: dict[str, Any] = {"picture": row.picture}
+    made["position" if row.near else "direction"] = list(row.place)
+    if not all(map(math.isnan, row.color)):
+        made["color"] = [None if math.isnan(value) else value for value in row.color]
+    if row.near and (row.exponent or row.axis != LampRow.axis):
+        made |= {"axis": list(row.axis), "exponent": row.exponent}
+    return made
