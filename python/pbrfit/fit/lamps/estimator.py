@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.lamps import surfaces
+from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
 from pbrfit.fit.lamps.joint import (
     Freedom,
     JointLamps,
@@ -26,7 +27,6 @@ from pbrfit.fit.lamps.joint import (
     minimize,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.start import far_lamps, near_lamps
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
@@ -48,6 +48,9 @@ JOINT_PIXELS = 1500
 ROUNDS, STEPS = 6, 6
 """Of weights, and of joint steps in each."""
 
+ANYWHERE_ROUNDS = (1, 3)
+"""Rounds before which pixels look anywhere for a normal that explains them better."""
+
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
@@ -62,14 +65,15 @@ GIVEN_DEGREES = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class LampStart:
-    """Where a joint fit begins, over the valid pixels."""
+class FirstShape:
+    """Normals and lamps far away that pictures alone have told, where a joint fit begins."""
 
-    lamps: Lamps
     normals: Array
-    albedo: Array
-    """(H, W, 3) each."""
+    """(H, W, 3), NaN outside the mask."""
+    directions: Array
+    """(N, 3)."""
     note: str
+    """How they were found, and what the pictures leave open."""
 
 
 class _Clock:
@@ -172,15 +176,13 @@ def log_likelihood(fit: JointLamps) -> float:
     shown = radiance(fit.pixels, fit.state)
     residuals = fit.pixels.residuals(shown)
     level = np.maximum(shown, fit.pixels.samples)
-    share = np.clip(fit.noise.outliers, 1e-3, 0.5)
-    odds = fit.noise.log_odds(residuals, level)
-    return float((np.log(share / fit.noise.brightest) + np.logaddexp(0, odds)).sum())
+    return float(fit.noise.log_likelihoods(residuals, level, fit.pixels.weights).sum())
 
 
 class LampFit:
     """A fit of a scene under lamps, stage by stage."""
 
-    def __init__(self, scene: Scene, setup: FitSetup, start: LampStart | None = None) -> None:
+    def __init__(self, scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> None:
         self.scene, self.setup, self.options = scene, setup, setup.options
         self.clock = _Clock(scene, setup)
         assert setup.options.model is not None
@@ -230,11 +232,9 @@ class LampFit:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
         few = LampPixels.of(self.scene, self.normals, self.model, self.setup.threads, places)
-        if self.start is not None:
-            lamps = self.start.lamps
-            lamps = replace(lamps, colors=lamps.colors / few.scale)
-            albedo = self.start.albedo.reshape(-1, 3)[places]
-            return few, [(self.start.note, lamps, albedo)]
+        if self.start is not None and known is None:
+            lamps = Lamps(np.arange(few.pictures), self.start.directions)
+            return few, [(self.start.note, *colored(few, lamps))]
         if known is not None:
             return few, [("known lamps", *colored(few, known))]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
@@ -281,9 +281,11 @@ class LampFit:
         )
         if not self.clock.rows:
             self.clock.record(fit, few.scale, samples)
-        for _ in range(ROUNDS):
+        for number in range(ROUNDS):
             if self.clock.out_of_time():
                 break
+            if freedom.normals and number in ANYWHERE_ROUNDS:
+                self._turn(fit)
             self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
             fit.state, _, information = fit_surfaces(
                 few,
@@ -297,6 +299,22 @@ class LampFit:
             fit.reweigh()
             self.clock.record(fit, few.scale, samples)
         return fit
+
+    def _turn(self, fit: JointLamps) -> None:
+        """Let pixels look anywhere for a normal that surprises less."""
+        few, noise, prior = fit.pixels, fit.noise, fit.prior
+
+        def fitted(begin: LampState) -> tuple[LampState, Array]:
+            found = surfaces.robust_surfaces(few, begin, noise, prior, rounds=2, free_normals=True)
+            return found[0], found[4]
+
+        state, left = fitted(fit.state)
+        for begin in (
+            surfaces.facing_highlights(few, state),
+            surfaces.facing_anywhere(few, state, noise, prior),
+        ):
+            state, left = surfaces.better_of(state, left, *fitted(begin))
+        fit.state = state
 
     @property
     def ambient_terms(self) -> int:
@@ -443,8 +461,6 @@ class LampFit:
 
 def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
     """Known lamps with colours to begin with, and albedos (P, 3), by the given normals."""
-    from pbrfit.fit.lamps.start import colored_by
-
     directions, strengths = known.at(pixels.points, len(pixels))
     cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
     ordinary = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
@@ -476,7 +492,7 @@ def _spread(values: Array, few: NDArray[np.intp], places: NDArray[np.intp], widt
 
 
 @one_blas_thread()
-def fit_lamps(scene: Scene, setup: FitSetup) -> FitOutput:
+def fit_lamps(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> FitOutput:
     """Fit surfaces, lamps and ambient light to a scene.
 
     Raises
@@ -486,4 +502,4 @@ def fit_lamps(scene: Scene, setup: FitSetup) -> FitOutput:
     """
     if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
         raise InputError("lamps: expected depth for near lamps, found none")
-    return LampFit(scene, setup).solve()
+    return LampFit(scene, setup, start).solve()

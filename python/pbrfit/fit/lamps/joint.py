@@ -15,7 +15,8 @@ Each sample sees one picture's lights, so that B_p is filled picture by picture.
 
 **Weights.** What a shadow, a reflection of a neighbour or a highlight of another shape leaves is no
 noise. A sample is ordinary with a normal distribution of variance s² = σ² + (κ I)², or an outlier
-that may be anything up to the brightest sample. Its weight is the probability that it is ordinary,
+that may be anything: in a shadow between 0 and what the model shows, where a neighbour or another
+highlight adds to it up to the brightest sample. Its weight is the probability that it is ordinary,
 over s². Both parts of s² and the share of outliers are found from the residuals in each round.
 """
 
@@ -102,7 +103,19 @@ class Noise:
         misfit = 0.5 * (np.square(residuals) / variance).mean(axis=-1)
         density = 0.5 * np.log(2 * np.pi * variance.mean(axis=-1))
         share = np.clip(self.outliers, 1e-3, OUTLIERS_MAX)
-        return np.log(1 / share - 1) - misfit - density + np.log(self.brightest)
+        return np.log(1 / share - 1) - misfit - density + self._log_range(residuals, shown)
+
+    def _log_range(self, residuals: Array, shown: Array) -> Array:
+        """(P, N): ln of the range that an outlier is in."""
+        range_ = np.where(residuals.mean(axis=-1) > 0, shown.mean(axis=-1), self.brightest)
+        return np.asarray(np.log(np.maximum(range_, NOISE_MIN)))
+
+    def log_likelihoods(self, residuals: Array, shown: Array, weights: Array) -> Array:
+        """(P, N): ln of the likelihood of samples, ordinary or not; 0 of those without weight."""
+        share = np.clip(self.outliers, 1e-3, OUTLIERS_MAX)
+        of_outliers = np.log(share) - self._log_range(residuals, shown)
+        each = of_outliers + np.logaddexp(0, self.log_odds(residuals, shown))
+        return np.asarray(each * (weights > 0).any(axis=-1))
 
     def renewed(self, pixels: LampPixels, residuals: Array, shown: Array, freedom: float) -> Noise:
         """From residuals; `freedom` is the share of them that the unknowns have not taken up."""
@@ -201,6 +214,12 @@ def fit_surfaces(
     return state.with_surface(normals, albedo, roughness, metallic), cost, information
 
 
+def offsets(base: Array, normals: Array) -> Array:
+    """(P, 2): tangent offsets of normals from others, (P, 3) each."""
+    cosine = np.maximum(np.einsum("px,px->p", normals, base), 1e-6)
+    return np.asarray(np.einsum("px,ptx->pt", normals, tangents(base)) / cosine[:, None])
+
+
 class JointLamps:
     """The joint fit of some pixels; `state` is where it stands."""
 
@@ -283,7 +302,7 @@ class JointLamps:
         )
         surface = np.concatenate(
             [
-                self._offsets(state.normals),
+                offsets(self.pixels.normals, state.normals),
                 state.albedo,
                 state.roughness[:, None],
                 state.metallic[:, None],
@@ -292,12 +311,6 @@ class JointLamps:
         )
         cost += float((self.prior.precision * (surface - self.prior.mean) ** 2).sum())
         return cost + float((self._scale_of(state.lamps) ** 2).sum())
-
-    def _offsets(self, normals: Array) -> Array:
-        base = self.pixels.normals
-        frames = tangents(base)
-        cosine = np.maximum(np.einsum("px,px->p", normals, base), 1e-6)
-        return np.einsum("px,ptx->pt", normals, frames) / cosine[:, None]
 
     def step(self) -> float:
         """One step; the relative decrease of the cost, 0 where none was found."""
@@ -345,7 +358,8 @@ class JointLamps:
         gradients = np.einsum("picu,pic->pu", weighted, residuals)
         prior = self.prior
         surface = np.concatenate(
-            [self._offsets(state.normals), state.albedo, state.roughness[:, None]], axis=-1
+            [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
+            axis=-1,
         )
         precision = prior.precision[:, :UNKNOWNS]
         gradients += precision * (surface - prior.mean[:, :UNKNOWNS])
