@@ -75,9 +75,7 @@ def first_shape(scene: Scene) -> FirstShape:
     known = scene.lamps
     if known is not None and not known.near.any() and len(known) == len(images):
         colors = known.colors if known.colored else None
-        found = start_of_known_lamps(
-            images, usable, scene.valid, scene.views, known.places, colors
-        )
+        found = start_of_known_lamps(images, usable, scene.valid, scene.views, known.places, colors)
         note = "normals by known lamps"
     else:
         found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov)

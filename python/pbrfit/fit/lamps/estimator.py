@@ -21,12 +21,12 @@ from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
 from pbrfit.fit.lamps.joint import (
     Freedom,
     JointLamps,
-    Noise,
     SurfacePrior,
     fit_surfaces,
     minimize,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.sample_noise import Left, Noise
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
@@ -173,10 +173,7 @@ def of_labels(
 
 def log_likelihood(fit: JointLamps) -> float:
     """Of the samples, with the noise of the fit: normal, or outliers."""
-    shown = radiance(fit.pixels, fit.state)
-    residuals = fit.pixels.residuals(shown)
-    level = np.maximum(shown, fit.pixels.samples)
-    return float(fit.noise.log_likelihoods(residuals, level, fit.pixels.weights).sum())
+    return float(fit.noise.log_likelihoods(Left.of(fit.pixels, fit.state)).sum())
 
 
 class LampFit:

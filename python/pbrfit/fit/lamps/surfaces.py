@@ -27,12 +27,12 @@ from pbrfit.fit.lamps.joint import (
     UNKNOWNS,
     Freedom,
     JointLamps,
-    Noise,
     SurfacePrior,
     fit_surfaces,
     offsets,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
 
 Array = NDArray[np.float64]
 
@@ -115,10 +115,7 @@ def neighbour_means(values: Array, places: NDArray[np.intp], width: int) -> Arra
 
 def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior) -> Array:
     """(P,): −ln of the posterior of each pixel's surface, up to a constant."""
-    shown = radiance(pixels, state)
-    residuals = pixels.residuals(shown)
-    level = np.maximum(shown, pixels.samples)
-    found = -noise.log_likelihoods(residuals, level, pixels.weights).sum(axis=-1)
+    found = -noise.log_likelihoods(Left.of(pixels, state)).sum(axis=-1)
     at = np.concatenate(
         [offsets(pixels.normals, state.normals), state.albedo, state.roughness[:, None]], axis=-1
     )
@@ -196,9 +193,9 @@ def facing_anywhere(
             albedo = (weights * slope * (pixels.samples - none)).sum(axis=1) / sums
             albedo = np.clip(albedo, 0, 1)
             shown = none + slope * albedo[:, None]
-            level = np.maximum(shown, pixels.samples)
-            ordinary = noise.ordinary(pixels.residuals(shown), level)[..., None]
-            weights = pixels.weights * (pixels.limits == 0) * ordinary / noise.variance(level)
+            trial = state.with_surface(facing, albedo, roughness, metallic)
+            left = Left.of(pixels, trial, shown)
+            weights = pixels.weights * (pixels.limits == 0) * noise.weights(left)
         trial = state.with_surface(facing, albedo, roughness, metallic)
         best, least = better_of(best, least, trial, surprise(pixels, trial, noise, prior))
     return best
@@ -239,15 +236,13 @@ def from_neighbours(
 
 def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | None) -> Array:
     """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
-    shown = radiance(pixels, state)
-    residuals = pixels.residuals(shown)
-    level = np.maximum(shown, pixels.samples)
-    odds = np.clip(noise.log_odds(residuals, level), -20, 20)
+    left = Left.of(pixels, state)
+    odds = noise.log_odds(left)
     if width is not None:
-        dark = residuals.mean(axis=-1) > 0
-        odds = np.where(dark, neighbour_means(odds, pixels.places, width), odds)
-    ordinary = 1 / (1 + np.exp(-odds))
-    return np.asarray(pixels.weights * ordinary[..., None] / noise.variance(level))
+        dark = left.residuals.mean(axis=-1) > 0
+        around = neighbour_means(np.clip(odds, -20, 20), pixels.places, width)
+        odds = np.where(dark, around, odds)
+    return pixels.weights * noise.weights(left, odds)
 
 
 def fit_band(
@@ -284,7 +279,7 @@ def fit_band(
             pixels, state, weights, prior, width, cost, information, freedom.normals
         )
     residual = pixels.residuals(radiance(pixels, state))
-    ordinary = weights * noise.variance(np.maximum(pixels.samples + residual, pixels.samples))
+    ordinary = probability(noise.log_odds(Left.of(pixels, state)))
     zeros = np.zeros((len(pixels), 7))
     variance, marginal, held = zeros, zeros, zeros.astype(bool)
     if uncertain is not None:
@@ -296,7 +291,7 @@ def fit_band(
         held,
         float((pixels.weights * residual**2).sum()),
         float(pixels.weights.sum()),
-        1 - ordinary.mean(axis=-1),
+        1 - ordinary,
     )
 
 
