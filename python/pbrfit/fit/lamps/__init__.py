@@ -1,0 +1,1 @@
+"""Normals, albedo and lamps from pictures of one view, each under a lamp of its own."""
