@@ -96,6 +96,7 @@ def pseudo_normals(
     *,
     start: Array | None = None,
     scale: float | None = None,
+    rounds: int = ROUNDS,
 ) -> PseudoNormals:
     """The pseudo-normal of each pixel under known lamps.
 
@@ -111,28 +112,30 @@ def pseudo_normals(
         (P, 3) where to start; None = the best of triples of samples.
     scale
         σ; None = found from the samples.
+    rounds
+        Of weighted least squares.
     """
     bright = brightness(samples, usable)
     relative = samples / bright[:, None]
     found = _best_of_triples(relative, usable, lamps) if start is None else start / bright[:, None]
     sigma = SCALE_START if scale is None else scale
-    for _ in range(ROUNDS):
-        weights = _weights(relative, usable, found @ lamps.T, sigma)
+    for _ in range(rounds):
+        weights = weights_of(relative, usable, found @ lamps.T, sigma)
         found = _solved(relative, weights, lamps)
         if scale is None:
-            sigma = _scale(relative, usable, found @ lamps.T)
-    weights = _weights(relative, usable, found @ lamps.T, sigma)
-    precision = _moments(weights, lamps) / (sigma * bright[:, None, None]) ** 2
+            sigma = scale_of(relative, usable, found @ lamps.T)
+    weights = weights_of(relative, usable, found @ lamps.T, sigma)
+    precision = moments(weights, lamps) / (sigma * bright[:, None, None]) ** 2
     return PseudoNormals(found * bright[:, None], weights, precision, sigma)
 
 
-def _moments(weights: Array, lamps: Array) -> Array:
+def moments(weights: Array, lamps: Array) -> Array:
     """Σ_n w s sᵀ, (P, 3, 3)."""
     products = (lamps[:, :, None] * lamps[:, None, :]).reshape(len(lamps), 9)
     return (weights @ products).reshape(-1, 3, 3)
 
 
-def _weights(relative: Array, usable: Mask, predicted: Array, sigma: float) -> Array:
+def weights_of(relative: Array, usable: Mask, predicted: Array, sigma: float) -> Array:
     """Weights of samples: the slope of ρ by x², 1/(1 + x²)²; 0 where the lamp is behind."""
     residual = (relative - np.maximum(predicted, 0.0)) / sigma
     weights = 1 / (1 + residual**2) ** 2
@@ -142,14 +145,14 @@ def _weights(relative: Array, usable: Mask, predicted: Array, sigma: float) -> A
 
 def _solved(relative: Array, weights: Array, lamps: Array) -> Array:
     """Weighted least squares at each pixel; 0 in directions that samples say nothing of."""
-    moments = _moments(weights, lamps)
+    matrices = moments(weights, lamps)
     size = np.einsum("nx,nx->", lamps, lamps) / len(lamps)
     # The ridge is far below what any usable sample weighs: it decides only where nothing does.
-    moments += 1e-9 * size * np.eye(3)
-    return np.linalg.solve(moments, ((weights * relative) @ lamps)[..., None])[..., 0]
+    matrices += 1e-9 * size * np.eye(3)
+    return np.linalg.solve(matrices, ((weights * relative) @ lamps)[..., None])[..., 0]
 
 
-def _scale(relative: Array, usable: Mask, predicted: Array) -> float:
+def scale_of(relative: Array, usable: Mask, predicted: Array) -> float:
     """σ from the residuals of samples that are lit: their median, of those that three unknowns a
     pixel leave free."""
     lit = usable & (predicted > 0) & (relative >= DARK)
