@@ -144,6 +144,7 @@ def robust_surfaces(
     *,
     rounds: int,
     free_normals: bool,
+    free_roughness: bool = True,
     width: int | None = None,
 ) -> tuple[LampState, Array, Array, Array, Array]:
     """Weights and surfaces in turn; also weights, costs, information, and what still surprises.
@@ -154,7 +155,13 @@ def robust_surfaces(
     for _ in range(rounds):
         weights = weights_of(pixels, state, noise, width)
         state, cost, information = fit_surfaces(
-            pixels, state, weights, prior, iterations=STEPS, free_normals=free_normals
+            pixels,
+            state,
+            weights,
+            prior,
+            iterations=STEPS,
+            free_normals=free_normals,
+            free_roughness=free_roughness,
         )
     return state, weights, cost, information, surprise(pixels, state, noise, prior)
 
