@@ -7,14 +7,15 @@ part and a lobe, with the variance
 
 noise of the camera and what is proportional to the light, and `LOBE_MISFIT`, because no measured
 lobe has the shape that the model's has (A. Ngan, F. Durand and W. Matusik, "Experimental analysis of
-BRDF models", EGSR 2005). An outlier, in a cast shadow or where a neighbour is mirrored, may be a
-factor of e or more off on either side: ln y − ln I has a Laplace distribution of scale 1, which in
-shadows is a uniform one of y in [0, I],
+BRDF models", EGSR 2005). An outlier, in a cast shadow or where a neighbour is mirrored, may be off
+by a factor of e or more: ln y − ln I is distributed exponentially on its side, which in shadows is
+a uniform distribution of y in [0, I],
 
-    p(y | outlier) = 1/(2 I) for y < I,     I/(2 y²) for y > I.
+    p(y | shadow) = 1/I for y < I,     p(y | mirrored) = I/y² for y > I.
 
+Shadows are as frequent as they are; that something adds to the light is rare (`BRIGHT_OUTLIERS`).
 So a highlight that is shown where there is none costs more the brighter it is. As a sum of squares
-Σ w (I − y)² a sample counts P/s² + (1 − P)/(I |I − y|), or y in place of I if that is more, with the
+Σ w (I − y)² a sample counts P/s² + (1 − P)/(I |I − y|), y in place of I if that is more, with the
 probability P that it is ordinary: the weights that have the gradient of the likelihood.
 """
 
@@ -41,6 +42,10 @@ of per cent."""
 
 OUTLIERS_MIN, OUTLIERS_MAX = 1e-3, 0.5
 """Bounds of the share of outliers in a picture: with more than a half, they would be the rule."""
+
+BRIGHT_OUTLIERS = 0.01
+"""Share of samples that are brighter than the surface alone: reflections of other surfaces that are
+as bright as what they are on. Were it found, highlights would be what is rare."""
 
 FIRST_FLOOR, FIRST_RELATIVE, FIRST_OUTLIERS = 0.02, 0.1, 0.1
 """σ, κ and outliers before anything was fitted, for which 10 % are much."""
@@ -85,7 +90,7 @@ class Noise:
     relative: float
     """κ."""
     outliers: Array
-    """(N,): share of outliers of each picture."""
+    """(N,): share of samples in cast shadows of each picture."""
 
     @classmethod
     def first(cls, pixels: LampPixels) -> Noise:
@@ -106,20 +111,24 @@ class Noise:
         variance = self.variance(left)
         misfit = 0.5 * (np.square(left.residuals) / variance).mean(axis=-1)
         density = 0.5 * np.log(2 * np.pi * variance).mean(axis=-1)
-        share = np.clip(self.outliers, OUTLIERS_MIN, OUTLIERS_MAX)
+        share = self._share(left)
         return np.asarray(np.log(1 / share - 1) - misfit - density - self._log_outlier(left))
+
+    def _share(self, left: Left) -> Array:
+        """(P, N): how frequent outliers on a sample's side are."""
+        shadows = np.clip(self.outliers, OUTLIERS_MIN, OUTLIERS_MAX)
+        return np.where(left.residuals.mean(axis=-1) > 0, shadows, BRIGHT_OUTLIERS)
 
     def _log_outlier(self, left: Left) -> Array:
         """(P, N): ln of the density of a sample that is an outlier."""
         level = left.level.mean(axis=-1)
         over = left.residuals.mean(axis=-1)
         shown = np.where(over > 0, level, np.maximum(level + over, NOISE_MIN))
-        return np.asarray(np.log(shown) - 2 * np.log(level) - np.log(2))
+        return np.asarray(np.log(shown) - 2 * np.log(level))
 
     def log_likelihoods(self, left: Left) -> Array:
         """(P, N): ln of the likelihood of samples, ordinary or not; 0 of those that are no data."""
-        share = np.clip(self.outliers, OUTLIERS_MIN, OUTLIERS_MAX)
-        each = np.log(share) + self._log_outlier(left) + np.logaddexp(0, self.log_odds(left))
+        each = np.log(self._share(left)) + self._log_outlier(left) + np.logaddexp(0, self.log_odds(left))
         return np.asarray(each * left.counted)
 
     def weights(self, left: Left, odds: Array | None = None) -> Array:
@@ -157,7 +166,8 @@ class Noise:
                 relative2 = RELATIVE_MIN**2
                 floor2 = max((d - b * relative2) / max(a, 1e-300), NOISE_MIN**2)
         seen = np.maximum(left.counted.sum(axis=0), 1)
-        share = (left.counted - ordinary).sum(axis=0) / seen
+        dark = left.counted & (left.residuals.mean(axis=-1) > 0)
+        share = (dark * (left.counted - ordinary)).sum(axis=0) / seen
         return Noise(
             float(np.sqrt(floor2)),
             float(np.sqrt(relative2)),
