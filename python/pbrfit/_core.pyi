@@ -25,6 +25,8 @@ __all__ = [
     "ggx_band_weights",
     "hold_end",
     "image_format",
+    "lamp_radiance",
+    "lamp_slopes",
     "last_word",
     "lobe_functions",
     "lobe_table",
@@ -89,6 +91,41 @@ def render_directional(
     threads: int,
     model: str = "paper",
 ) -> NDArray[np.float64]: ...
+
+def lamp_radiance(
+    normals: NDArray[np.float64],
+    views: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    threads: int,
+    model: str = "paper",
+) -> NDArray[np.float64]:
+    """Radiance π f_r (n·l) (P, K, 3) under unit light of each pixel's lamps; directions (P, K, 3)."""
+
+def lamp_slopes(
+    normals: NDArray[np.float64],
+    views: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    threads: int,
+    model: str = "paper",
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """`lamp_radiance`, and its derivatives, (P, K, 3) or by axis (P, K, 3, 3).
+
+    By normal and by direction, vectors in the tangent planes of both; of each channel by its own
+    albedo; by roughness; by metallic. All are 0 where n·l ≤ 0.
+    """
 
 class _Series(Protocol):
     """Pictures (P, C), one after the other."""
