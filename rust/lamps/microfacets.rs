@@ -77,19 +77,18 @@ pub(super) fn distribution_slopes(normal: DVec3, half: DVec3, alpha: f64) -> [f6
     [by_alpha, FRAC_1_PI * root * root * turned]
 }
 
-/// V (n·l) of the principled model, at most 1/(4 n·v).
-///
-/// (n·l)²(1−α²) + α² is (n·l)² + α² (1−(n·l)²), whose terms may both underflow; a root that is taken
-/// of neither does not.
-#[inline]
-pub(super) fn masked_cosine(n_dot_v: f64, n_dot_l: f64, alpha: f64) -> f64 {
-    let slanted = |x: f64| slanted(x, alpha);
-    0.5 * n_dot_l / (n_dot_l * slanted(n_dot_v) + n_dot_v * slanted(n_dot_l))
+/// V (n·l) of the principled model, at most 1/(4 n·v), with S(n·v) ([`slanted`]).
+///#[inline]
+pub(super) fn masked_cosine(n_dot_v: f64, of_view: f64, n_dot_l: f64, alpha: f64) -> f64 {
+    0.5 * n_dot_l / (n_dot_l * of_view + n_dot_v * slanted(n_dot_l, alpha))
 }
 
-/// S(x) = √(x² + α² (1−x²))
+/// S(x) = √(x²(1−α²) + α²)
+///
+/// The root is of x² + α² (1−x²), whose terms may both underflow; one that is taken of neither does
+/// not.
 #[inline]
-fn slanted(x: f64, alpha: f64) -> f64 {
+pub(super) fn slanted(x: f64, alpha: f64) -> f64 {
     x.hypot(alpha * ((1.0 - x) * (1.0 + x)).max(0.0).sqrt())
 }
 
@@ -107,9 +106,14 @@ fn slanted(x: f64, alpha: f64) -> f64 {
 /// All quotients are of numbers that go to 0 together, so none overflows but ∂W/∂y, at angles and
 /// roughnesses where D is 0; it is kept finite, so that both make 0.
 #[inline]
-pub(super) fn masked_cosine_slopes(n_dot_v: f64, n_dot_l: f64, alpha: f64) -> (f64, [f64; 3]) {
+pub(super) fn masked_cosine_slopes(
+    n_dot_v: f64,
+    of_view: f64,
+    n_dot_l: f64,
+    alpha: f64,
+) -> (f64, [f64; 3]) {
     let (x, y) = (n_dot_v, n_dot_l);
-    let (of_x, of_y) = (slanted(x, alpha), slanted(y, alpha));
+    let (of_x, of_y) = (of_view, slanted(y, alpha));
     let t = y * of_x + x * of_y;
     let share = y / t;
     let flat = |x: f64| alpha * ((1.0 - x) * (1.0 + x)).max(0.0);

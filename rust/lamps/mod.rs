@@ -5,7 +5,11 @@
 //! that [`shade`](crate::reflectance::shade) makes; of the principled model the BRDF whose integral
 //! over SH light `shade` has.
 
+mod ambient;
+pub mod descent;
 mod microfacets;
+pub mod pixel_fit;
 pub mod render;
+pub mod samples;
 pub mod slopes;
 pub mod surface;

@@ -8,6 +8,7 @@ use crate::problem::render::pictures;
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
 use crate::runtime::check::MAX_SAMPLES;
+use crate::runtime::memory::zeros;
 use crate::runtime::{Error, Result, check, pool};
 
 /// Pixels in a piece of work.
@@ -92,7 +93,7 @@ impl Lamplit<'_> {
 }
 
 /// Lamps of each pixel, from the directions of all.
-pub(super) fn lamps_each(pixels: usize, directions: &[DVec3]) -> Result<usize> {
+fn lamps_each(pixels: usize, directions: &[DVec3]) -> Result<usize> {
     let lamps = directions.len().checked_div(pixels).unwrap_or(0);
     check::length("directions", pixels * lamps, directions.len())?;
     if directions.len() > MAX_SAMPLES {
@@ -107,7 +108,7 @@ pub(super) fn lamps_each(pixels: usize, directions: &[DVec3]) -> Result<usize> {
 /// `threads` = 0 means one for each processor; the result does not depend on it.
 pub fn lamp_radiance(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
     let lamps = pixels.check()?;
-    let mut radiance = zeros(pixels.directions.len() * 3)?;
+    let mut radiance = zeros("directions", pixels.directions.len() * 3)?;
     if lamps == 0 {
         return Ok(radiance);
     }
@@ -148,12 +149,12 @@ pub fn lamp_slopes(pixels: Lamplit, threads: usize) -> Result<LampSlopes> {
     let lamps = pixels.check()?;
     let (scalars, vectors) = (pixels.directions.len() * 3, pixels.directions.len() * 9);
     let mut slopes = LampSlopes {
-        radiance: zeros(scalars)?,
-        by_normal: zeros(vectors)?,
-        by_direction: zeros(vectors)?,
-        by_albedo: zeros(scalars)?,
-        by_roughness: zeros(scalars)?,
-        by_metallic: zeros(scalars)?,
+        radiance: zeros("directions", scalars)?,
+        by_normal: zeros("directions", vectors)?,
+        by_direction: zeros("directions", vectors)?,
+        by_albedo: zeros("directions", scalars)?,
+        by_roughness: zeros("directions", scalars)?,
+        by_metallic: zeros("directions", scalars)?,
     };
     if lamps == 0 {
         return Ok(slopes);
@@ -207,12 +208,4 @@ pub fn lamp_slopes(pixels: Lamplit, threads: usize) -> Result<LampSlopes> {
         }
     });
     Ok(slopes)
-}
-
-/// Zeros, or an error where memory does not suffice: asked for twice, as the system hands out zeros
-/// page by page to the threads that write there.
-fn zeros(count: usize) -> Result<Vec<f64>> {
-    let memory = Vec::<f64>::new().try_reserve_exact(count);
-    memory.map_err(|_| Error::Memory("directions"))?;
-    Ok(vec![0.0; count])
 }

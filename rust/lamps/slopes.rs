@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::microfacets::{
-    distribution, distribution_slopes, glass, glass_by_cosine, masked_cosine_slopes,
+    distribution, distribution_slopes, glass, glass_by_cosine, masked_cosine_slopes, slanted,
 };
 use crate::reflectance::ggx::{
     DIELECTRIC_F0, MIN_COSINE, schlick, schlick_by_cosine, smith_g1, smith_g1_by_cosine,
@@ -29,8 +29,10 @@ pub struct SurfaceWithSlopes<'a> {
 
 /// What of a surface no light changes.
 enum Kind {
-    Paper,
-    Principled([PartsWithSlopes; 3]),
+    /// G₁(n·v), and its derivative by roughness.
+    Paper(f64, f64),
+    /// S(n·v), and by channel.
+    Principled(f64, [PartsWithSlopes; 3]),
 }
 
 /// Of one channel kd, and by what the dielectric's and the metal's lobe are multiplied.
@@ -129,9 +131,15 @@ impl<'a> SurfaceWithSlopes<'a> {
     pub fn new(model: Model, normal: DVec3, view: DVec3, material: &'a Material) -> Self {
         let cosine = normal.dot(view);
         let n_dot_v = cosine.max(MIN_COSINE);
+        let alpha = material.roughness * material.roughness;
         let kind = match model {
-            Model::Paper => Kind::Paper,
-            Model::Principled => Kind::Principled(parts(n_dot_v, material)),
+            Model::Paper => {
+                let (masking, by_roughness) = smith_g1(n_dot_v, material.roughness);
+                Kind::Paper(masking, by_roughness)
+            }
+            Model::Principled => {
+                Kind::Principled(slanted(n_dot_v, alpha), parts(n_dot_v, material))
+            }
         };
         Self {
             normal,
@@ -139,7 +147,7 @@ impl<'a> SurfaceWithSlopes<'a> {
             material,
             n_dot_v,
             turns: if cosine > MIN_COSINE { 1.0 } else { 0.0 },
-            alpha: material.roughness * material.roughness,
+            alpha,
             kind,
         }
     }
@@ -198,8 +206,7 @@ impl<'a> SurfaceWithSlopes<'a> {
             ..Reflected::default()
         };
         match &self.kind {
-            Kind::Paper => {
-                let (masking_v, masking_v_by_r) = smith_g1(n_dot_v, roughness);
+            &Kind::Paper(masking_v, masking_v_by_r) => {
                 let (masking_l, masking_l_by_r) = smith_g1(n_dot_l, roughness);
                 let lobe = PI * distribution * masking_v * masking_l / (4.0 * n_dot_v);
                 let quarter = 0.25 * PI / n_dot_v;
@@ -232,9 +239,9 @@ impl<'a> SurfaceWithSlopes<'a> {
                     reflected.by_roughness[c] = fresnel * lobe_by_r;
                 }
             }
-            Kind::Principled(parts) => {
+            Kind::Principled(of_view, parts) => {
                 let (masked, [w_by_v, w_by_l, w_by_alpha]) =
-                    masked_cosine_slopes(n_dot_v, n_dot_l, self.alpha);
+                    masked_cosine_slopes(n_dot_v, *of_view, n_dot_l, self.alpha);
                 let scaled = PI * distribution;
                 let lobe = scaled * masked;
                 let lobe_by_r = 2.0 * roughness * (PI * d_by_alpha * masked + scaled * w_by_alpha);

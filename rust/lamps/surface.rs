@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 
-use super::microfacets::{distribution, glass, masked_cosine};
+use super::microfacets::{distribution, glass, masked_cosine, slanted};
 use crate::reflectance::ggx::{DIELECTRIC_F0, MIN_COSINE, schlick, smith_g1};
 use crate::reflectance::lobe_table;
 use crate::reflectance::model::Model;
@@ -49,25 +49,29 @@ pub struct Surface<'a> {
 
 /// What of a surface no light changes.
 enum Kind {
-    Paper,
-    /// By channel.
-    Principled([Parts; 3]),
+    /// G₁(n·v)
+    Paper(f64),
+    /// S(n·v), and by channel.
+    Principled(f64, [Parts; 3]),
 }
 
 impl<'a> Surface<'a> {
     /// From unit normal and unit view direction (surface to camera).
     pub fn new(model: Model, normal: DVec3, view: DVec3, material: &'a Material) -> Self {
         let n_dot_v = normal.dot(view).max(MIN_COSINE);
+        let alpha = material.roughness * material.roughness;
         let kind = match model {
-            Model::Paper => Kind::Paper,
-            Model::Principled => Kind::Principled(parts(n_dot_v, material)),
+            Model::Paper => Kind::Paper(smith_g1(n_dot_v, material.roughness).0),
+            Model::Principled => {
+                Kind::Principled(slanted(n_dot_v, alpha), parts(n_dot_v, material))
+            }
         };
         Self {
             normal,
             view,
             material,
             n_dot_v,
-            alpha: material.roughness * material.roughness,
+            alpha,
             kind,
         }
     }
@@ -88,13 +92,12 @@ impl<'a> Surface<'a> {
         let distribution = distribution(self.normal, half, self.alpha);
         let n_dot_v = self.n_dot_v;
         match &self.kind {
-            Kind::Paper => {
+            Kind::Paper(masking_v) => {
                 let Material {
                     albedo,
                     roughness,
                     metallic,
                 } = *self.material;
-                let (masking_v, _) = smith_g1(n_dot_v, roughness);
                 let (masking_l, _) = smith_g1(n_dot_l, roughness);
                 // π D G₁ G₁ / (4 (n·v)(n·l)) · (n·l)
                 let lobe = PI * distribution * masking_v * masking_l / (4.0 * n_dot_v);
@@ -105,9 +108,10 @@ impl<'a> Surface<'a> {
                     (1.0 - fresnel) * matt * rho * n_dot_l + fresnel * lobe
                 })
             }
-            Kind::Principled(parts) => {
+            Kind::Principled(of_view, parts) => {
                 // π D V · (n·l)
-                let lobe = PI * distribution * masked_cosine(n_dot_v, n_dot_l, self.alpha);
+                let lobe =
+                    PI * distribution * masked_cosine(n_dot_v, *of_view, n_dot_l, self.alpha);
                 let glass = glass(cosine);
                 let mut reflected = [0.0; 3];
                 for c in 0..3 {
