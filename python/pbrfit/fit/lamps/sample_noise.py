@@ -1,9 +1,9 @@
 """How far samples under lamps may be off: noise, misfit of the lobe, and outliers.
 
-An ordinary sample has a normal distribution around the model's radiance I = I_d + I_s, of a diffuse
-part and a lobe, with the variance
+An ordinary sample y = y_d + y_s, of what the surface reflects diffusely and the rest, has a normal
+distribution around the model's radiance I with the variance
 
-    s² = σ² + (κ I)² + (κ_s I_s)²:
+    s² = σ² + (κ y)² + (κ_s y_s)²:
 
 noise of the camera and what is proportional to the light, and `LOBE_MISFIT`, because no measured
 lobe has the shape that the model's has (A. Ngan, F. Durand and W. Matusik, "Experimental analysis of
@@ -15,8 +15,9 @@ a uniform distribution of y in [0, I],
 
 Shadows are as frequent as they are; that something adds to the light is rare (`BRIGHT_OUTLIERS`).
 So a highlight that is shown where there is none costs more the brighter it is. As a sum of squares
-Σ w (I − y)² a sample counts P/s² + (1 − P)/(I |I − y|), y in place of I if that is more, with the
-probability P that it is ordinary: the weights that have the gradient of the likelihood.
+Σ w (I − y)² a sample counts P/s² + (1 − P)/(I |I − y|), with the probability P that it is ordinary:
+the weights that have the gradient of the likelihood. Variances are of samples, not of the model, so
+that a model does not gain by showing what it would then be excused for.
 """
 
 from __future__ import annotations
@@ -33,8 +34,11 @@ Array = NDArray[np.float64]
 NOISE_MIN = 1e-4
 """Least σ, in units where the mean radiance is 0.4: below what 8 bits or float16 can tell."""
 
-RELATIVE_MIN = 0.005
-"""Least κ: lamps that are a per cent larger or nearer than taken make as much."""
+RELATIVE_MIN = 0.15
+"""Least κ: no surface is as diffuse as the model, and no lamp as far away, to better than some per
+cent, and what is left of all samples alike is no independent noise. Were it counted as such, many
+diffuse samples would outvote the few that see a highlight. Where pictures obey the model, nothing
+is left, and weights do not matter."""
 
 LOBE_MISFIT = 0.3
 """κ_s: the root mean square error of the best fits of one lobe to measured highlights is some tens
@@ -47,7 +51,7 @@ BRIGHT_OUTLIERS = 0.01
 """Share of samples that are brighter than the surface alone: reflections of other surfaces that are
 as bright as what they are on. Were it found, highlights would be what is rare."""
 
-FIRST_FLOOR, FIRST_RELATIVE, FIRST_OUTLIERS = 0.02, 0.1, 0.1
+FIRST_FLOOR, FIRST_RELATIVE, FIRST_OUTLIERS = 0.02, 0.15, 0.1
 """σ, κ and outliers before anything was fitted, for which 10 % are much."""
 
 ROUNDS = 20
@@ -59,10 +63,12 @@ class Left:
     """What a state leaves of samples, (P, N, 3) each."""
 
     residuals: Array
+    shown: Array
+    """The model's radiance."""
     level: Array
-    """The model's radiance, or the sample if it is more."""
+    """The sample, or `NOISE_MIN`."""
     lobe: Array
-    """What of the level is no diffuse reflection."""
+    """What of it the surface does not reflect diffusely."""
     counted: NDArray[np.bool_]
     """(P, N): samples that are data."""
 
@@ -76,9 +82,14 @@ class Left:
         for k, picture in enumerate(state.lamps.pictures):
             diffuse[:, picture] += cosines[:, k, None] * state.lamps.colors[k]
         diffuse *= (state.albedo * (1 - state.metallic[:, None]))[:, None]
-        level = np.maximum(np.maximum(shown, pixels.samples), NOISE_MIN)
-        lobe = np.maximum(shown - diffuse, 0.0)
-        return cls(pixels.residuals(shown), level, lobe, (pixels.weights > 0).any(axis=-1))
+        level = np.maximum(pixels.samples, NOISE_MIN)
+        return cls(
+            pixels.residuals(shown),
+            np.maximum(shown, NOISE_MIN),
+            level,
+            np.maximum(level - diffuse, 0.0),
+            (pixels.weights > 0).any(axis=-1),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +132,17 @@ class Noise:
 
     def _log_outlier(self, left: Left) -> Array:
         """(P, N): ln of the density of a sample that is an outlier."""
-        level = left.level.mean(axis=-1)
-        over = left.residuals.mean(axis=-1)
-        shown = np.where(over > 0, level, np.maximum(level + over, NOISE_MIN))
-        return np.asarray(np.log(shown) - 2 * np.log(level))
+        shown, level = left.shown.mean(axis=-1), left.level.mean(axis=-1)
+        dark = left.residuals.mean(axis=-1) > 0
+        return np.asarray(np.where(dark, -np.log(shown), np.log(shown) - 2 * np.log(level)))
 
     def log_likelihoods(self, left: Left) -> Array:
         """(P, N): ln of the likelihood of samples, ordinary or not; 0 of those that are no data."""
-        each = np.log(self._share(left)) + self._log_outlier(left) + np.logaddexp(0, self.log_odds(left))
+        each = (
+            np.log(self._share(left))
+            + self._log_outlier(left)
+            + np.logaddexp(0, self.log_odds(left))
+        )
         return np.asarray(each * left.counted)
 
     def weights(self, left: Left, odds: Array | None = None) -> Array:
@@ -138,7 +152,7 @@ class Noise:
         variance = self.variance(left)
         # No outlier weighs more than it would as an ordinary sample.
         of_outliers = np.minimum(
-            1 / (left.level * np.maximum(np.abs(left.residuals), NOISE_MIN)), 1 / variance
+            1 / (left.shown * np.maximum(np.abs(left.residuals), NOISE_MIN)), 1 / variance
         )
         return np.asarray(ordinary / variance + (1 - ordinary) * of_outliers)
 
