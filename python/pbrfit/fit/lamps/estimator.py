@@ -80,7 +80,7 @@ FOV_MEAN, FOV_SPREAD, FOV_MAX = 30.0, 20.0, 75.0
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
-ROUGHNESS_SPREADS = (0.005, 0.01)
+ROUGHNESS_SPREADS = (0.02, 0.05)
 """Least and greatest spread of roughness inside a label: less is seen by nobody; with more, each
 pixel takes what its own few highlights are off the model's for a roughness of its own."""
 
@@ -319,7 +319,7 @@ class LampFit:
                 elif degrees:
                     near = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
                     fields = tuple(np.unique(near).tolist())
-                scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors)}))
+                scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
                 self._look(fit, scales if freedom.colors else (1.0,), fields)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
@@ -336,23 +336,13 @@ class LampFit:
             )
             fit.prior = learnt_roughness(few, fit.state, fit.prior)
             fit.reweigh()
-            print(
-                "round",
-                fit.cost,
-                fit.state.albedo.mean(0),
-                fit.state.lamps.colors.mean(),
-                fit.state.roughness.mean(),
-                fit.noise.floor,
-                fit.noise.relative,
-            )
             self.clock.record(fit, few.scale, samples)
         return fit
 
     def _look(self, fit: JointLamps, scales: tuple[float, ...], fields: tuple[float, ...]) -> None:
-        """Give each label the roughness, all lamps the scale and the camera the field of view under
-        which some pixels surprise least, of some that are tried.
+        """Choose roughnesses of labels, a scale of all lamps and a field of view.
 
-        Lamps that are brighter with albedos that are darker by as much leave what a dielectric
+        Of those that are tried, the ones with which some pixels look least wrong. Lamps that are brighter with albedos that are darker by as much leave what a dielectric
         reflects diffusely as it is. Highlights tell all three, and only together: where they are
         shown in wrong places, a rough surface without any is better.
         """
@@ -464,8 +454,8 @@ class LampFit:
         said = (
             f"{name}: {len(strengths)} lamps by {len(fit.pixels)} pixels; noise "
             f"{fit.noise.floor * fit.pixels.scale:.2g} and {100 * fit.noise.relative:.2g} % of the "
-            f"radiance, {100 * float(fit.noise.outliers.mean()):.2g} % outliers; strengths differ "
-            f"by {100 * spread:.2g} %"
+            f"radiance, {100 * float(fit.noise.shadows.mean()):.2g} % in cast shadows; strengths "
+            f"differ by {100 * spread:.2g} %"
         )
         if spread < 0.05 and not self.options.same_lamp:
             said += ", as of one lamp (--same-lamp)"
