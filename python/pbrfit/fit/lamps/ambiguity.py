@@ -65,6 +65,12 @@ class Minimum:
     cost: float
     parts: dict[str, float]
 
+    @classmethod
+    def at(cls, transform: Transform, places: Places) -> Minimum:
+        """What the cues say of a transform."""
+        parts = {cue.name: cue.value(transform, places) for cue in CUES}
+        return cls(transform, sum(parts.values()), parts)
+
 
 def minima(places: Places, rough: Array | None) -> list[Minimum]:
     """Minima of the negative log likelihood, the least first.
@@ -86,8 +92,7 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
         _, better = _searched(C, places, places)
         transform = Transform.of(better, places)
         if transform is not None:
-            parts = {cue.name: cue.value(transform, places) for cue in CUES}
-            found.append(Minimum(transform, sum(parts.values()), parts))
+            found.append(Minimum.at(transform, places))
     found.sort(key=lambda one: one.cost)
     return found
 
