@@ -370,7 +370,7 @@ def _read_dark_frame(
     picture = images.read_picture(path, color_space)
     notes.inputs[path.name] = picture.sha256
     _expect_size(path, picture.pixels.shape[:2], size)
-    usable = np.isfinite(picture.pixels).all(axis=-1)
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(picture.pixels).all(axis=-1))
     if picture.limits is not None:
         usable &= (picture.limits != file_limits.AT_LEAST).all(axis=-1)
     if not usable.any():
