@@ -82,7 +82,13 @@ def first_shape(scene: Scene) -> FirstShape:
         note = "normals and far lamps by the pictures"
     for said in found.undetermined:
         log.warning("normals: %s", said)
-    return FirstShape(found.normals, found.directions, "; ".join([note, *found.undetermined]))
+    return FirstShape(
+        found.normals,
+        found.directions,
+        found.strengths,
+        found.albedo,
+        "; ".join([note, *found.undetermined]),
+    )
 
 
 def height_of(normals: Array, scene: Scene) -> NDArray[np.float32]:

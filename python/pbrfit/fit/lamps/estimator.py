@@ -19,11 +19,13 @@ from pbrfit._core import InputError
 from pbrfit.fit.lamps import surfaces
 from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
 from pbrfit.fit.lamps.joint import (
+    ALBEDO_MEAN,
     Freedom,
     JointLamps,
     SurfacePrior,
     fit_surfaces,
     minimize,
+    offsets,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Left, Noise
@@ -58,6 +60,9 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 of view and roughnesses are tried: wide first, then near the best. Steps from the best are degrees;
 in the first round `FIELDS_OF_VIEW` are tried."""
 
+HELD_ROUNDS = 2
+"""First rounds, in which lamps stay as diffuse shading has them but for their scale."""
+
 LOOK_LAST = 4
 """From which round on normals are no longer sought anywhere."""
 
@@ -84,8 +89,9 @@ ROUGHNESS_SPREADS = (0.02, 0.05)
 """Least and greatest spread of roughness inside a label: less is seen by nobody; with more, each
 pixel takes what its own few highlights are off the model's for a roughness of its own."""
 
-FREE_OFFSETS = 1.0
-"""Prior standard deviation of the tangent offsets of normals that nobody gave: 45 degrees."""
+FREE_OFFSETS = 0.09
+"""Prior standard deviation of the tangent offsets of normals that diffuse shading has told, from
+these: 5 degrees, what they are off on glossy surfaces."""
 
 GIVEN_DEGREES = 5.0
 """Of given normals whose deviation nobody told, where they are refined."""
@@ -98,7 +104,10 @@ class FirstShape:
     normals: Array
     """(H, W, 3), NaN outside the mask."""
     directions: Array
-    """(N, 3)."""
+    strengths: Array
+    """(N, 3) each: unit vectors to the lamps, and their colours up to a factor a channel."""
+    albedo: Array
+    """(H, W, 3), likewise."""
     note: str
     """How they were found, and what the pictures leave open."""
 
@@ -259,9 +268,12 @@ class LampFit:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
         few = LampPixels.of(self.scene, self.normals, self.model, self.setup.threads, places)
-        if self.start is not None and known is None:
-            lamps = Lamps(np.arange(few.pictures), self.start.directions)
-            return few, [(self.start.note, *colored(few, lamps))]
+        if self.start is not None and (known is None or not known.near.any()):
+            lamps = Lamps(
+                np.arange(few.pictures), self.start.directions, colors=self.start.strengths
+            )
+            albedo = self.start.albedo.reshape(-1, 3)[places]
+            return few, [(self.start.note, *balanced(few, lamps, albedo))]
         if known is not None:
             return few, [("known lamps", *colored(few, known))]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
@@ -294,8 +306,8 @@ class LampFit:
         known = self.scene.lamps
         freedom = Freedom(
             normals=self.free_normals,
-            places=known is None,
-            colors=True,
+            places=False,
+            colors=False,
             ambient_terms=self.ambient_terms,
             same_lamp=self.options.same_lamp,
         )
@@ -320,9 +332,11 @@ class LampFit:
                     near = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
                     fields = tuple(np.unique(near).tolist())
                 scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
-                self._look(fit, scales if freedom.colors else (1.0,), fields)
+                self._look(fit, scales, fields)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
+            if number == HELD_ROUNDS:
+                fit.freedom = replace(fit.freedom, places=known is None, colors=True)
             if number == ROUNDS - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
                 fit.freedom = replace(fit.freedom, scale=True)
             self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
@@ -356,14 +370,18 @@ class LampFit:
             few = replace(few, views=self._views(fov, few.places))
             for scale in scales:
                 lamps = replace(given.lamps, colors=given.lamps.colors * scale)
-                total = 0.0
-                left = self._left_by_roughness(fit, few, replace(given, lamps=lamps), scale, prior)
+                total = offset = 0.0
+                left, turned = self._left_by_roughness(
+                    fit, few, replace(given, lamps=lamps), scale, prior
+                )
                 chosen = {}
                 for label in kinds:
                     sums = left[:, few.labels == label].sum(axis=1)
-                    chosen[label] = ROUGHNESSES[int(np.argmin(sums))]
-                    total += float(sums.min())
-                total = 0.5 * len(few) * float(np.log(max(total, 1e-12)))
+                    best_of = int(np.argmin(sums))
+                    chosen[label] = ROUGHNESSES[best_of]
+                    total += float(sums[best_of])
+                    offset += float(turned[best_of, few.labels == label].sum())
+                total = 0.5 * len(few) * float(np.log(max(total, 1e-12))) + 0.5 * offset
                 total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
                 total += 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2
                 scores[fov] = min(scores.get(fov, np.inf), total)
@@ -392,16 +410,16 @@ class LampFit:
 
     def _left_by_roughness(
         self, fit: JointLamps, few: LampPixels, given: LampState, scale: float, prior: SurfacePrior
-    ) -> Array:
-        """(R, P): what surprises with each of the roughnesses."""
-        found = []
+    ) -> tuple[Array, Array]:
+        """(R, P) each: what looks wrong with each roughness, and how unlikely the normals are."""
+        wrong, turned = [], []
         free = fit.freedom.normals
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
         for roughness in ROUGHNESSES:
             same = np.full(len(few), roughness)
             begin = given.with_surface(given.normals, albedo, same, given.metallic)
             starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
-            left = []
+            errors, squares = [], []
             for start in starts:
                 state, *_ = surfaces.robust_surfaces(
                     few,
@@ -412,9 +430,13 @@ class LampFit:
                     free_normals=free,
                     free_roughness=False,
                 )
-                left.append(seen_error(few, state))
-            found.append(np.min(left, axis=0))
-        return np.array(found)
+                errors.append(seen_error(few, state))
+                away = offsets(few.normals, state.normals)
+                squares.append((prior.precision[:, :2] * away**2).sum(axis=1))
+            best = np.argmin(errors, axis=0)
+            wrong.append(np.take_along_axis(np.array(errors), best[None], 0)[0])
+            turned.append(np.take_along_axis(np.array(squares), best[None], 0)[0])
+        return np.array(wrong), np.array(turned)
 
     def _fitted(self, fit: JointLamps, begin: LampState) -> tuple[LampState, Array]:
         """Surfaces from some that a joint fit has, its lights held, and what still surprises."""
@@ -582,6 +604,24 @@ class LampFit:
             light_modes=int(np.linalg.matrix_rank(covariance, hermitian=True)),
             omitted=0.0,
         )
+
+
+def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Array]:
+    """Lamps and albedos (P, 3) that are known up to a factor a channel, in the pictures' units.
+
+    On the whole lamps are grey, as in pictures whose white was balanced, and the mean albedo is
+    `ALBEDO_MEAN`.
+    """
+    cosines = np.maximum(pixels.normals @ lamps.places.T, 0)
+    shown = cosines[..., None] * lamps.colors[None] * albedo[:, None]
+    lit = (cosines > 0.3) & (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
+    ratio = np.where(lit[..., None] & (shown > 0), pixels.samples / np.maximum(shown, 1e-12), 1)
+    factor = np.array([np.median(ratio[..., c][lit]) if lit.any() else 1.0 for c in range(3)])
+    albedo = np.maximum(albedo * factor, 1e-9)
+    tint = np.exp(np.log(np.maximum(lamps.colors, 1e-9)).mean(axis=0))
+    colors, albedo = lamps.colors / tint, albedo * tint
+    mean = max(float(albedo.mean()), 1e-9) / ALBEDO_MEAN
+    return replace(lamps, colors=colors * mean), np.clip(albedo / mean, 0.01, 0.95)
 
 
 def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:

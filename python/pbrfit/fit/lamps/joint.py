@@ -180,8 +180,6 @@ class JointLamps:
 
         Mean and deviations from it of the mean logarithm of their colours.
         """
-        if not self.freedom.colors:
-            return np.zeros(4)
         directions, strengths = self.state.incident(self.pixels)
         cosines = np.einsum("px,pkx->pk", self.state.normals, directions)
         shading = np.maximum((np.maximum(cosines, 0) * strengths).mean(axis=0), 1e-9)
