@@ -79,8 +79,12 @@ LOOK_PIXELS = 400
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
 
-FOV_MEAN, FOV_SPREAD, FOV_MAX = 30.0, 20.0, 75.0
-"""Degrees of what is likely before: lenses of 35 to 100 mm, on a 35 mm camera."""
+FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 20.0, 75.0
+"""Degrees of what is likely before: who takes pictures of an object stands back, and cuts out what
+is around it."""
+
+INDEPENDENT_SHARE = 1 / 8
+"""Of the pixels that are looked at: what a picture shows wrong it shows wrong around it, too."""
 
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
@@ -381,7 +385,9 @@ class LampFit:
                     chosen[label] = ROUGHNESSES[best_of]
                     total += float(sums[best_of])
                     offset += float(turned[best_of, few.labels == label].sum())
-                total = 0.5 * len(few) * float(np.log(max(total, 1e-12))) + 0.5 * offset
+                independent = INDEPENDENT_SHARE * len(few)
+                total = 0.5 * independent * float(np.log(max(total, 1e-12)))
+                total += 0.5 * INDEPENDENT_SHARE * offset
                 total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
                 total += 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2
                 scores[fov] = min(scores.get(fov, np.inf), total)

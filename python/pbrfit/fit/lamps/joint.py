@@ -42,6 +42,9 @@ UNKNOWNS = 6
 OFFSET_STEP_MAX = 0.3
 """Largest step of a normal's tangent offset, a tangent."""
 
+COSINE_MIN = 0.1
+"""Least cosine of the angle between a normal and the one that its offsets are from: 84 degrees."""
+
 PLACE_STEP_MAX = 0.5
 """Largest step of a lamp's place, of the distance or of the direction, a tangent."""
 
@@ -100,6 +103,9 @@ def fit_surfaces(
 ) -> tuple[LampState, Array, Array]:
     """The best surface of each pixel under the lights of a state; their costs and information."""
     directions, strengths = state.incident(pixels)
+    # Offsets are tangents: what is turned away by a right angle begins where they begin.
+    turned = np.einsum("px,px->p", state.normals, pixels.normals) < COSINE_MIN
+    begin = np.where(turned[:, None], pixels.normals, state.normals)
     normals, albedo, roughness, metallic, cost, information = _core.fit_under_lamps(
         pixels.samples,
         np.ascontiguousarray(weights),
@@ -110,7 +116,7 @@ def fit_surfaces(
         state.lamps.pictures.astype(np.uint64),
         state.ambient,
         pixels.normals,
-        state.normals,
+        begin,
         state.albedo,
         state.roughness,
         state.metallic,
@@ -374,6 +380,7 @@ class JointLamps:
             turned = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
             turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
             visible = np.einsum("px,px->p", turned, self.pixels.views) > 0.02
+            visible &= np.einsum("px,px->p", turned, self.pixels.normals) > COSINE_MIN
             normals = np.where(visible[:, None], turned, normals)
         return replace(
             self.state,
