@@ -20,6 +20,7 @@ SUMMARIES = {
     "inspect": "show what a scene folder holds and what is assumed",
     "normals": "give normals to a folder of pictures",
     "depth": "give depth to a folder of pictures",
+    "lights": "give known lamps to a folder of pictures",
     "segments": "give segments to a folder of pictures",
     "synth": "render a synthetic scene folder with ground truth",
     "check-gradients": "compare the gradient with finite differences",

@@ -27,8 +27,8 @@ def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
     scene = reading(options).load(options.scene)
     for topic, fact in inspection.facts(scene):
-        print(f"{topic:<18}{fact}")
+        print(f"{topic:<17} {fact}")
     if options.preview is not None:
         images.write_png(options.preview, preview.normals_preview(scene), tag="srgb")
-        print(f"{'preview':<18}{options.preview}")
+        print(f"{'preview':<17} {options.preview}")
     return DONE

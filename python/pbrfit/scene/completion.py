@@ -1,4 +1,4 @@
-"""What a folder of pictures lacks to be a scene: normals, weights, segments, depth beside them."""
+"""What a folder of pictures lacks to be a scene: normals, weights, segments, depth, lamps."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES, write_depth
+from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import find_normals, write_normals
+from pbrfit.io.output import new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
+from pbrfit.scene import known_lamps
 
 
 def picture_size(folder: Path) -> tuple[int, int]:
@@ -121,6 +125,37 @@ def check_no_depth(folder: Path, *, overwrite: bool) -> None:
             raise FileExistsError(
                 f"{path}: expected no depth yet, found some; --overwrite replaces"
             )
+
+
+def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
+    """Write `lights.json`; returns its path.
+
+    Raises FileExistsError as `check_no_lamps`; InputError if lamps are of pictures that are not
+    there.
+    """
+    check_no_lamps(folder, overwrite=overwrite)
+    names = [path.stem for path in scene_folder.find_pictures(folder)]
+    if len(lamps) and lamps.pictures[-1] >= len(names):
+        raise InputError(
+            f"lamps: expected indices of pictures below {len(names)}, found {lamps.pictures[-1]}"
+        )
+    path = folder / LAMP_FILES[0]
+    with new_file(path, overwrite=overwrite) as temporary:
+        known_lamps.save(temporary, lamps, names)
+    return path
+
+
+def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
+    """Raise FileExistsError if the folder has lamps, but for a `lights.json` with `overwrite`."""
+    path = find_lamps(folder)
+    if path is None or (overwrite and path.name == LAMP_FILES[0]):
+        return
+    remedy = (
+        "--overwrite replaces"
+        if path.name == LAMP_FILES[0]
+        else f"it is read as it is; move it away to write {LAMP_FILES[0]}"
+    )
+    raise FileExistsError(f"{path}: expected no lamps yet, found some; {remedy}")
 
 
 def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = False) -> Path:

@@ -59,6 +59,16 @@ def in_words(lamps: Lamps) -> str:
     return f"{' and '.join(counts) or 'no'} lamps, colours {colors}"
 
 
+def angles(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Azimuth and elevation (K, 2) in degrees of unit vectors (K, 3).
+
+    Azimuth 0 is +Z, where the viewer is, and 90 is +X; elevation is towards +Y.
+    """
+    x, y, z = directions.T
+    turned = np.stack([np.arctan2(x, z), np.arcsin(np.clip(y, -1.0, 1.0))], axis=-1)
+    return np.asarray(np.degrees(turned))
+
+
 def spread(directions: NDArray[np.float64]) -> float:
     """Largest angle in degrees between two of some unit vectors (K, 3)."""
     least = float(np.clip((directions @ directions.T).min(initial=1.0), -1.0, 1.0))

@@ -221,6 +221,42 @@ def read_surface(folder: Path, fov: float | None = None) -> Surface:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """The pictures of a scene folder alone, at the size of their files."""
+
+    names: tuple[str, ...]
+    images: NDArray[np.float32]
+    """(N, H, W, 3), linear Rec.709."""
+    limits: NDArray[np.uint8]
+    """(N, H, W, 3), as in a scene, of what the files hold."""
+    fov: float
+    """Horizontal field of view in degrees."""
+    fov_in_words: str
+    """What decided it."""
+
+
+def read_pictures(folder: Path, fov: float | None = None) -> Pictures:
+    """Read all pictures as `load` does, less its dark frame, whether or not there is more.
+
+    Raises InputError or OSError as `load`.
+    """
+    if fov is not None:
+        geometry.check_fov(fov)
+    notes = _Notes(folder)
+    settings = read_settings(folder / "scene.toml")
+    paths = find_pictures(folder)
+    read = _read_pictures(paths, notes, settings.color_space, None, None)
+    size = read.mask.shape
+    dark = _read_dark_frame(notes, settings.color_space, size)
+    if dark is not None:
+        _subtract(dark, read.pixels, dark.usable, paths, notes.assumed)
+    decided, said = decided_fov(folder, fov, settings, read.focal_length, size)
+    names = tuple(path.stem for path in paths)
+    used = FIRST_FOV if decided is None else decided
+    return Pictures(names, read.pixels, read.limits, used, said)
+
+
 @dataclass
 class _Pictures:
     """All pictures of a scene folder."""

@@ -433,8 +433,8 @@ def test_version_as_a_module() -> None:
 
 
 COMMANDS = (
-    *("decompose", "relight", "report", "export", "inspect", "normals", "depth", "segments"),
-    *("synth", "check-gradients", "evaluate", "demo"),
+    *("decompose", "relight", "report", "export", "inspect", "normals", "depth", "lights"),
+    *("segments", "synth", "check-gradients", "evaluate", "demo"),
 )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import struct
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +17,7 @@ from PIL import Image
 from pbrfit import InputError, Scene
 from pbrfit.batch.prediction import picture_size
 from pbrfit.io import images, raw_files
+from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from raw_writer import write_dng
 
@@ -147,7 +147,7 @@ def test_a_clipped_channel_bounds_a_colour_that_it_is_taken_from_above(
 def test_without_a_matrix_of_the_file_it_follows_from_that_of_xyz(raw: FakeRaw) -> None:
     """A camera whose channels are those of sRGB needs none, whatever their scale."""
     raw.color_matrix[:] = 0
-    to_linear = np.linalg.inv(raw_files.rgb_to_xyz(raw_files.REC709))
+    to_linear = np.linalg.inv(rgb_to_xyz(REC709))
     raw.rgb_xyz_matrix[:3] = np.diag([3.0, 2.0, 1.0]) @ to_linear
     matrix = raw_files._matrix(raw)
     assert matrix is not None
@@ -249,9 +249,8 @@ def test_maps_are_in_no_raw_file(tmp_path: Path, read: Any) -> None:
 
 
 @pytest.fixture
-def libraw() -> Iterator[None]:
+def libraw() -> None:
     pytest.importorskip("rawpy")
-    return None
 
 
 @pytest.mark.usefixtures("libraw")

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
+from command_runs import done
 from pbrfit import InputError, Scene
 from pbrfit.io import images
 from pbrfit.scene import folder as scene_folder
@@ -132,3 +133,9 @@ def test_what_is_no_dark_frame_is_refused(tmp_path: Path, how: str, message: str
     with pytest.raises(InputError, match=message) as caught:
         Scene.load(folder)
     assert "\n" not in str(caught.value)
+
+
+def test_inspect_tells_of_it(tmp_path: Path) -> None:
+    folder = glowing(tmp_path / "scene")
+    write_exr(folder / "dark.exr", glow())
+    assert "\nassumed dark frame dark.exr subtracted, " in done("inspect", folder)

@@ -1,0 +1,202 @@
+"""`pbrfit lights`: lamps of a scene folder, from a ball or from a file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from balls import COLOR, ball_pictures, far_lamps
+from command_runs import done, ran, refused
+from pbrfit import Scene
+from pbrfit.io.images import read_data
+from pbrfit.model.geometry import angles_between
+from pbrfit.report import lamps as drawn
+from pbrfit.scene import known_lamps
+from pbrfit.scene.ball import Ball
+from scene_files import write_exr, write_folder, write_integers
+
+SIZE = (90, 120)
+BALL = Ball(62.0, 41.0, 24.0)
+LAMPS = far_lamps(3)
+LP = "3\nlight_01 0.6 0 0.8\nlight_00 0 0.6 0.8\nlight_02 0 0 1\n"
+
+
+def with_ball(folder: Path, kind: str = "matt") -> Path:
+    """A folder of three pictures with a ball, and nothing else."""
+    (folder / "images").mkdir(parents=True)
+    made = ball_pictures("matt" if kind == "matt" else "mirror", BALL, SIZE, 60.0, LAMPS)
+    for i, image in enumerate(made):
+        write_exr(folder / "images" / f"light_{i:02d}.exr", image)
+    (folder / "scene.toml").write_text("fov = 60\n")
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_folder(tmp_path / "scene")
+
+
+@pytest.mark.parametrize("kind", ["matt", "mirror"])
+def test_a_ball_gives_lamps_that_the_scene_reads(tmp_path: Path, kind: str) -> None:
+    scene, preview = with_ball(tmp_path / "scene", kind), tmp_path / "preview.png"
+    said = done("lights", scene, "--preview", preview)
+    lamps = Scene.load(scene).lamps
+    assert lamps is not None
+    assert angles_between(lamps.places, LAMPS).max() < 3
+    assert not lamps.colored
+    lines = said.splitlines()
+    assert re.match(
+        rf"{scene}/lights.json: 3 far lamps, colours unknown, from a {kind} ball at 6[12]\.\d,4[01]"
+        r"\.\d,2[34]\.\d \(X,Y,R, found; --circle sets it\)$",
+        lines[0],
+    )
+    assert lines[1] == "  field of view 60 degrees, from scene.toml"
+    rows = [line.split() for line in lines[3:6]]
+    azimuth, elevation = np.array([[float(v.rstrip("°")) for v in row[1:3]] for row in rows]).T
+    x, y, z = lamps.places.T
+    np.testing.assert_allclose(azimuth, np.degrees(np.arctan2(x, z)), atol=0.06)
+    np.testing.assert_allclose(elevation, np.degrees(np.arcsin(y)), atol=0.06)
+    assert ("--albedo" in said) == (kind == "matt")
+    assert "leave the ball out of the fit: in " in said
+    assert re.search(r"mask.png make black a disc of radius 2\d around 62,41", said)
+    assert said.endswith(f"look at them: {preview}\n")
+    assert read_data(preview).shape[:2] == (744, 1440)
+
+
+def test_a_given_circle_and_an_albedo_give_colours(tmp_path: Path) -> None:
+    scene = with_ball(tmp_path / "scene")
+    circle = f"{BALL.x},{BALL.y},{BALL.radius}"
+    said = done("lights", scene, "--circle", circle, "--ball", "matt", "--albedo", "0.5")
+    assert "3 far lamps, colours known, from a matt ball at 62.0,41.0,24.0 (X,Y,R, as given" in said
+    lamps = Scene.load(scene).lamps
+    assert lamps is not None
+    np.testing.assert_allclose(lamps.colors, np.tile(COLOR, (3, 1)), rtol=0.05)
+    twice = ("--circle", circle, "--circle", circle)
+    assert done("lights", scene, *twice, "--overwrite", "--quiet") == ""
+
+
+def test_the_mask_does_not_hide_the_ball(tmp_path: Path) -> None:
+    """It leaves the ball out of the fit."""
+    scene = with_ball(tmp_path / "scene")
+    write_integers(scene / "mask.png", np.pad(np.ones((10, SIZE[1])), ((0, SIZE[0] - 10), (0, 0))))
+    done("lights", scene)
+
+
+def test_a_file_is_converted(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "dome.lp").write_text(LP)
+    preview = tmp_path / "preview.png"
+    said = done("lights", folder, "--from", tmp_path / "dome.lp", "--preview", preview)
+    assert said.splitlines() == [
+        f"{folder}/lights.json: known, 3 far lamps, colours unknown, from dome.lp",
+        "  picture    azimuth  elevation",
+        "  light_00      0.0°      36.9°",
+        "  light_01     36.9°       0.0°",
+        "  light_02      0.0°       0.0°",
+        f"look at them: {preview}",
+    ]
+    lamps = Scene.load(folder).lamps
+    assert lamps is not None
+    np.testing.assert_allclose(lamps.places, [(0, 0.6, 0.8), (0.6, 0, 0.8), (0, 0, 1)])
+    with Image.open(preview) as picture:
+        assert picture.size == (744, 744)
+
+
+def test_near_lamps_of_a_file(folder: Path, tmp_path: Path) -> None:
+    rows = "".join(f"light_0{i},{i},2,-1,1,1,1,near\n" for i in range(3))
+    (tmp_path / "rig.csv").write_text(rows)
+    said = done("lights", folder, "--from", tmp_path / "rig.csv")
+    assert "3 near lamps, colours known, from rig.csv" in said
+    assert "  light_02  near, at 2, 2, -1" in said
+    assert "azimuth" not in said
+
+
+def test_existing_lamps_are_kept(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "dome.lp").write_text(LP)
+    convert = ("lights", folder, "--from", tmp_path / "dome.lp")
+    done(*convert)
+    before = (folder / "lights.json").read_bytes()
+    assert "lights.json: expected no lamps yet, found some; --overwrite" in refused(*convert)
+    done(*convert, "--overwrite", "--quiet")
+    assert (folder / "lights.json").read_bytes() == before
+    (folder / "lights.json").rename(tmp_path / "away.json")
+    (folder / "own.lp").write_text(LP)
+    said = refused(*convert, "--overwrite")
+    assert "own.lp: expected no lamps yet, found some; it is read as it is" in said
+    assert not (folder / "lights.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--from", "ballpark"), "--from: expected ball or a file, found 'ballpark'"),
+        (("--circle", "1,2"), "--circle: expected X,Y,R, finite numbers, found '1,2'"),
+        (("--circle", "1,2,nan"), "--circle: expected X,Y,R, finite numbers"),
+        (("--circle", "500,2,9"), "scene: circle: expected a centre within 16 × 16 pixels"),
+        (("--circle", "8,8,2"), "scene: circle: expected a radius of 4 pixels or more, found 2"),
+        (("--ball", "glass"), "--ball: invalid choice: 'glass'"),
+        (("--albedo", "1.5"), "albedo: expected a number above 0, 1 at most, found 1.5"),
+        ((), "scene: ball: expected a circle with an outline all around"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_one_line(
+    folder: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    assert message in refused("lights", folder, *arguments)
+    assert not (folder / "lights.json").exists()
+
+
+def test_options_of_a_ball_have_no_meaning_with_a_file(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "dome.lp").write_text(LP)
+    convert = ("lights", folder, "--from", tmp_path / "dome.lp")
+    assert "--albedo: has no meaning with --from" in refused(*convert, "--albedo", "0.5")
+
+
+def test_an_albedo_has_no_meaning_with_a_mirror(tmp_path: Path) -> None:
+    scene = with_ball(tmp_path / "scene", "mirror")
+    assert "--albedo: has no meaning with a mirror ball" in refused(
+        "lights", scene, "--albedo", "0.5"
+    )
+
+
+def test_a_file_of_other_pictures_is_refused(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "dome.lp").write_text("1\nx 0 0 1\n")
+    said = refused("lights", folder, "--from", tmp_path / "dome.lp")
+    assert "dome.lp: expected a lamp for each of the 3 pictures, found 1" in said
+
+
+def test_a_preview_that_cannot_be_written_leaves_no_lamps(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "dome.lp").write_text(LP)
+    (tmp_path / "taken").mkdir()
+    found = ran("lights", folder, "--from", tmp_path / "dome.lp", "--preview", tmp_path / "taken")
+    assert found.code == 2
+    assert not (folder / "lights.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("names", "shared"),
+    [
+        (("light_00", "light_01"), "light_"),
+        (("a", "b"), ""),
+        (("a",), ""),
+        (("IMG_1", "IMG_10"), "IMG_"),
+        (("same", "same"), ""),
+    ],
+)
+def test_labels_leave_out_what_all_names_begin_with(names: tuple[str, ...], shared: str) -> None:
+    assert drawn._shared(names) == shared
+
+
+def test_lamps_behind_are_drawn_too(tmp_path: Path) -> None:
+    directions = np.array([[0, 0, 1.0], [0, 0, -1.0], [1, 0, 0]])
+    png = drawn.preview(("a", "b", "c"), directions, None)
+    (tmp_path / "a.png").write_bytes(png)
+    assert read_data(tmp_path / "a.png").shape == (744, 744, 4)
+
+
+def test_azimuth_and_elevation() -> None:
+    found = known_lamps.angles(np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [0, 0, -1]]))
+    np.testing.assert_allclose(found, [(0, 0), (90, 0), (0, -90), (180, 0)], atol=1e-12)
