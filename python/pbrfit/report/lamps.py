@@ -106,18 +106,10 @@ def section(result: Result) -> str:
     return paragraph(_sentences(result)) + shown
 
 
-def count_in_words(lamps: Lamps) -> str:
-    """How many there are of which kind: 3 far lamps."""
-    near = int(lamps.near.sum())
-    counts = [f"{n} {kind}" for n, kind in ((len(lamps) - near, "far"), (near, "near")) if n]
-    plural = "" if len(lamps) == 1 else "s"
-    return f"{' and '.join(counts) or 'no'} lamp{plural}"
-
-
 def _sentences(result: Result) -> str:
     assert result.lamps is not None
     text = (
-        f"The pictures are lit by {count_in_words(result.lamps)}, and by ambient light. The map "
+        f"The pictures are lit by {result.lamps.in_words()}, and by ambient light. The map "
         "has the directions to the lamps as the surface sees them: the middle is the viewer, the "
         "circle the horizon, 90° from the viewer, and equal angles from the middle are equally "
         "long. Numbers are those of the table. "

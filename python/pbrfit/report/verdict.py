@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pbrfit.report import lamps, normals
+from pbrfit.report import normals
 from pbrfit.report.html import Cell, Table, number
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
@@ -196,7 +196,7 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
         ("run time", f"{result.seconds:.1f} s", result.seconds),
     ]
     if result.lamps is not None:
-        done.insert(4, ("light", lamps.count_in_words(result.lamps), len(result.lamps)))
+        done.insert(4, ("light", result.lamps.in_words(), len(result.lamps)))
     known = {METRICS[key]: result.metrics[key] for key in METRICS if key in result.metrics}
     if result.uncertainty is not None and result.uncertainty.noise is not None:
         known["noise of a sample (standard deviation)"] = result.uncertainty.noise

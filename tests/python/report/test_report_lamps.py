@@ -81,7 +81,7 @@ def test_lamps_behind_the_horizon_are_hollow_and_on_the_map() -> None:
 
 def test_crowded_lamps_share_no_place_for_their_numbers() -> None:
     random = np.random.default_rng(3)
-    directions = random.normal(0, 0.3, (60, 3)) + (0, 0, 1)
+    directions = random.normal((0, 0, 1), 0.3, (60, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     lamps = [[Seen((x, y, z), 1.0, (1.0, 1.0, 1.0), 2.0)] for x, y, z in directions.tolist()]
     root = ET.fromstring(direction_map(lamps, [str(i) for i in range(60)]))
@@ -126,7 +126,7 @@ def test_many_lamps_are_folded(result: Result, tmp_path: Path) -> None:
     assert "All 30 lamps in numbers" in page.text
 
 
-def test_the_height_has_a_map_with_pixels_on_its_scale(page: Page, result: Result) -> None:
+def test_the_height_has_a_map_with_pixels_on_its_scale(page: Page) -> None:
     titles = [e.text for e in page.all("h3")]
     assert "Height" in titles
     assert "height in pixels" in page.text
