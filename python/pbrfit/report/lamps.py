@@ -155,7 +155,7 @@ def _cells(lamp: Seen | None, near: bool) -> Iterator[Cell]:
 def _ambient(lamps: Sequence[Seen], ambient: float, *, first: bool) -> Iterator[Cell]:
     whole = ambient + sum(lamp.strength for lamp in lamps)
     share = ambient / whole if whole > 0 else 0.0
-    yield number(percent(share), share) if first else number("")
+    yield number(percent(share).replace("-", "−"), share) if first else number("")
 
 
 def _degrees(angle: float) -> str:

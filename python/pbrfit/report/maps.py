@@ -93,6 +93,8 @@ def _block(block: Block, side: int, size: tuple[int, int]) -> str:
 
 def _recovered(result: Result) -> Block:
     which = "as given" if result.given_normals is None else "refined"
+    if result.height is not None:
+        which = "found from the pictures"
     remarks = {name: f"median {_median(getattr(result, name))}" for name in PARAMETERS}
     remarks["albedo"] += ", linear"
     pictures = [

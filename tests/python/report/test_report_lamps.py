@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from browser import launched, visit
 from page_reader import Page
 from pbrfit import Result
 from pbrfit.model.lamps import Lamps
@@ -132,6 +133,25 @@ def test_the_height_has_a_map_with_pixels_on_its_scale(page: Page) -> None:
     assert "height in pixels" in page.text
     alts = [e.attributes.get("alt") for e in page.all("img")]
     assert "Map of the height" in alts
+    assert "Normals and height were found from the pictures" in page.text
+    assert "found from the pictures, in camera space" in page.text
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_browser_shows_lamps_without_complaint(
+    result: Result, tmp_path: Path, width: int
+) -> None:
+    write_report(result, tmp_path / "page.html")
+    with launched() as browser, visit(browser, tmp_path / "page.html", width=width) as visited:
+        inside = visited.page.evaluate("document.documentElement.scrollWidth")
+        drawn = visited.page.locator("#lamps svg").bounding_box()
+        lights = visited.page.locator("select[name=light] option").all_inner_texts()
+        visited.page.wait_for_timeout(300)
+    assert visited.troubles == []
+    assert inside <= width
+    assert drawn is not None
+    assert drawn["x"] + drawn["width"] <= width
+    assert lights[:3] == ["a", "b", "c"]
 
 
 def test_a_flat_height_and_no_ambient_light_are_no_failure(result: Result, tmp_path: Path) -> None:
