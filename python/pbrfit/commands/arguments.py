@@ -117,7 +117,7 @@ def code_range(text: str) -> tuple[int, int]:
     return whole_number(parts[0]), whole_number(parts[1])
 
 
-SIGNED = ("--light", "--rotate", "--exposure", "--color")
+SIGNED = ("--light", "--lamp", "--rotate", "--exposure", "--color")
 """Options whose value may begin with a minus sign."""
 
 

@@ -22,8 +22,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser,
         format=cli.choice(
             Format,
-            "this one alone; ply, a cloud of points, needs depth (default: those of the preset, "
-            "else all but ply)",
+            "this one alone; ply: a cloud of points, needs depth; lp: directions of the lamps; "
+            "ptm: a polynomial texture map for RTI viewers (default: those of the preset, else "
+            "gltf, exr and png)",
         ),
         preset=cli.choice(
             PresetName,

@@ -1,4 +1,4 @@
-"""Options that name a light: `--env`, `--light`, `--sh` and what goes with them."""
+"""Options that name a light: `--env`, `--light`, `--lamp`, `--sh`, `--picture`."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import add_flags, choice, number, numbers, value
 from pbrfit.model import panorama
-from pbrfit.model.lighting import Lighting, rotated
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.lighting import Lighting
 from pbrfit.model.panorama import Window
-from pbrfit.result.relighting import DirectionalLight
+from pbrfit.result.relighting import DirectionalLight, LampLight, turned
+from pbrfit.result.result import Result
 
 NAMES_SHOWN = 32
 """Names of pictures that a message lists."""
 
 
-Light = NDArray[np.float64] | DirectionalLight
-"""SH light (16, 3), or a hard one."""
+Light = NDArray[np.float64] | DirectionalLight | Lamps | LampLight
+"""SH light (16, 3), a hard one, or lamps with or without SH light."""
 
 Facts = list[tuple[str, str]]
 """Topics, and a sentence on each."""
@@ -30,7 +32,7 @@ Facts = list[tuple[str, str]]
 def add_light(parser: argparse.ArgumentParser) -> None:
     """Add the options, of which one light has to be given; `choose_light` reads them."""
     lights = parser.add_argument_group("light, one of")
-    one = lights.add_mutually_exclusive_group(required=True)
+    one = lights.add_mutually_exclusive_group()
     add_flags(
         one,
         env=value(
@@ -45,14 +47,21 @@ def add_light(parser: argparse.ArgumentParser) -> None:
             "hard light from far away, in degrees: 0,0 is the viewer's, 90,0 comes from the "
             "right, 0,90 from above",
         ),
-        sh=value("FILE", Path, "SH light of a lighting.json, such as RESULT's own"),
+        lamp=value(
+            "X,Y,Z",
+            numbers(3, "X,Y,Z"),
+            "a lamp near the surface, of results with depth, in its unit: the camera is at 0,0,0, "
+            "X is right, Y up, and what it sees has Z below 0",
+        ),
+        sh=value("FILE", Path, "light of a lighting.json: SH light, and lamps if it has some"),
     )
     add_flags(
         lights,
         rotate=value(
             "DEG",
             number,
-            "with --env, --sh: turn the light about +Y, from the viewer to the right (default: 0)",
+            "with --env, --sh, --picture: turn the light about +Y, from the viewer to the right "
+            "(default: 0)",
         ),
         window=choice(
             Window, "with --env: damp what rings about lamps after the projection (default: none)"
@@ -60,14 +69,19 @@ def add_light(parser: argparse.ArgumentParser) -> None:
         color=value(
             "R,G,B",
             numbers(3, "R,G,B"),
-            "with --light: radiance of a white matt surface that faces it (default: 1,1,1)",
+            "with --light, --lamp: radiance of a white matt surface that faces it, of --lamp at "
+            "the middle of what is seen (default: 1,1,1)",
         ),
-        picture=value("NAME", str, "with --sh: whose light of the file"),
+        picture=value(
+            "NAME", str, "with --sh: whose light of the file; alone: that of a picture of RESULT"
+        ),
     )
 
 
-def choose_light(options: argparse.Namespace) -> tuple[Light, Facts]:
+def choose_light(options: argparse.Namespace, result: Result) -> tuple[Light, Facts]:
     """Read what the options name, and what there is to say about it.
+
+    Without any other, `--picture` means the light that was found of a picture of the result.
 
     Raises InputError or OSError if a file cannot be used.
     """
@@ -77,16 +91,44 @@ def choose_light(options: argparse.Namespace) -> tuple[Light, Facts]:
         color = ", ".join(f"{channel:g}" for channel in light.color)
         fact = f"hard, from azimuth {azimuth:g}, elevation {elevation:g}, color {color}"
         return light, [("light", fact)]
+    if options.lamp is not None:
+        return _near(options, result)
     degrees = options.rotate or 0.0
     turn = f", turned by {degrees:g} degrees" if degrees else ""
     if options.env is not None:
         return _projected(options, degrees, turn)
-    lighting = Lighting.load(options.sh)
-    name = _whose(lighting.pictures, options)
-    coefficients = lighting.of((name,), options.sh)[0]
-    if degrees:
-        coefficients = rotated(coefficients, degrees)
-    return coefficients, [("light", f"SH, of {name} in {options.sh}{turn}")]
+    file = options.result / "lighting.json" if options.sh is None else options.sh
+    lighting = Lighting.load(file)
+    name = _whose(lighting.pictures, options, file)
+    coefficients = lighting.of((name,), file)[0]
+    lamps = lighting.lamps_of((name,))
+    if lamps is None:
+        light = turned(coefficients, degrees) if degrees else coefficients
+        return light, [("light", f"SH, of {name} in {file}{turn}")]
+    if not lamps.colored:
+        raise InputError(f"{file}: expected known colors of the lamps of {name}, found none")
+    own = turned((lamps, coefficients), degrees) if degrees else (lamps, coefficients)
+    fact = f"{lamps.in_words()} and ambient SH light, of {name} in {file}{turn}"
+    return own, [("light", fact)]
+
+
+def _near(options: argparse.Namespace, result: Result) -> tuple[Lamps, Facts]:
+    """A lamp at a place, as bright at the middle of what is seen as the colour says."""
+    middle = result.middle
+    if middle is None:
+        raise InputError(
+            f"{options.result}: expected a result with depth for --lamp, found one without"
+        )
+    color = np.array(options.color or (1.0, 1.0, 1.0))
+    if (color < 0).any():
+        raise InputError(f"color: expected three finite numbers, 0 or more, found {options.color}")
+    place = np.array(options.lamp)
+    distance = float(np.linalg.norm(place - middle))
+    lamps = Lamps(np.zeros(1, np.intp), place[None], np.ones(1, bool), (color * distance**2)[None])
+    said = ", ".join(f"{one:g}" for one in options.lamp)
+    where = ", ".join(f"{one:.3g}" for one in middle)
+    fact = f"near, at {said}, which is {distance:.3g} from the middle of what is seen, {where}"
+    return lamps, [("light", fact), ("", f"color {', '.join(f'{one:g}' for one in color)} there")]
 
 
 def _projected(options: argparse.Namespace, degrees: float, turn: str) -> tuple[Light, Facts]:
@@ -121,19 +163,18 @@ def _projected(options: argparse.Namespace, degrees: float, turn: str) -> tuple[
     return light, facts
 
 
-def _whose(pictures: tuple[str, ...], options: argparse.Namespace) -> str:
+def _whose(pictures: tuple[str, ...], options: argparse.Namespace, file: Path) -> str:
     shown = ", ".join(pictures[:NAMES_SHOWN])
     if len(pictures) > NAMES_SHOWN:
         shown += f" and {len(pictures) - NAMES_SHOWN} more"
     if options.picture is not None:
         if options.picture not in pictures:
             raise InputError(
-                f"{options.sh}: expected a light of {options.picture} (--picture), found {shown}"
+                f"{file}: expected a light of {options.picture} (--picture), found {shown}"
             )
         return str(options.picture)
     if len(pictures) != 1:
         raise InputError(
-            f"{options.sh}: expected --picture NAME, because it holds {len(pictures)} lights: "
-            f"{shown}"
+            f"{file}: expected --picture NAME, because it holds {len(pictures)} lights: {shown}"
         )
     return pictures[0]

@@ -16,7 +16,7 @@ from pbrfit.commands.network_options import Flags, asked_for, source
 from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.output import new_file
 from pbrfit.model.lamps import Lamps
-from pbrfit.report import lamps as drawn
+from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene import ball as balls
 from pbrfit.scene import completion, known_lamps
 from pbrfit.scene import folder as scene_folder

@@ -13,6 +13,7 @@ from pbrfit.io import relit_files
 from pbrfit.io.display import ToneMap
 from pbrfit.io.output import check_free, check_free_file, new_file, new_folder
 from pbrfit.io.relit_files import Radiance, Range, Screen
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS
 from pbrfit.result.relighting import relight, turned
 from pbrfit.result.result import Result
@@ -30,7 +31,7 @@ EXPOSURE_MAX = 100.0
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.description = (
-        "Render a result under a panorama, a hard light from one direction, or SH light. "
+        "Render a result under a panorama, a lamp far away or near, SH light, or as it was lit. "
         "docs/relight.md says what each of them is good for."
     )
     cli.add_result(
@@ -92,7 +93,9 @@ def run(options: argparse.Namespace) -> int:
             f"one of model {result.model}: materials are relit with the model that they were "
             "fitted with"
         )
-    light, said = choose_light(options)
+    light, said = choose_light(options, result)
+    if options.turntable is not None and _is_near(light):
+        raise InputError("--turntable: expected light from far away, found a near lamp")
     screen = Screen(options.exposure or 0.0, options.tone_map or "none")
     radiance = Range()
     with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
@@ -139,15 +142,21 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
     """Refuse options that would do nothing."""
     given = {name for name, value in vars(options).items() if value is not None}
     folder = kind == "folder"
+    lights = given & {"env", "light", "lamp", "sh"}
+    own = "picture" in given and not lights
+    if not lights and not own:
+        raise InputError(
+            "light: expected one of --env, --light, --lamp, --sh and --picture, found none"
+        )
     for name, belongs, message in (
         (
             "rotate",
-            given & {"env", "sh"},
-            "goes with --env or --sh; give --light another azimuth instead",
+            given & {"env", "sh"} or own,
+            "goes with --env, --sh or --picture; give --light another azimuth instead",
         ),
         ("window", "env" in given, "goes with --env"),
-        ("color", "light" in given, "goes with --light"),
-        ("picture", "sh" in given, "goes with --sh"),
+        ("color", given & {"light", "lamp"}, "goes with --light or --lamp"),
+        ("picture", "sh" in given or own, "goes with --sh, or alone"),
         ("format", folder, "goes with --turntable and a folder as --out"),
         (
             "fps",
@@ -228,6 +237,12 @@ def _write_picture(path: Path, frame: Radiance, screen: Screen) -> None:
 def _frame_name(k: int, options: argparse.Namespace) -> str:
     digits = max(4, len(str(options.turntable - 1)))
     return f"frame_{k:0{digits}}.{options.format or 'exr'}"
+
+
+def _is_near(light: Light) -> bool:
+    """Whether it is a lamp near the surface."""
+    lamps = light[0] if isinstance(light, tuple) else light
+    return isinstance(lamps, Lamps) and bool(lamps.near.any())
 
 
 def _shadows(result: Result) -> str:

@@ -6,7 +6,8 @@
     exr/              materials.exr with all layers; a file a texture
     png/              a file a texture
     points.ply        where it is asked for: a point a pixel, of results with depth
-    lights/           a panorama a picture, and coefficients
+    relit.ptm         where it is asked for: a polynomial texture map
+    lights/           a panorama a picture, and coefficients; of lamps their directions
     export.json       what each file holds
 
 docs/export.md says how tools read them.
@@ -19,7 +20,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+from pbrfit.export.displacement import Displacement
 from pbrfit.export.gltf import glb
 from pbrfit.export.lights import FILES as LIGHT_FILES
 from pbrfit.export.lights import LightPanorama, write_lights
@@ -27,6 +30,15 @@ from pbrfit.export.maps import Bits, Maps, NormalConvention
 from pbrfit.export.points import HOLDS as POINTS_HOLD
 from pbrfit.export.points import ply
 from pbrfit.export.presets import Format, Plan, PresetName, plan
+from pbrfit.export.rti import (
+    LP_FILE,
+    LP_HOLDS,
+    PTM_FILE,
+    PTM_HOLDS,
+    lp,
+    one_lamp_a_picture,
+    ptm,
+)
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
 from pbrfit.io.json_files import write_json
@@ -90,8 +102,8 @@ def export_result(
     path
         The folder.
     format
-        "gltf", "exr", "png" or "ply" alone. None: those of the preset; without one, all but "ply",
-        which needs depth.
+        "gltf", "exr", "png", "ply", "lp" or "ptm" alone. None: those of the preset; without one,
+        all but "ply", which needs depth, and "ptm"; and "lp" wherever each picture has one lamp.
     preset
         Textures as "blender", "unreal" or "unity" expects them: names, channels, normals. None: a
         file a map.
@@ -111,7 +123,7 @@ def export_result(
     ------
     InputError
         If an option is unknown or would have no effect, the maps are not finite in the mask, or the
-        result has no depth for "ply".
+        result has no depth for "ply", or not one lamp a picture for "lp".
     FileExistsError
         If the folder exists and `overwrite` is False, or it is no export.
     OSError
@@ -125,23 +137,31 @@ def export_result(
         geometry=geometry,
         masked=not result.mask.all(),
     )
-    maps = Maps.of(result)
+    maps, displacement = Maps.of(result), Displacement.of(result)
     files: list[ExportedFile] = []
     with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
         if "gltf" in planned.formats:
             files.append(_write_gltf(folder, maps, planned, result.fov))
         if "exr" in planned.formats:
-            files += _write_exr(folder, maps, planned, result)
+            files += _write_exr(folder, maps, planned, result, displacement)
         if "png" in planned.formats:
-            files += _write_png(folder, maps, planned)
+            files += _write_png(folder, maps, planned, displacement)
         if "ply" in planned.formats:
             (folder / "points.ply").write_bytes(ply(result))
             colors = "albedo sRGB, all else linear"
             files.append(_file(folder, "points.ply", POINTS_HOLD, colors))
+        if "ptm" in planned.formats:
+            content, white = ptm(result)
+            (folder / PTM_FILE).write_bytes(content)
+            codes = f"sRGB codes, white = radiance {white:.4g}"
+            files.append(_file(folder, PTM_FILE, PTM_HOLDS, codes))
         (folder / "lights").mkdir()
+        if "lp" in planned.formats or one_lamp_a_picture(result.lamps, len(result.pictures)):
+            (folder / "lights" / LP_FILE).write_text(lp(result), encoding="utf-8")
+            files.append(_file(folder, f"lights/{LP_FILE}", LP_HOLDS, "unit vectors"))
         panoramas = write_lights(folder / "lights", result)
         files += _light_files(folder, panoramas)
-        _write_manifest(folder / MANIFEST, result, planned, files)
+        _write_manifest(folder / MANIFEST, result, planned, files, displacement)
     _warn_of_negative(Path(path), panoramas)
     return Exported(tuple(files), panoramas)
 
@@ -154,7 +174,9 @@ def _write_gltf(folder: Path, maps: Maps, planned: Plan, fov: float) -> Exported
     return _file(folder, path, holds, "base color sRGB, all else linear")
 
 
-def _write_exr(folder: Path, maps: Maps, planned: Plan, result: Result) -> Iterator[ExportedFile]:
+def _write_exr(
+    folder: Path, maps: Maps, planned: Plan, result: Result, displacement: Displacement | None
+) -> Iterator[ExportedFile]:
     (folder / "exr").mkdir()
     path = "exr/materials.exr"
     layers = result.further_layers(), result.whole_layers()
@@ -167,11 +189,17 @@ def _write_exr(folder: Path, maps: Maps, planned: Plan, result: Result) -> Itera
         images.write_exr(
             folder / path, {letters[c]: values[..., c] for c in range(values.shape[-1])}
         )
-        encoding = _LINEAR if texture.color else "data, linear; float32"
+        encoding = _LINEAR if texture.color else _DATA
         yield _file(folder, path, "; ".join(texture.channels), encoding)
+    if displacement is not None:
+        path = f"exr/{planned.displacement}.exr"
+        images.write_exr(folder / path, {"Y": displacement.height})
+        yield _file(folder, path, "height towards the viewer in pixels", _DATA)
 
 
-def _write_png(folder: Path, maps: Maps, planned: Plan) -> Iterator[ExportedFile]:
+def _write_png(
+    folder: Path, maps: Maps, planned: Plan, displacement: Displacement | None
+) -> Iterator[ExportedFile]:
     (folder / "png").mkdir()
     for texture in planned.textures:
         bits = planned.bits_of(texture)
@@ -180,9 +208,16 @@ def _write_png(folder: Path, maps: Maps, planned: Plan) -> Iterator[ExportedFile
         images.write_png(folder / path, values, "srgb" if texture.color else "linear")
         holds = "; ".join(texture.channels)
         yield _file(folder, path, holds, f"{texture.color_space}; {bits} bits")
+    if displacement is not None:
+        bits, path = planned.bits or 16, f"png/{planned.displacement}.png"
+        images.write_png(folder / path, displacement.integers(bits), "linear")
+        low, high = displacement.low, displacement.high
+        holds = f"height towards the viewer, from {low:.6g} (0) to {high:.6g} pixels (white)"
+        yield _file(folder, path, holds, f"data, linear; {bits} bits")
 
 
 _LINEAR = "linear, Rec.709 primaries, D65; float32"
+_DATA = "data, linear; float32"
 
 
 def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator[ExportedFile]:
@@ -218,8 +253,14 @@ def _file(folder: Path, path: str, holds: str, color_space: str) -> ExportedFile
     return ExportedFile(path, holds, color_space, (folder / path).stat().st_size)
 
 
-def _write_manifest(path: Path, result: Result, planned: Plan, files: list[ExportedFile]) -> None:
-    content = {
+def _write_manifest(
+    path: Path,
+    result: Result,
+    planned: Plan,
+    files: list[ExportedFile],
+    displacement: Displacement | None,
+) -> None:
+    content: dict[str, Any] = {
         "version": version("pbrfit"),
         "fov": result.fov,
         "normal_maps": planned.normals,
@@ -227,4 +268,6 @@ def _write_manifest(path: Path, result: Result, planned: Plan, files: list[Expor
             {"path": of.path, "holds": of.holds, "color_space": of.color_space} for of in files
         ],
     }
+    if displacement is not None:
+        content["displacement"] = displacement.as_json()
     write_json(path, content)

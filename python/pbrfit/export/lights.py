@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 import unicodedata
 import uuid
@@ -13,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
 from pbrfit.io.json_files import write_json
+from pbrfit.model import panorama
 from pbrfit.model.lighting import BAND_OF, Lighting
 from pbrfit.result.result import Result
 
@@ -26,7 +29,7 @@ pixels takes from l = 3 is h²/8 · 9 = 0.3 % at most, h = π/64 being their dis
 
 FILES = {
     "lighting.json": "the lights as pbrfit keeps them (formats.md)",
-    "coefficients.csv": "the same as a table: picture, k, l, m, r, g, b",
+    "coefficients.csv": "the same as a table, lamps as SH light: picture, k, l, m, r, g, b",
     "three.json": "LightProbes for THREE.ObjectLoader, without l = 3",
     "panoramas.csv": "which panorama is whose, and how much differently it lights",
 }
@@ -50,17 +53,20 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     # Imported here: what only writing needs takes long to import.
     from pbrfit.threads import one_blas_thread
 
-    lighting = Lighting(result.pictures, result.lighting)
+    lighting = Lighting(result.pictures, result.lighting, result.lamps)
     response = surface_response(result)
     lighting.save(folder / "lighting.json")
-    _write_coefficients(folder / "coefficients.csv", lighting)
-    _write_three(folder / "three.json", lighting)
+    soft = Lighting(result.pictures, result.sh_lighting())
+    _write_coefficients(folder / "coefficients.csv", soft)
+    _write_three(folder / "three.json", soft)
+    of_lamps = _lamps_as_texels(result)
     panoramas = []
     for picture, name, light in zip(
         lighting.pictures, file_names(lighting.pictures), lighting.coefficients, strict=True
     ):
         with one_blas_thread():  # the same bits whatever the processor count
             radiance, difference = nonnegative_radiance(light, response, HEIGHT)
+        radiance += of_lamps.get(picture, 0.0)
         file = f"{name}.exr"
         radiance = np.minimum(radiance, np.finfo(np.float32).max)
         images.write_exr(folder / file, {c: radiance[..., i] for i, c in enumerate("RGB")})
@@ -70,6 +76,33 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
         writer.writerow(["picture", "file", "relit_difference"])
         writer.writerows([of.picture, of.file, f"{of.difference:.6f}"] for of in panoramas)
     return tuple(panoramas)
+
+
+def _lamps_as_texels(result: Result) -> dict[str, NDArray[np.float64]]:
+    """Panoramas of the lamps alone by picture, as the middle of the surface sees them.
+
+    A lamp of irradiance E = π · colour is E over a solid angle: it is shared among the four texels
+    about its direction, linearly, so that their mean is that direction.
+    """
+    found: dict[str, NDArray[np.float64]] = {}
+    if result.lamps is None:
+        return found
+    angles = panorama.solid_angles(HEIGHT, 2 * HEIGHT)
+    for i, direction, color in zip(result.lamps.pictures, *result.lamps_seen(), strict=True):
+        shown = found.setdefault(result.pictures[i], np.zeros((HEIGHT, 2 * HEIGHT, 3)))
+        x, y, z = direction.tolist()
+        # The inverse of `panorama.directions`, whose texels have their centres half way.
+        row = HEIGHT * (0.5 - math.asin(max(-1.0, min(1.0, y))) / math.pi) - 0.5
+        column = HEIGHT * (1 - math.atan2(x, z) / math.pi) + HEIGHT - 0.5
+        top, left = math.floor(row), math.floor(column)
+        for down, right in np.ndindex(2, 2):
+            share = abs(1 - down - row + top) * abs(1 - right - column + left)
+            at = top + down
+            beyond = not 0 <= at < HEIGHT  # a pole, behind which the other side goes on
+            at = min(max(at, 0), HEIGHT - 1)
+            texel = at, (left + right + beyond * HEIGHT) % (2 * HEIGHT)
+            shown[texel] += share * math.pi * color / angles[at]
+    return found
 
 
 def file_names(pictures: Sequence[str]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from pbrfit._core import InputError
 from pbrfit.export.maps import BASE_COLOR, GREEN, NORMAL, Bits, NormalConvention, Texture
 from pbrfit.export.view_mesh import Geometry
 
-Format = Literal["gltf", "exr", "png", "ply"]
+Format = Literal["gltf", "exr", "png", "ply", "lp", "ptm"]
 PresetName = Literal["blender", "unreal", "unity"]
 
 
@@ -26,6 +26,8 @@ class Preset:
     opacity: Texture | Literal["alpha"]
     """What is added where the mask leaves pixels out: a texture, or the mask as alpha of the first
     one."""
+    displacement: str = "displacement"
+    """Name of the texture with the height, of results that have one."""
 
 
 _SEPARATE = (
@@ -51,6 +53,7 @@ PRESETS: dict[PresetName, Preset] = {
             Texture("T_Normal", NORMAL, bits=8),
         ),
         Texture("T_OpacityMask", ("mask",), bits=8),
+        "T_Displacement",
     ),
     "unity": Preset(
         ("png",),
@@ -65,6 +68,7 @@ PRESETS: dict[PresetName, Preset] = {
             Texture("NormalMap", NORMAL, bits=8),
         ),
         "alpha",
+        "HeightMap",
     ),
 }
 
@@ -83,6 +87,8 @@ class Plan:
     """Of all integer textures; None = each its own."""
     geometry: Geometry = "card"
     """Of glTF."""
+    displacement: str = "displacement"
+    """Name of the texture with the height."""
 
     def bits_of(self, texture: Texture) -> Bits:
         """Of an integer file of the texture."""
@@ -122,10 +128,10 @@ def plan(
         raise InputError("normals: expected opengl, the convention of format gltf, found directx")
     if format == "exr" and bits is not None:
         raise InputError(f"bits: expected none with format exr, which is float32, found {bits}")
-    if format == "ply":
+    if format in ("ply", "lp", "ptm"):
         for name, value in (("preset", preset), ("normals", normals), ("bits", bits)):
             if value is not None:
-                raise InputError(f"{name}: expected none with format ply, found {value}")
+                raise InputError(f"{name}: expected none with format {format}, found {value}")
     chosen = PLAIN if preset is None else PRESETS[preset]
     formats = (format,) if format else chosen.formats
     if geometry is not None and "gltf" not in formats:
@@ -146,4 +152,5 @@ def plan(
         textures[0] = replace(textures[0], channels=(*textures[0].channels, "mask"))
     elif masked and isinstance(chosen.opacity, Texture):
         textures.append(chosen.opacity)
-    return Plan(formats, convention, tuple(textures), bits, geometry or "card")
+    name = chosen.displacement
+    return Plan(formats, convention, tuple(textures), bits, geometry or "card", name)

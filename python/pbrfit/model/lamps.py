@@ -103,6 +103,12 @@ class Lamps:
         """Whether all colours are known."""
         return not np.isnan(self.colors).any()
 
+    def in_words(self) -> str:
+        """How many there are of which kind: 3 far lamps."""
+        near = int(self.near.sum())
+        counts = [f"{n} {kind}" for n, kind in ((len(self) - near, "far"), (near, "near")) if n]
+        return f"{' and '.join(counts) or 'no'} lamp{'' if len(self) == 1 else 's'}"
+
     def check_pictures(self, count: int) -> None:
         """Raise InputError if a lamp is of a picture beyond so many."""
         if len(self) and self.pictures[-1] >= count:

@@ -425,9 +425,8 @@ class _View:
     def under_lamp(self, lamp: Lamps, points: Array | None, threads: int, model: Model) -> Array:
         """(P, 3) radiance of the pixels under one lamp; NaN where a near one needs their points."""
         if not lamp.near[0]:
-            return _core.render_directional(*self.pixels, lamp.places, lamp.colors, threads, model)[
-                0
-            ]
+            one = _core.render_directional(*self.pixels, lamp.places, lamp.colors, threads, model)
+            return np.asarray(one[0])
         assert points is not None
         known = np.isfinite(points).all(axis=-1)
         directions, strengths = lamp.at(points[known])

@@ -44,10 +44,10 @@ def difference_key(what: str, marks: Mapping[str, int], *, degrees: bool = False
     With `degrees` that of angles between normals.
     """
     stops = ", ".join(
-        _css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int)
+        css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int)
     )
     ticks = differences.tick_places(degrees=degrees)
-    patches = {label: _css(PALETTE[index]) for label, index in marks.items()}
+    patches = {label: css(PALETTE[index]) for label, index in marks.items()}
     return _key(what, stops, ticks, patches)
 
 
@@ -56,10 +56,10 @@ def grey_key(what: str) -> str:
     return _key(what, "#000, #fff", {0.0: "0", 0.25: "", 0.5: "0.5", 0.75: "", 1.0: "1"}, {})
 
 
-def depth_key(low: str, high: str) -> str:
-    """Key to a map of depth in `differences.blue_to_yellow`, between two labels."""
+def range_key(what: str, ticks: Mapping[float, str]) -> str:
+    """Key to a map in `differences.blue_to_yellow`, with labels by their share of the bar."""
     colors = differences.blue_to_yellow(np.linspace(0, 1, 17))
-    return _key("depth", ", ".join(map(_css, colors)), {0.0: low, 1.0: high}, {})
+    return _key(what, ", ".join(map(css, colors)), ticks, {})
 
 
 def outside_patch() -> str:
@@ -91,6 +91,7 @@ def _place(share: float) -> str:
     return f"left:{100 * share:.4g}%"
 
 
-def _css(color: np.ndarray) -> str:
+def css(color: np.ndarray) -> str:
+    """A colour (3,), sRGB in [0, 1], for a style sheet."""
     red, green, blue = np.rint(255 * color).astype(int).tolist()
     return f"#{red:02x}{green:02x}{blue:02x}"

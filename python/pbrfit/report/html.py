@@ -49,6 +49,8 @@ class Cell:
     text: str
     look: Look = ""
     value: float | None = None
+    color: str = ""
+    """For a style sheet: a patch of it stands before the text."""
 
 
 def number(text: str, value: float | None = None) -> Cell:
@@ -112,6 +114,8 @@ def _cell(tag: str, cell: Cell) -> str:
     text = escape(cell.text).replace("\n", "<br>")
     if cell.value is not None:
         text = f'<data value="{float(cell.value)!r}">{text}</data>'
+    if cell.color:
+        text = f'<span class="patch" style="background:{cell.color}"></span> {text}'
     if cell.look in ("pass", "fail", "note"):
         return f'<{tag}><span class="{cell.look}">{text}</span></{tag}>'
     if cell.look == "best":

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +17,16 @@ from pbrfit.report import budget, figures, raster
 from pbrfit.report.budget import Fitted
 from pbrfit.report.html import paragraph
 from pbrfit.report.notation import percent, plain
+from pbrfit.report.surroundings import round_step
 from pbrfit.result import differences
 from pbrfit.result.differences import Difference
 from pbrfit.result.result import Result
 from pbrfit.result.uncertainty import PARAMETERS
 
 BALL_SIDE = 96
+
+TICKS = 6
+"""Labels of a scale, at most about."""
 
 DEPTH_SHOWN = (1, 99)
 """Percentiles of depth at the ends of its scale: single pixels beyond do not darken all others."""
@@ -58,6 +64,8 @@ def blocks(result: Result, truth: Materials | None) -> list[Block]:
         found.append(_deviations(result))
     if result.depth is not None and np.isfinite(result.depth).any():
         found.append(_depth(result.depth))
+    if result.height is not None and np.isfinite(result.height).any():
+        found.append(_height(result.height))
     return found
 
 
@@ -85,6 +93,8 @@ def _block(block: Block, side: int, size: tuple[int, int]) -> str:
 
 def _recovered(result: Result) -> Block:
     which = "as given" if result.given_normals is None else "refined"
+    if result.height is not None:
+        which = "found from the pictures"
     remarks = {name: f"median {_median(getattr(result, name))}" for name in PARAMETERS}
     remarks["albedo"] += ", linear"
     pictures = [
@@ -165,21 +175,59 @@ def _deviations(result: Result) -> Block:
 
 def _depth(depth: NDArray[np.float32]) -> Block:
     """Distances along the camera's axis, from blue (near) to yellow (far)."""
-    low, middle, high = np.nanpercentile(depth, [*DEPTH_SHOWN[:1], 50, *DEPTH_SHOWN[1:]]).tolist()
-    span = max(high - low, 1e-6 * high)
-
-    def draw(side: int) -> bytes:
-        shares = (raster.reduced(depth, side) - low) / span
-        colors = differences.blue_to_yellow(np.nan_to_num(shares))
-        return raster.picture_png(np.where(np.isnan(shares)[..., None], np.nan, colors))
-
+    low, middle, high = _ends(depth)
     unknown = "" if np.isfinite(depth).all() else "; transparent where unknown"
+    draw = _between(depth, low, high)
     shown = Shown(draw, "depth", f"median {middle:.3g}{unknown}", "Map of the depth")
     text = paragraph(
         "Distance from the camera along its axis, as the scene gave it, in its own unit. The "
         f"scale ends where {DEPTH_SHOWN[0]} % of the pixels are nearer, and as many farther."
     )
-    return Block("Depth", text, figures.depth_key(f"{low:.3g}", f"{high:.3g}"), (shown,))
+    return Block(
+        "Depth", text, figures.range_key("depth", {0.0: f"{low:.3g}", 1.0: f"{high:.3g}"}), (shown,)
+    )
+
+
+def _height(height: NDArray[np.floating[Any]]) -> Block:
+    """Heights towards the viewer, from blue (low) to yellow (high)."""
+    low, _, high = _ends(height)
+    across = height.shape[1]
+    remark = f"{plain(high - low)} pixels from the lowest to the highest, {across} across"
+    shown = Shown(_between(height, low, high), "height", remark, "Map of the height")
+    text = paragraph(
+        "Height of the surface towards the viewer, in pixels of the fit and above its mean: found "
+        "from the normals, which are from the pictures. Slopes add up, so small relief is surer "
+        "than the shape of the whole. The scale ends where "
+        f"{DEPTH_SHOWN[0]} % of the pixels are lower, and as many higher."
+    )
+    return Block("Height", text, figures.range_key("height in pixels", _ticks(low, high)), (shown,))
+
+
+def _ticks(low: float, high: float) -> dict[float, str]:
+    """Round numbers on a scale, by their share of it."""
+    if not high > low:
+        return {0.0: f"{low:.3g}".replace("-", "−")}
+    step = round_step((high - low) / TICKS)
+    numbers = range(math.ceil(low / step), math.floor(high / step) + 1)
+    return {(i * step - low) / (high - low): f"{i * step:.6g}".replace("-", "−") for i in numbers}
+
+
+def _ends(values: NDArray[np.floating[Any]]) -> tuple[float, float, float]:
+    """Where a scale begins, the median, and where it ends."""
+    low, middle, high = np.nanpercentile(values, [DEPTH_SHOWN[0], 50, DEPTH_SHOWN[1]]).tolist()
+    return low, middle, high
+
+
+def _between(values: NDArray[np.floating[Any]], low: float, high: float) -> Draw:
+    """A map in colours from blue (low) to yellow (high)."""
+    span = max(high - low, 1e-6 * abs(high)) or 1.0
+
+    def draw(side: int) -> bytes:
+        shares = (raster.reduced(values, side) - low) / span
+        colors = differences.blue_to_yellow(np.nan_to_num(shares))
+        return raster.picture_png(np.where(np.isnan(shares)[..., None], np.nan, colors))
+
+    return draw
 
 
 def _maps(materials: Materials, which: str, remarks: Mapping[str, str]) -> Iterator[Shown]:

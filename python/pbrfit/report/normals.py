@@ -31,6 +31,8 @@ LABELS = {
 
 def sentence(result: Result) -> str:
     """What was decided about the normals; nothing where refining them was not asked for."""
+    if result.height is not None:
+        return "Normals and height were found from the pictures, as no normals were given."
     if result.refinement.asked == "off":
         return ""
     return f"The normals were {result.refinement.in_words()}."

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
-from pbrfit.report import budget, figures, maps, normals, transport, verdict, viewer
+from pbrfit.report import budget, figures, lamps, maps, normals, transport, verdict, viewer
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
 from pbrfit.report.html import (
@@ -40,6 +40,7 @@ TITLES = {
     "maps": "Maps",
     "pictures": "Pictures",
     "lights": "Lights",
+    "lamps": "Lamps",
     "surroundings": "Surroundings",
     "history": "Error against run time",
     "origin": "Run details",
@@ -59,6 +60,12 @@ REFLECTION: Mapping[Model, str] = {
     ),
 }
 """What the maps are maps of."""
+
+
+LAMPS_IN_VIEW = (
+    "Lights of this view are soft: of a picture's lamps it shows what spherical harmonics hold. "
+    "pbrfit relight --picture NAME shows them as they are."
+)
 
 
 @dataclass(frozen=True)
@@ -93,8 +100,11 @@ def page(result: Result, originals: Originals) -> str:
     )
 
     fixed = {
-        "relight": _size_remark("The view's maps", view.side, result) + view.made,
+        "relight": _size_remark("The view's maps", view.side, result)
+        + ("" if result.lamps is None else paragraph(LAMPS_IN_VIEW, "note"))
+        + view.made,
         "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
+        "lamps": lamps.section(result),
         "surroundings": transport.section(result),
         "history": _history(result),
         "origin": _origin(result),
@@ -103,7 +113,7 @@ def page(result: Result, originals: Originals) -> str:
     def whole(chosen: _Chosen) -> str:
         of_chosen = {
             "pictures": _pictures(originals, pictures, chosen),
-            "lights": _lights(pictures, chosen),
+            "lights": _lights(pictures, chosen) if result.lamps is None else "",
         }
         return _document(result, pictures, fixed | of_chosen)
 
@@ -247,6 +257,7 @@ def _lights(pictures: Sequence[Picture], chosen: _Chosen) -> str:
 
 
 def _light(one: Picture) -> str:
+    assert one.light_pngs is not None
     balls, radiance = one.light_pngs
     content = figures.picture(
         balls, of_lights.BALLS_SIZE, f"Light of {one.name} on a white and a mirror ball"

@@ -51,13 +51,13 @@ class Picture:
     """By side, the largest first: the picture, its reconstruction and the residual, or the
     reconstruction alone."""
     light: Light
-    light_pngs: tuple[bytes, bytes]
-    """Its light: in numbers; on balls, as a panorama."""
+    light_pngs: tuple[bytes, bytes] | None
+    """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""
 
     @property
     def sizes(self) -> list[int]:
         """Bytes in the page, by side."""
-        always = sum(budget.of_base64(len(png)) for png in self.light_pngs)
+        always = sum(budget.of_base64(len(png)) for png in self.light_pngs or ())
         return [always + sum(budget.of_base64(len(png)) for png in pngs) for pngs in self.pngs]
 
 
@@ -68,9 +68,10 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
         coefficients = result.lighting[i]
         light = lights.measure(coefficients)
         fit, pngs = _one(result, scene, i, sides)
-        found.append(
-            Picture(name, fit, pngs, light, lights.pngs(coefficients, light, result.model))
-        )
+        shown = None
+        if result.lamps is None:
+            shown = lights.pngs(coefficients, light, result.model)
+        found.append(Picture(name, fit, pngs, light, shown))
     return found
 
 

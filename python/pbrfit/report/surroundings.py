@@ -215,7 +215,7 @@ def _grid(low: Array, high: Array, scale: float, wide: float, tall: float) -> It
         f'<rect x="{LEFT}" y="{top}" width="{wide:.1f}" height="{tall:.1f}" fill="#fff" '
         'stroke="#ccc"/>'
     )
-    step = _round_step(45.0 / scale)
+    step = round_step(45.0 / scale)
     for i in range(int(np.ceil(low[0] / step)), int(np.floor(high[0] / step)) + 1):
         x = LEFT + (i * step - low[0]) * scale
         yield f'<path d="M{x:.1f} {top}V{bottom:.1f}" stroke="#eee"/>'
@@ -227,7 +227,7 @@ def _grid(low: Array, high: Array, scale: float, wide: float, tall: float) -> It
         yield f'<text x="{LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{_number(i * step)}</text>'
 
 
-def _round_step(least: float) -> float:
+def round_step(least: float) -> float:
     """The smallest of 1, 2, 5, 10, ... times a power of ten that is not below `least`."""
     power = 10.0 ** np.floor(np.log10(least))
     return float(next(power * m for m in (1, 2, 5, 10) if power * m >= least * (1 - 1e-9)))

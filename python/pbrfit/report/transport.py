@@ -14,7 +14,7 @@ from pbrfit.report.html import Cell, Look, Table, heads, number, paragraph, tabl
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.surroundings import plan_key, plan_view
 from pbrfit.result import metrics
-from pbrfit.result.relighting import DirectionalLight, relight
+from pbrfit.result.relighting import DirectionalLight, LampLight, own_light, relight
 from pbrfit.result.result import Result
 from pbrfit.transport.decision import Kind
 from pbrfit.transport.scenery import Scenery, counted, name_of
@@ -124,7 +124,7 @@ def _scores(result: Result) -> str:
 def _relit(result: Result, scenery: Scenery) -> str:
     """The same light with and without surroundings."""
     first = f"light of {result.pictures[0]}"
-    cards = _pair(result, result.lighting[0], first)
+    cards = _pair(result, own_light(result, 0), first)
     lamp = _lamp(scenery)
     if lamp is not None:
         cards += _pair(result, lamp, "a hard lamp")
@@ -138,7 +138,9 @@ def _relit(result: Result, scenery: Scenery) -> str:
     return heading + paragraph(text, "note") + figures.grid(cards, "relit maps")
 
 
-def _pair(result: Result, light: NDArray[np.float64] | DirectionalLight, name: str) -> list[str]:
+def _pair(
+    result: Result, light: NDArray[np.float64] | DirectionalLight | LampLight, name: str
+) -> list[str]:
     among, without = (relight(result, light, shadows=one) for one in (True, False))
     white = metrics.white_of(without)
     size = reduced_size(result.mask.shape, SIDE)

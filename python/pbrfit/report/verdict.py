@@ -68,6 +68,13 @@ def sentences(result: Result, pictures: Sequence[Picture]) -> list[str]:
     return [line for line in lines if line]
 
 
+def _lacks(result: Result) -> str:
+    """What pictures may hold that the model does not."""
+    if result.lamps is None:
+        return LACKS[result.transport.kind]
+    return "shadows, light between surfaces" + ("" if result.lamps.near.any() else ", near lamps")
+
+
 def _ended(result: Result) -> str:
     how = "converged" if result.status is Status.CONVERGED else "stopped"
     return (
@@ -96,7 +103,7 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
     if share >= MODEL_FAILS:
         text += (
             f" If the pictures are not that noisy, the model lacks something: "
-            f"{LACKS[result.transport.kind]}, or correct normals. Do not trust the maps where the "
+            f"{_lacks(result)}, or correct normals. Do not trust the maps where the "
             "residuals are large."
         )
     return text
@@ -188,6 +195,8 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
         ("evaluations", f"{result.evaluations:,}", result.evaluations),
         ("run time", f"{result.seconds:.1f} s", result.seconds),
     ]
+    if result.lamps is not None:
+        done.insert(4, ("light", result.lamps.in_words(), len(result.lamps)))
     known = {METRICS[key]: result.metrics[key] for key in METRICS if key in result.metrics}
     if result.uncertainty is not None and result.uncertainty.noise is not None:
         known["noise of a sample (standard deviation)"] = result.uncertainty.noise

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.lazy import lazy
-from pbrfit.model.geometry import angles_between
+from pbrfit.model.geometry import angles_between, positions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model
+from pbrfit.model.reflection import Model, sh_basis
 from pbrfit.result.camera import Camera
 from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
@@ -201,6 +201,37 @@ class ResultData:
             self.materials, self.normals, functions, self.transport, model=self.model
         )
         return pictures.astype(np.float32)
+
+    @property
+    def middle(self) -> NDArray[np.float64] | None:
+        """(3,): median of the points in the mask, in the unit of the depth; None without depth."""
+        if self.depth is None:
+            return None
+        points = positions(self.depth, self.fov)[self.mask & np.isfinite(self.depth)]
+        return np.asarray(np.median(points, axis=0)) if len(points) else None
+
+    def lamps_seen(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Directions (K, 3) and colours (K, 3) of the lamps at the middle of the surface.
+
+        Raises InputError if a near one is seen from nowhere, because no pixel has depth.
+        """
+        if self.lamps is None:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        middle = self.middle
+        directions, strengths = self.lamps.at(None if middle is None else middle[None])
+        return directions[0], strengths[0][:, None] * self.lamps.colors
+
+    def sh_lighting(self) -> NDArray[np.float64]:
+        """(N, 16, 3): `lighting`, and of lamps what l ≤ 3 holds at the middle of the surface.
+
+        A lamp of irradiance E = π · colour from d has L_k = E Y_k(d).
+        """
+        found = np.array(self.lighting)
+        if self.lamps is not None:
+            directions, colors = self.lamps_seen()
+            light = np.pi * sh_basis(directions)[:, :, None] * colors[:, None, :]
+            np.add.at(found, self.lamps.pictures, light)
+        return found
 
     @property
     def normal_change(self) -> NDArray[np.float64] | None:

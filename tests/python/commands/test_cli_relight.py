@@ -20,10 +20,13 @@ from pbrfit.commands.arguments import with_signed_values
 from pbrfit.io import display, images
 from pbrfit.io.relit_files import ANIMATIONS, write_animation
 from pbrfit.model import panorama
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting, rotated
 from pbrfit.model.panorama import WINDOWS
+from pbrfit.result.relighting import rendered_picture
 from relit import ball, fitted, shaded_ball, side_lit
 from scene_files import Argument, run, write_exr, write_folder, write_hdr
+from under_lamps import ball_under_lamps
 
 Array = NDArray[np.floating[Any]]
 
@@ -36,6 +39,20 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made.save(folder / "room")
     ball(made).save(folder / "ball")
     return folder
+
+
+@pytest.fixture(scope="module")
+def lamps(folders: Path) -> Path:
+    """A ball with far lamps."""
+    ball_under_lamps().save(folders / "lamps")
+    return folders / "lamps"
+
+
+@pytest.fixture(scope="module")
+def deep(folders: Path) -> Path:
+    """A ball on a floor, with depth."""
+    shaded_ball().save(folders / "deep")
+    return folders / "deep"
 
 
 @pytest.fixture(scope="module")
@@ -446,7 +463,7 @@ def test_what_is_read_is_not_overwritten(room: Path, pano: Path) -> None:
         ("out.gif", (), "found .gif; .gif needs --turntable N"),
         ("out.exr", ("--turntable", 2), "a folder (no suffix), .gif, .webp or .png (animated)"),
         ("out.png", ("--turntable", 0), "expected 1 or more, found 0"),
-        ("out.png", ("--rotate", 90), "--rotate: goes with --env or --sh"),
+        ("out.png", ("--rotate", 90), "--rotate: goes with --env, --sh or --picture"),
         ("out.png", ("--window", "lanczos"), "--window: goes with --env"),
         ("out.png", ("--picture", "a"), "--picture: goes with --sh"),
         ("out.png", ("--format", "png"), "--format: goes with --turntable and a folder"),
@@ -475,8 +492,83 @@ def test_lights_that_are_no_angles_or_none(room: Path, tmp_path: Path, light: st
     given = () if light is None else ("--light", light)
     expected = f"expected AZIMUTH,ELEVATION, finite numbers, found {light!r}"
     if light is None:
-        expected = "one of the arguments --env --light --sh is required"
+        expected = "expected one of --env, --light, --lamp, --sh and --picture, found none"
     assert expected in refused("relight", room, *given, "--out", tmp_path / "out.png")
+
+
+def test_a_picture_s_own_light_is_shown_again(room: Path, lamps: Path, tmp_path: Path) -> None:
+    result = Result.load(lamps)
+    expected = rendered_picture(result, 2).astype(np.float32)
+    found = written(lamps, tmp_path, "--picture", "c")
+    np.testing.assert_array_equal(found[result.mask], expected[result.mask])
+    file = lamps / "lighting.json"
+    again = written(lamps, tmp_path, "--sh", file, "--picture", "c")
+    np.testing.assert_array_equal(found, again)
+    out = tmp_path / "out.png"
+    facts = said(done("relight", lamps, "--picture", "c", "--rotate", 10, "--out", out))
+    assert facts["light"] == (
+        f"1 far lamp and ambient SH light, of c in {file}, turned by 10 degrees"
+    )
+    name = Result.load(room).pictures[0]
+    own = written(room, tmp_path, "--picture", name)
+    assert np.array_equal(
+        own, relight(Result.load(room), Result.load(room).lighting[0]).astype("f4")
+    )
+
+
+def test_a_near_lamp_is_as_bright_as_asked_at_the_middle(deep: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.exr"
+    result = Result.load(deep)
+    middle = result.middle
+    assert middle is not None
+    lamp = ("--lamp", "-0.5,1,-0.25", "--color", "2,1,1")
+    facts = said(done("relight", deep, *lamp, "--no-shadows", "--out", out))
+    away = np.array((-0.5, 1, -0.25)) - middle
+    assert facts["light"].startswith(
+        f"near, at -0.5, 1, -0.25, which is {np.linalg.norm(away):.3g}"
+    )
+    near = Lamps(
+        np.array([0]),
+        np.array([(-0.5, 1, -0.25)]),
+        np.array([True]),
+        away @ away * np.array([(2.0, 1, 1)]),
+    )
+    np.testing.assert_allclose(exr(out), relight(result, near, shadows=False), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--lamp", "0,0"), "expected X,Y,Z, finite numbers, found '0,0'"),
+        (("--lamp", "0,0,0"), "expected a result with depth for --lamp, found one without"),
+        (("--lamp", "0,0,0", "--rotate", 3), "--rotate: goes with --env, --sh or --picture"),
+        (("--lamp", "0,0,0", "--light", "0,0"), "not allowed with argument"),
+        (("--picture", "d"), "expected a light of d (--picture), found a, b, c"),
+        (("--picture", "a", "--color", "1,1,1"), "--color: goes with --light or --lamp"),
+    ],
+)
+def test_lights_that_cannot_be(
+    lamps: Path, arguments: tuple[str | int, ...], message: str, tmp_path: Path
+) -> None:
+    assert message in refused("relight", lamps, *arguments, "--out", tmp_path / "out.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_near_lamp_takes_no_turn(deep: Path, tmp_path: Path) -> None:
+    lamp = ("--lamp", "0,0,0", "--turntable", 3)
+    message = refused("relight", deep, *lamp, "--out", tmp_path / "out.gif")
+    assert "--turntable: expected light from far away, found a near lamp" in message
+    message = refused(
+        "relight", deep, "--lamp", "0,0,0", "--color", "-1,0,0", "--out", tmp_path / "o.png"
+    )
+    assert "color: expected three finite numbers, 0 or more" in message
+
+
+def test_far_lamps_of_a_picture_go_around(lamps: Path, tmp_path: Path) -> None:
+    done("relight", lamps, "--picture", "a", "--turntable", 2, "--out", tmp_path / "frames")
+    first, second = (exr(tmp_path / "frames" / f"frame_000{k}.exr") for k in range(2))
+    np.testing.assert_array_equal(first, written(lamps, tmp_path, "--picture", "a"))
+    assert second[..., :3].mean() < first[..., :3].mean()  # from behind, ambient light is left
 
 
 def test_the_same_file_with_any_number_of_threads(room: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from command_runs import done, ran, refused
 from pbrfit import Scene
 from pbrfit.io.images import read_data
 from pbrfit.model.geometry import angles_between
-from pbrfit.report import lamps as drawn
+from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene import known_lamps
 from pbrfit.scene.ball import Ball
 from scene_files import write_exr, write_folder, write_integers

@@ -49,9 +49,9 @@ def fragment(result: Result, max_side: int = 1024) -> str:
     """
     small = maps.of_result(result, max_side)
     height, width = small.mask.shape
-    first = render(
-        small.materials, small.normals, result.lighting[0], result.fov, model=result.model
-    )
+    # Of lamps, which the view's shader does not know, what l <= 3 holds.
+    lights = result.sh_lighting()
+    first = render(small.materials, small.normals, lights[0], result.fov, model=result.model)
     white = metrics.white_of(first) if small.mask.any() else 1.0
     exposure = round(0.0 - math.log2(white), 1)
     data = {
@@ -62,7 +62,7 @@ def fragment(result: Result, max_side: int = 1024) -> str:
         "units": maps.UNITS,
         "lights": [
             {"name": name, "coefficients": light.ravel().tolist()}
-            for name, light in zip(result.pictures, result.lighting, strict=True)
+            for name, light in zip(result.pictures, lights, strict=True)
         ],
         **_table(result.model),
     }

@@ -1,0 +1,149 @@
+"""Files of reflectance transformation imaging: directions of lamps, and polynomial texture maps.
+
+A polynomial texture map says for each pixel how bright it is under light from (l_u, l_v, l_w), unit
+vector to the right, upwards and to the viewer, and has one colour for all of them:
+
+    L = a₀ l_u² + a₁ l_v² + a₂ l_u l_v + a₃ l_u + a₄ l_v + a₅,      (R, G, B) · L/255.
+
+Sources: T. Malzbender, D. Gelb and H. Wolters, "Polynomial texture maps", SIGGRAPH 2001; T.
+Malzbender and D. Gelb, "Polynomial Texture Map (.ptm) File Format", version 1.2, 2001.
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.color import encode_srgb
+from pbrfit.model.lamps import Lamps
+from pbrfit.result import metrics
+from pbrfit.result.relighting import relight
+from pbrfit.result.result import Result
+
+Array = NDArray[np.float64]
+
+LP_FILE = "lamps.lp"
+LP_HOLDS = "directions to the lamps, X right, Y up, Z to the viewer, by picture file"
+
+PTM_FILE = "relit.ptm"
+PTM_HOLDS = "polynomial texture map, LRGB: the surface under a hard light from any direction"
+
+DIRECTIONS = 50
+"""Lights that polynomials are fitted to: eight a coefficient."""
+
+LOWEST = 10.0
+"""Degrees above the horizon of the lowest of them, about."""
+
+CODES = 254
+"""Steps between the lowest and the highest value of a coefficient, one less than bytes have: that 0
+falls on a whole code moves the others by up to one."""
+
+SCALE_MIN = 1e-6
+"""Smallest step of a coefficient, in codes of brightness, that the text of a file can tell."""
+
+
+def one_lamp_a_picture(lamps: Lamps | None, pictures: int) -> bool:
+    """Whether `lp` can tell the lamps: each picture has just one."""
+    return lamps is not None and np.array_equal(lamps.pictures, np.arange(pictures))
+
+
+def lp(result: Result) -> str:
+    """Directions to the lamps, one a picture, of near ones from the middle of the surface.
+
+    A line has the picture's file name, as far as the result knows it, else its name.
+
+    Raises InputError if a picture has no lamp or several.
+    """
+    if not one_lamp_a_picture(result.lamps, len(result.pictures)):
+        found = "none" if result.lamps is None else result.lamps.in_words()
+        raise InputError(
+            f"format: expected a result with a lamp in each of {len(result.pictures)} pictures for "
+            f"lp, found {found}"
+        )
+    files = _file_names(result)
+    directions, _ = result.lamps_seen()
+    lines = [
+        " ".join([name, *(f"{value:.9f}" for value in direction)])
+        for name, direction in zip(files, directions.tolist(), strict=True)
+    ]
+    return "\n".join([str(len(lines)), *lines, ""])
+
+
+def _file_names(result: Result) -> list[str]:
+    """Of the pictures; what is no file of the scene's keeps its name."""
+    files: dict[str, list[str]] = {}
+    for path in map(PurePosixPath, result.inputs):
+        if path.parent == PurePosixPath("images"):
+            files.setdefault(path.stem, []).append(path.name)
+    return [files[name][0] if len(files.get(name, ())) == 1 else name for name in result.pictures]
+
+
+def ptm(result: Result) -> tuple[bytes, float]:
+    """A polynomial texture map of a result, and the radiance that is its white.
+
+    Brightness is in sRGB codes, as viewers show it: 255 is the 98th percentile under a light from
+    the viewer. Lights have the strength of `DirectionalLight`, and cast shadows where `relight`
+    does. Pixels outside the mask are black.
+    """
+    lights = directions()
+    solve = np.linalg.pinv(basis(lights[:, :2]))
+    white = metrics.white_of(_relit(result, np.array([0.0, 0.0, 1.0])))
+    inside = result.mask
+    fitted = np.zeros((6, np.count_nonzero(inside), 3))
+    mean = np.zeros(fitted.shape[1:])
+    for column, light in zip(solve.T, lights, strict=True):
+        shown = encode_srgb(np.clip(_relit(result, light)[inside] / white, 0.0, 1.0))
+        mean += shown / len(lights)
+        fitted += column[:, None, None] * shown
+    largest = mean.max(axis=-1, keepdims=True)
+    color = np.divide(mean, largest, out=np.ones_like(mean), where=largest > 0)
+    # Of all channels' polynomials the multiple of the colour that is closest to them.
+    along = color / np.square(color).sum(axis=-1, keepdims=True)
+    coefficients = 255 * np.einsum("kpc,pc->kp", fitted, along)
+    return _file(coefficients, color, inside), white
+
+
+def directions() -> Array:
+    """(DIRECTIONS, 3) unit vectors to lights, evenly spread over the hemisphere of the viewer."""
+    index = np.arange(DIRECTIONS)
+    z = 1 - (index + 0.5) / DIRECTIONS * (1 - np.sin(np.radians(LOWEST)))
+    around = index * np.pi * (3 - np.sqrt(5))
+    across = np.sqrt(1 - z * z)
+    return np.stack([across * np.cos(around), across * np.sin(around), z], axis=-1)
+
+
+def basis(light: Array) -> Array:
+    """(..., 6): what the coefficients are multiplied by, of l_u and l_v (..., 2)."""
+    u, v = light[..., 0], light[..., 1]
+    return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
+
+
+def _relit(result: Result, direction: Array) -> Array:
+    lamp = Lamps(np.zeros(1, np.intp), direction[None], colors=np.ones((1, 3)))
+    return relight(result, lamp)
+
+
+def _file(coefficients: Array, color: Array, inside: NDArray[np.bool_]) -> bytes:
+    """Of coefficients (6, P) in codes of brightness and colours (P, 3) from 0 to 1."""
+    low = np.minimum(coefficients.min(axis=1), 0.0)
+    high = np.maximum(coefficients.max(axis=1), 0.0)
+    scales = np.array([float(f"{one:.9f}") for one in np.maximum((high - low) / CODES, SCALE_MIN)])
+    biases = np.rint(-low / scales).astype(int)
+    codes = np.clip(np.rint(coefficients / scales[:, None]) + biases[:, None], 0, 255)
+    height, width = inside.shape
+    blocks = []
+    for values, outside in ((codes.T, biases), (np.rint(255 * color), np.zeros(3))):
+        block = np.empty((height, width, values.shape[-1]), np.uint8)
+        block[:] = np.clip(outside, 0, 255)
+        block[inside] = values
+        blocks.append(block[::-1].tobytes())  # rows from below
+    head = [
+        *("PTM_1.2", "PTM_FORMAT_LRGB", str(width), str(height)),
+        " ".join(f"{scale:.9f}" for scale in scales),
+        " ".join(map(str, biases.tolist())),
+        "",
+    ]
+    return "\n".join(head).encode("ascii") + b"".join(blocks)

@@ -1,0 +1,164 @@
+"""What the page says and shows of lamps and of a height."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from browser import launched, visit
+from page_reader import Page
+from pbrfit import Result
+from pbrfit.model.lamps import Lamps
+from pbrfit.report import write_report
+from pbrfit.report.lamps import RADIUS, SIZE, Seen, direction_map, seen
+from under_lamps import ball_under_lamps
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return ball_under_lamps()
+
+
+@pytest.fixture(scope="module")
+def page(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Page:
+    return written(result, tmp_path_factory.mktemp("page") / "page.html")
+
+
+def written(result: Result, path: Path) -> Page:
+    write_report(result, path)
+    return Page(path.read_text("utf-8"))
+
+
+def test_lamps_have_a_section_in_the_place_of_lights(page: Page) -> None:
+    sections = [e.attributes["id"] for e in page.all("section")]
+    assert sections == ["relight", "maps", "pictures", "lamps", "history", "origin"]
+    assert "lit by 2 far lamps" in page.text
+    assert "light2 far lamps" in page.text
+
+
+def test_the_table_has_directions_strengths_and_the_ambient_share(page: Page) -> None:
+    # (-0.48, 0.6, 0.64): atan2(-0.48, 0.64) and asin(0.6); luminance of (1.2, 1, 0.7).
+    rows = [e.text for e in page.all("tr")]
+    [first] = [row for row in rows if row.startswith("1a")]
+    assert first.startswith("1a−37°37°1 1.00, 0.83, 0.58")
+    assert any(row.startswith("2bno lamp") for row in rows)
+    ambient = 0.2 / (2 * np.sqrt(np.pi))
+    strength = 0.2126 * 1.2 + 0.7152 + 0.0722 * 0.7
+    shares = [float(e.attributes["value"]) for e in page.all("data")]
+    assert any(abs(share - ambient / (ambient + strength)) < 1e-9 for share in shares)
+    assert 1.0 in shares  # of the picture without a lamp
+
+
+def test_the_map_is_a_drawing_with_a_mark_and_a_number_a_lamp(result: Result) -> None:
+    root = ET.fromstring(direction_map(seen(result), result.pictures))
+    discs = [e for e in root.iter(f"{SVG}circle") if e.find(f"{SVG}title") is not None]
+    assert len(discs) == 2
+    # Equal angles are equally long: 50 degrees from the viewer, to the upper left.
+    x, y = (float(discs[0].attrib[c]) - SIZE / 2 for c in ("cx", "cy"))
+    radius = RADIUS * np.degrees(np.arccos(0.64)) / 90
+    along = np.array((-0.48, -0.6)) / np.hypot(0.48, 0.6)
+    np.testing.assert_allclose((x, y), radius * along, atol=0.1)
+    title = discs[0].find(f"{SVG}title")
+    assert title is not None
+    assert title.text == "1: a: azimuth −37°, elevation 37°"
+    numbers = [e.text for e in root.iter(f"{SVG}text") if e.attrib.get("font-size") == "12"]
+    assert numbers == ["1", "3"]
+
+
+def test_lamps_behind_the_horizon_are_hollow_and_on_the_map() -> None:
+    behind = Seen((0.0, 0.0, -1.0), 1.0, (1.0, 1.0, 1.0), None)
+    drawn = direction_map([[behind]], ["<a>"])
+    assert "&lt;a&gt;" in drawn
+    [disc] = re.findall(r'<circle cx="(\S+)" cy="(\S+)" r="4.5" fill="#fff"', drawn)
+    assert all(0 <= float(one) <= SIZE for one in disc)
+
+
+def test_crowded_lamps_share_no_place_for_their_numbers() -> None:
+    random = np.random.default_rng(3)
+    directions = random.normal((0, 0, 1), 0.3, (60, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    lamps = [[Seen((x, y, z), 1.0, (1.0, 1.0, 1.0), 2.0)] for x, y, z in directions.tolist()]
+    root = ET.fromstring(direction_map(lamps, [str(i) for i in range(60)]))
+    places = [
+        (float(e.attrib["x"]), float(e.attrib["y"]))
+        for e in root.iter(f"{SVG}text")
+        if e.attrib.get("font-size") == "12"
+    ]
+    assert 10 < len(places) < 60
+    for i, (x, y) in enumerate(places):
+        for u, v in places[i + 1 :]:
+            assert abs(x - u) >= 6 or abs(y - v) >= 10
+
+
+def test_near_lamps_are_seen_from_the_middle_of_the_surface(result: Result, tmp_path: Path) -> None:
+    depth = np.where(result.mask, 5.0, np.nan).astype(np.float32)
+    lamps = Lamps(
+        np.array([1]), np.array([(3.0, 0.0, -1.0)]), np.array([True]), np.full((1, 3), 50.0)
+    )
+    near = dataclasses.replace(result, depth=depth, lamps=lamps)
+    [lamp] = seen(near)[1]
+    assert lamp.distance == pytest.approx(5)
+    assert lamp.strength == pytest.approx(2)
+    np.testing.assert_allclose(lamp.direction, (0.6, 0, 0.8), atol=1e-12)
+    page = written(near, tmp_path / "page.html")
+    assert "1 near lamp" in page.text
+    assert "near: a square" in page.text
+    assert "far: a disc" not in page.text
+
+
+def test_many_lamps_are_folded(result: Result, tmp_path: Path) -> None:
+    count = 30
+    many = dataclasses.replace(
+        result,
+        pictures=tuple(f"p{i}" for i in range(count)),
+        lighting=np.zeros((count, 16, 3)),
+        lamps=Lamps(
+            np.arange(count), np.tile((0.0, 0.0, 1.0), (count, 1)), colors=np.ones((count, 3))
+        ),
+    )
+    page = written(many, tmp_path / "page.html")
+    assert "All 30 lamps in numbers" in page.text
+
+
+def test_the_height_has_a_map_with_pixels_on_its_scale(page: Page) -> None:
+    titles = [e.text for e in page.all("h3")]
+    assert "Height" in titles
+    assert "height in pixels" in page.text
+    alts = [e.attributes.get("alt") for e in page.all("img")]
+    assert "Map of the height" in alts
+    assert "Normals and height were found from the pictures" in page.text
+    assert "found from the pictures, in camera space" in page.text
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_browser_shows_lamps_without_complaint(
+    result: Result, tmp_path: Path, width: int
+) -> None:
+    write_report(result, tmp_path / "page.html")
+    with launched() as browser, visit(browser, tmp_path / "page.html", width=width) as visited:
+        inside = visited.page.evaluate("document.documentElement.scrollWidth")
+        drawn = visited.page.locator("#lamps svg").bounding_box()
+        lights = visited.page.locator("select[name=light] option").all_inner_texts()
+        visited.page.wait_for_timeout(300)
+    assert visited.troubles == []
+    assert inside <= width
+    assert drawn is not None
+    assert drawn["x"] + drawn["width"] <= width
+    assert lights[:3] == ["a", "b", "c"]
+
+
+def test_a_flat_height_and_no_ambient_light_are_no_failure(result: Result, tmp_path: Path) -> None:
+    flat = dataclasses.replace(
+        result,
+        height=np.where(result.mask, np.float32(0), np.float32(np.nan)),
+        lighting=np.zeros((3, 16, 3)),
+        lamps=result.lamps.of_pictures([1, 1, 1]) if result.lamps else None,
+    )
+    assert "no lamps" in written(flat, tmp_path / "page.html").text
