@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,7 @@ LOOK_PIXELS = 400
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
 
-FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 20.0, 75.0
+FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 12.0, 75.0
 """Degrees of what is likely before: who takes pictures of an object stands back, and cuts out what
 is around it."""
 
@@ -329,7 +330,7 @@ class LampFit:
                 break
             if number in LOOKS:
                 factors, degrees = LOOKS[number]
-                fields = FIELDS_OF_VIEW
+                fields: tuple[float, ...] = FIELDS_OF_VIEW
                 if self.scene.fov_known:
                     fields = (self.fov,)
                 elif degrees:
@@ -412,7 +413,8 @@ class LampFit:
 
     def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
         """(P, 3): unit vectors to the camera at places of the picture."""
-        return np.asarray(view_directions(*self.scene.valid.shape, fov).reshape(-1, 3)[places])
+        height, width = self.scene.valid.shape
+        return np.asarray(view_directions(height, width, fov).reshape(-1, 3)[places])
 
     def _left_by_roughness(
         self, fit: JointLamps, few: LampPixels, given: LampState, scale: float, prior: SurfacePrior
@@ -596,7 +598,7 @@ class LampFit:
         def flags(of_unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:
             of = of_unknowns
             found = np.stack([of[:, 2:5].any(axis=-1), of[:, 5], of[:, 6]], axis=-1)
-            return np.asarray(_map(found, valid, False), bool)
+            return _map(found, valid, False)
 
         return Uncertainty(
             conditional=maps(variance),
@@ -647,7 +649,7 @@ def _scale_variance(fit: JointLamps, covariance: Array) -> float:
     return float(slope @ covariance @ slope)
 
 
-def _map(values: Array, valid: NDArray[np.bool_], fill: float = np.nan) -> Array:
+def _map(values: NDArray[Any], valid: NDArray[np.bool_], fill: float = np.nan) -> NDArray[Any]:
     """(H, W, ...): values of the valid pixels at their places."""
     found = np.full((*valid.shape, *values.shape[1:]), fill, values.dtype)
     found[valid] = values
