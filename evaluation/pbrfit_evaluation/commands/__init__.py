@@ -39,6 +39,7 @@ SUITES = {
     "gap": "the reflection models against full reflection integrals and Cycles",
     "normals": "what wrong normals cost, and how much of it refining wins back",
     "peers": "networks that see one picture, beside our fit of all",
+    "photographs": "held-out photographs under lamps, without normals",
     "real": "held-out pictures of real scenes",
     "review": "what the review of generated pictures catches and refuses",
     "solvers": "whether gauss-newton reaches what it must",
