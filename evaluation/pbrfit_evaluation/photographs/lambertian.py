@@ -24,8 +24,9 @@ from pbrfit_evaluation.real.lights import best_combination
 
 Array = NDArray[np.float64]
 
+
 ROUNDS = 20
-"""Of alternating least squares where strengths of lamps are unknown."""
+"""Of alternating least squares that better strengths of lamps: shadows spoil where these start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,24 +59,40 @@ def known_lamps(samples: Array, weights: Array, known: Known) -> Matt:
     weights
         (N, P), how much each sample counts.
     known
-        The N lamps. Strengths that are unknown alternate with pseudo-normals.
+        The N lamps. Strengths that are unknown start at `strengths_along` and alternate with
+        pseudo-normals.
     """
     grey = samples.mean(axis=-1)
-    unknown = known.strengths is None
-    strengths = np.ones(len(grey)) if known.strengths is None else known.strengths
-    for _ in range(ROUNDS if unknown else 1):
-        lamps = known.directions * strengths[:, None]
-        pseudo = _pseudo_normals(grey, weights, lamps)
-        if unknown:
-            shading = known.directions @ pseudo.T
-            strengths = (weights * shading * grey).sum(axis=1) / (weights * shading**2).sum(axis=1)
-            strengths /= strengths.mean()
+    if known.strengths is None:
+        lamps = known.directions * strengths_along(known.directions, grey)[:, None]
+        for _ in range(ROUNDS):
+            shading = known.directions @ _pseudo_normals(grey, weights, lamps).T
+            best = (weights * shading * grey).sum(axis=1) / (weights * shading**2).sum(axis=1)
+            lamps = known.directions * (best / best.mean())[:, None]
+    else:
+        lamps = known.directions * known.strengths[:, None]
+    pseudo = _pseudo_normals(grey, weights, lamps)
     lengths = np.linalg.norm(pseudo, axis=-1, keepdims=True)
     normals = np.where(lengths > 0, pseudo / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
     shading = weights * np.maximum(lamps @ normals.T, 0.0)
     squares = (shading * np.maximum(lamps @ normals.T, 0.0)).sum(axis=0)[:, None]
     albedo = np.einsum("np,npc->pc", shading, samples) / np.where(squares > 0, squares, 1.0)
     return Matt(normals, np.maximum(albedo, 0.0))
+
+
+def strengths_along(directions: Array, grey: Array) -> Array:
+    """(N,) relative strengths of lamps of known directions, from samples (N, P) that all count.
+
+    The best factors of rank three, u_n of lamp n, are its vector but for a matrix: M u_n is along
+    its direction. Of M, up to a factor, that is three linear equations a lamp.
+    """
+    left, values, _ = np.linalg.svd(grey, full_matrices=False)
+    factors = left[:, :3] * values[:3] / values[0]
+    across = np.cross(np.eye(3)[None], directions[:, None]).transpose(0, 2, 1)
+    equations = np.einsum("nij,nk->nijk", across, factors).reshape(-1, 9)
+    matrix = np.linalg.svd(equations)[2][-1].reshape(3, 3)
+    found = np.einsum("ni,ij,nj->n", directions, matrix, factors)
+    return np.asarray(found / found.mean())
 
 
 def _pseudo_normals(grey: Array, weights: Array, lamps: Array) -> Array:
