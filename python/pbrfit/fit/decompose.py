@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import memory
+from pbrfit.fit.lamps import dispatch
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
@@ -100,10 +101,6 @@ def decompose(
     model = chosen_model(options.model, scene.model)
     threads = whole_number("threads", threads)
     start = _to_start_from(start, model)
-    if not scene.normals_known:
-        raise InputError(
-            "normals: expected known ones, found none; `pbrfit normals` gives a scene folder some"
-        )
     # Here and not above: scipy.optimize would double the time of `import pbrfit`. Before the clock
     # starts: loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
@@ -127,6 +124,10 @@ def decompose(
         began=began,
         normals_hindrance=hindered,
     )
+    lit = dispatch.fit_if_lit(scene, setup)
+    if lit.found is not None:
+        return _result(scene, setup, lit.found, model, options, lit)
+    scene = lit.scene
     layout = setup.layout(scene)
     transfer = memory.TransferMemory.of(
         layout, model, options.transport, depth=scene.depth is not None
@@ -145,6 +146,20 @@ def decompose(
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     setup = replace(setup, normals_hindrance=hindered or way.hindered)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)
+    return _result(scene, setup, found, model, options, lit)
+
+
+def _result(
+    scene: Scene,
+    setup: FitSetup,
+    found: FitOutput,
+    model: Model,
+    options: FitOptions,
+    lit: dispatch.Lit,
+) -> Result:
+    """What a fit hands over, with final errors and what is to be said."""
+    threads = setup.threads
+    layout = setup.layout(scene)
     plan = FitPlan.of(
         scene,
         layout,
@@ -166,6 +181,8 @@ def decompose(
     left_out = plan.left_out
     if not transport.blocks:
         left_out = (*left_out, f"surroundings: {transport.why}")
+    if found.lamps is None:
+        left_out = (*left_out, f"lamps: {lit.why}")
     result = Result(
         materials=found.materials,
         lighting=found.lighting,
@@ -181,7 +198,7 @@ def decompose(
         seconds=found.seconds,
         metrics=_metrics(scene, found, model, threads),
         options=options,
-        assumed=_assumed(scene, found, options.model),
+        assumed=_assumed(scene, found, options.model, lit),
         left_out=left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
@@ -193,6 +210,8 @@ def decompose(
         depth=scene.depth,
         transport=transport,
         segments=segments,
+        lamps=found.lamps,
+        height=found.height,
     )
     log.info(
         "%s after %d iterations, %.1f s: %s",
@@ -294,7 +313,9 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     return found
 
 
-def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str]:
+def _assumed(
+    scene: Scene, fit: FitOutput, model: Model | None, lit: dispatch.Lit
+) -> dict[str, str]:
     assumed = dict(scene.assumed)
     camera = fit.camera
     if camera.how == "fitted":
@@ -321,6 +342,8 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None) -> dict[str, str
     elif surrounded is not None and scene.depth is not None:
         assumed["surroundings"] = f"none: {surrounded.transport.why}"
     assumed["scale"] = fit.scale
+    if fit.lamps is not None:
+        assumed["light"] = f"lamps: {lit.why}"
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)
     return assumed

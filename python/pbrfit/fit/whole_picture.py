@@ -133,6 +133,8 @@ class FitOutput:
     picture's divided by its exposure."""
     lamps: Lamps | None = None
     """Of the pictures, in picture units; None where light is spherical harmonics alone."""
+    height: NDArray[np.float32] | None = None
+    """As in `Result`."""
 
 
 def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:

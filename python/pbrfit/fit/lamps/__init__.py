@@ -1,1 +1,1 @@
-"""Fits of pictures whose light comes from lamps."""
+"""Normals, materials and lamps from pictures of one view, each under a lamp of its own."""

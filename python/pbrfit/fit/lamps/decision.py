@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.coarse import fit_level
-from pbrfit.fit.lamps.estimator import LampFit, LampStart
+from pbrfit.fit.lamps.estimator import FirstShape, LampFit
 from pbrfit.fit.lamps.joint import SurfacePrior, fit_surfaces
 from pbrfit.fit.lamps.problem import LampPixels, radiance
 from pbrfit.fit.sampling import evenly_spaced
@@ -51,7 +51,7 @@ class Choice:
 
 
 @one_blas_thread()
-def choose(scene: Scene, setup: FitSetup, start: LampStart | None = None) -> Choice:
+def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Choice:
     """What `auto` takes."""
     if scene.lighting is not None:
         return Choice(False, "lights are known")
@@ -105,7 +105,7 @@ def _left_by_harmonics(scene: Scene, setup: FitSetup, places: NDArray[np.intp]) 
 
 
 def _left_by_lamps(
-    scene: Scene, setup: FitSetup, start: LampStart | None, places: NDArray[np.intp]
+    scene: Scene, setup: FitSetup, start: FirstShape | None, places: NDArray[np.intp]
 ) -> Array:
     held = replace(setup, progress=None, options=replace(setup.options, refine_normals="off"))
     trial = LampFit(scene, held, start)

@@ -17,19 +17,20 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.lamps import surfaces
+from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
 from pbrfit.fit.lamps.joint import (
     Freedom,
     JointLamps,
-    Noise,
     SurfacePrior,
     fit_surfaces,
     minimize,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.start import far_lamps, near_lamps
+from pbrfit.fit.lamps.sample_noise import Left, Noise
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
+from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
@@ -48,6 +49,21 @@ JOINT_PIXELS = 1500
 ROUNDS, STEPS = 6, 6
 """Of weights, and of joint steps in each."""
 
+LOOK_ROUNDS = (0, 2)
+"""Rounds before which other normals, roughnesses and fields of view are tried."""
+
+ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
+"""That are tried for each label: about half an octave apart, less than what a lobe's width tells."""
+
+FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
+"""Degrees that are tried where nobody told it; the best are refined to `FOV_STEP`."""
+
+FOV_MAX = 75.0
+"""Degrees: beyond is a wide angle, with which nobody takes pictures under a lamp."""
+
+FOV_STEP = 2.0
+"""Degrees: a highlight moves by a degree at most."""
+
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
@@ -62,14 +78,15 @@ GIVEN_DEGREES = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class LampStart:
-    """Where a joint fit begins, over the valid pixels."""
+class FirstShape:
+    """Normals and lamps far away that pictures alone have told, where a joint fit begins."""
 
-    lamps: Lamps
     normals: Array
-    albedo: Array
-    """(H, W, 3) each."""
+    """(H, W, 3), NaN outside the mask."""
+    directions: Array
+    """(N, 3)."""
     note: str
+    """How they were found, and what the pictures leave open."""
 
 
 class _Clock:
@@ -169,18 +186,13 @@ def of_labels(
 
 def log_likelihood(fit: JointLamps) -> float:
     """Of the samples, with the noise of the fit: normal, or outliers."""
-    shown = radiance(fit.pixels, fit.state)
-    residuals = fit.pixels.residuals(shown)
-    level = np.maximum(shown, fit.pixels.samples)
-    share = np.clip(fit.noise.outliers, 1e-3, 0.5)
-    odds = fit.noise.log_odds(residuals, level)
-    return float((np.log(share / fit.noise.brightest) + np.logaddexp(0, odds)).sum())
+    return float(fit.noise.log_likelihoods(Left.of(fit.pixels, fit.state)).sum())
 
 
 class LampFit:
     """A fit of a scene under lamps, stage by stage."""
 
-    def __init__(self, scene: Scene, setup: FitSetup, start: LampStart | None = None) -> None:
+    def __init__(self, scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> None:
         self.scene, self.setup, self.options = scene, setup, setup.options
         self.clock = _Clock(scene, setup)
         assert setup.options.model is not None
@@ -188,6 +200,7 @@ class LampFit:
         self.start = start
         self.free_normals = not scene.normals_known or self.options.refine_normals == "on"
         self.figures: dict[str, float] = {}
+        self.fov = scene.fov
         self._shared_covariance: Array | None = None
 
     def solve(self) -> FitOutput:
@@ -230,11 +243,9 @@ class LampFit:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
         few = LampPixels.of(self.scene, self.normals, self.model, self.setup.threads, places)
-        if self.start is not None:
-            lamps = self.start.lamps
-            lamps = replace(lamps, colors=lamps.colors / few.scale)
-            albedo = self.start.albedo.reshape(-1, 3)[places]
-            return few, [(self.start.note, lamps, albedo)]
+        if self.start is not None and known is None:
+            lamps = Lamps(np.arange(few.pictures), self.start.directions)
+            return few, [(self.start.note, *colored(few, lamps))]
         if known is not None:
             return few, [("known lamps", *colored(few, known))]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
@@ -281,9 +292,15 @@ class LampFit:
         )
         if not self.clock.rows:
             self.clock.record(fit, few.scale, samples)
-        for _ in range(ROUNDS):
+        for number in range(ROUNDS):
             if self.clock.out_of_time():
                 break
+            if number in LOOK_ROUNDS:
+                self._look_for_roughness(fit)
+                if freedom.normals:
+                    self._turn(fit)
+            if number in LOOK_ROUNDS and not self.scene.fov_known:
+                self._look_for_fov(fit)
             self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
             fit.state, _, information = fit_surfaces(
                 few,
@@ -297,6 +314,89 @@ class LampFit:
             fit.reweigh()
             self.clock.record(fit, few.scale, samples)
         return fit
+
+    def _fitted(
+        self, fit: JointLamps, begin: LampState, *, free_roughness: bool = True, rounds: int = 2
+    ) -> tuple[LampState, Array]:
+        """Surfaces from some that a joint fit has, its lights held, and what still surprises."""
+        found = surfaces.robust_surfaces(
+            fit.pixels,
+            begin,
+            fit.noise,
+            fit.prior,
+            rounds=rounds,
+            free_normals=fit.freedom.normals,
+            free_roughness=free_roughness,
+        )
+        return found[0], found[4]
+
+    def _look_for_roughness(self, fit: JointLamps) -> None:
+        """Give each label the roughness that surprises least, of some for all of its pixels."""
+        few, labels = fit.pixels, fit.pixels.labels
+        best, least = fit.state, {label: np.inf for label in np.unique(labels)}
+        for roughness in ROUGHNESSES:
+            same = np.full(len(few), roughness)
+            begin = fit.state.with_surface(
+                fit.state.normals, fit.state.albedo, same, fit.state.metallic
+            )
+            found, left = self._fitted(fit, begin, free_roughness=False, rounds=1)
+            if fit.freedom.normals:
+                turned = surfaces.facing_highlights(few, begin)
+                found, left = surfaces.better_of(
+                    found, left, *self._fitted(fit, turned, free_roughness=False, rounds=1)
+                )
+            for label in least:
+                total = float(left[labels == label].sum())
+                if total < least[label]:
+                    least[label] = total
+                    best, _ = surfaces.better_of(
+                        best, np.zeros(len(few)), found, np.where(labels == label, -1.0, 1.0)
+                    )
+        fit.state = best
+        mean = fit.prior.mean.copy()
+        mean[:, 5] = best.roughness
+        fit.prior = SurfacePrior(mean, fit.prior.precision)
+
+    def _look_for_fov(self, fit: JointLamps) -> None:
+        """Find the field of view under which the pixels surprise least."""
+        scene = self.scene
+        height, width = scene.valid.shape
+        tried: dict[float, tuple[float, LampState, LampPixels]] = {}
+        pixels = fit.pixels
+
+        def at(fov: float) -> float:
+            if fov not in tried:
+                views = view_directions(height, width, fov).reshape(-1, 3)[pixels.places]
+                fit.pixels = replace(pixels, views=views)
+                state, left = self._fitted(fit, fit.state)
+                tried[fov] = float(left.sum()) + 0.5 * ((fov - 30) / 20) ** 2, state, fit.pixels
+            return tried[fov][0]
+
+        for fov in FIELDS_OF_VIEW:
+            at(fov)
+        step = FIELDS_OF_VIEW[1] / 2
+        while step >= FOV_STEP:
+            best = min(tried, key=lambda fov: tried[fov][0])
+            for fov in (best - step, best + step):
+                if 0 <= fov <= FOV_MAX:
+                    at(fov)
+            step /= 2
+        best = min(tried, key=lambda fov: tried[fov][0])
+        self.fov = best
+        _, fit.state, fit.pixels = tried[best]
+        scores = np.array([score for score, _, _ in tried.values()])
+        self.figures |= {"fov": best, "fov_log_likelihood_range": float(np.ptp(scores))}
+
+    def _turn(self, fit: JointLamps) -> None:
+        """Let pixels look anywhere for a normal that surprises less."""
+        few = fit.pixels
+        state, left = self._fitted(fit, fit.state)
+        for begin in (
+            surfaces.facing_highlights(few, state),
+            surfaces.facing_anywhere(few, state, fit.noise, fit.prior),
+        ):
+            state, left = surfaces.better_of(state, left, *self._fitted(fit, begin))
+        fit.state = state
 
     @property
     def ambient_terms(self) -> int:
@@ -326,7 +426,7 @@ class LampFit:
         found = []
         for band in surfaces.bands(scene.valid):
             pixels = LampPixels.of(
-                scene, self.normals, self.model, self.setup.threads, places[band]
+                scene.through(self.fov), self.normals, self.model, self.setup.threads, places[band]
             )
             prior = of_labels(fit.prior, few, pixels, self._offset_sigma(pixels.places))
             state = replace(
@@ -399,7 +499,7 @@ class LampFit:
             stages=tuple(clock.stages),
             seconds=seconds,
             refinement=Refinement(self.options.refine_normals, refined, why),
-            camera=Camera(scene.fov, "given" if scene.fov_known else "assumed"),
+            camera=Camera(self.fov, "given" if scene.fov_known else "fitted"),
             exposures=None,
             scale="by the highlights of dielectrics, around a mean albedo of 0.35",
             measured_lighting=None,
@@ -443,8 +543,6 @@ class LampFit:
 
 def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
     """Known lamps with colours to begin with, and albedos (P, 3), by the given normals."""
-    from pbrfit.fit.lamps.start import colored_by
-
     directions, strengths = known.at(pixels.points, len(pixels))
     cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
     ordinary = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
@@ -476,7 +574,7 @@ def _spread(values: Array, few: NDArray[np.intp], places: NDArray[np.intp], widt
 
 
 @one_blas_thread()
-def fit_lamps(scene: Scene, setup: FitSetup) -> FitOutput:
+def fit_lamps(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> FitOutput:
     """Fit surfaces, lamps and ambient light to a scene.
 
     Raises
@@ -486,4 +584,4 @@ def fit_lamps(scene: Scene, setup: FitSetup) -> FitOutput:
     """
     if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
         raise InputError("lamps: expected depth for near lamps, found none")
-    return LampFit(scene, setup).solve()
+    return LampFit(scene, setup, start).solve()

@@ -12,11 +12,6 @@ A_p is 6 × 6, so the pixels are eliminated one by one: with A_p = C Cᵀ and Z_
     (Σ J_yᵀ W J_y + Q_y − Σ_p Z_pᵀ Z_p) δy = −g_y + Σ_p Z_pᵀ C⁻¹ g_p.
 
 Each sample sees one picture's lights, so that B_p is filled picture by picture.
-
-**Weights.** What a shadow, a reflection of a neighbour or a highlight of another shape leaves is no
-noise. A sample is ordinary with a normal distribution of variance s² = σ² + (κ I)², or an outlier
-that may be anything up to the brightest sample. Its weight is the probability that it is ordinary,
-over s². Both parts of s² and the share of outliers are found from the residuals in each round.
 """
 
 from __future__ import annotations
@@ -36,6 +31,7 @@ from pbrfit.fit.lamps.problem import (
     slopes,
     tangents,
 )
+from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
 from pbrfit.model.lamps import Lamps
 
 Array = NDArray[np.float64]
@@ -49,12 +45,6 @@ OFFSET_STEP_MAX = 0.3
 PLACE_STEP_MAX = 0.5
 """Largest step of a lamp's place, of the distance or of the direction, a tangent."""
 
-NOISE_MIN = 1e-4
-"""Least σ, in units where the mean radiance is 0.4: below what 8 bits or float16 can tell."""
-
-OUTLIERS_MAX = 0.5
-"""Largest share of outliers in a picture: with more, they would be the rule."""
-
 AMBIENT_SHARE = 0.1
 """Prior standard deviation of each ambient coefficient, of the mean radiance: a lamp in a room
 whose walls bring a tenth of the light."""
@@ -66,74 +56,6 @@ uncertain: only highlights tell the scale between lamps and albedo."""
 TINT_SPREAD = 0.2
 """By how much the logarithm of the lamps' mean colour in a channel differs from grey in pictures
 whose white was balanced: a colour temperature that is off by about 1,000 K at 5,000 K."""
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Of samples under lamps."""
-
-    floor: float
-    """σ, in the pictures' scale."""
-    relative: float
-    """κ, of the radiance."""
-    outliers: Array
-    """(N,): share of outliers of each picture."""
-    brightest: float
-    """The range that outliers are in."""
-
-    @classmethod
-    def first(cls, pixels: LampPixels, relative: float = 0.1) -> Noise:
-        """Before anything was fitted."""
-        brightest = float(np.quantile(pixels.samples, 0.999))
-        return cls(0.02, relative, np.full(pixels.pictures, 0.1), max(brightest, NOISE_MIN))
-
-    def variance(self, shown: Array) -> Array:
-        """(...,) of ordinary samples, by the radiance that the model has there."""
-        return self.floor**2 + (self.relative * shown) ** 2
-
-    def ordinary(self, residuals: Array, shown: Array) -> Array:
-        """(P, N): the probability that a sample, all its channels, is no outlier."""
-        return 1 / (1 + np.exp(np.clip(-self.log_odds(residuals, shown), -50, 50)))
-
-    def log_odds(self, residuals: Array, shown: Array) -> Array:
-        """(P, N): ln of the odds that a sample is ordinary."""
-        variance = self.variance(shown)
-        # Channels share what is left of them, so they tell as much as one.
-        misfit = 0.5 * (np.square(residuals) / variance).mean(axis=-1)
-        density = 0.5 * np.log(2 * np.pi * variance.mean(axis=-1))
-        share = np.clip(self.outliers, 1e-3, OUTLIERS_MAX)
-        return np.log(1 / share - 1) - misfit - density + np.log(self.brightest)
-
-    def renewed(self, pixels: LampPixels, residuals: Array, shown: Array, freedom: float) -> Noise:
-        """From residuals; `freedom` is the share of them that the unknowns have not taken up."""
-        data = pixels.weights > 0
-        ordinary = self.ordinary(residuals, shown)
-        weights = (ordinary[..., None] * data).ravel()
-        squares = np.square(residuals).ravel() / freedom
-        bright = np.square(shown).ravel()
-        floor2, relative2 = self.floor**2, self.relative**2
-        for _ in range(20):
-            # The likelihood's equations, weighted by 1/variance²: two straight lines.
-            variance = np.maximum(floor2 + relative2 * bright, NOISE_MIN**2)
-            w = weights / variance**2
-            a, b, c = w.sum(), (w * bright).sum(), (w * bright * bright).sum()
-            d, e = (w * squares).sum(), (w * bright * squares).sum()
-            determinant = a * c - b * b
-            if determinant > 1e-12 * a * c:
-                floor2, relative2 = (c * d - b * e) / determinant, (a * e - b * d) / determinant
-            if floor2 < NOISE_MIN**2 or determinant <= 1e-12 * a * c:
-                floor2 = NOISE_MIN**2
-                relative2 = max((e - b * floor2) / max(c, 1e-300), 0.0)
-            if relative2 < 0:
-                relative2, floor2 = 0.0, max(d / max(a, 1e-300), NOISE_MIN**2)
-        seen = np.maximum(data.any(axis=-1).sum(axis=0), 1)
-        share = ((1 - ordinary) * data.any(axis=-1)).sum(axis=0) / seen
-        return Noise(
-            float(np.sqrt(floor2)),
-            float(np.sqrt(relative2)),
-            np.clip(share, 1e-3, OUTLIERS_MAX),
-            self.brightest,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +123,12 @@ def fit_surfaces(
     return state.with_surface(normals, albedo, roughness, metallic), cost, information
 
 
+def offsets(base: Array, normals: Array) -> Array:
+    """(P, 2): tangent offsets of normals from others, (P, 3) each."""
+    cosine = np.maximum(np.einsum("px,px->p", normals, base), 1e-6)
+    return np.asarray(np.einsum("px,ptx->pt", normals, tangents(base)) / cosine[:, None])
+
+
 class JointLamps:
     """The joint fit of some pixels; `state` is where it stands."""
 
@@ -228,17 +156,11 @@ class JointLamps:
         """New noise and weights by what is left now."""
         if self.visibility is not None:
             self.state = replace(self.state, seen=self.visibility(self.state.lamps))
-        shown = radiance(self.pixels, self.state)
-        residuals = self.pixels.residuals(shown)
+        left = Left.of(self.pixels, self.state)
         if renew:
-            self.noise = self.noise.renewed(
-                self.pixels, residuals, np.maximum(shown, self.pixels.samples), self._free_share()
-            )
-        # By what is seen, if that is more: else a sample whose model is black would weigh most.
-        level = np.maximum(shown, self.pixels.samples)
-        ordinary = self.noise.ordinary(residuals, level)
-        self.weights = self.pixels.weights * ordinary[..., None] / self.noise.variance(level)
-        self.cost = self._cost(self.state, shown)
+            self.noise = self.noise.renewed(left, self._free_share())
+        self.weights = self.pixels.weights * self.noise.weights(left)
+        self.cost = self._cost(self.state)
 
     def _free_share(self) -> float:
         samples = max(int(np.count_nonzero(self.pixels.weights)), 1)
@@ -283,7 +205,7 @@ class JointLamps:
         )
         surface = np.concatenate(
             [
-                self._offsets(state.normals),
+                offsets(self.pixels.normals, state.normals),
                 state.albedo,
                 state.roughness[:, None],
                 state.metallic[:, None],
@@ -292,12 +214,6 @@ class JointLamps:
         )
         cost += float((self.prior.precision * (surface - self.prior.mean) ** 2).sum())
         return cost + float((self._scale_of(state.lamps) ** 2).sum())
-
-    def _offsets(self, normals: Array) -> Array:
-        base = self.pixels.normals
-        frames = tangents(base)
-        cosine = np.maximum(np.einsum("px,px->p", normals, base), 1e-6)
-        return np.einsum("px,ptx->pt", normals, frames) / cosine[:, None]
 
     def step(self) -> float:
         """One step; the relative decrease of the cost, 0 where none was found."""
@@ -345,7 +261,8 @@ class JointLamps:
         gradients = np.einsum("picu,pic->pu", weighted, residuals)
         prior = self.prior
         surface = np.concatenate(
-            [self._offsets(state.normals), state.albedo, state.roughness[:, None]], axis=-1
+            [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
+            axis=-1,
         )
         precision = prior.precision[:, :UNKNOWNS]
         gradients += precision * (surface - prior.mean[:, :UNKNOWNS])

@@ -1,181 +1,514 @@
-"""Where a fit of lamps begins where normals are given: lamps far away, or near ones.
+"""The start of a fit with lamps: normals, albedo and lamps from pictures alone, taken as diffuse.
 
-Both take surfaces for matt, I = ρ c s with the shading s of a lamp, and alternate between the
-albedo ρ of each pixel and the lamp of each picture, robustly: shadows and highlights are outliers.
-
-**Far.** s = (n·ω)⁺ is linear in the lamp's vector l = c ω where it shines, so that each picture is
-a weighted linear least-squares problem in three numbers.
-
-**Near.** s = (n·ω)⁺/d² is not. Positions on a grid around the scene are tried, coarse to fine, and
-judged by Σ|I − c ρ s|/Σ I with the c that makes it least, a weighted median of I/(ρ s).
+Known lamps leave robust photometric stereo at each pixel (`photometric`). Unknown ones are found
+with the pseudo-normals, up to a matrix, by a factorisation (`factorization`); the matrix by all
+cues at once (`ambiguity`, `cues`). What no cue tells is named in `undetermined`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
-from pbrfit.fit.lamps.joint import ALBEDO_MEAN
-from pbrfit.fit.lamps.problem import LampPixels
-from pbrfit.fit.sampling import evenly_spaced
-from pbrfit.model.lamps import Lamps
+from pbrfit._core import InputError
+from pbrfit.fit.lamps.ambiguity import EQUALLY_LIKELY, Minimum, minima
+from pbrfit.fit.lamps.cues import Places, Transform, directions
+from pbrfit.fit.lamps.factorization import Factors, factors
+from pbrfit.fit.lamps.integrability import equations
+from pbrfit.fit.lamps.outline import Outline, inflated, outline
+from pbrfit.fit.lamps.photometric import PseudoNormals, brightness, pseudo_normals
+from pbrfit.fit.lamps.strengths import color_of_lamps, strengths_along
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-ROUNDS = 25
-"""Of albedo and lamps, far away: each costs two sums over the samples."""
+FACTORED_MAX = 4000
+"""Pixels that the lamps' space is found from: N unknown lamps of three numbers each are known to a
+per cent of σ by as many."""
 
-NEAR_ROUNDS = 5
-"""Of albedo and positions."""
+PLACES_MAX = 2500
+"""Pixels that cues look at: the sampling error of a mean over them, 2 %, is below that of the
+blocks, 12 %."""
 
-NEAR_PIXELS = 400
-"""That positions are judged by."""
+OUTLINE_MAX = 600
+"""Pixels of the outline that cues look at."""
 
-GRID = (11, 9, 11)
-"""Positions from left to right, bottom to top, and front to back."""
+BLOCKS = 8
+"""Blocks of the picture across the mask's larger side: what light from other surfaces, gloss and
+shadows put in error together is about an eighth of an object."""
 
-REFINEMENTS = 5
-"""Times that the grid around the best position is halved: to 1/32 of a cell."""
+PARTNERS = 12
+"""Pixels at random that the one of the likest colour is taken from, as a partner of equal
+albedo."""
 
-OUTSIDE = 0.3
-"""How far beyond what is seen lamps are sought, of its size; behind the camera as far as the median
-distance."""
-
-TINY = 1e-12
+KNOWN_MIN = 0.05
+"""Least part of a pixel's information, in the direction it says least of, of the median pixel's,
+with which its normal is its own and not its neighbours'."""
 
 
-def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
-    """A lamp far away for each picture, and albedos (P, 3), by the given normals."""
-    grey = pixels.samples.mean(axis=-1)
-    usable = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
-    albedo = _typical(grey, usable)
-    vectors = np.zeros((pixels.pictures, 3))
-    weights = usable.astype(np.float64)
-    for _ in range(ROUNDS):
-        regressors = pixels.normals * albedo[:, None]
-        for i in range(pixels.pictures):
-            w = weights[:, i] * ((pixels.normals @ vectors[i] > 0) | (not vectors[i].any()))
-            matrix = regressors.T @ (w[:, None] * regressors)
-            ridge = 1e-9 * np.trace(matrix) + TINY
-            vectors[i] = np.linalg.solve(
-                matrix + ridge * np.eye(3), regressors.T @ (w * grey[:, i])
+SAME_DEGREES = 5.0
+"""Mean angle between two minima's normals, in degrees, up to which they are one surface."""
+
+FLAT = 0.01
+"""Least singular value of the lamps' directions, of the largest, below which they lie in a plane:
+their largest angle to it is about a degree."""
+
+COLORED_MAX = 20_000
+"""Pixels that the lamps' colours are found from."""
+
+RADII = (3.0, 12.0, 48.0)
+"""Standard deviations in pixels of the mean normal around a pixel that does not know its own."""
+
+ENOUGH = 0.05
+"""Share of known pixels, by the weights of that mean, from which on it is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class LampStart:
+    """Where a fit with lamps begins.
+
+    Attributes
+    ----------
+    normals
+        (H, W, 3) unit vectors in camera space, NaN outside the mask.
+    albedo
+        (H, W, 3) linear, up to a factor for each channel; NaN outside the mask.
+    directions
+        (N, 3) unit vectors from the scene to the lamps.
+    strengths
+        (N, 3) linear, such that a sample is albedo times strength times max(n·l, 0).
+    weights
+        (N, H, W) in [0, 1], how far each sample follows this law: small in highlights and shadows.
+    known
+        (H, W), True where the pixel's own samples tell its normal.
+    figures
+        What each step and each cue said.
+    undetermined
+        Sentences on what is not determined; empty if nothing is known of that kind.
+    """
+
+    normals: Array
+    albedo: Array
+    directions: Array
+    strengths: Array
+    weights: Array
+    known: Mask
+    figures: dict[str, float]
+    undetermined: tuple[str, ...]
+
+
+def start_of_known_lamps(
+    samples: Array,
+    usable: Mask,
+    mask: Mask,
+    views: Array,
+    lamp_directions: Array,
+    strengths: Array | None = None,
+) -> LampStart:
+    """Start with lamps whose directions are known.
+
+    Parameters
+    ----------
+    samples
+        (N, H, W) or (N, H, W, 3) linear radiance.
+    usable
+        (N, H, W): samples that are not clipped and belong to the mask.
+    mask
+        (H, W).
+    views
+        (H, W, 3) unit vectors to the camera.
+    lamp_directions
+        (N, 3) unit vectors.
+    strengths
+        (N,) or (N, 3); None = unknown, found up to a common factor.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three pictures or shapes do not fit.
+    """
+    data = _Samples.of(samples, usable, mask)
+    lamps = np.asarray(lamp_directions, np.float64)
+    if lamps.shape != (data.pictures, 3):
+        raise InputError(f"directions: expected {(data.pictures, 3)}, found {lamps.shape}")
+    undetermined: tuple[str, ...] = ()
+    if strengths is None:
+        grey, undetermined = _strengths_of_known(data, lamps)
+    else:
+        grey = np.asarray(strengths, np.float64).reshape(data.pictures, -1).mean(axis=1)
+    normals = pseudo_normals(data.grey, data.usable, lamps * grey[:, None])
+    undetermined += _in_plane(lamps)
+    figures = {"spread of samples": normals.scale}
+    return _finished(data, views, normals, lamps * grey[:, None], figures, undetermined)
+
+
+def start_of_unknown_lamps(
+    samples: Array,
+    usable: Mask,
+    mask: Mask,
+    views: Array,
+    fov: float = 0.0,
+    guide: Array | None = None,
+) -> LampStart:
+    """Start with lamps of which nothing is known but that there is a far one in each picture.
+
+    Parameters
+    ----------
+    samples, usable, mask, views
+        As in `start_of_known_lamps`.
+    fov
+        Horizontal field of view in degrees; 0 = orthographic or unknown.
+    guide
+        (H, W, 3) unit normals from elsewhere, NaN where there are none; None = none.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three pictures or shapes do not fit.
+    """
+    data = _Samples.of(samples, usable, mask)
+    rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
+    chosen = _some(len(data.grey), FACTORED_MAX)
+    product = factors(data.grey[chosen], data.usable[chosen])
+    edge = outline(mask, views)
+    if product.rank < 3:
+        return _start_of_few(data, views, edge, product, guide)
+    lamps = product.lamps * product.sizes
+    normals = pseudo_normals(data.relative, data.usable, lamps)
+    places = _places(data, rays, views, normals, lamps, edge, guide)
+    rough = inflated(mask, views)[data.where] if len(edge) else None
+    found = minima(places.of, None if rough is None else rough[places.chosen])
+    best, undetermined = _decided(found, places.of, len(edge) > 0 or guide is not None)
+    scaled = PseudoNormals(
+        normals.vectors @ best.transform.normals * data.brightness[:, None],
+        normals.weights,
+        _turned(normals.precision, best.transform.normals),
+        normals.scale,
+    )
+    figures = {
+        "spread of samples": normals.scale,
+        **{f"size of direction {i + 1}": float(product.sizes[i]) for i in range(3)},
+        **{f"cost of {name}": value for name, value in best.parts.items()},
+    }
+    return _finished(data, views, scaled, lamps @ best.transform.lamps, figures, undetermined)
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Pixels of the mask: (P, N) grey samples, what of them is usable, and their colours."""
+
+    colors: Array
+    """(P, N, C)."""
+    grey: Array
+    usable: Mask
+    brightness: Array
+    where: tuple[NDArray[np.intp], ...]
+    mask: Mask
+
+    @classmethod
+    def of(cls, samples: Array, usable: Mask, mask: Mask) -> _Samples:
+        samples = np.asarray(samples, np.float64)
+        if samples.ndim == 3:
+            samples = samples[..., None]
+        if samples.ndim != 4 or len(samples) < 3:
+            raise InputError(
+                f"pictures: expected three or more of one size, found {samples.shape[:3]}"
             )
-        shading = np.maximum(pixels.normals @ vectors.T, 0)
-        residual = grey - albedo[:, None] * shading
-        spread = 1.4826 * np.median(np.abs(residual[usable])) + TINY
-        weights = usable / (1 + (residual / (2 * spread)) ** 2)
-        lit = weights * (shading > 0)
-        albedo = (lit * grey * shading).sum(axis=1) / ((lit * shading**2).sum(axis=1) + TINY)
-        albedo = np.maximum(albedo, 0) + TINY
-    strength = np.maximum(np.linalg.norm(vectors, axis=-1), TINY)
-    directions = np.where(strength[:, None] > 2 * TINY, vectors / strength[:, None], [0.0, 0, 1])
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    shading = np.maximum(pixels.normals @ directions.T, 0)
-    return colored_by(
-        pixels, Lamps(np.arange(pixels.pictures), directions), shading, weights * (shading > 0)
+        for name, array, shape in (
+            ("usable", usable, samples.shape[:3]),
+            ("mask", mask, samples.shape[1:3]),
+        ):
+            if np.shape(array) != shape:
+                raise InputError(f"{name}: expected shape {shape}, found {np.shape(array)}")
+        if not mask.any():
+            raise InputError("mask: expected pixels, found none")
+        colors = np.moveaxis(samples[:, mask], 0, 1)
+        used = np.moveaxis(usable[:, mask], 0, 1) & np.isfinite(colors).all(axis=2)
+        colors = np.where(used[..., None], colors, 0.0)
+        grey = colors.mean(axis=2)
+        return cls(colors, grey, used, brightness(grey, used), np.nonzero(mask), mask)
+
+    @property
+    def pictures(self) -> int:
+        return self.grey.shape[1]
+
+    @property
+    def relative(self) -> Array:
+        return np.asarray(self.grey / self.brightness[:, None])
+
+    def plane(self, values: Array, outside: float) -> Array:
+        """(H, W, ...) of values of pixels (P, ...)."""
+        found = np.full(self.mask.shape + values.shape[1:], outside)
+        found[self.mask] = values
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    of: Places
+    chosen: NDArray[np.intp]
+
+
+def _some(count: int, most: int) -> NDArray[np.intp]:
+    """At most so many of the indices below `count`, at random but always the same."""
+    if count <= most:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
+
+
+def _blocks(where: tuple[NDArray[np.intp], ...]) -> NDArray[np.intp]:
+    """Number of the block of each pixel."""
+    rows, columns = where
+    size = max(np.ptp(rows), np.ptp(columns)) / BLOCKS + 1e-9
+    down = np.minimum((rows - rows.min()) / size, BLOCKS - 1).astype(np.intp)
+    right = np.minimum((columns - columns.min()) / size, BLOCKS - 1).astype(np.intp)
+    return np.asarray(down * BLOCKS + right)
+
+
+def _information(normals: PseudoNormals) -> Array:
+    """(P,) least eigenvalue of each pixel's precision."""
+    return np.asarray(np.linalg.eigvalsh(normals.precision)[:, 0])
+
+
+def _places(
+    data: _Samples,
+    rays: Array,
+    views: Array,
+    normals: PseudoNormals,
+    lamps: Array,
+    edge: Outline,
+    guide: Array | None,
+) -> _Chosen:
+    """What cues look at."""
+    blocks = _blocks(data.where)
+    information = _information(normals)
+    good = information > KNOWN_MIN * np.median(information)
+    ridge = KNOWN_MIN * float(np.median(information)) * np.eye(3) + 1e-12 * np.eye(3)
+    covariances = np.linalg.inv(normals.precision + ridge)
+    known = data.plane(good, 0.0).astype(bool)
+    integrable = equations(
+        data.plane(np.where(good[:, None], normals.vectors, 0.0), 0.0),
+        data.plane(covariances, 0.0),
+        known,
+        rays,
+        data.plane(blocks.astype(np.float64), -1.0).astype(np.intp),
+    )
+    candidates = np.flatnonzero(good)
+    chosen = candidates[_some(len(candidates), PLACES_MAX)]
+    at_edge = np.flatnonzero(known[edge.rows, edge.columns])
+    at_edge = at_edge[_some(len(at_edge), OUTLINE_MAX)]
+    where = (edge.rows[at_edge], edge.columns[at_edge])
+    planes = data.plane(normals.vectors, 0.0)
+    block_plane = data.plane(blocks.astype(np.float64), -1.0).astype(np.intp)
+    places = Places(
+        vectors=normals.vectors[chosen],
+        views=views[data.where][chosen],
+        blocks=blocks[chosen],
+        brightness=data.brightness[chosen],
+        pairs=_pairs(_chroma(data, normals, chosen)),
+        outline_vectors=planes[where],
+        outline_views=views[where],
+        outward=edge.outward[at_edge],
+        facing=edge.facing[at_edge],
+        outline_blocks=block_plane[where],
+        guide=None if guide is None else np.asarray(guide, np.float64)[data.where][chosen],
+        lamps=lamps,
+        integrability=integrable,
+    )
+    return _Chosen(places, chosen)
+
+
+def _chroma(data: _Samples, normals: PseudoNormals, chosen: NDArray[np.intp]) -> Array:
+    """(P, C) shares of the channels in the samples that follow the law."""
+    sums = np.einsum("pn,pnc->pc", normals.weights[chosen], data.colors[chosen])
+    return np.asarray(sums / np.maximum(sums.sum(axis=1, keepdims=True), 1e-12))
+
+
+def _pairs(chroma: Array) -> NDArray[np.intp]:
+    """(R, 2) pixels, each beside the one of the likest colour of some at random."""
+    count = len(chroma)
+    if count < 2:
+        return np.zeros((0, 2), np.intp)
+    others = np.random.default_rng(0).integers(0, count - 1, (count, PARTNERS))
+    first = np.arange(count)
+    others += others >= first[:, None]
+    unlike = np.sum((chroma[others] - chroma[:, None]) ** 2, axis=2)
+    return np.stack([first, others[first, unlike.argmin(axis=1)]], axis=1)
+
+
+def _turned(precision: Array, G: Array) -> Array:
+    """Precision of Gᵀ b from that of b."""
+    inverse = np.linalg.inv(G)
+    return np.einsum("ij,pjk,lk->pil", inverse, precision, inverse, optimize=True)
+
+
+def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum, tuple[str, ...]]:
+    """The most likely minimum, and in words what others are as likely."""
+    best = found[0]
+    undetermined = []
+    if not told:
+        # The surface that is bulged the other way, with lamps from the other side.
+        flip = np.diag([-1.0, -1.0, 1.0])
+        twin = Minimum(
+            Transform(best.transform.normals @ flip, best.transform.lamps @ flip),
+            best.cost,
+            best.parts,
+        )
+        height = directions(places.lamps @ best.transform.lamps)[0][:, 1].mean()
+        if height < 0:
+            best = twin
+        undetermined.append(
+            "No outline tells a surface from the one bulged the other way under lamps from the "
+            f"other side: lamps are taken to be above rather than below (mean height {height:+.2f})"
+        )
+    normals = directions(places.vectors @ best.transform.normals)[0]
+    for other in found[1:]:
+        if other.cost - found[0].cost > EQUALLY_LIKELY:
+            break
+        elsewhere = directions(places.vectors @ other.transform.normals)[0]
+        apart = float(np.degrees(angles(normals, elsewhere).mean()))
+        if apart > SAME_DEGREES:
+            undetermined.append(
+                f"Another surface, {apart:.0f} degrees apart, is about as likely: the cues' "
+                f"likelihoods differ by a factor of {np.exp(other.cost - found[0].cost):.1f}"
+            )
+            break
+    return best, tuple(undetermined)
+
+
+def angles(first: Array, second: Array) -> Array:
+    """Angles in radians between unit vectors (P, 3)."""
+    return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(first - second, axis=1) / 2, 0, 1)))
+
+
+def _strengths_of_known(data: _Samples, lamps: Array) -> tuple[Array, tuple[str, ...]]:
+    """Strengths (N,) of lamps with known directions; equal ones, with a word, if nothing tells."""
+    chosen = _some(len(data.grey), FACTORED_MAX)
+    product = factors(data.grey[chosen], data.usable[chosen])
+    found = strengths_along(product.lamps * product.sizes, lamps) if product.rank == 3 else None
+    if found is None:
+        return np.ones(len(lamps)), (
+            "The lamps' directions do not tell their strengths, which are taken as equal",
+        )
+    return found, ()
+
+
+def _in_plane(lamps: Array) -> tuple[str, ...]:
+    """Words on lamps (N, 3) that lie in a plane with the surface."""
+    _, values, axes = np.linalg.svd(lamps, full_matrices=False)
+    if values[2] >= FLAT * values[0]:
+        return ()
+    x, y, z = axes[2] * (1 if axes[2][2] >= 0 else -1)
+    return (
+        "All lamps lie in a plane with the scene: the part of a normal along "
+        f"({x:.2f}, {y:.2f}, {z:.2f}) is not determined and taken from a smooth shape",
     )
 
 
-def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, float]:
-    """A near lamp for each picture, albedos (P, 3), and how much they leave: Σ|I − c ρ s|/Σ I."""
-    assert pixels.points is not None
-    few = pixels.of_rows(evenly_spaced(len(pixels), NEAR_PIXELS).astype(np.intp))
-    points = few.points
-    assert points is not None
-    grey = few.samples.mean(axis=-1)
-    usable = (few.weights > 0).all(axis=-1) & (few.limits == 0).all(axis=-1)
-    albedo = _typical(grey, usable)
-    low, high = np.quantile(points, [0.01, 0.99], axis=0)
-    size = high - low
-    low, high = low - OUTSIDE * size, high + OUTSIDE * size
-    low[2], high[2] = low[2], front * float(np.median(np.linalg.norm(points, axis=-1)))
-    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, GRID, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    cell = np.array([axis[1] - axis[0] for axis in axes])
-    places = np.zeros((pixels.pictures, 3))
-    left = np.zeros(pixels.pictures)
-    everywhere = _shading(few, grid)
-    corners = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    for _ in range(NEAR_ROUNDS):
-        shading = np.zeros_like(grey)
-        for i in range(pixels.pictures):
-            scores, colors = _judged(grey[:, i], albedo, everywhere, usable[:, i])
-            best = int(np.argmin(scores))
-            place, width = grid[best], cell
-            for _ in range(REFINEMENTS):
-                around = place + corners * width
-                nearby = _shading(few, around)
-                scores, colors = _judged(grey[:, i], albedo, nearby, usable[:, i])
-                best = int(np.argmin(scores))
-                place, width = around[best], width / 2
-                left[i], shading[:, i] = scores[best], colors[best] * nearby[best]
-            places[i] = place
-        ratio = np.where(usable & (shading > 0), grey / np.maximum(shading, TINY), np.nan)
-        with np.errstate(all="ignore"):
-            found = np.nanmedian(ratio, axis=1)
-        found = np.where(np.isfinite(found) & (found > 0), found, np.nanmedian(found))
-        albedo = found * (albedo.mean() / found.mean())
-    lamps = Lamps(np.arange(pixels.pictures), places, np.ones(pixels.pictures, bool))
-    shading = _shading(pixels, places).T
-    ordinary = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
-    lamps, of_all = colored_by(pixels, lamps, shading, ordinary * (shading > 0))
-    return lamps, of_all, float(left.mean())
+def _start_of_few(
+    data: _Samples, views: Array, edge: Outline, product: Factors, guide: Array | None
+) -> LampStart:
+    """Start with lamps in a plane or a line: normals of a rough shape, corrected where lamps tell.
 
-
-def _shading(pixels: LampPixels, places: Array) -> Array:
-    """(G, P): (n·ω)⁺/d² of lamps at G places."""
-    assert pixels.points is not None
-    away = places[:, None] - pixels.points
-    squared = np.maximum((away**2).sum(axis=-1), TINY)
-    cosine = np.einsum("gpx,px->gp", away, pixels.normals)
-    return np.maximum(cosine, 0) / (squared * np.sqrt(squared))
-
-
-def _judged(
-    grey: Array, albedo: Array, shading: Array, usable: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """(G,) each: what lamps leave of a picture, and their colours."""
-    shown = albedo[usable] * shading[:, usable]
-    grey = grey[usable]
-    ratio = grey / np.maximum(shown, TINY)
-    order = np.argsort(ratio, axis=1)
-    heavy = np.cumsum(np.take_along_axis(shown, order, axis=1), axis=1)
-    middle = (heavy < 0.5 * heavy[:, -1:]).sum(axis=1)
-    middle = np.minimum(middle, ratio.shape[1] - 1)
-    at = np.take_along_axis(order, middle[:, None], axis=1)
-    color = np.take_along_axis(ratio, at, axis=1)
-    color = np.where(heavy[:, -1:] > 0, color, 0.0)
-    return np.abs(grey - color * shown).sum(axis=1) / max(grey.sum(), TINY), color[:, 0]
-
-
-def _typical(grey: Array, usable: NDArray[np.bool_]) -> Array:
-    """(P,): brightness over the pictures, each over its mean: an albedo to begin with."""
-    count = np.maximum(usable.sum(axis=0), 1)
-    mean = np.maximum((grey * usable).sum(axis=0) / count, TINY)
-    found = (grey / mean * usable).sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
-    return np.maximum(found, 0) + TINY
-
-
-def colored_by(
-    pixels: LampPixels, lamps: Lamps, shading: Array, weights: Array
-) -> tuple[Lamps, Array]:
-    """Lamps with colours, and albedos (P, 3), by shading (P, K) and weights of the samples."""
-    count = len(lamps)
-    colors = np.ones((count, 3))
-    albedo = np.ones((len(pixels), 3))
-    data = weights[..., None] * pixels.samples[:, lamps.pictures]
-    squares = weights * shading**2
-    for _ in range(10):
-        of_pixels = np.einsum("pic,pi,ic->pc", data, shading, colors)
-        albedo = np.maximum(of_pixels / (squares @ colors**2 + TINY), 0) + TINY
-        of_lamps = np.einsum("pic,pi,pc->ic", data, shading, albedo)
-        colors = np.maximum(of_lamps / (squares.T @ albedo**2 + TINY), 0) + TINY
-    # What both share: the tint, so that the lamps are grey on the whole, as of pictures whose white
-    # was balanced, and the scale, so that the mean albedo is what it mostly is.
-    tint = np.exp(np.log(colors).mean(axis=0))
-    albedo, colors = albedo * tint, colors / tint
-    mean = max(float(albedo.mean()), TINY) / ALBEDO_MEAN
-    found = Lamps(
-        lamps.pictures, lamps.places, lamps.near, colors * mean, lamps.axes, lamps.exponents
+    A factorisation of rank 2 leaves more than a 3 × 3 matrix open. So lamps are those that suit
+    given normals best, or those of the mask blown up as a balloon, or of a plane.
+    """
+    rough = inflated(data.mask, views) if len(edge) else np.array(views, np.float64)
+    if guide is not None:
+        rough = np.where(np.isfinite(guide).all(axis=2, keepdims=True), guide, rough)
+    normals = rough[data.where]
+    rows = np.clip(data.relative, 0.0, 2.0) * data.usable
+    ridge = 1e-3 * len(normals) * np.eye(3)
+    lamps = np.linalg.solve(normals.T @ normals + ridge, normals.T @ rows).T
+    found = pseudo_normals(data.grey, data.usable, lamps)
+    words = (
+        f"The samples have rank {product.rank}: lamps lie in a plane with the scene or are too "
+        "few or too close to each other; normals across it are those of "
+        + ("the given ones" if guide is not None else "a rough shape from the mask"),
     )
-    return found, np.clip(albedo / mean, 0.01, 0.95)
+    figures = {"spread of samples": found.scale, "rank": float(product.rank)}
+    return _finished(data, views, found, lamps, figures, words, rough)
+
+
+def _finished(
+    data: _Samples,
+    views: Array,
+    found: PseudoNormals,
+    lamps: Array,
+    figures: dict[str, float],
+    undetermined: tuple[str, ...],
+    rough: Array | None = None,
+) -> LampStart:
+    """Normals, albedo and colours from pseudo-normals under lamps, directions times strengths.
+
+    A pixel whose samples tell little, because most are in shadow, leans on the mean normal of those
+    around it: b is the most likely one if beside its own samples it is normal about that one, with
+    a precision that is a small part of what pixels know on the whole.
+    """
+    information, axes = np.linalg.eigh(found.precision)
+    told = information[:, 0]
+    middle = float(np.median(told))
+    flat = middle <= 1e-6 * float(np.median(information[:, 2]))
+    lean = KNOWN_MIN * (float(np.median(information[:, 1])) if flat else middle)
+    lean = max(lean, np.finfo(np.float64).tiny)
+    known = told > lean
+    unit, albedo = directions(found.vectors)
+    if rough is None:
+        certain = known if known.any() else np.ones_like(known)
+        around = _around(data, np.where(certain[:, None], unit, 0.0), views)
+    else:
+        around = rough[data.where]
+    typical = np.where(known, albedo, data.brightness)
+    expected = np.einsum("pji,pj->pi", axes, typical[:, None] * around)
+    own = np.einsum("pji,pj->pi", axes, found.vectors)
+    precision = np.maximum(information, 0.0)
+    mixed = (precision * own + lean * expected) / (precision + lean)
+    vectors = np.where(known[:, None], found.vectors, np.einsum("pij,pj->pi", axes, mixed))
+    unit, _ = directions(vectors)
+    directions_, strengths = directions(lamps)
+    shading = np.maximum(unit @ directions_.T, 0.0)
+    some = _some(len(unit), COLORED_MAX)
+    _, colors = color_of_lamps(data.colors[some], shading[some], found.weights[some], strengths)
+    planes = _albedo(data.colors, shading, found.weights, colors)
+    weights = np.zeros((data.pictures, *data.mask.shape))
+    weights[:, data.mask] = found.weights.T
+    return LampStart(
+        normals=data.plane(unit, np.nan),
+        albedo=data.plane(planes, np.nan),
+        directions=directions_,
+        strengths=colors,
+        weights=weights,
+        known=data.plane(known.astype(np.float64), 0.0).astype(bool),
+        figures={**figures, "share of pixels that tell their normal": float(known.mean())},
+        undetermined=undetermined,
+    )
+
+
+def _around(data: _Samples, unit: Array, views: Array) -> Array:
+    """Mean normal (P, 3) around each pixel, of `unit`, which is 0 where there is none."""
+    found = views[data.where].astype(np.float64)
+    plane = data.plane(unit, 0.0)
+    weight = np.einsum("hwi,hwi->hw", plane, plane)
+    for radius in RADII[::-1]:  # from far to near, what is nearer replaces what is farther
+        near = np.stack([gaussian_filter(plane[..., i], radius) for i in range(3)], axis=-1)
+        share = gaussian_filter(weight, radius)[data.where]
+        enough = share > ENOUGH
+        found[enough] = near[data.where][enough]
+    return directions(found)[0]
+
+
+def _albedo(colors: Array, shading: Array, weights: Array, strengths: Array) -> Array:
+    """(P, 3) albedo by weighted least squares; of pixels without any sample of weight, by the sum
+    of all."""
+    channels = colors.shape[2]
+    used = strengths[:, :channels]
+    product = shading[..., None] * used
+    tiny = np.finfo(np.float64).tiny
+    below = np.einsum("pn,pnc,pnc->pc", weights, product, product)
+    found = np.einsum("pn,pnc,pnc->pc", weights, product, colors) / np.maximum(below, tiny)
+    total = colors.sum(axis=1) / np.maximum(product.sum(axis=1), 1e-3 * used.sum(axis=0))
+    found = np.where(below > 1e-6 * np.median(below, axis=0), found, total)
+    return np.maximum(np.broadcast_to(found, (len(found), 3)), 0.0)

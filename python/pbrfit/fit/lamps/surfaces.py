@@ -27,11 +27,12 @@ from pbrfit.fit.lamps.joint import (
     UNKNOWNS,
     Freedom,
     JointLamps,
-    Noise,
     SurfacePrior,
     fit_surfaces,
+    offsets,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,12 @@ BAND_PIXELS = 40_000
 
 ROUNDS = 3
 """Of weights and surfaces: shadows that hide behind a wrong normal show in the second."""
+
+NEIGHBOUR_ROUNDS = 3
+"""Times that pixels try the surfaces of their neighbours, which hand on what one has found."""
+
+NORMALS = 100
+"""Directions that a pixel is turned to where its normal is sought anywhere: 14 degrees apart."""
 
 STEPS = 12
 """Of each pixel in a round."""
@@ -106,16 +113,143 @@ def neighbour_means(values: Array, places: NDArray[np.intp], width: int) -> Arra
     return found.reshape(values.shape)
 
 
-def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int) -> Array:
+def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior) -> Array:
+    """(P,): −ln of the posterior of each pixel's surface, up to a constant."""
+    found = -noise.log_likelihoods(Left.of(pixels, state)).sum(axis=-1)
+    at = np.concatenate(
+        [offsets(pixels.normals, state.normals), state.albedo, state.roughness[:, None]], axis=-1
+    )
+    squares = prior.precision[:, :UNKNOWNS] * (at - prior.mean[:, :UNKNOWNS]) ** 2
+    return np.asarray(found + 0.5 * squares.sum(axis=-1))
+
+
+def better_of(
+    one: LampState, of_one: Array, other: LampState, of_other: Array
+) -> tuple[LampState, Array]:
+    """Of each pixel the surface that surprises less."""
+    take = of_other < of_one
+    return one.with_surface(
+        np.where(take[:, None], other.normals, one.normals),
+        np.where(take[:, None], other.albedo, one.albedo),
+        np.where(take, other.roughness, one.roughness),
+        np.where(take, other.metallic, one.metallic),
+    ), np.where(take, of_other, of_one)
+
+
+def robust_surfaces(
+    pixels: LampPixels,
+    state: LampState,
+    noise: Noise,
+    prior: SurfacePrior,
+    *,
+    rounds: int,
+    free_normals: bool,
+    free_roughness: bool = True,
+    width: int | None = None,
+) -> tuple[LampState, Array, Array, Array, Array]:
+    """Weights and surfaces in turn; also weights, costs, information, and what still surprises.
+
+    With the `width` of the picture samples are judged with their neighbours.
+    """
+    weights = cost = information = np.zeros(0)
+    for _ in range(rounds):
+        weights = weights_of(pixels, state, noise, width)
+        state, cost, information = fit_surfaces(
+            pixels,
+            state,
+            weights,
+            prior,
+            iterations=STEPS,
+            free_normals=free_normals,
+            free_roughness=free_roughness,
+        )
+    return state, weights, cost, information, surprise(pixels, state, noise, prior)
+
+
+def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
+    """The same surfaces, turned so that each mirrors the lamp of its brightest sample."""
+    directions, strengths = state.incident(pixels)
+    of_lamps = pixels.samples.mean(axis=-1)[:, state.lamps.pictures]
+    lit = strengths * state.lamps.colors.mean(axis=-1)
+    brightest = np.argmax(of_lamps / np.maximum(lit, 1e-12), axis=1)
+    halves = directions[np.arange(len(pixels)), brightest] + pixels.views
+    halves /= np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9)
+    return state.with_surface(halves, state.albedo, state.roughness, state.metallic)
+
+
+def facing_anywhere(
+    pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior
+) -> LampState:
+    """The surfaces of dielectrics that surprise least, of `NORMALS` directions with their albedo.
+
+    Radiance is linear in a dielectric's albedo, so that it is found by weighted sums, in a few
+    rounds of weights.
+    """
+    best, least = state, np.full(len(pixels), np.inf)
+    count = len(pixels)
+    black, white = np.zeros((count, 3)), np.ones((count, 3))
+    roughness, metallic = prior.mean[:, 5], np.zeros(count)
+    for normal in _front_directions(NORMALS):
+        facing = np.tile(normal, (count, 1))
+        none = radiance(pixels, state.with_surface(facing, black, roughness, metallic))
+        slope = radiance(pixels, state.with_surface(facing, white, roughness, metallic)) - none
+        weights = pixels.weights * (pixels.limits == 0)
+        albedo = black
+        for _ in range(3):
+            sums = (weights * slope * slope).sum(axis=1) + 1e-9
+            albedo = (weights * slope * (pixels.samples - none)).sum(axis=1) / sums
+            albedo = np.clip(albedo, 0, 1)
+            shown = none + slope * albedo[:, None]
+            trial = state.with_surface(facing, albedo, roughness, metallic)
+            left = Left.of(pixels, trial, shown)
+            weights = pixels.weights * (pixels.limits == 0) * noise.weights(left)
+        trial = state.with_surface(facing, albedo, roughness, metallic)
+        best, least = better_of(best, least, trial, surprise(pixels, trial, noise, prior))
+    return best
+
+
+def _front_directions(count: int) -> Array:
+    """(G, 3): unit vectors towards the viewer, evenly spread to 85 degrees from the axis."""
+    index = np.arange(count)
+    z = 1 - (1 - np.cos(np.radians(85))) * (index + 0.5) / count
+    around = index * np.pi * (3 - np.sqrt(5))
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)
+
+
+def from_neighbours(
+    pixels: LampPixels,
+    state: LampState,
+    surprising: Array,
+    noise: Noise,
+    prior: SurfacePrior,
+    width: int,
+) -> tuple[LampState, Array]:
+    """Surfaces of neighbours, where these surprise less than a pixel's own: (state, surprise)."""
+    index = np.full(int(pixels.places.max()) + width + 2, -1, np.intp)
+    index[pixels.places] = np.arange(len(pixels))
+    for step in (1, -1, width, -width):
+        at = pixels.places + step
+        of = np.where((at >= 0) & (at < len(index)), index[np.clip(at, 0, len(index) - 1)], -1)
+        own = np.arange(len(pixels))
+        source = np.where(of >= 0, of, own)
+        moved = state.of_rows(source)
+        trial = state.with_surface(moved.normals, moved.albedo, moved.roughness, moved.metallic)
+        state, surprising = better_of(
+            state, surprising, trial, surprise(pixels, trial, noise, prior)
+        )
+    return state, surprising
+
+
+def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | None) -> Array:
     """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
-    shown = radiance(pixels, state)
-    residuals = pixels.residuals(shown)
-    level = np.maximum(shown, pixels.samples)
-    odds = np.clip(noise.log_odds(residuals, level), -20, 20)
-    dark = residuals.mean(axis=-1) > 0
-    odds = np.where(dark, neighbour_means(odds, pixels.places, width), odds)
-    ordinary = 1 / (1 + np.exp(-odds))
-    return np.asarray(pixels.weights * ordinary[..., None] / noise.variance(level))
+    left = Left.of(pixels, state)
+    odds = noise.log_odds(left)
+    if width is not None:
+        dark = left.residuals.mean(axis=-1) > 0
+        around = neighbour_means(np.clip(odds, -20, 20), pixels.places, width)
+        odds = np.where(dark, around, odds)
+    return pixels.weights * noise.weights(left, odds)
 
 
 def fit_band(
@@ -130,19 +264,29 @@ def fit_band(
     uncertain: Array | None,
 ) -> Band:
     """Surfaces of some pixels; `uncertain`, the lights' covariance, where deviations are wanted."""
-    weights = np.zeros(pixels.samples.shape)
-    cost = information = np.zeros(0)
-    for _ in range(ROUNDS):
-        weights = weights_of(pixels, state, noise, width)
-        state, cost, information = fit_surfaces(
-            pixels, state, weights, prior, iterations=STEPS, free_normals=freedom.normals
+    free = freedom.normals
+
+    def fitted(begin: LampState, rounds: int, width: int | None = None) -> tuple[LampState, Array]:
+        found = robust_surfaces(
+            pixels, begin, noise, prior, rounds=rounds, free_normals=free, width=width
         )
+        return found[0], found[4]
+
+    state, left = fitted(state, 1)
+    if free:
+        state, left = better_of(state, left, *fitted(facing_highlights(pixels, state), 1))
+        for _ in range(NEIGHBOUR_ROUNDS):
+            moved, _ = from_neighbours(pixels, state, left, noise, prior, width)
+            state, left = better_of(state, left, *fitted(moved, 1))
+    state, weights, cost, information, left = robust_surfaces(
+        pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
+    )
     if metals:
         state = _with_metals(
             pixels, state, weights, prior, width, cost, information, freedom.normals
         )
     residual = pixels.residuals(radiance(pixels, state))
-    ordinary = weights * noise.variance(np.maximum(pixels.samples + residual, pixels.samples))
+    ordinary = probability(noise.log_odds(Left.of(pixels, state)))
     zeros = np.zeros((len(pixels), 7))
     variance, marginal, held = zeros, zeros, zeros.astype(bool)
     if uncertain is not None:
@@ -154,7 +298,7 @@ def fit_band(
         held,
         float((pixels.weights * residual**2).sum()),
         float(pixels.weights.sum()),
-        1 - ordinary.mean(axis=-1),
+        1 - ordinary,
     )
 
 

@@ -1,0 +1,123 @@
+"""The matrix that a factorisation leaves open: the most likely one by all cues.
+
+C has nine entries, of which the size does not matter. The negative log likelihood of `cues` is
+minimised over it by the method of Broyden, Fletcher, Goldfarb and Shanno from several starts,
+because it has several minima: a surface and the one that is bulged in where it was bulged out, and
+flatter and steeper ones. c₁ and c₂ start as integrability has them, with either sign, and c₃ such
+that lamps stand about equally far in front, at several heights; beside these, at the matrix that
+makes the surface most like the mask blown up as a balloon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from pbrfit.fit.lamps.cues import CUES, Places, Transform
+
+Array = NDArray[np.float64]
+
+SLANTS = (0.25, 0.5, 1.0, 2.0)
+"""Tangents of the lamps' root mean square angle to the camera's axis that c₃ starts from."""
+
+IMPOSSIBLE = 1e6
+"""Cost of a C that no matrix has; far above any other."""
+
+STEPS_MAX = 150
+"""Steps of a search at most."""
+
+EQUALLY_LIKELY = 3.0
+"""Difference of the negative log likelihood below which two minima are told to be undecided: odds
+of 20 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """A C that is most likely among its neighbours.
+
+    Attributes
+    ----------
+    transform
+        What follows of C.
+    cost
+        Negative log likelihood but for a constant.
+    parts
+        That of each cue.
+    """
+
+    transform: Transform
+    cost: float
+    parts: dict[str, float]
+
+
+def minima(places: Places, rough: Array | None) -> list[Minimum]:
+    """Minima of the negative log likelihood, the least first.
+
+    Parameters
+    ----------
+    places
+        What cues look at.
+    rough
+        (P, 3) normals of a rough shape to start from beside other starts; None = there is none.
+    """
+    found: list[Minimum] = []
+    for start in _starts(places, rough):
+        search = minimize(
+            _cost, start.ravel(), (places,), method="BFGS", options={"maxiter": STEPS_MAX}
+        )
+        C = search.x.reshape(3, 3)
+        transform = Transform.of(C, places)
+        if transform is not None:
+            parts = {cue.name: cue.value(transform, places) for cue in CUES}
+            found.append(Minimum(transform, sum(parts.values()), parts))
+    found.sort(key=lambda one: one.cost)
+    return found
+
+
+def _cost(c: Array, places: Places) -> float:
+    transform = Transform.of(c.reshape(3, 3), places)
+    if transform is None:
+        return IMPOSSIBLE
+    return sum(cue.value(transform, places) for cue in CUES)
+
+
+def _starts(places: Places, rough: Array | None) -> list[Array]:
+    """Matrices C (3, 3) of determinant above 0."""
+    starts = []
+    lamps = places.lamps
+    _, null = places.integrability.null_vectors()
+    for sign in (1.0, -1.0):
+        across = sign * null[0].reshape(2, 3).T
+        size = np.sqrt(np.mean(np.sum((lamps @ across) ** 2, axis=1)))
+        level = np.linalg.lstsq(lamps, np.ones(len(lamps)), rcond=None)[0]
+        for slant in SLANTS:
+            starts.append(np.column_stack([across, size / slant * level]))
+    if rough is not None:
+        starts.append(_like(places.vectors, rough))
+    if places.guide is not None:
+        known = np.isfinite(places.guide).all(axis=1)
+        if known.sum() >= 3:
+            starts.append(_like(places.vectors[known], places.guide[known]))
+    starts = [C / np.linalg.norm(C) for C in starts if np.isfinite(C).all()]
+    for C in starts:
+        if np.linalg.det(C) < 0:
+            C[:, 2] *= -1  # G mirrors b: lamps are in front of it by S C/det G all the same
+    return [C for C in starts if np.linalg.det(C) > 1e-10]
+
+
+def _like(vectors: Array, normals: Array) -> Array:
+    """C of the G with which b G is most like albedo times given normals, in alternation."""
+    G = np.linalg.lstsq(vectors, normals, rcond=None)[0]
+    for _ in range(10):
+        albedo = np.maximum(np.einsum("pi,pi->p", vectors @ G, normals), 0.0)
+        weight = 1 / (albedo + 0.1 * albedo.mean() + 1e-12)
+        G = np.linalg.lstsq(
+            vectors * weight[:, None], normals * (albedo * weight)[:, None], rcond=None
+        )[0]
+        G /= max(np.linalg.norm(G), 1e-12)
+    if np.linalg.matrix_rank(G, tol=1e-6) < 3:
+        return np.full((3, 3), np.nan)
+    return np.asarray(np.linalg.inv(G).T * np.linalg.det(G))

@@ -1,0 +1,92 @@
+"""Whether a scene is fitted under lamps, and that fit; normals and height from pictures alone."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.fit.lamps.decision import choose
+from pbrfit.fit.lamps.estimator import FirstShape, fit_lamps
+from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
+from pbrfit.fit.whole_picture import FitOutput, FitSetup
+from pbrfit.scene.integration import depth_from_normals
+from pbrfit.scene.scene import Scene
+
+log = logging.getLogger("pbrfit")
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """What was decided about the light of a scene."""
+
+    found: FitOutput | None
+    """The fit under lamps; None where light comes from all around."""
+    scene: Scene
+    """With normals, where it had none."""
+    why: str
+
+
+def fit_if_lit(scene: Scene, setup: FitSetup) -> Lit:
+    """Fit a scene under lamps, if that is asked for or explains its pictures better.
+
+    Raises
+    ------
+    InputError
+        If lamps are asked for and cannot be fitted, or normals are missing and cannot be found.
+    """
+    asked = setup.options.light
+    if asked == "sh" and scene.normals_known:
+        return Lit(None, scene, "not asked for")
+    if asked == "lamps" and scene.lighting is not None:
+        raise InputError("light: expected unknown light for lamps, found known SH light")
+    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
+        raise InputError("lamps: expected depth for near lamps, found none")
+    start = None if scene.normals_known else first_shape(scene)
+    why = "asked for"
+    if asked != "lamps":
+        choice = choose(scene, setup, start)
+        why = choice.why
+        if asked == "sh" or not choice.lamps:
+            if start is not None:
+                scene = replace(scene, normals=start.normals, normals_known=True)
+            return Lit(None, scene, why)
+    found = fit_lamps(scene, setup, start)
+    if start is not None:
+        found = replace(found, height=height_of(found.normals, scene))
+        scene = replace(scene, normals=found.normals, normals_known=True)
+    return Lit(found, scene, why)
+
+
+def first_shape(scene: Scene) -> FirstShape:
+    """Normals, and directions of the lamps, that the pictures of a scene tell by themselves."""
+    images = np.stack([scene.picture(i, slice(None)) for i in range(len(scene.images))])
+    usable = np.broadcast_to(scene.valid, images.shape[:3]).copy()
+    if scene.limits is not None:
+        usable &= (scene.limits == 0).all(axis=-1)
+    if scene.weights is not None:
+        usable &= scene.weights > 0
+    images = np.where(usable[..., None], images, 0.0).astype(np.float64)
+    known = scene.lamps
+    if known is not None and not known.near.any() and len(known) == len(images):
+        colors = known.colors if known.colored else None
+        found = start_of_known_lamps(images, usable, scene.valid, scene.views, known.places, colors)
+        note = "normals by known lamps"
+    else:
+        found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov)
+        note = "normals and far lamps by the pictures"
+    for said in found.undetermined:
+        log.warning("normals: %s", said)
+    return FirstShape(found.normals, found.directions, "; ".join([note, *found.undetermined]))
+
+
+def height_of(normals: Array, scene: Scene) -> NDArray[np.float32]:
+    """(H, W): height towards the viewer in pixels, about 0 in the mean; NaN outside the mask."""
+    depth = depth_from_normals(normals, 0.0, scene.valid, scene.segments)
+    height = -depth.astype(np.float64) * scene.width / 2
+    return np.asarray(height - np.nanmean(height), np.float32)

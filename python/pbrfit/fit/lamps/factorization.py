@@ -1,0 +1,173 @@
+"""Pseudo-normals and unknown lamps, up to a matrix: a robust factorisation of rank 3.
+
+With P pixels in N pictures, the radiance of a diffuse surface under distant lamps is I = B Sᵀ, B
+(P, 3) of pseudo-normals and S (N, 3) of lamps, wherever b·s > 0; any invertible A gives B A and
+S A⁻ᵀ the same pictures (Hayakawa, "Photometric stereo under a light source with arbitrary motion",
+Journal of the Optical Society of America A 11, 1994). Shadows, highlights and clipped samples do
+not belong to the product. So instead of a singular value decomposition, which has no place for
+missing entries, pixels and pictures take turns: b of each pixel by robust photometric stereo under
+the lamps so far (`photometric`), then s of each picture by the same robust loss over pixels. The
+loss has minima of its own, so its scale σ falls from wide to what the residuals say.
+
+S is given with SᵀS/N = 1, its columns by the size of what they bring, the largest first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.lamps.photometric import (
+    DARK,
+    brightness,
+    pseudo_normals,
+    scale_of,
+    weights_of,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SCALES = (0.3, 0.2, 0.14, 0.1, 0.07, 0.05)
+"""σ of the first rounds, of a pixel's brightness: from all of shading's own spread, so that all
+samples count, down to that of highlights and shadows."""
+
+ROUNDS_MAX = 40
+"""Rounds at most after the first ones."""
+
+TURNS = 2
+"""Rounds of weighted least squares at a pixel or a picture before the other side's turn."""
+
+COMPLETIONS = 12
+"""Rounds in which the start's missing samples are filled in by what the largest three singular
+values say of them."""
+
+BRIGHT = 2.5
+"""Radiance, of a pixel's median one, above which a sample is left out of the start as a highlight.
+Lamps in front of the surface bring at most 1/cos of their angle to the normal times the median."""
+
+UNCHANGED = 1e-4
+"""Sine of the largest angle between the lamps' spaces of two rounds below which they are found: a
+hundredth of a degree."""
+
+RANK_DEVIATIONS = 3.0
+"""Size of a direction of the factors, in standard deviations of what noise alone puts there, from
+which on it is one."""
+
+PRODUCT_MIN = 1e-3
+"""Size of a direction, of the largest, below which it is none even without noise: a tenth of a step
+of 8 bits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """What B Sᵀ is made of.
+
+    Attributes
+    ----------
+    lamps
+        (N, 3) S.
+    rank
+        3; 2 or 1 if lamps lie in a plane or a line, as far as the samples show.
+    sizes
+        (3,) root mean square size of the product's directions, of the pixels' brightness.
+    noise
+        (3,) the size that noise alone would have.
+    scale
+        σ.
+    """
+
+    lamps: Array
+    rank: int
+    sizes: Array
+    noise: Array
+    scale: float
+
+
+def factors(samples: Array, usable: Mask) -> Factors:
+    """Factors of samples (P, N), of those that are usable (P, N); N of 3 or more.
+
+    Pixels with fewer than three usable samples that are not dark tell nothing of lamps.
+    """
+    relative = samples / brightness(samples, usable)[:, None]
+    telling = (usable & (relative >= DARK)).sum(axis=1) >= 3
+    relative, usable = relative[telling], usable[telling]
+    count = relative.shape[1]
+    if len(relative) < 3:
+        return Factors(np.zeros((count, 3)), 0, np.zeros(3), np.zeros(3), SCALES[-1])
+    lamps = _start(relative, usable)
+    vectors: Array | None = None
+    sigma = SCALES[0]
+    for round_ in range(len(SCALES) + ROUNDS_MAX):
+        begins = round_ < len(SCALES)
+        if begins:
+            sigma = SCALES[round_]
+        found = pseudo_normals(relative, usable, lamps, start=vectors, scale=sigma, rounds=TURNS)
+        before = lamps
+        lamps, back = _whitened(_lamps_from(relative, usable, found.vectors, lamps, sigma))
+        vectors = found.vectors @ back
+        if not begins:
+            sigma = scale_of(relative, usable, vectors @ lamps.T)
+            if _largest_sine(before, lamps) < UNCHANGED:
+                break
+    assert vectors is not None
+    return _ordered(relative, usable, lamps, vectors, sigma)
+
+
+def _start(relative: Array, usable: Mask) -> Array:
+    """Lamps by singular values, missing samples filled in round by round."""
+    known = usable & (relative >= DARK) & (relative <= BRIGHT)
+    filled = np.where(known, relative, 1.0)
+    for _ in range(COMPLETIONS):
+        # By the N × N matrix: the same right singular vectors, without the P × N decomposition.
+        _, vectors = np.linalg.eigh(filled.T @ filled)
+        basis = vectors[:, -3:]
+        filled = np.where(known, relative, np.clip(filled @ basis @ basis.T, 0.0, BRIGHT))
+    return _whitened(basis * np.sign(basis.sum(axis=0)))[0]
+
+
+def _lamps_from(relative: Array, usable: Mask, vectors: Array, lamps: Array, sigma: float) -> Array:
+    """Lamps (N, 3) by weighted least squares over pixels, from b and the lamps so far."""
+    products = (vectors[:, :, None] * vectors[:, None, :]).reshape(-1, 9)
+    ridge = 1e-9 * np.eye(3) * float(np.einsum("px,px->", vectors, vectors))
+    for _ in range(TURNS):
+        weights = weights_of(relative, usable, vectors @ lamps.T, sigma)
+        moments = (weights.T @ products).reshape(-1, 3, 3) + ridge
+        lamps = np.linalg.solve(moments, ((weights * relative).T @ vectors)[..., None])[..., 0]
+    return lamps
+
+
+def _whitened(lamps: Array) -> tuple[Array, Array]:
+    """S with SᵀS/N = 1 of the same span, and R with S_before = S Rᵀ: b of the new S is b R."""
+    orthonormal, upper = np.linalg.qr(lamps)
+    root = np.sqrt(len(lamps))
+    return orthonormal * root, upper.T / root
+
+
+def _largest_sine(first: Array, second: Array) -> float:
+    """Of the angles between the spaces of two whitened (N, 3)."""
+    cosines = np.linalg.svd(first.T @ second / len(first), compute_uv=False)
+    return float(np.sqrt(max(1 - cosines.min() ** 2, 0.0)))
+
+
+def _ordered(relative: Array, usable: Mask, lamps: Array, vectors: Array, sigma: float) -> Factors:
+    """Factors with the product's directions by size.
+
+    With SᵀS/N = 1 the mean square of b·s over lamps is |b|². Noise of the deviation σ puts σ²/N of
+    it into each of b's directions in each pixel; a direction that is fitted to the noise of P × N
+    samples takes the largest share of it, σ²(1/√P + 1/√N)² (Marčenko and Pastur, 1967).
+    """
+    weights = weights_of(relative, usable, vectors @ lamps.T, sigma)
+    shares = weights.sum(axis=1)
+    mean = np.einsum("p,px,py->xy", shares, vectors, vectors) / max(shares.sum(), 1e-300)
+    squared, turned = np.linalg.eigh(mean)
+    order = np.argsort(-squared)
+    sizes = np.sqrt(np.maximum(squared[order], 0.0))
+    count, pictures = relative.shape
+    noise = np.full(3, sigma * (1 / np.sqrt(count) + 1 / np.sqrt(pictures)))
+    floor = np.maximum(noise, PRODUCT_MIN * sizes[0])
+    rank = int((sizes > floor).sum())
+    lamps = lamps @ turned[:, order]
+    return Factors(lamps, rank, sizes, noise, sigma)

@@ -1,0 +1,123 @@
+"""What the outline of an object says: normals there, and its rough shape.
+
+Where a smooth surface turns away from the camera, at its outline, its normal is perpendicular to
+the view and to the outline, and points outwards (Koenderink, "What does the occluding contour tell
+us about solid shape?", Perception 13, 1984). Just inside, at a distance of d from the outline, the
+normal of a ball of radius R has n·v = √(1 - (1 - d/R)²) and the same azimuth. R is not known; it is
+taken to be like the radius of the largest disc in the mask that covers the place.
+
+Where a mask ends at the picture's border, or at the edge of a table, nothing turns away. Of the
+first nothing is used. The second is what the share of `CUT` allows for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NEAREST, FARTHEST = 1.5, 4.5
+"""Distances in pixels from the mask's outside between which pixels tell of the outline: nearer ones
+show part of the background, farther ones have turned towards the camera."""
+
+SMOOTHING = 2.5
+"""Standard deviation in pixels of the mean over the mask whose slope is the outline's direction:
+evens out the stairs of pixels."""
+
+OUTLINE_MIN = 40
+"""Pixels along an outline below which there is none."""
+
+LEVELS = 12
+"""Radii of discs that are tried, from the smallest to the largest, each of the same ratio."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Pixels just inside the outline.
+
+    Attributes
+    ----------
+    rows, columns
+        (E,) where they are.
+    outward
+        (E, 3) unit vectors perpendicular to the view: the azimuth of normals.
+    facing
+        (E,) n·v of the ball there.
+    """
+
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    outward: Array
+    facing: Array
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+def outline(mask: Mask, views: Array) -> Outline:
+    """Outline of a mask (H, W) seen along views (H, W, 3); of length 0 if it has none."""
+    none = np.zeros(0, np.intp)
+    if mask.all() or not mask.any():
+        return Outline(none, none, np.zeros((0, 3)), np.zeros(0))
+    distance = np.asarray(distance_transform_edt(mask)) - 0.5
+    rows, columns = np.nonzero(mask & (distance >= NEAREST) & (distance <= FARTHEST))
+    blurred = gaussian_filter(mask.astype(np.float64), SMOOTHING, mode="nearest")
+    down, right = np.gradient(blurred)
+    slope = np.stack([-right, down], axis=-1)[rows, columns]
+    length = np.linalg.norm(slope, axis=-1)
+    clear = length > 0.02  # of a pixel's step; smaller where thin parts have two outlines
+    rows, columns, slope = rows[clear], columns[clear], slope[clear] / length[clear, None]
+    if len(rows) < OUTLINE_MIN:
+        return Outline(none, none, np.zeros((0, 3)), np.zeros(0))
+    view = views[rows, columns]
+    outward = np.concatenate([slope, np.zeros((len(rows), 1))], axis=1)
+    outward -= np.einsum("ei,ei->e", outward, view)[:, None] * view
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    radius = local_radius(distance)[rows, columns]
+    share = np.clip(distance[rows, columns] / radius, 0.0, 1.0)
+    return Outline(rows, columns, outward, np.sqrt(1 - (1 - share) ** 2))
+
+
+def local_radius(distance: Array) -> Array:
+    """Radius of the largest disc inside the mask that covers each pixel, in pixels, (H, W).
+
+    Parameters
+    ----------
+    distance
+        (H, W) in pixels to the mask's outside; not above 0 there.
+    """
+    largest = float(distance.max())
+    found = np.maximum(distance, 0.5)
+    for radius in np.geomspace(max(2.0, largest / 64), max(largest, 2.0), LEVELS):
+        centres = distance >= min(radius, largest)
+        if centres.any():
+            covered = distance_transform_edt(~centres) <= radius
+            found = np.where(covered, np.maximum(found, radius), found)
+    return found
+
+
+def inflated(mask: Mask, views: Array) -> Array:
+    """Normals (H, W, 3) of the mask blown up as a balloon: n·v as in `Outline`, the azimuth away
+    from the nearest middle. A rough shape to start from, with no claim to be one."""
+    padded = np.pad(mask, 1, mode="edge")
+    distance = np.asarray(distance_transform_edt(padded))[1:-1, 1:-1] - 0.5
+    radius = local_radius(distance)
+    scale = max(1.0, 0.15 * float(distance.max()))
+    depth = gaussian_filter(distance, scale, mode="nearest")
+    down, right = np.gradient(depth)
+    share = np.clip(distance / radius, 0.0, 1.0)
+    slope = np.stack([-right, down], axis=-1)
+    length = np.linalg.norm(slope, axis=-1, keepdims=True)
+    slope /= np.maximum(length, 1e-3)
+    facing = np.sqrt(1 - (1 - share) ** 2)
+    normals = np.concatenate(
+        [slope * np.sqrt(1 - facing**2)[..., None], facing[..., None]], axis=-1
+    )
+    normals[..., :2] += views[..., :2]
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.asarray(normals / np.maximum(length, 1e-12))

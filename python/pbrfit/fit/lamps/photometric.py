@@ -1,0 +1,213 @@
+"""Photometric stereo: the pseudo-normal of each pixel under known lamps.
+
+A diffuse surface under a distant lamp s, its direction times its strength, has the radiance
+
+    I_n = max(b·s_n, 0),    b = albedo times normal, the pseudo-normal
+
+(Woodham, "Photometric method for determining surface orientation from multiple images", Optical
+Engineering 19, 1980). Three lamps tell b. Of more, some samples do not follow the law: highlights
+lie above it, cast shadows below, and a sample whose lamp is behind the surface says only b·s ≤ 0.
+So b is the one with the least
+
+    Σ_n ρ((I_n - max(b·s_n, 0)) / (σ q)),    ρ(x) = x²/(1 + x²),
+
+the loss of Geman and McClure: a sample that is far off costs 1, however far. q is the brightness of
+the pixel, the median of its samples: what the law leaves out, gloss and light from other surfaces,
+grows with the light that arrives. σ is the same for all pixels. The loss has several minima, so it
+is looked at for the b of many triples of samples (Fischler and Bolles, "Random sample consensus",
+Communications of the ACM 24, 1981), and repeated weighted least squares start at the best of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TRIPLES_MAX = 48
+"""Triples of samples that a pixel's start is chosen from. If 40 % of the samples follow the law,
+48 random triples hold one without an outlier with a probability of 1 - (1 - 0.4³)^48 = 96 %."""
+
+SCALE_MIN = 0.01
+"""Smallest σ, of a pixel's brightness. A step of 8 bits of sRGB is 0.9 % of the radiance at middle
+grey: below it, differences are those of the file."""
+
+SCALE_START = 0.1
+"""σ from which it is found: highlights and shadows differ by more, shading that is not quite
+Lambertian by less."""
+
+MEDIAN_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution, of the median of absolute values."""
+
+ROUNDS = 8
+"""Rounds of weighted least squares at a pixel."""
+
+SAMPLES_AT_ONCE = 1 << 21
+"""Samples times triples that are compared at once: bounds the memory to some 50 MB."""
+
+DARK = 0.02
+"""Share of a pixel's brightness below which a sample is dark: it is told to be in shadow and says
+nothing of b. Interreflections bring a few per cent into shadows."""
+
+
+@dataclass(frozen=True, eq=False)
+class PseudoNormals:
+    """What the samples of P pixels say under N lamps.
+
+    Attributes
+    ----------
+    vectors
+        (P, 3) b. In directions that a pixel's samples say nothing of it is 0.
+    weights
+        (P, N) in [0, 1]: how much each sample counts; 0 in shadow.
+    precision
+        (P, 3, 3) Σ_n w s sᵀ/(σ q)²: inverse of b's covariance.
+    scale
+        σ.
+    """
+
+    vectors: Array
+    weights: Array
+    precision: Array
+    scale: float
+
+
+def brightness(samples: Array, usable: Mask) -> Array:
+    """q (P,): the median of each pixel's samples that are not black; at least a ten-thousandth of
+    that of all pixels, which keeps black pixels finite."""
+    lit = np.where(usable & (samples > 0), samples, np.nan)
+    some = np.isfinite(lit).any(axis=1)
+    middle = np.zeros(len(samples))
+    middle[some] = np.nanmedian(lit[some], axis=1)
+    floor = 1e-4 * float(np.median(middle[some])) if some.any() else 1.0
+    return np.maximum(middle, max(floor, np.finfo(np.float64).tiny))
+
+
+def pseudo_normals(
+    samples: Array,
+    usable: Mask,
+    lamps: Array,
+    *,
+    start: Array | None = None,
+    scale: float | None = None,
+    rounds: int = ROUNDS,
+) -> PseudoNormals:
+    """The pseudo-normal of each pixel under known lamps.
+
+    Parameters
+    ----------
+    samples
+        (P, N) radiance.
+    usable
+        (P, N): samples to be used.
+    lamps
+        (N, 3): direction times strength.
+    start
+        (P, 3) where to start; None = the best of triples of samples.
+    scale
+        σ; None = found from the samples.
+    rounds
+        Of weighted least squares.
+    """
+    bright = brightness(samples, usable)
+    relative = samples / bright[:, None]
+    found = _best_of_triples(relative, usable, lamps) if start is None else start / bright[:, None]
+    sigma = SCALE_START if scale is None else scale
+    for _ in range(rounds):
+        weights = weights_of(relative, usable, found @ lamps.T, sigma)
+        found = _solved(relative, weights, lamps)
+        if scale is None:
+            sigma = scale_of(relative, usable, found @ lamps.T)
+    weights = weights_of(relative, usable, found @ lamps.T, sigma)
+    precision = moments(weights, lamps) / (sigma * bright[:, None, None]) ** 2
+    return PseudoNormals(found * bright[:, None], weights, precision, sigma)
+
+
+def moments(weights: Array, lamps: Array) -> Array:
+    """Σ_n w s sᵀ, (P, 3, 3)."""
+    products = (lamps[:, :, None] * lamps[:, None, :]).reshape(len(lamps), 9)
+    return (weights @ products).reshape(-1, 3, 3)
+
+
+def weights_of(relative: Array, usable: Mask, predicted: Array, sigma: float) -> Array:
+    """Weights of samples: the slope of ρ by x², 1/(1 + x²)²; 0 where the lamp is behind."""
+    residual = (relative - np.maximum(predicted, 0.0)) / sigma
+    weights = 1 / (1 + residual**2) ** 2
+    weights[(predicted <= 0) | (relative < DARK) | ~usable] = 0.0
+    return weights
+
+
+def _solved(relative: Array, weights: Array, lamps: Array) -> Array:
+    """Weighted least squares at each pixel; 0 in directions that samples say nothing of."""
+    matrices = moments(weights, lamps)
+    size = np.einsum("nx,nx->", lamps, lamps) / len(lamps)
+    # The ridge is far below what any usable sample weighs: it decides only where nothing does.
+    matrices += 1e-9 * size * np.eye(3)
+    return np.linalg.solve(matrices, ((weights * relative) @ lamps)[..., None])[..., 0]
+
+
+def scale_of(relative: Array, usable: Mask, predicted: Array) -> float:
+    """σ from the residuals of samples that are lit: their median, of those that three unknowns a
+    pixel leave free."""
+    lit = usable & (predicted > 0) & (relative >= DARK)
+    if not lit.any():
+        return SCALE_START
+    count = lit.sum(axis=1)
+    free = np.maximum(count - 3, 0).sum() / max(int(count.sum()), 1)
+    if free <= 0:
+        return SCALE_MIN
+    median = float(np.median(np.abs((relative - predicted)[lit])))
+    return float(np.clip(MEDIAN_TO_SIGMA * median / math.sqrt(free), SCALE_MIN, SCALE_START))
+
+
+def _triples(lamps: Array) -> NDArray[np.intp]:
+    """(T, 3) triples of lamps that span space best, spread over all lamps; always the same ones."""
+    count = len(lamps)
+    if count <= 12:
+        chosen = np.array(list(combinations(range(count), 3)), dtype=np.intp)
+    else:
+        draws = np.random.default_rng(0).permuted(
+            np.tile(np.arange(count), (8 * TRIPLES_MAX, 1)), axis=1
+        )
+        chosen = np.unique(np.sort(draws[:, :3], axis=1), axis=0)
+    unit = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
+    volume = np.abs(np.linalg.det(unit[chosen]))
+    # Of a triple's own noise, what reaches b grows as 1/volume: the half that amplifies it least,
+    # thinned at random so that all lamps take part.
+    good = np.argsort(-volume, kind="stable")[: max(len(chosen) // 2, 1)]
+    good = good[volume[good] > 1e-3 * volume.max()]
+    if len(good) > TRIPLES_MAX:
+        good = np.random.default_rng(1).choice(good, TRIPLES_MAX, replace=False)
+    return chosen[good]
+
+
+def _best_of_triples(relative: Array, usable: Mask, lamps: Array) -> Array:
+    """The b of a triple of samples, of each pixel, with the least robust misfit."""
+    counted = usable & (relative >= DARK)
+    plain = _solved(relative, counted.astype(np.float64), lamps)
+    singular = np.linalg.svd(lamps, compute_uv=False)
+    if len(lamps) < 4 or singular[2] < 1e-3 * singular[0]:
+        return plain
+    triples = _triples(lamps)
+    inverses = np.linalg.inv(lamps[triples])  # b = S⁻¹ I
+    candidates = np.concatenate(
+        [np.einsum("txk,ptk->ptx", inverses, relative[:, triples]), plain[:, None]], axis=1
+    )
+    known = usable[:, triples].all(axis=2)
+    best = np.empty_like(plain)
+    step = max(SAMPLES_AT_ONCE // (candidates.shape[1] * len(lamps)), 1)
+    for first in range(0, len(relative), step):
+        part = slice(first, first + step)
+        predicted = np.maximum(candidates[part] @ lamps.T, 0.0)
+        squared = ((relative[part, None] - predicted) / SCALE_START) ** 2
+        misfit = np.where(usable[part, None], squared / (1 + squared), 0.0).sum(axis=2)
+        misfit[:, :-1][~known[part]] = np.inf
+        chosen = misfit.argmin(axis=1)
+        best[part] = candidates[part][np.arange(len(chosen)), chosen]
+    return best
