@@ -6,6 +6,8 @@ import json
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import render_directional
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.photographs import SUITE, explanations, lambertian, measure, ours, pictures
@@ -194,6 +198,28 @@ def test_ours_is_told_lamps_of_kept_pictures_and_directions_of_held_out_ones(
         np.stack([one for one in directions[LAMPS:] if one is not None]),
         known.directions[[*which.held_out, *which.kept]],
     )
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_light_of_a_picture_is_found_on_true_surfaces(known: bool) -> None:
+    """A stand-in for a result: what it says of surfaces is true."""
+    rng = np.random.default_rng(2)
+    shape = (SIZE, SIZE)
+    materials = Materials(rng.uniform(0.2, 0.8, (*shape, 3)), np.full(shape, 0.4), np.zeros(shape))
+    lamp, color = unit(np.array([0.4, -0.3, 0.8])), np.array([1.0, 0.8, 0.6])
+    picture = render_directional(materials, cap(1.5), lamp, color, 0.0, model="principled")
+    result: Any = SimpleNamespace(
+        materials=materials,
+        albedo=materials.albedo,
+        roughness=materials.roughness,
+        metallic=materials.metallic,
+        normals=cap(1.5),
+        mask=np.ones(shape, bool),
+        fov=0.0,
+        model="principled",
+    )
+    found = ours.relit(result, picture, None, lamp if known else None, 1)
+    assert np.abs(found - picture).max() < 5e-3 * picture.max()
 
 
 # What is known

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.lamps.picture_light import fit_picture_light
-from pbrfit.result.relighting import relight
+from pbrfit.model.reflection import render, render_directional
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 
@@ -45,5 +45,9 @@ def relit(
     direction
         (3,) unit vector to the picture's lamp; None = unknown.
     """
-    light: Any = fit_picture_light(result, picture, weights, direction)
-    return np.asarray(relight(result, light, threads), np.float64).reshape(picture.shape)
+    lamps, ambient = fit_picture_light(result, picture, weights, direction)
+    of = (result.materials, result.normals)
+    shown = render(*of, ambient, result.fov, threads, model=result.model)
+    for lamp, color in zip(lamps.places, lamps.colors, strict=True):
+        shown += render_directional(*of, lamp, color, result.fov, threads, model=result.model)
+    return np.asarray(shown, np.float64)
