@@ -20,9 +20,10 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render_directional
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.normal_errors import unit
+from pbrfit_evaluation.panels import unpacked
 from pbrfit_evaluation.photographs import SUITE, explanations, lambertian, measure, ours, pictures
 from pbrfit_evaluation.photographs.explanations import IN_WORDS, KNOWING, OURS, WAYS, Way
-from pbrfit_evaluation.photographs.panels import as_colors, height, panels_of
+from pbrfit_evaluation.photographs.panels import as_colors, height
 from pbrfit_evaluation.photographs.pictures import Known, Photographs
 from pbrfit_evaluation.real.held_out import picture_scores, relative_error, split
 from pbrfit_evaluation.real.sources import find_sources
@@ -324,7 +325,7 @@ def test_panels_are_kept_whole(folder: Path) -> None:
     [source] = find_sources(folder)
     task = measure.Task(source, "lambert-known", 0, "", SIZE, 1, None, picture=True)
     values = json.loads(json.dumps(measure.run(task, 1)))
-    panels = panels_of(values["panels"])
+    panels = unpacked(values["panels"])
     assert {of.shape for of in panels.values()} == {(SIZE, SIZE, 3)}
     assert list(panels)[:3] == ["photograph", "relit", "error"]
     assert np.abs(panels["normals"] - panels["true normals"]).max() < 0.02

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pbrfit.result.sheet import Panel as SheetPanel
 from pbrfit.result.sheet import Row as SheetRow
 from pbrfit.result.sheet import as_png, sheet
+from pbrfit_evaluation.panels import unpacked
 from pbrfit_evaluation.photographs.explanations import IN_WORDS, WAYS, Way
 from pbrfit_evaluation.photographs.measure import Task
-from pbrfit_evaluation.photographs.panels import panels_of
 from pbrfit_evaluation.real.held_out import PictureScore, relative_error
 from pbrfit_evaluation.real.pictures import ERROR_SPAN
 from pbrfit_evaluation.real.sources import Source, absent, find_data
@@ -206,7 +206,7 @@ def _sheet(of: Of) -> NDArray[np.uint8] | None:
     None without anything.
     """
     kept = {
-        task.way: panels_of(values["panels"]) for task, values in of.finished if "panels" in values
+        task.way: unpacked(values["panels"]) for task, values in of.finished if "panels" in values
     }
     if not kept:
         return None

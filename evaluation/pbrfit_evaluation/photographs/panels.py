@@ -1,21 +1,18 @@
-"""What the report shows of a way to explain photographs: a line of panels, kept as one PNG."""
+"""What the report shows of a way to explain photographs: a line of panels."""
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit.model.geometry import positions
 from pbrfit.result import metrics
-from pbrfit.result.sheet import OUTSIDE, as_png, displayed, outside_grey
+from pbrfit.result.sheet import OUTSIDE, displayed, outside_grey
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.panels import packed
 from pbrfit_evaluation.photographs.explanations import Explained
 from pbrfit_evaluation.photographs.pictures import Photographs
 from pbrfit_evaluation.real.held_out import Split
@@ -31,7 +28,7 @@ ALBEDO_WHITE = 0.98
 
 
 def kept_panels(photographs: Photographs, which: Split, found: Explained) -> dict[str, Any]:
-    """Panels by caption, cut to the part with valid pixels, for a record; `panels_of` undoes it."""
+    """Panels by caption, cut to the part with valid pixels, for a record (`panels.packed`)."""
     scene = photographs.scene
     used = used_part(scene)
     true = masked(scene, which.held_out[0])[used]
@@ -56,17 +53,7 @@ def kept_panels(photographs: Photographs, which: Split, found: Explained) -> dic
         shown["roughness"] = outside_grey(found.roughness[used])
     if found.metallic is not None:
         shown["metallic"] = outside_grey(found.metallic[used])
-    side_by_side = np.concatenate([np.clip(of, 0, 1) for of in shown.values()], axis=1)
-    png = as_png((255 * side_by_side + 0.5).astype(np.uint8))
-    return {"captions": list(shown), "png": base64.b64encode(png).decode("ascii")}
-
-
-def panels_of(kept: Mapping[str, Any]) -> dict[str, Array]:
-    """(H, W, 3) values in [0, 1] by caption."""
-    with Image.open(io.BytesIO(base64.b64decode(kept["png"]))) as image:
-        pixels = np.asarray(image.convert("RGB")) / 255
-    parts = np.split(pixels, len(kept["captions"]), axis=1)
-    return dict(zip(kept["captions"], parts, strict=True))
+    return packed(shown)
 
 
 def as_colors(normals: Array) -> Array:
