@@ -7,8 +7,8 @@ use criterion::{
     BenchmarkGroup, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main,
 };
 use glam::DVec3;
+use pbrfit::lamps::render::{DirectionalLight, render_directional};
 use pbrfit::pixel::pixel_fit::Search;
-use pbrfit::problem::directional::{DirectionalLight, render_directional};
 use pbrfit::problem::render::render;
 use pbrfit::problem::targets::Targets;
 use pbrfit::problem::{Options, Pictures, Problem};

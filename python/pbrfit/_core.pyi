@@ -22,9 +22,12 @@ __all__ = [
     "encode_png",
     "end_when_told",
     "finished",
+    "fit_under_lamps",
     "ggx_band_weights",
     "hold_end",
     "image_format",
+    "lamp_radiance",
+    "lamp_slopes",
     "last_word",
     "lobe_functions",
     "lobe_table",
@@ -89,6 +92,82 @@ def render_directional(
     threads: int,
     model: str = "paper",
 ) -> NDArray[np.float64]: ...
+def lamp_radiance(
+    normals: NDArray[np.float64],
+    views: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    threads: int,
+    model: str = "paper",
+) -> NDArray[np.float64]:
+    """Radiance π f_r (n·l) (P, K, 3) under unit light of the lamps at directions (P, K, 3)."""
+
+def lamp_slopes(
+    normals: NDArray[np.float64],
+    views: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    threads: int,
+    model: str = "paper",
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """`lamp_radiance`, and its derivatives, (P, K, 3) or by axis (P, K, 3, 3).
+
+    By normal and by direction, vectors in the tangent planes of both; of each channel by its own
+    albedo; by roughness; by metallic. All are 0 where n·l ≤ 0.
+    """
+
+def fit_under_lamps(
+    pictures: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    limits: NDArray[np.uint8] | None,
+    views: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    intensities: NDArray[np.float64],
+    picture_of: NDArray[np.uint64],
+    ambient: NDArray[np.float64],
+    base_normals: NDArray[np.float64],
+    start_normals: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    prior_mean: NDArray[np.float64],
+    prior_precision: NDArray[np.float64],
+    free_normals: bool,
+    free_metallic: bool,
+    free_roughness: bool,
+    iterations: int,
+    threads: int,
+    model: str = "paper",
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """Normal and material of each pixel by itself under known lamps, never worse than the start.
+
+    pictures, weights (P, N, 3), linear radiance and weights of squared residuals, 0 without data;
+    limits (P, N, 3) 0 data, 1 radiance is at least this, 2 at most. Lamp k at directions (P, K, 3)
+    brings intensities (P, K, 3) to picture_of[k], in rising order; ambient (N, 16, 3) is SH light
+    beside the lamps. Start normals have to be less than 90 degrees from base normals. Priors
+    (P, 7) are of [tangent offset (a, b) of the base normal, albedo, roughness, metallic] and add
+    Σ precision (x − mean)². A free roughness starts from 0.03 at least where there are data.
+    Returns normals (P, 3), albedo (P, 3), roughness, metallic and cost (P,), and the information
+    Jᵀ W J + precision (P, 7, 7), 0 in rows and columns of what is held.
+    """
 
 class _Series(Protocol):
     """Pictures (P, C), one after the other."""

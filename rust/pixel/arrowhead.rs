@@ -61,6 +61,18 @@ impl<const C: usize, const U: usize> Arrowhead<C, U> {
         arrowhead
     }
 
+    /// From the matrix, of which entries above the diagonal are not looked at, and the gradient.
+    pub(crate) fn new(matrix: &[[f64; U]; U], gradient: &[f64; U]) -> Self {
+        Self {
+            diagonal: std::array::from_fn(|j| matrix[j][j]),
+            arms: std::array::from_fn(|f| std::array::from_fn(|c| matrix[C + f][c])),
+            dense: std::array::from_fn(|f| std::array::from_fn(|g| matrix[C + f][C + g])),
+            gradient: *gradient,
+            free: [0.0; U],
+            fixed: [0.0; U],
+        }
+    }
+
     /// δ with (A + λ diag A) δ = −g in the free unknowns, where `damped` = 1 + λ.
     #[inline(always)]
     pub(crate) fn solve(&self, damped: f64) -> [f64; U] {

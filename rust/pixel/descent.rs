@@ -29,11 +29,11 @@ use crate::runtime::simd::{Instructions, Isa, Kernel};
 /// Longest move of perceptual roughness in one step; a longer one is cut to it. The derivative by
 /// roughness falls with r³ towards 0, so from there the step that Gauss–Newton proposes is far too
 /// long.
-const ROUGHNESS_STEP_MAX: f64 = 0.25;
+pub(crate) const ROUGHNESS_STEP_MAX: f64 = 0.25;
 /// Perceptual roughness ε in the limits of a step with free normals, which goes down at most half way
 /// to ε, and up at most to twice the roughness plus ε. With a wrong normal it is mostly the normal
 /// that asks for a mirror, and a mirror does not say how rough it should be.
-const ROUGHNESS_HALVING_FLOOR: f64 = 1e-3;
+pub(crate) const ROUGHNESS_HALVING_FLOOR: f64 = 1e-3;
 /// Least damping λ after a rejected step, as a share of the diagonal.
 const DAMPING_AFTER_REJECTION_MIN: f64 = 1e-3;
 /// Least damping λ at any time, as a share of the diagonal: it keeps the pivots positive.
@@ -50,7 +50,7 @@ const GAIN_RATIO_GOOD: f64 = 0.25;
 /// Gain ratio up to which damping grows; between both it stays.
 const GAIN_RATIO_POOR: f64 = 0.1;
 /// Diagonal entries up to this count as 0, and their unknowns are held: the inverse would overflow.
-const DIAGONAL_MIN: f64 = 1e-280;
+pub(crate) const DIAGONAL_MIN: f64 = 1e-280;
 /// The sums of squared residuals of a block of pixels as a function of their unknowns, U at most.
 pub(crate) trait LeastSquares<const C: usize, const U: usize> {
     /// Sum of squares, gradient and matrix at materials and tangent offsets; `sums` is overwritten.
@@ -268,6 +268,27 @@ impl<const C: usize, const U: usize> Kernel for CopySelected<'_, C, U> {
     }
 }
 
+/// Whether a trial is accepted, whether its pixel goes on, and the damping of the next step.
+#[inline(always)]
+pub(crate) fn after_trial(
+    [cost, trial]: [f64; 2],
+    predicted: f64,
+    floor: f64,
+    damping: f64,
+) -> (bool, bool, f64) {
+    // A comparison with NaN is false.
+    let fell = trial < cost;
+    let gained = if fell { cost - trial } else { predicted };
+    let damping = if fell & (gained > GAIN_RATIO_GOOD * predicted) {
+        (DAMPING_DECREASE * damping).max(DAMPING_MIN)
+    } else if fell & (gained > GAIN_RATIO_POOR * predicted) {
+        damping
+    } else {
+        (DAMPING_INCREASE * damping).max(DAMPING_AFTER_REJECTION_MIN)
+    };
+    (fell, gained > floor && damping < DAMPING_MAX, damping)
+}
+
 /// Which trials are accepted, who is done, and the damping of the next step.
 struct UpdateDamping<'a> {
     cost: &'a Doubles,
@@ -285,24 +306,10 @@ impl Kernel for UpdateDamping<'_> {
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         for x in 0..BLOCK {
-            // A comparison with NaN is false.
-            let fell = self.trial.0[x] < self.cost.0[x];
+            let costs = [self.cost.0[x], self.trial.0[x]];
+            let (predicted, floor) = (self.predicted.0[x], self.floor.0[x]);
+            let (fell, goes_on, damping) = after_trial(costs, predicted, floor, self.damping.0[x]);
             let accepted = if fell { self.active.0[x] } else { 0.0 };
-            let gained = if fell {
-                self.cost.0[x] - self.trial.0[x]
-            } else {
-                self.predicted.0[x]
-            };
-            let predicted = self.predicted.0[x];
-            let damping = self.damping.0[x];
-            let damping = if fell & (gained > GAIN_RATIO_GOOD * predicted) {
-                (DAMPING_DECREASE * damping).max(DAMPING_MIN)
-            } else if fell & (gained > GAIN_RATIO_POOR * predicted) {
-                damping
-            } else {
-                (DAMPING_INCREASE * damping).max(DAMPING_AFTER_REJECTION_MIN)
-            };
-            let goes_on = gained > self.floor.0[x] && damping < DAMPING_MAX;
             self.accepted.0[x] = accepted;
             self.damping.0[x] = damping;
             self.active.0[x] = if goes_on { self.active.0[x] } else { 0.0 };

@@ -1,7 +1,7 @@
 //! Pixels for themselves, the lights known: their samples, and the materials that explain them best.
 
-mod arrowhead;
-mod descent;
+pub(crate) mod arrowhead;
+pub(crate) mod descent;
 pub mod material_grid;
 pub(crate) mod offset_step;
 pub mod pixel_fit;

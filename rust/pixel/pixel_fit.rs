@@ -112,7 +112,7 @@ trait Fits: AlbedoFromProducts + LeastSquaresFromProducts {}
 impl<M: AlbedoFromProducts + LeastSquaresFromProducts> Fits for M {}
 
 /// Largest mean and precision of a prior that are taken: the square of one times the other is finite.
-const PRIOR_MAX: f64 = 1e100;
+pub(crate) const PRIOR_MAX: f64 = 1e100;
 
 fn fit<M: Fits, const C: usize, const D: usize, const U: usize>(
     problem: &Problem,

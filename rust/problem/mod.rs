@@ -1,6 +1,5 @@
 //! The pictures of one scene, and the loss over them with its gradient by every unknown.
 
-pub mod directional;
 mod evaluate;
 mod geometry;
 pub mod light_equations;

@@ -8,6 +8,7 @@ mod arrays;
 mod ending;
 mod image_file;
 mod images;
+mod lamps;
 mod model;
 mod penalties;
 mod problem;
@@ -66,6 +67,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     PyArray1::<f64>::zeros(module.py(), 0, false);
     module.add("InputError", module.py().get_type::<InputError>())?;
     model::register(module)?;
+    lamps::register(module)?;
     problem::register(module)?;
     surroundings::register(module)?;
     penalties::register(module)?;

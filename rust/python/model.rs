@@ -11,9 +11,6 @@ use pyo3::types::PyBytes;
 
 use super::arrays::{array, collect, materials, shape, try_copied, vectors};
 use super::surroundings::given as given_transfer;
-use crate::problem::directional::{
-    DirectionalLight, render_directional as render_directional_pixels,
-};
 use crate::problem::render::render as render_pixels;
 use crate::reflectance::lobe_table;
 use crate::reflectance::model::{Model, with_model};
@@ -33,8 +30,7 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(lobe_table_file, module)?)?;
     module.add_function(wrap_pyfunction!(shade, module)?)?;
     module.add_function(wrap_pyfunction!(shade_vjp, module)?)?;
-    module.add_function(wrap_pyfunction!(render, module)?)?;
-    module.add_function(wrap_pyfunction!(render_directional, module)?)
+    module.add_function(wrap_pyfunction!(render, module)?)
 }
 
 #[pyfunction]
@@ -240,52 +236,8 @@ fn render<'py>(
     Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
 }
 
-#[pyfunction]
-#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, colors, threads, model = "paper"))]
-#[expect(clippy::too_many_arguments)]
-fn render_directional<'py>(
-    py: Python<'py>,
-    normals: &Bound<'py, PyAny>,
-    views: &Bound<'py, PyAny>,
-    albedo: &Bound<'py, PyAny>,
-    roughness: &Bound<'py, PyAny>,
-    metallic: &Bound<'py, PyAny>,
-    directions: &Bound<'py, PyAny>,
-    colors: &Bound<'py, PyAny>,
-    threads: usize,
-    model: &str,
-) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    let model = model.parse()?;
-    let pixels = Pixels::new(
-        ("normals", normals),
-        ("views", views),
-        albedo,
-        roughness,
-        metallic,
-    )?;
-    let directions = array("directions", directions)?;
-    let directions = vectors("directions", &directions)?.into_owned();
-    let colors = array::<f64, Ix2>("colors", colors)?;
-    shape("colors", &[directions.len(), 3], colors.shape())?;
-    not_too_many("directions", directions.len(), pixels.count())?;
-    let colors = try_copied("colors", &colors)?;
-    let lights = directions.iter().zip(colors.as_chunks::<3>().0);
-    let lights: Vec<DirectionalLight> = lights
-        .map(|(&direction, &color)| DirectionalLight { direction, color })
-        .collect();
-    let Pixels {
-        normals,
-        views,
-        materials,
-        ..
-    } = &pixels;
-    let images = py
-        .detach(|| render_directional_pixels(normals, views, materials, &lights, threads, model))?;
-    Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
-}
-
 /// Pictures of so many pixels under so many lights must be possible.
-fn not_too_many(name: &'static str, lights: usize, pixels: usize) -> Result<()> {
+pub(super) fn not_too_many(name: &'static str, lights: usize, pixels: usize) -> Result<()> {
     let samples = lights.saturating_mul(pixels);
     if samples > MAX_SAMPLES {
         let expected = format!("at most {MAX_SAMPLES} lights times pixels");
@@ -295,16 +247,16 @@ fn not_too_many(name: &'static str, lights: usize, pixels: usize) -> Result<()> 
 }
 
 /// Copies of what is given for each pixel.
-struct Pixels {
+pub(super) struct Pixels {
     names: [&'static str; 2],
-    normals: Vec<DVec3>,
-    views: Vec<DVec3>,
-    materials: Vec<Material>,
+    pub(super) normals: Vec<DVec3>,
+    pub(super) views: Vec<DVec3>,
+    pub(super) materials: Vec<Material>,
 }
 
 impl Pixels {
     /// From arrays of as many rows each; the first two by their names.
-    fn new(
+    pub(super) fn new(
         normals: (&'static str, &Bound<'_, PyAny>),
         views: (&'static str, &Bound<'_, PyAny>),
         albedo: &Bound<'_, PyAny>,
@@ -329,7 +281,7 @@ impl Pixels {
         })
     }
 
-    fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.materials.len()
     }
 

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each with those that it may use.
-const ROOMS: [(&str, &[&str]); 9] = [
+const ROOMS: [(&str, &[&str]); 10] = [
     ("runtime", &[]),
     ("reflectance", &["runtime"]),
     ("block", &["runtime", "reflectance"]),
@@ -17,6 +17,7 @@ const ROOMS: [(&str, &[&str]); 9] = [
         "schur",
         &["runtime", "reflectance", "block", "problem", "pixel"],
     ),
+    ("lamps", &["runtime", "reflectance", "problem", "pixel"]),
     ("image_file", &["runtime"]),
     (
         "python",
@@ -28,6 +29,7 @@ const ROOMS: [(&str, &[&str]); 9] = [
             "problem",
             "pixel",
             "schur",
+            "lamps",
             "image_file",
         ],
     ),

@@ -14,7 +14,7 @@ from pbrfit._core import image_format
 from pbrfit.batch.settings import Reading
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.io import images
+from pbrfit.io import images, raw_files
 from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.resampling import reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE
@@ -84,6 +84,8 @@ def picture_size(path: Path) -> tuple[int, int]:
     with path.open("rb") as file:
         head = file.read(_HEAD)
     kind = image_format(head)
+    if raw_files.is_raw(path, head, kind):
+        return raw_files.size(path)
     found = None
     if kind == "EXR":
         found = _of_exr(head)

@@ -14,7 +14,7 @@ from pbrfit.io.json_files import table
 from pbrfit.io.output import digest
 from pbrfit.model.reflection import chosen_model
 from pbrfit.result.options import FitOptions
-from pbrfit.result.result import FILES, model_of
+from pbrfit.result.result import files_of, model_of
 from pbrfit.scene import folder as scene_folder
 
 
@@ -34,8 +34,7 @@ def kept(
             and content["options"] == options.to_json()
             and {**content["scene"], "path": ""} == {**_as_json(reading.as_json()), "path": ""}
             and (content["uncertainty"] is not None) == options.uncertainty
-            and set(content["files"]) == set(FILES)
-            and content["files"] == {name: digest(output / name) for name in FILES}
+            and content["files"] == {name: digest(output / name) for name in files_of(output)}
             and content["inputs"] == scene_folder.digests(scene)
         )
     except (OSError, InputError, ValueError, KeyError, TypeError, RecursionError):

@@ -10,7 +10,6 @@ import hashlib
 import logging
 import operator
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.io import raw_files
 from pbrfit.io.color import (
     ColorSpace,
     Conversion,
@@ -30,6 +30,7 @@ from pbrfit.io.color import (
     near_rec709,
     to_rec709,
 )
+from pbrfit.io.exif import focal_length_35mm
 from pbrfit.io.file_noise import Stored
 from pbrfit.io.jpeg_noise import read_tables
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits, converted, of_codes
@@ -43,6 +44,9 @@ PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 PngTag = Literal["srgb", "linear"] | None
 """What a PNG file says about its encoding."""
 
+RAW = "RAW"
+"""Format of cameras' raw files, beside those that the core tells."""
+
 LIMITS = "limits"
 """Layer of an EXR file whose channels R, G and B are the limits of the picture's samples."""
 
@@ -52,17 +56,8 @@ smears clipped areas: of samples that were clipped before a JPEG of quality 75 t
 colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all below 251, which
 takes 2 % of the sound samples of bright photographs for clipped."""
 
-# fmt: off
-_RAW_SUFFIXES = frozenset({
-    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos",
-    ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw",
-    ".x3f",
-})
-# fmt: on
 _HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif", ".avif"})
 _HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif"})
-_EXIF_IFD = 0x8769
-_FOCAL_LENGTH_35MM = 0xA405
 
 
 @dataclass(frozen=True)
@@ -104,14 +99,15 @@ def read_picture(
     A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile and
     are sRGB without one; float files (EXR, HDR, float TIFF) are linear Rec.709, or linear in the
     chromaticities that an EXR file states. Grey is repeated to three channels. The EXIF orientation
-    is applied. Raises InputError if the content cannot be used: another format, a damaged file, a
-    profile that is not made of curves and a matrix, no colour channels, an unknown `color_space`;
-    or if `code_range` is none; OSError if the file cannot be read.
+    is applied. Raw files are developed to linear Rec.709 (`pbrfit.io.raw_files`). Raises InputError
+    if the content cannot be used: another format, a damaged file, a profile that is not made of
+    curves and a matrix, no colour channels, an unknown `color_space`; or if `code_range` is none;
+    OSError if the file cannot be read.
 
     Parameters
     ----------
     path
-        EXR, HDR, PNG, JPEG or TIFF file.
+        EXR, HDR, PNG, JPEG, TIFF or raw file.
     color_space
         How to read the stored values, whatever the file says.
     layer
@@ -123,7 +119,10 @@ def read_picture(
         What is outside is marked in `limits`, channel by channel; pixels stay as they are.
     """
     asked = None if code_range is None else _checked(code_range)
-    path, data, kind = _load(path)
+    path, data, kind = _load(path, raw=True)
+    if kind == RAW:
+        _refuse_layer(path, kind, layer)
+        return _raw_picture(path, data, color_space, asked)
     chosen: Conversion | None = None
     if color_space is not None:
         try:
@@ -139,7 +138,7 @@ def read_picture(
         _refuse_layer(path, kind, layer)
         raster = _core.decode_raster(data, path, indices=False)
         samples = _oriented(raster)
-        focal_length = _focal_length_35mm(data if kind == "TIFF" else raster.exif)
+        focal_length = focal_length_35mm(data if kind == "TIFF" else raster.exif)
         found, color = _raster_color(path, raster, decide=chosen is None)
     if chosen is not None:
         color = f"{color_space} (as asked for)"
@@ -180,6 +179,29 @@ def read_picture(
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=bit_depth,
         stored=stored,
+    )
+
+
+def _raw_picture(
+    path: Path, data: bytes, color_space: ColorSpace | None, asked: tuple[int, int] | None
+) -> Picture:
+    if color_space not in (None, "linear"):
+        raise InputError(
+            f"{path}: expected colour space linear for a raw file, found {color_space}"
+        )
+    low, high = (257 * code for code in asked) if asked is not None else (1, 65534)
+    found = raw_files.develop(path, data, (low, high))
+    linear = Conversion("linear")
+    return Picture(
+        pixels=linear(found.samples),
+        alpha=None,
+        limits=found.limits,
+        negative=np.zeros(found.samples.shape[:2], dtype=np.bool_),
+        color=found.color,
+        focal_length_35mm=found.focal_length_35mm,
+        sha256=hashlib.sha256(data).hexdigest(),
+        bit_depth=16,
+        stored=Stored(found.samples, 1, linear, RAW, None),
     )
 
 
@@ -289,21 +311,18 @@ def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
     return low, high
 
 
-def _load(path: str | os.PathLike[str]) -> tuple[Path, bytes, str]:
-    """Read path, content and format of a file that can be read."""
+def _load(path: str | os.PathLike[str], *, raw: bool = False) -> tuple[Path, bytes, str]:
+    """Read path, content and format of a file that can be read; raw files where they may be."""
     path = Path(path)
     data = path.read_bytes()
     if not data:
         raise InputError(f"{path}: expected a picture, found an empty file")
     kind = _core.image_format(data)
-    suffix = path.suffix.lower()
-    # Many raw files are TIFF files whose first page is a thumbnail, so here the name decides.
-    canon = (data[:4] == b"II*\0" and data[8:10] == b"CR") or data[4:12] == b"ftypcrx "
-    if canon or (suffix in _RAW_SUFFIXES and kind in ("TIFF", None)):
+    if raw_files.is_raw(path, data, kind):
+        if raw:
+            return path, data, RAW
         raise InputError(
-            f"{path}: expected {_SUPPORTED}, found a raw file: develop it first, for example with"
-            f" `darktable-cli {path.name} {path.stem}.exr`, or with `dcraw -4 -T {path.name}` and"
-            " then colour space linear"
+            f"{path}: expected {_SUPPORTED}, found a raw file: {raw_files.how_to_develop(path)}"
         )
     if kind is None:
         raise InputError(f"{path}: expected {_SUPPORTED}, found {_guess(path, data)}")
@@ -351,23 +370,6 @@ def _oriented(raster: _core.Raster) -> NDArray[Any]:
     if raster.orientation in (3, 4, 7, 8):
         samples = samples[::-1]
     return samples
-
-
-def _focal_length_35mm(exif: bytes | None) -> float | None:
-    """EXIF tag FocalLengthIn35mmFilm; 0 means unknown there."""
-    if exif is None:
-        return None
-    from PIL import Image  # here: it takes longer to import than most of this package
-
-    tags = Image.Exif()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about damaged EXIF, which is then not used
-        try:
-            tags.load(exif)
-            value = float(tags.get_ifd(_EXIF_IFD)[_FOCAL_LENGTH_35MM])
-        except Exception:  # no such tag, or whatever a damaged block leads to
-            return None
-    return value if 0 < value < float("inf") else None
 
 
 def _raster_color(path: Path, raster: _core.Raster, decide: bool) -> tuple[Conversion, str]:

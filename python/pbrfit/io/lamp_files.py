@@ -147,7 +147,7 @@ def matched(path: Path, rows: Sequence[LampRow], names: Sequence[str]) -> tuple[
 
 def write_lamps(path: Path, rows: Iterable[LampRow]) -> None:
     """Write `lights.json`."""
-    write_json(path, {"version": VERSION, "lamps": [_as_json(row) for row in rows]})
+    write_json(path, {"version": VERSION, "lamps": [row_as_json(row) for row in rows]})
 
 
 def _place(picture: str, places: dict[str, int]) -> int | None:
@@ -181,7 +181,7 @@ def _directions(path: Path, rows: list[LampRow]) -> tuple[list[LampRow], str]:
             "negative z: likely Z away from the viewer"
         )
     lengths = [math.hypot(*row.place) for row in far]
-    made = [row if row.near else replace(row, place=_unit(row.place)) for row in rows]
+    made = [row if row.near else replace(row, place=unit(row.place)) for row in rows]
     if all(abs(length - 1) <= LENGTH_OFF_MAX for length in lengths):
         return made, ""
     return made, (
@@ -190,7 +190,8 @@ def _directions(path: Path, rows: list[LampRow]) -> tuple[list[LampRow], str]:
     )
 
 
-def _unit(vector: Vector) -> Vector:
+def unit(vector: Vector) -> Vector:
+    """The vector at length 1."""
     if abs(math.hypot(*vector) - 1) < 1e-12:
         return vector  # to the bit: what is written and read again stays the same
     largest = max(map(abs, vector))  # squares of it neither overflow nor vanish
@@ -303,6 +304,11 @@ def _of_json(path: Path) -> list[LampRow]:
             raise ValueError(f"{quoted(lamps)} in place of a list of lamps")
     except UNFIT as error:
         raise unfit(path, expected, error) from None
+    return rows_of_json(path, lamps)
+
+
+def rows_of_json(path: Path, lamps: Sequence[Any]) -> list[LampRow]:
+    """Lamps of a list in a JSON file; InputError names the file and which of them is none."""
     rows = []
     for i, lamp in enumerate(lamps):
         try:
@@ -337,7 +343,7 @@ def _from_json(path: Path, i: int, lamp: dict[str, Any]) -> LampRow:
         axis = _numbers(lamp["axis"])
         if not any(axis):
             raise ValueError("axis (0, 0, 0)")
-        row = replace(row, axis=_unit(axis))
+        row = replace(row, axis=unit(axis))
     exponent = number(lamp.get("exponent", 0.0))
     if exponent < 0:
         raise ValueError(f"exponent {exponent:g} in place of 0 or more")
@@ -354,7 +360,8 @@ def _numbers(value: Any, *, finite: bool = True) -> Vector:
     return x, y, z
 
 
-def _as_json(row: LampRow) -> dict[str, Any]:
+def row_as_json(row: LampRow) -> dict[str, Any]:
+    """What `rows_of_json` reads."""
     made: dict[str, Any] = {"picture": row.picture}
     made["position" if row.near else "direction"] = list(row.place)
     if not all(map(math.isnan, row.color)):

@@ -1,8 +1,9 @@
 """Lamps: lights from single directions, far away or near, one or several a picture.
 
-A lamp has no size. A far one shines along one direction everywhere and is told as `DirectionalLight`
-is: by the radiance of a white diffuse surface that faces it, its irradiance over π. A near one at q
-brings a point p of the scene, from the direction (q − p)/d at the distance d = |q − p|,
+A lamp has no size. A far one shines along one direction everywhere and is told as
+`DirectionalLight` is: by the radiance of a white diffuse surface that faces it, its irradiance over
+π. A near one at q brings a point p of the scene, from the direction (q − p)/d at the distance
+d = |q − p|,
 
     E/π = color / d² · max(axis · (p − q)/d, 0)^exponent,
 
@@ -56,10 +57,10 @@ class Lamps:
 
     pictures: NDArray[np.intp]
     places: Array
-    near: NDArray[np.bool_] = field(default=None)  # type: ignore[assignment]
-    colors: Array = field(default=None)  # type: ignore[assignment]
-    axes: Array = field(default=None)  # type: ignore[assignment]
-    exponents: Array = field(default=None)  # type: ignore[assignment]
+    near: NDArray[np.bool_] = field(default=None)  # type: ignore[arg-type]
+    colors: Array = field(default=None)  # type: ignore[arg-type]
+    axes: Array = field(default=None)  # type: ignore[arg-type]
+    exponents: Array = field(default=None)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         pictures = np.asarray(self.pictures)
@@ -102,13 +103,26 @@ class Lamps:
         """Whether all colours are known."""
         return not np.isnan(self.colors).any()
 
+    def check_pictures(self, count: int) -> None:
+        """Raise InputError if a lamp is of a picture beyond so many."""
+        if len(self) and self.pictures[-1] >= count:
+            last = int(self.pictures[-1])
+            raise InputError(f"lamps: expected indices of {count} pictures, found {last}")
+
     def of_pictures(self, chosen: Sequence[int]) -> Lamps:
         """The lamps of some pictures, which are counted anew in this order."""
         rows = [np.flatnonzero(self.pictures == i) for i in chosen]
         of = np.concatenate([*rows, np.zeros(0, np.intp)]).astype(np.intp)
         renamed = np.repeat(np.arange(len(rows)), [len(one) for one in rows])
+        return self._rows(of, renamed.astype(np.intp))
+
+    def only(self, k: int) -> Lamps:
+        """Lamp k alone, of a picture 0."""
+        return self._rows(np.array([k], np.intp), np.zeros(1, np.intp))
+
+    def _rows(self, of: NDArray[np.intp], pictures: NDArray[np.intp]) -> Lamps:
         return Lamps(
-            renamed.astype(np.intp),
+            pictures,
             self.places[of],
             self.near[of],
             self.colors[of],

@@ -1,10 +1,12 @@
-"""`lighting.json`: SH lights of named pictures, the one format for them everywhere."""
+"""`lighting.json`: lights of named pictures, the one format for them everywhere."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_array, real_number
 from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit, write_json
+from pbrfit.io.lamp_files import LENGTH_OFF_MAX, row_as_json, rows_of_json, unit
 from pbrfit.io.quoting import quoted, shown
+from pbrfit.model.lamp_rows import lamps_of_rows, rows_of_lamps
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import sh_basis
 
 BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
@@ -22,23 +27,40 @@ BASIS = "real SH, no Condon-Shortley phase, index l(l+1)+m"
 ORDER = 3
 
 
+VERSION = 2
+"""Of files with lamps; those without have none, as there was none before."""
+
+
 @dataclass(frozen=True)
 class Lighting:
-    """SH light of each picture."""
+    """SH light of each picture, and its lamps.
+
+    Raises InputError if lamps are of pictures beyond the names.
+    """
 
     pictures: tuple[str, ...]
     """Names, one a picture."""
     coefficients: NDArray[np.float64]
-    """(N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709."""
+    """(N, 16, 3) float64: picture, coefficient k = l(l+1)+m, channel; linear Rec.709. Where there
+    are lamps, the ambient light beside them."""
+    lamps: Lamps | None = None
+    """None = all light is in the coefficients."""
+
+    def __post_init__(self) -> None:
+        if self.lamps is not None:
+            self.lamps.check_pictures(len(self.pictures))
 
     def save(self, path: Path) -> None:
         """Write `lighting.json`."""
-        content = {
+        content: dict[str, Any] = {} if self.lamps is None else {"version": VERSION}
+        content |= {
             "basis": BASIS,
             "order": ORDER,
             "pictures": list(self.pictures),
             "coefficients": self.coefficients.tolist(),
         }
+        if self.lamps is not None:
+            content["lamps"] = [row_as_json(of) for of in rows_of_lamps(self.lamps, self.pictures)]
         write_json(path, content)
 
     @classmethod
@@ -57,6 +79,7 @@ class Lighting:
             if stored.dtype.kind not in "if":
                 raise ValueError(f"coefficients of type {stored.dtype}")
             coefficients = stored.astype(np.float64)
+            lamps = _listed(content)
         except UNFIT as error:
             raise unfit(path, parts, error) from None
         if (basis, order) != (BASIS, ORDER):
@@ -75,7 +98,7 @@ class Lighting:
             raise InputError(f"{path}: expected one light a name, found {shown(twice)} twice")
         if not np.isfinite(coefficients).all():
             raise InputError(f"{path}: expected finite coefficients, found NaN or infinity")
-        return cls(pictures, coefficients)
+        return cls(pictures, coefficients, None if lamps is None else _lamps(path, lamps, pictures))
 
     def of(self, pictures: tuple[str, ...], path: Path) -> NDArray[np.float64]:
         """Coefficients in the order of `pictures`; `path` is named when one has no light."""
@@ -86,6 +109,49 @@ class Lighting:
                 + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
             )
         return self.coefficients[[self.pictures.index(name) for name in pictures]]
+
+    def lamps_of(self, pictures: Sequence[str]) -> Lamps | None:
+        """Lamps of some pictures, which are counted in this order; None if there are none at all.
+
+        Raises InputError if a name is none of `Lighting.pictures`.
+        """
+        if self.lamps is None:
+            return None
+        missing = [name for name in pictures if name not in self.pictures]
+        if missing:
+            raise InputError(f"lamps: expected names of pictures with light, found {missing[0]}")
+        return self.lamps.of_pictures([self.pictures.index(name) for name in pictures])
+
+
+def _listed(content: Mapping[str, Any]) -> list[Any] | None:
+    """What stands under `lamps`, in files of version 2; one of `UNFIT` if that does not fit."""
+    if "version" not in content:
+        if "lamps" in content:
+            raise ValueError(f"lamps without version {VERSION}")
+        return None
+    if content["version"] != VERSION:
+        raise ValueError(f"version {quoted(content['version'])} in place of {VERSION}")
+    lamps = content["lamps"]
+    if not isinstance(lamps, list):
+        raise ValueError(f"{quoted(lamps)} in place of a list of lamps")
+    return lamps
+
+
+def _lamps(path: Path, entries: Sequence[Any], pictures: tuple[str, ...]) -> Lamps:
+    rows = rows_of_json(path, entries)
+    for i, row in enumerate(rows):
+        if row.picture not in pictures:
+            raise InputError(
+                f"{path}: lamp {i + 1}: expected the name of a picture of the file, found "
+                f"{shown(row.picture)}"
+            )
+        length = math.hypot(*row.place)
+        if not row.near and not abs(length - 1) <= LENGTH_OFF_MAX:
+            raise InputError(
+                f"{path}: lamp {i + 1}: expected a direction of length 1, found {length:.4g}"
+            )
+    rows = [row if row.near else replace(row, place=unit(row.place)) for row in rows]
+    return lamps_of_rows(rows, [pictures.index(row.picture) for row in rows])
 
 
 def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:

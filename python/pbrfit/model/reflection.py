@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_array
-from pbrfit.model.geometry import view_directions
+from pbrfit.model.geometry import positions, view_directions
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 
 Array = NDArray[np.float64]
@@ -309,6 +310,82 @@ def render_directional(
     return images[0] if to_lights.ndim == 1 else images
 
 
+def render_lamps(
+    materials: Materials,
+    normals: ArrayLike,
+    lamps: Lamps,
+    ambient: ArrayLike | None,
+    fov: float,
+    depth: ArrayLike | None = None,
+    threads: int = 0,
+    *,
+    model: Model = DEFAULT_MODEL,
+    visibility: ArrayLike | None = None,
+) -> NDArray[np.float64]:
+    """Radiance of a view under the lamps of each picture, and ambient light.
+
+    Of a lamp, what reaches a pixel, times π f_r (n·l); of ambient light what `render` gives.
+
+    Parameters
+    ----------
+    lamps
+        With known colours.
+    ambient
+        (N, 16, 3) SH light of the pictures, linear Rec.709; None = nothing, and N is as many as
+        lamps are of.
+    depth
+        (H, W) as of `geometry.positions`, in the unit of near lamps; None = all lamps are far.
+        Pixels without are NaN in pictures of near lamps.
+    visibility
+        (K, H, W), 0 to 1: how much of each of the K lamps reaches each pixel; None = all.
+    materials, normals, fov, threads, model
+        As for `render`.
+
+    Returns
+    -------
+    (N, H, W, 3) float64, linear Rec.709.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit together, a value is out of range, a colour is unknown or lamps are
+        near and there is no depth.
+    """
+    model, threads = checked_model(model), whole_number("threads", threads)
+    if not lamps.colored:
+        raise InputError("lamps: expected known colors, found NaN")
+    view = _View.of_maps(materials, normals, fov)
+    count = int(lamps.pictures[-1]) + 1 if len(lamps) else 0
+    if ambient is None:
+        found = np.zeros((count, len(view.pixels[0]), 3))
+    else:
+        light = _array("ambient", ambient, (16, 3))
+        if light.ndim != 3:
+            raise InputError(f"ambient: expected shape (N, 16, 3), found {light.shape}")
+        lamps.check_pictures(len(light))
+        found = _core.render(*view.pixels, light, threads, model)
+    shape = (view.height, view.width)
+    reaching = None
+    if visibility is not None:
+        reaching = _array("visibility", visibility, shape)
+        if reaching.shape != (len(lamps), *shape):
+            raise InputError(
+                f"visibility: expected shape {(len(lamps), *shape)}, found {reaching.shape}"
+            )
+        reaching = reaching.reshape(len(lamps), view.height * view.width)[:, view.of]
+    points = None
+    if lamps.near.any():
+        if depth is None:
+            raise InputError("lamps: expected depth for near lamps, found none")
+        points = positions(_array("depth", depth, shape), fov).reshape(-1, 3)[view.of]
+    for k, picture in enumerate(lamps.pictures.tolist()):
+        radiance = view.under_lamp(lamps.only(k), points, threads, model)
+        if reaching is not None:
+            radiance *= reaching[k][:, None]
+        found[picture] += radiance
+    return view.pictures(found)
+
+
 @dataclass(frozen=True, eq=False)
 class _View:
     """The pixels of a view that are rendered, and their places in the picture."""
@@ -344,6 +421,21 @@ class _View:
         n, v, rho = (vectors.reshape(-1, 3)[of] for vectors in (n, views, albedo))
         r, m = (numbers.reshape(-1)[of] for numbers in (roughness, metallic))
         return cls(height, width, (n, v, rho, r, m), of)
+
+    def under_lamp(self, lamp: Lamps, points: Array | None, threads: int, model: Model) -> Array:
+        """(P, 3) radiance of the pixels under one lamp; NaN where a near one needs their points."""
+        if not lamp.near[0]:
+            return _core.render_directional(*self.pixels, lamp.places, lamp.colors, threads, model)[
+                0
+            ]
+        assert points is not None
+        known = np.isfinite(points).all(axis=-1)
+        directions, strengths = lamp.at(points[known])
+        found = np.full((len(points), 3), np.nan)
+        n, v, rho, r, m = (np.ascontiguousarray(values[known]) for values in self.pixels)
+        unit = _core.lamp_radiance(n, v, rho, r, m, directions, threads, model)[:, 0]
+        found[known] = unit * strengths * lamp.colors
+        return found
 
     def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""

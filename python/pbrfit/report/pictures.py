@@ -12,7 +12,7 @@ from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences, metrics
-from pbrfit.result.relighting import relight
+from pbrfit.result.relighting import rendered_picture
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 
@@ -77,7 +77,7 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
 def _one(
     result: Result, scene: Scene | None, i: int, sides: Sequence[int]
 ) -> tuple[Fit | None, tuple[tuple[bytes, ...], ...]]:
-    rendered = relight(result, result.lighting[i])
+    rendered = rendered_picture(result, i)
     if scene is None:
         white = metrics.white_of(rendered)
         return None, tuple(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import angles_between
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.result.camera import Camera
@@ -66,7 +67,8 @@ class ResultData:
     materials
         Maps; `albedo`, `roughness` and `metallic` are shorthands. NaN outside the mask.
     lighting
-        (N, 16, 3) float64 SH lights of the pictures, in picture units, linear Rec.709.
+        (N, 16, 3) float64 SH lights of the pictures, in picture units, linear Rec.709; where there
+        are lamps, the ambient light beside them.
     normals
         (H, W, 3) unit vectors, camera space, that belong to the materials: the refined ones where
         normals were refined, else the given ones. NaN outside the mask.
@@ -113,11 +115,19 @@ class ResultData:
     segments
         (H, W) integer ids, 0 = unclassified, by which walls are found again; None where
         surroundings do nothing, or the scene had none.
+    lamps
+        Lamps of the pictures, with known colours in picture units; None where all light is in
+        `lighting`.
+    height
+        (H, W): height of the surface towards the viewer in pixels, from normals that the pictures
+        told; None where it was not sought. NaN outside the mask, and where it is unknown.
 
     Raises
     ------
     InputError
-        If `refinement` tells of refined normals and there are no given ones, or the reverse.
+        If `refinement` tells of refined normals and there are no given ones, or the reverse; if
+        lamps are of more pictures than there are, or of unknown colour, or near and without depth;
+        if `height` has another shape than the mask.
     """
 
     materials: Materials
@@ -146,11 +156,21 @@ class ResultData:
     depth: NDArray[np.float32] | None = None
     transport: Transport = NOT_TRIED
     segments: NDArray[np.integer[Any]] | None = None
+    lamps: Lamps | None = None
+    height: NDArray[np.floating[Any]] | None = None
 
     def __post_init__(self) -> None:
         if self.refinement.refined != (self.given_normals is not None):
             expected = "the normals before" if self.refinement.refined else "none without"
             raise InputError(f"given_normals: expected {expected} their refinement")
+        if self.lamps is not None:
+            self.lamps.check_pictures(len(self.pictures))
+            if not self.lamps.colored:
+                raise InputError("lamps: expected known colors, found NaN")
+            if self.lamps.near.any() and self.depth is None:
+                raise InputError("lamps: expected depth for near lamps, found none")
+        if self.height is not None and self.height.shape != self.mask.shape:
+            raise InputError(f"height: expected {self.mask.shape}, found {self.height.shape}")
 
     @lazy
     def scenery(self) -> Scenery | None:

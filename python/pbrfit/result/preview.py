@@ -11,7 +11,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result import differences, metrics
 from pbrfit.result.data import ResultData
 from pbrfit.result.differences import PALETTE, Difference
-from pbrfit.result.relighting import relight
+from pbrfit.result.relighting import rendered_picture
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
 from pbrfit.result.uncertainty import PARAMETERS
 from pbrfit.scene.arrays import SceneArrays
@@ -100,7 +100,7 @@ def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
 
 def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
     """The first picture, its reconstruction, and the residual, as far as there are pictures."""
-    reconstruction = relight(result, result.lighting[0])
+    reconstruction = rendered_picture(result, 0)
     name = result.pictures[0]
     if scene is None:
         white = metrics.white_of(reconstruction)

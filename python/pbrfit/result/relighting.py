@@ -1,4 +1,4 @@
-"""A result under other light: SH light, or a lamp far away."""
+"""A result under other light, SH light or lamps, and under that of its pictures."""
 
 from __future__ import annotations
 
@@ -13,16 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
 from pbrfit.model import lighting
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import (
     Model,
     checked_lighting,
     checked_model,
     render,
     render_directional,
+    render_lamps,
 )
 
 if TYPE_CHECKING:
     from pbrfit.result.data import ResultData
+    from pbrfit.transport.scenery import Scenery
+
+LampLight = tuple[Lamps, NDArray[np.float64]]
+"""Lamps of one picture, and the ambient light (16, 3) beside them."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ class DirectionalLight:
 
 def relight(
     result: ResultData,
-    light: ArrayLike | DirectionalLight,
+    light: ArrayLike | DirectionalLight | Lamps | LampLight,
     threads: int = 0,
     *,
     model: Model | None = None,
@@ -86,18 +92,20 @@ def relight(
     """Radiance of the recovered surfaces under other light.
 
     SH light goes through the model that the materials were fitted with (docs/model.md), and gives
-    with the result's own lights the reconstructions of its pictures. A `DirectionalLight` goes
-    through the model's full reflection, because its highlights are beyond what SH light holds.
-    Where the fit decided for surroundings (`Result.transport`), they block light; and SH light is
-    reflected between surfaces if the pictures told that. Light that surfaces reflect is left out
-    under a `DirectionalLight`. Elsewhere nothing casts a shadow.
+    with the result's own lights the reconstructions of its pictures. A `DirectionalLight` and
+    `Lamps` go through the model's full reflection, because their highlights are beyond what SH
+    light holds. Where the fit decided for surroundings (`Result.transport`), they block light; and
+    SH light is reflected between surfaces if the pictures told that. What surfaces reflect of lamps
+    is left out. Elsewhere nothing casts a shadow.
 
     Parameters
     ----------
     result
         What `decompose` found.
     light
-        SH light (16, 3), or (N, 16, 3) for N pictures, linear Rec.709; or a `DirectionalLight`.
+        SH light (16, 3), or (N, 16, 3) for N pictures, linear Rec.709; or a `DirectionalLight`; or
+        `Lamps` of one picture, alone or in a tuple with ambient SH light (16, 3). `own_light` has
+        that of a picture.
     threads
         0 = one for each processor; the result does not depend on it.
     model
@@ -113,7 +121,7 @@ def relight(
     ------
     InputError
         If the light has another shape or numbers that are not finite, or the result is of another
-        model.
+        model, or has no depth and a lamp is near.
     """
     if model is not None and checked_model(model) != result.model:
         raise InputError(
@@ -128,9 +136,59 @@ def relight(
         if scenery is not None:
             picture[result.mask] *= scenery.open_to(light.direction)[:, None]
         return picture
+    if isinstance(light, Lamps):
+        return _under_lamps(result, light, None, threads, scenery)
+    if isinstance(light, tuple) and len(light) == 2 and isinstance(light[0], Lamps):
+        return _under_lamps(result, light[0], light[1], threads, scenery)
     if scenery is not None:
         return _among_surroundings(result, light)
     return render(result.materials, result.normals, light, result.fov, threads, model=result.model)
+
+
+def own_light(result: ResultData, i: int) -> NDArray[np.float64] | LampLight:
+    """The light that was found of picture i: SH light, or where there are lamps those with it."""
+    if result.lamps is None:
+        return np.asarray(result.lighting[i])
+    return result.lamps.of_pictures([i]), result.lighting[i]
+
+
+def rendered_picture(result: ResultData, i: int, threads: int = 0) -> NDArray[np.float64]:
+    """Reconstruction of picture i: (H, W, 3), linear Rec.709; NaN outside the mask."""
+    return relight(result, own_light(result, i), threads)
+
+
+def _under_lamps(
+    result: ResultData,
+    lamps: Lamps,
+    ambient: ArrayLike | None,
+    threads: int,
+    scenery: Scenery | None,
+) -> NDArray[np.float64]:
+    """A picture under lamps and SH light."""
+    lamps.check_pictures(1)
+    sky = np.zeros((16, 3)) if ambient is None else checked_lighting(ambient)
+    if sky.ndim != 2 or not np.isfinite(sky).all():
+        raise InputError(f"ambient: expected finite (16, 3), found {of_what(sky)}")
+    visibility = None
+    if scenery is not None:
+        visibility = np.ones((len(lamps), *result.mask.shape))
+        for k, (place, near) in enumerate(zip(lamps.places, lamps.near, strict=True)):
+            is_open = scenery.open_to_place if near else scenery.open_to
+            visibility[k, result.mask] = is_open(place)
+    [picture] = render_lamps(
+        result.materials,
+        result.normals,
+        lamps,
+        (sky if scenery is None else np.zeros((16, 3)))[None],
+        result.fov,
+        result.depth,
+        threads,
+        model=result.model,
+        visibility=visibility,
+    )
+    if scenery is not None and sky.any():
+        picture += _among_surroundings(result, sky)
+    return np.asarray(picture)
 
 
 def _among_surroundings(result: ResultData, light: ArrayLike) -> NDArray[np.float64]:
@@ -150,12 +208,29 @@ def _among_surroundings(result: ResultData, light: ArrayLike) -> NDArray[np.floa
 def turned(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]: ...
 @overload
 def turned(light: DirectionalLight, degrees: float) -> DirectionalLight: ...
+@overload
+def turned(light: Lamps, degrees: float) -> Lamps: ...
+@overload
+def turned(light: LampLight, degrees: float) -> LampLight: ...
 def turned(
-    light: NDArray[np.float64] | DirectionalLight, degrees: float
-) -> NDArray[np.float64] | DirectionalLight:
-    """SH light (..., 16, 3) or a `DirectionalLight`, turned about +Y from +Z towards +X."""
+    light: NDArray[np.float64] | DirectionalLight | Lamps | LampLight, degrees: float
+) -> NDArray[np.float64] | DirectionalLight | Lamps | LampLight:
+    """Light as `relight` takes it, turned about +Y from +Z towards +X.
+
+    Raises InputError if lamps are near: that would move them, and nobody knows about which point.
+    """
     if isinstance(light, DirectionalLight):
         return light.turned(degrees)
+    if isinstance(light, tuple):
+        return turned(light[0], degrees), lighting.rotated(light[1], degrees)
+    if isinstance(light, Lamps):
+        if light.near.any():
+            raise InputError("lamps: expected far ones to be turned, found near ones")
+        angle = math.radians(math.remainder(_degrees("degrees", degrees), 360))
+        x, y, z = light.places.T
+        cosine, sine = math.cos(angle), math.sin(angle)
+        places = np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
+        return dataclasses.replace(light, places=places)
     return lighting.rotated(light, degrees)
 
 

@@ -30,7 +30,7 @@ from pbrfit.io.output import digest, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.materials import Materials, of_channels, write_materials
+from pbrfit.model.materials import Materials, nearest_inside, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
@@ -50,6 +50,9 @@ CONTAINS = ("result.json", "materials.exr")
 
 FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
 """Files of a result folder whose sha256 is in `result.json`."""
+
+HEIGHT_FILE = "height.exr"
+"""Another such file, of results with a height: channels Y, in pixels, and mask.Y, 1 = known."""
 
 
 class Result(ResultData):
@@ -99,7 +102,9 @@ class Result(ResultData):
             self.further_layers(),
             self.whole_layers(),
         )
-        Lighting(self.pictures, self.lighting).save(folder / "lighting.json")
+        Lighting(self.pictures, self.lighting, self.lamps).save(folder / "lighting.json")
+        if self.height is not None:
+            _write_height(folder / HEIGHT_FILE, self.height)
         self.history.save(folder / "history.csv")
         images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
         content = {
@@ -123,7 +128,7 @@ class Result(ResultData):
             "stages": [asdict(stage) for stage in self.stages],
             "inputs": dict(self.inputs),
             "scene": None if self.source is None else _source_as_json(self.source, place or folder),
-            "files": {name: digest(folder / name) for name in FILES},
+            "files": {name: digest(folder / name) for name in files_of(folder)},
         }
         # What no UTF-8 can hold, of a path to the scene, becomes what JSON escapes it by.
         write_json(folder / "result.json", content, errors="backslashreplace")
@@ -150,6 +155,7 @@ class Result(ResultData):
         try:
             content = table(content)
             model = model_of(content, file)
+            files = table(content.get("files", {}))
             fov = number(content["fov"])
             check_fov(fov)
             summary = content.get("uncertainty")
@@ -194,11 +200,18 @@ class Result(ResultData):
                     if transport.blocks and SEGMENT in layers
                     else None
                 ),
+                lamps=lighting.lamps,
+                height=_height(folder / HEIGHT_FILE, mask) if HEIGHT_FILE in files else None,
             )
         except UNFIT as error:
             if isinstance(error, InputError) and str(folder) in str(error):
                 raise
             raise unfit(file, expected, error) from None
+
+
+def files_of(folder: Path) -> tuple[str, ...]:
+    """Files of a result folder whose sha256 belongs into its `result.json`."""
+    return (*FILES, HEIGHT_FILE) if (folder / HEIGHT_FILE).exists() else FILES
 
 
 def _check_is_result(folder: Path) -> None:
@@ -313,6 +326,25 @@ def _depth(layers: Layers, mask: NDArray[np.bool_] | None) -> NDArray[np.float32
     if mask is not None:
         there &= mask
     return np.where(there, depth, np.float32(np.nan))
+
+
+def _write_height(path: Path, height: NDArray[np.floating[Any]]) -> None:
+    known = np.isfinite(height)
+    filled = np.where(known, height, 0.0)[nearest_inside(known)]
+    channels = {"Y": filled.astype(np.float32), "mask.Y": known.astype(np.float32)}
+    images.write_exr(path, channels)
+
+
+def _height(path: Path, mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    layers = images.read_channels(path)
+    _check_layers(layers, path, ("Y", "mask.Y"), "a height")
+    height = layers["Y"]
+    if height.shape != mask.shape:
+        raise InputError(f"{path}: expected a height of {mask.shape}, found {height.shape}")
+    known = (layers["mask.Y"] > 0.5) & mask
+    if not np.isfinite(height[known]).all():
+        raise InputError(f"{path}: expected finite heights, found NaN or infinity")
+    return np.where(known, height, np.float32(np.nan))
 
 
 def _check_layers(layers: Layers, file: Path, names: Sequence[str], told: str) -> None:

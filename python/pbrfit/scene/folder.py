@@ -19,7 +19,7 @@ from pbrfit.io.depth_files import DEPTH_FILES, find_depth
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, Convention, find_normals
 from pbrfit.io.output import digest
-from pbrfit.io.quoting import quoted, shown
+from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.model import geometry
 from pbrfit.model.reflection import MODELS, Model
@@ -37,6 +37,9 @@ MAX_ID = 65535
 """Largest segment id that a picture of 16 bits holds."""
 
 SEGMENT_FILE = "segments.png"
+
+DARK_FRAME = "dark"
+"""Name, without its suffix, of a picture of no light, which is subtracted from all pictures."""
 
 PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
 """Files of a scene folder beside pictures, normals, depth and ground truth."""
@@ -122,14 +125,34 @@ def find_pictures(folder: Path) -> list[Path]:
     return [path for _, path in sorted(chosen)]
 
 
+def find_dark_frame(folder: Path) -> Path | None:
+    """The picture of no light that lies beside `images/` as `dark.*`, whatever its format.
+
+    Raises InputError if there are several.
+    """
+    found = sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_file()
+        and path.stem.lower() == DARK_FRAME
+        and path.suffix.lower() not in NOT_PICTURES
+    )
+    if len(found) > 1:
+        raise InputError(
+            f"{folder}: expected one dark frame, found {listed(path.name for path in found)}"
+        )
+    return found[0] if found else None
+
+
 def input_files(folder: Path) -> list[Path]:
     """All files of a scene folder that `load` reads, and so those that its result depends on.
 
     Raises InputError or FileNotFoundError as `find_pictures`, or if there are two with depth, or
-    with lamps.
+    with lamps, or two dark frames.
     """
     found = [*find_pictures(folder), *find_normals(folder), *(folder / part for part in PARTS)]
-    found += [path for path in (find_depth(folder), find_lamps(folder)) if path is not None]
+    single = (find_depth(folder), find_lamps(folder), find_dark_frame(folder))
+    found += [path for path in single if path is not None]
     return [*(path for path in found if path.exists()), *truth_files(folder)]
 
 

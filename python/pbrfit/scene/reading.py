@@ -42,6 +42,7 @@ from pbrfit.scene.folder import (
     SEGMENT_FILE,
     Settings,
     decided_fov,
+    find_dark_frame,
     find_pictures,
     read_settings,
     truth_files,
@@ -122,6 +123,9 @@ def load(
             f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"
         )
     mask &= _read_mask(notes, full_size)
+    dark = _read_dark_frame(notes, color_space or settings.color_space, full_size)
+    if dark is not None:
+        mask &= dark.usable
     if not mask.any():
         raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
     normals, sigma = _read_or_leave_normals(notes, settings, mask, len(names))
@@ -134,7 +138,9 @@ def load(
         normals, mask, segments = _averaged(normals, mask, segments, size)
         depth = None if depth is None else scene_depth.reduced(depth, size)
     weights = _read_weights(notes, names, mask, full_size)
-    limits = _limits(read, mask, paths, code_range, assumed)
+    limits = _limits(read, mask, paths, code_range, assumed, for_good=dark is not None)
+    if dark is not None:  # here, as what was clipped is found in the values of the files
+        _subtract(dark, read.pixels, mask, paths, assumed)
 
     lighting = None
     if notes.has("lighting.json"):
@@ -310,8 +316,13 @@ def _limits(
     paths: list[Path],
     code_range: tuple[int, int] | None,
     assumed: dict[str, str],
+    *,
+    for_good: bool,
 ) -> NDArray[np.uint8] | None:
-    """(N, H, W, 3): limits of the files and of plateaus; None = a Scene has to seek them."""
+    """(N, H, W, 3): limits of the files and of plateaus; None = a Scene has to seek them.
+
+    With `for_good` they are sought here in any case, as the pictures are still to be changed.
+    """
     counted = [mask] * len(paths)
     for path, limits in zip(paths, read.limits, strict=True):
         if limits[mask].all():
@@ -322,7 +333,7 @@ def _limits(
             )
     bounds = any(limits[mask].any() for limits in read.limits)
     integers = [noise is not None for noise in read.noise]
-    if bounds or any(np.logical_and(read.searched, integers)):
+    if bounds or for_good or any(np.logical_and(read.searched, integers)):
         found = plateaus(read.pixels, counted, read.searched)
         if found is not None:
             np.maximum(read.limits, found, out=read.limits)
@@ -330,12 +341,74 @@ def _limits(
     if not bounds:
         # Plateaus of float pictures alone are sought when the Scene is made, unless their files say
         # that there are none.
-        return np.broadcast_to(np.uint8(0), read.limits.shape) if read.said else None
+        told = read.said or for_good
+        return np.broadcast_to(np.uint8(0), read.limits.shape) if told else None
     assumed["exposure"] = limits_in_words(read.limits, counted)
     bounded = np.logical_and.reduce([limits.all(axis=-1) for limits in read.limits]) & mask
     if bounded.any():
         assumed["exposure"] += f"; pixels left with none: {np.count_nonzero(bounded)}"
     return read.limits
+
+
+@dataclass(frozen=True, eq=False)
+class _DarkFrame:
+    """A picture of no light."""
+
+    path: Path
+    pixels: NDArray[np.float32]
+    """(H, W, 3) at the files' size, linear Rec.709; 0 where it is not usable."""
+    usable: NDArray[np.bool_]
+    """(H, W): where it is not clipped from above, and finite."""
+
+
+def _read_dark_frame(
+    notes: _Notes, color_space: ColorSpace | None, size: tuple[int, int]
+) -> _DarkFrame | None:
+    path = find_dark_frame(notes.folder)
+    if path is None:
+        return None
+    picture = images.read_picture(path, color_space)
+    notes.inputs[path.name] = picture.sha256
+    _expect_size(path, picture.pixels.shape[:2], size)
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(picture.pixels).all(axis=-1))
+    if picture.limits is not None:
+        usable &= (picture.limits != file_limits.AT_LEAST).all(axis=-1)
+    if not usable.any():
+        raise InputError(f"{path}: expected a picture without light, found all pixels clipped")
+    return _DarkFrame(path, np.where(usable[..., None], picture.pixels, 0.0), usable)
+
+
+def _subtract(
+    dark: _DarkFrame,
+    pixels: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    paths: list[Path],
+    assumed: dict[str, str],
+) -> None:
+    """Subtract a dark frame from pictures (N, H, W, 3), in place; noise may leave negative values.
+
+    Raises InputError if a picture is no brighter than it.
+    """
+    size = mask.shape
+    small = dark.pixels if dark.usable.shape == size else averaged_channels(dark.pixels, size)
+    level = float(small[mask].mean(dtype=np.float64))
+    means = [float(picture[mask].mean(dtype=np.float64)) for picture in pixels]
+    for path, mean in zip(paths, means, strict=True):
+        if mean <= level:
+            raise InputError(
+                f"{dark.path}: expected a picture without light, darker than all others, found a "
+                f"mean radiance of {level:.3g}, and {mean:.3g} in {path.name}"
+            )
+    pixels -= small.astype(np.float32)
+    below = 100 * np.mean([(picture[mask] < 0).mean() for picture in pixels])
+    said = (
+        f"{dark.path.name} subtracted, {100 * level / np.mean(means):.2g} % of the mean radiance; "
+        f"{below:.2g} % of the values are below 0 and stay so"
+    )
+    unusable = np.count_nonzero(~dark.usable)
+    assumed["dark frame"] = (
+        f"{said}; {unusable} pixels clipped in it left out" if unusable else said
+    )
 
 
 def _read_weights(

@@ -7,7 +7,7 @@ result keeps; `PixelTransfer` are the tables that the core takes (docs/transport
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -276,14 +276,40 @@ class Scenery:
         -------
         (P,); True where nobody knows where a pixel is.
         """
+
+        def towards(starts: Array) -> tuple[Array, Array]:
+            directions = np.broadcast_to(np.asarray(direction, np.float64), starts.shape)
+            return directions, np.full(len(starts), np.inf)
+
+        return self._open(towards, places)
+
+    def open_to_place(
+        self, place: ArrayLike, places: NDArray[np.intp] | None = None
+    ) -> NDArray[np.bool_]:
+        """As `open_to`, of light from a place (3,) in camera space, in the unit of depth."""
+
+        def towards(starts: Array) -> tuple[Array, Array]:
+            away = np.asarray(place, np.float64) - starts
+            lengths = np.maximum(np.linalg.norm(away, axis=-1), np.finfo(np.float64).tiny)
+            return away / lengths[:, None], lengths
+
+        return self._open(towards, places)
+
+    def _open(
+        self,
+        towards: Callable[[Array], tuple[Array, Array]],
+        places: NDArray[np.intp] | None,
+    ) -> NDArray[np.bool_]:
+        """Whether pixels' rays meet nothing; `towards` gives directions and lengths by starts."""
         places = np.flatnonzero(self.mask) if places is None else places
         starts = self.geometry.starts.reshape(-1, 3)[places].astype(np.float64)
         found = np.ones(len(places), bool)
         known = np.isfinite(starts).all(axis=-1)
-        towards = np.broadcast_to(np.asarray(direction, np.float64), (int(known.sum()), 3))
-        found[known] = np.isinf(
-            self._core.distances(np.ascontiguousarray(starts[known]), np.ascontiguousarray(towards))
+        directions, lengths = towards(starts[known])
+        met = self._core.distances(
+            np.ascontiguousarray(starts[known]), np.ascontiguousarray(directions)
         )
+        found[known] = np.isinf(met) | (met >= lengths)
         return found
 
     def in_words(self, transport: Transport) -> str:

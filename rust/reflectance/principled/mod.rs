@@ -336,15 +336,53 @@ impl<T: Real> Mixer<T> {
     }
 }
 
+/// Of one channel kd, and by what the dielectric's and the metal's lobe are multiplied, d = (1−m)
+/// M(0.04) and e = m M(ρ); or a derivative of them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Parts {
+    /// kd
+    pub(crate) ground: f64,
+    /// d
+    pub(crate) dielectric: f64,
+    /// e
+    pub(crate) metal: f64,
+}
+
 impl Mixer {
-    /// kd, and by what the dielectric's and the metal's lobe are multiplied.
-    pub(crate) fn parts(&self, albedo: f64) -> [f64; 3] {
+    /// The parts of an albedo.
+    pub(crate) fn parts(&self, albedo: f64) -> Parts {
         let (m, matt) = (self.metallic, 1.0 - self.metallic);
-        [
-            matt * albedo * self.transmitted,
-            matt * self.gain.value,
-            m * self.metal(albedo).value,
-        ]
+        Parts {
+            ground: matt * albedo * self.transmitted,
+            dielectric: matt * self.gain.value,
+            metal: m * self.metal(albedo).value,
+        }
+    }
+
+    /// The parts, and their derivatives by albedo and by metallic.
+    pub(crate) fn parts_with_slopes(&self, albedo: f64) -> [Parts; 3] {
+        let (m, matt, metal) = (self.metallic, self.matt(), self.metal(albedo));
+        let by_albedo = Parts {
+            ground: matt * self.transmitted,
+            dielectric: 0.0,
+            metal: m * metal.by_f0,
+        };
+        let by_metallic = Parts {
+            ground: -albedo * self.transmitted,
+            dielectric: -self.gain.value,
+            metal: metal.value,
+        };
+        [self.parts(albedo), by_albedo, by_metallic]
+    }
+
+    /// The change of the parts with a change of the lobe.
+    pub(crate) fn parts_along(&self, albedo: f64, change: &Surface) -> Parts {
+        let metal = self.metal(albedo);
+        Parts {
+            ground: self.along(albedo, &metal, change).diffuse,
+            dielectric: self.matt() * self.gain.along(change),
+            metal: self.metallic * metal.along(change),
+        }
     }
 }
 

@@ -8,6 +8,7 @@ import logging
 import os
 import re
 import struct
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -740,7 +741,10 @@ def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
         ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n\0\0\0\0", "whole HDR file"),
     ],
 )
-def test_other_formats_say_what_to_do(tmp_path: Path, name: str, data: bytes, message: str) -> None:
+def test_other_formats_say_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, data: bytes, message: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "rawpy", None)  # as if it were not installed
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=message) as caught:
         images.read_picture(tmp_path / name)

@@ -26,8 +26,21 @@ SLANTS = (0.25, 0.5, 1.0, 2.0)
 IMPOSSIBLE = 1e6
 """Cost of a C that no matrix has; far above any other."""
 
-STEPS_MAX = 150
+STEPS_MAX = 100
 """Steps of a search at most."""
+
+SLOPE_MAX = 0.1
+"""Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a
+search ends: C changes the surface by a degree where an entry changes by about 0.02."""
+
+FEW = 500
+"""Places from which each start is followed; what leads to likely minima goes on with all."""
+
+POLISHED_MAX = 4
+"""Minima that are found with all places."""
+
+FAR = 20.0
+"""Negative log likelihood above the least at which a minimum is not looked at again."""
 
 EQUALLY_LIKELY = 3.0
 """Difference of the negative log likelihood below which two minima are told to be undecided: odds
@@ -52,6 +65,12 @@ class Minimum:
     cost: float
     parts: dict[str, float]
 
+    @classmethod
+    def at(cls, transform: Transform, places: Places) -> Minimum:
+        """What the cues say of a transform."""
+        parts = {cue.name: cue.value(transform, places) for cue in CUES}
+        return cls(transform, sum(parts.values()), parts)
+
 
 def minima(places: Places, rough: Array | None) -> list[Minimum]:
     """Minima of the negative log likelihood, the least first.
@@ -63,18 +82,32 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
     rough
         (P, 3) normals of a rough shape to start from beside other starts; None = there is none.
     """
+    few = places.thinned(FEW)
+    rounds = [_searched(start, few, places) for start in _starts(places, rough)]
+    rounds.sort(key=lambda one: one[0])
     found: list[Minimum] = []
-    for start in _starts(places, rough):
-        search = minimize(
-            _cost, start.ravel(), (places,), method="BFGS", options={"maxiter": STEPS_MAX}
-        )
-        C = search.x.reshape(3, 3)
-        transform = Transform.of(C, places)
+    for cost, C in rounds[:POLISHED_MAX]:
+        if cost > rounds[0][0] + FAR:
+            break
+        _, better = _searched(C, places, places)
+        transform = Transform.of(better, places)
         if transform is not None:
-            parts = {cue.name: cue.value(transform, places) for cue in CUES}
-            found.append(Minimum(transform, sum(parts.values()), parts))
+            found.append(Minimum.at(transform, places))
     found.sort(key=lambda one: one.cost)
     return found
+
+
+def _searched(start: Array, few: Places, places: Places) -> tuple[float, Array]:
+    """Cost, at all places, and C of the minimum that a search at a few places leads to."""
+    search = minimize(
+        _cost,
+        start.ravel() / np.linalg.norm(start),
+        (few,),
+        method="BFGS",
+        options={"maxiter": STEPS_MAX, "gtol": SLOPE_MAX},
+    )
+    C = np.asarray(search.x.reshape(3, 3))
+    return _cost(C.ravel(), places), C / np.linalg.norm(C)
 
 
 def _cost(c: Array, places: Places) -> float:

@@ -19,7 +19,7 @@ No spread of a cue is known beforehand: each is what makes its cue most likely, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +98,28 @@ class Places:
     guide: Array | None
     lamps: Array
     integrability: Integrability
+
+    def thinned(self, most: int) -> Places:
+        """At most about so many places, evenly drawn; what they count as remains."""
+        step = max(len(self.vectors) // most, 1)
+        edge = max(len(self.outline_vectors) // most, 1)
+        # Partners of pairs are anywhere, so pairs keep pixels of their own.
+        pairs = self.pairs[::step]
+        used, renamed = np.unique(pairs, return_inverse=True)
+        return replace(
+            self,
+            vectors=self.vectors[used],
+            views=self.views[used],
+            blocks=self.blocks[used],
+            brightness=self.brightness[used],
+            guide=None if self.guide is None else self.guide[used],
+            pairs=renamed.reshape(pairs.shape),
+            outline_vectors=self.outline_vectors[::edge],
+            outline_views=self.outline_views[::edge],
+            outward=self.outward[::edge],
+            facing=self.facing[::edge],
+            outline_blocks=self.outline_blocks[::edge],
+        )
 
 
 @dataclass(frozen=True, eq=False)

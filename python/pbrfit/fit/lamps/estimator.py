@@ -46,29 +46,43 @@ Array = NDArray[np.float64]
 JOINT_PIXELS = 1500
 """That lamps are found by: some 20 unknowns a lamp have 100 times as many samples each."""
 
-ROUNDS, STEPS = 6, 6
+ROUNDS, STEPS = 6, 3
 """Of weights, and of joint steps in each."""
 
-LOOK_ROUNDS = (0, 2)
-"""Rounds before which other normals, roughnesses and fields of view are tried."""
+LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    0: ((2.0, 4.0, 8.0), ()),
+    2: ((1.4, 2.0), (-15.0, -6.0, -2.0, 2.0, 6.0, 15.0)),
+    4: ((1.15, 1.3), (-4.0, -2.0, 2.0, 4.0)),
+}
+"""Rounds before which the scale of all lamps is multiplied and divided by some factors, and fields
+of view and roughnesses are tried: wide first, then near the best. Steps from the best are degrees;
+in the first round `FIELDS_OF_VIEW` are tried."""
+
+LOOK_LAST = 4
+"""From which round on normals are no longer sought anywhere."""
+
+FREE_SCALE_ROUNDS, NOTHING_LEFT = 2, 0.02
+"""Last rounds in which the scale is free where less is left of the samples than this share: such
+pictures obey the model, and all of their samples tell the same scale."""
 
 ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
 """That are tried for each label: about half an octave apart, less than what a lobe's width tells."""
 
+LOOK_PIXELS = 400
+"""By which they are tried: thousands of samples, of which a narrow lobe shows in some per cent."""
+
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
-"""Degrees that are tried where nobody told it; the best are refined to `FOV_STEP`."""
+"""Degrees that are tried where nobody told it."""
 
-FOV_MAX = 75.0
-"""Degrees: beyond is a wide angle, with which nobody takes pictures under a lamp."""
-
-FOV_STEP = 2.0
-"""Degrees: a highlight moves by a degree at most."""
+FOV_MEAN, FOV_SPREAD, FOV_MAX = 30.0, 20.0, 75.0
+"""Degrees of what is likely before: lenses of 35 to 100 mm, on a 35 mm camera."""
 
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
-ROUGHNESS_SPREAD_MIN = 0.03
-"""Least spread of roughness inside a label: less is seen by nobody."""
+ROUGHNESS_SPREADS = (0.02, 0.05)
+"""Least and greatest spread of roughness inside a label: less is seen by nobody; with more, each
+pixel takes what its own few highlights are off the model's for a roughness of its own."""
 
 FREE_OFFSETS = 1.0
 """Prior standard deviation of the tangent offsets of normals that nobody gave: 45 degrees."""
@@ -143,24 +157,15 @@ class _Clock:
             self.unmeasured += time.perf_counter() - began
 
 
-def learnt_roughness(
-    pixels: LampPixels, state: LampState, information: Array, prior: SurfacePrior
-) -> SurfacePrior:
-    """The prior with the mean and spread that roughness has in each label, by one step of EM."""
-    mean, precision = prior.mean.copy(), prior.precision.copy()
-    filled = information[:, :6, :6].copy()
-    np.einsum("puu->pu", filled)[:] += 1e-9
-    variance = np.linalg.inv(filled)[:, 5, 5]
-    variance = np.clip(variance, 0, 1)
+def learnt_roughness(pixels: LampPixels, state: LampState, prior: SurfacePrior) -> SurfacePrior:
+    """The prior with the spread that roughness has in each label, around what looks have found."""
+    precision = prior.precision.copy()
     for label in np.unique(pixels.labels):
         of = pixels.labels == label
-        weight = 1 / np.maximum(variance[of], ROUGHNESS_SPREAD_MIN**2)
-        middle = float((weight * state.roughness[of]).sum() / weight.sum())
-        square = (state.roughness[of] - middle) ** 2 + variance[of]
-        spread = float(np.sqrt(np.mean(square)))
-        spread = min(max(spread, ROUGHNESS_SPREAD_MIN), ROUGHNESS_SPREAD)
-        mean[of, 5], precision[of, 5] = middle, spread**-2
-    return SurfacePrior(mean, precision)
+        away = np.abs(state.roughness[of] - prior.mean[of, 5])
+        spread = float(np.clip(1.4826 * np.median(away), *ROUGHNESS_SPREADS))
+        precision[of, 5] = spread**-2
+    return SurfacePrior(prior.mean, precision)
 
 
 def first_prior(pixels: LampPixels, offset_sigma: Array | float) -> SurfacePrior:
@@ -187,6 +192,17 @@ def of_labels(
 def log_likelihood(fit: JointLamps) -> float:
     """Of the samples, with the noise of the fit: normal, or outliers."""
     return float(fit.noise.log_likelihoods(Left.of(fit.pixels, fit.state)).sum())
+
+
+def seen_error(pixels: LampPixels, state: LampState) -> Array:
+    """(P,): Σ (√I − √y)² over a pixel's samples: about what the eye makes of differences.
+
+    A highlight that is missing, or in a wrong place, counts more than shadows and what surfaces are
+    not quite diffuse, however many samples these are.
+    """
+    shown = pixels.samples + pixels.residuals(radiance(pixels, state))
+    roots = np.sqrt(np.maximum(shown, 0)) - np.sqrt(np.maximum(pixels.samples, 0))
+    return np.asarray((pixels.weights * roots**2).sum(axis=(1, 2)))
 
 
 class LampFit:
@@ -295,14 +311,22 @@ class LampFit:
         for number in range(ROUNDS):
             if self.clock.out_of_time():
                 break
-            if number in LOOK_ROUNDS:
-                self._look_for_roughness(fit)
-                if freedom.normals:
+            if number in LOOKS:
+                factors, degrees = LOOKS[number]
+                fields = FIELDS_OF_VIEW
+                if self.scene.fov_known:
+                    fields = (self.fov,)
+                elif degrees:
+                    near = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
+                    fields = tuple(np.unique(near).tolist())
+                scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
+                self._look(fit, scales if freedom.colors else (1.0,), fields)
+                if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
-            if number in LOOK_ROUNDS and not self.scene.fov_known:
-                self._look_for_fov(fit)
+            if number == ROUNDS - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
+                fit.freedom = replace(fit.freedom, scale=True)
             self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
-            fit.state, _, information = fit_surfaces(
+            fit.state, _, _ = fit_surfaces(
                 few,
                 fit.state,
                 fit.weights,
@@ -310,82 +334,103 @@ class LampFit:
                 iterations=surfaces.STEPS,
                 free_normals=freedom.normals,
             )
-            fit.prior = learnt_roughness(few, fit.state, information, fit.prior)
+            fit.prior = learnt_roughness(few, fit.state, fit.prior)
             fit.reweigh()
             self.clock.record(fit, few.scale, samples)
         return fit
 
-    def _fitted(
-        self, fit: JointLamps, begin: LampState, *, free_roughness: bool = True, rounds: int = 2
-    ) -> tuple[LampState, Array]:
+    def _look(self, fit: JointLamps, scales: tuple[float, ...], fields: tuple[float, ...]) -> None:
+        """Choose roughnesses of labels, a scale of all lamps and a field of view.
+
+        Of those that are tried, the ones with which some pixels look least wrong. Lamps that are brighter with albedos that are darker by as much leave what a dielectric
+        reflects diffusely as it is. Highlights tell all three, and only together: where they are
+        shown in wrong places, a rough surface without any is better.
+        """
+        of = evenly_spaced_over(fit.pixels.labels, LOOK_PIXELS).astype(np.intp)
+        few = fit.pixels.of_rows(of)
+        given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
+        kinds = np.unique(few.labels)
+        best: tuple[float, float, float, dict[int, float]] | None = None
+        least, scores = np.inf, dict[float, float]()
+        for fov in fields:
+            few = replace(few, views=self._views(fov, few.places))
+            for scale in scales:
+                lamps = replace(given.lamps, colors=given.lamps.colors * scale)
+                total = 0.0
+                left = self._left_by_roughness(fit, few, replace(given, lamps=lamps), scale, prior)
+                chosen = {}
+                for label in kinds:
+                    sums = left[:, few.labels == label].sum(axis=1)
+                    chosen[label] = ROUGHNESSES[int(np.argmin(sums))]
+                    total += float(sums.min())
+                total = 0.5 * len(few) * float(np.log(max(total, 1e-12)))
+                total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
+                total += 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2
+                print("  look", fov, scale, round(total), chosen, left.sum(1).round())
+                scores[fov] = min(scores.get(fov, np.inf), total)
+                if total < least:
+                    best, least = (fov, scale, total, chosen), total
+        assert best is not None
+        fov, scale, _, chosen = best
+        print("LOOK", best, scores, fit.noise)
+        if len(fields) > 1:
+            self.fov = fov
+            self.figures |= {f"surprise_fov_{key:g}": value for key, value in scores.items()}
+            fit.pixels = replace(fit.pixels, views=self._views(fov, fit.pixels.places))
+        roughness = fit.state.roughness.copy()
+        for label, value in chosen.items():
+            roughness[fit.pixels.labels == label] = value
+        state = fit.state
+        state = replace(state, lamps=replace(state.lamps, colors=state.lamps.colors * scale))
+        albedo = np.clip(state.albedo / scale, 0.01, 0.99)
+        fit.state = state.with_surface(state.normals, albedo, roughness, state.metallic)
+        mean = fit.prior.mean.copy()
+        mean[:, 5] = roughness
+        fit.prior = SurfacePrior(mean, fit.prior.precision)
+
+    def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
+        """(P, 3): unit vectors to the camera at places of the picture."""
+        return np.asarray(view_directions(*self.scene.valid.shape, fov).reshape(-1, 3)[places])
+
+    def _left_by_roughness(
+        self, fit: JointLamps, few: LampPixels, given: LampState, scale: float, prior: SurfacePrior
+    ) -> Array:
+        """(R, P): what surprises with each of the roughnesses."""
+        found = []
+        free = fit.freedom.normals
+        albedo = np.clip(given.albedo / scale, 0.01, 0.99)
+        for roughness in ROUGHNESSES:
+            same = np.full(len(few), roughness)
+            begin = given.with_surface(given.normals, albedo, same, given.metallic)
+            starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
+            left = []
+            for start in starts:
+                state, *_ = surfaces.robust_surfaces(
+                    few,
+                    start,
+                    fit.noise,
+                    prior,
+                    rounds=1,
+                    free_normals=free,
+                    free_roughness=False,
+                )
+                left.append(seen_error(few, state))
+            found.append(np.min(left, axis=0))
+        return np.array(found)
+
+    def _fitted(self, fit: JointLamps, begin: LampState) -> tuple[LampState, Array]:
         """Surfaces from some that a joint fit has, its lights held, and what still surprises."""
         found = surfaces.robust_surfaces(
-            fit.pixels,
-            begin,
-            fit.noise,
-            fit.prior,
-            rounds=rounds,
-            free_normals=fit.freedom.normals,
-            free_roughness=free_roughness,
+            fit.pixels, begin, fit.noise, fit.prior, rounds=2, free_normals=fit.freedom.normals
         )
         return found[0], found[4]
 
-    def _look_for_roughness(self, fit: JointLamps) -> None:
-        """Give each label the roughness that surprises least, of some for all of its pixels."""
-        few, labels = fit.pixels, fit.pixels.labels
-        best, least = fit.state, {label: np.inf for label in np.unique(labels)}
-        for roughness in ROUGHNESSES:
-            same = np.full(len(few), roughness)
-            begin = fit.state.with_surface(
-                fit.state.normals, fit.state.albedo, same, fit.state.metallic
-            )
-            found, left = self._fitted(fit, begin, free_roughness=False, rounds=1)
-            if fit.freedom.normals:
-                turned = surfaces.facing_highlights(few, begin)
-                found, left = surfaces.better_of(
-                    found, left, *self._fitted(fit, turned, free_roughness=False, rounds=1)
-                )
-            for label in least:
-                total = float(left[labels == label].sum())
-                if total < least[label]:
-                    least[label] = total
-                    best, _ = surfaces.better_of(
-                        best, np.zeros(len(few)), found, np.where(labels == label, -1.0, 1.0)
-                    )
-        fit.state = best
-        mean = fit.prior.mean.copy()
-        mean[:, 5] = best.roughness
-        fit.prior = SurfacePrior(mean, fit.prior.precision)
-
-    def _look_for_fov(self, fit: JointLamps) -> None:
-        """Find the field of view under which the pixels surprise least."""
-        scene = self.scene
-        height, width = scene.valid.shape
-        tried: dict[float, tuple[float, LampState, LampPixels]] = {}
-        pixels = fit.pixels
-
-        def at(fov: float) -> float:
-            if fov not in tried:
-                views = view_directions(height, width, fov).reshape(-1, 3)[pixels.places]
-                fit.pixels = replace(pixels, views=views)
-                state, left = self._fitted(fit, fit.state)
-                tried[fov] = float(left.sum()) + 0.5 * ((fov - 30) / 20) ** 2, state, fit.pixels
-            return tried[fov][0]
-
-        for fov in FIELDS_OF_VIEW:
-            at(fov)
-        step = FIELDS_OF_VIEW[1] / 2
-        while step >= FOV_STEP:
-            best = min(tried, key=lambda fov: tried[fov][0])
-            for fov in (best - step, best + step):
-                if 0 <= fov <= FOV_MAX:
-                    at(fov)
-            step /= 2
-        best = min(tried, key=lambda fov: tried[fov][0])
-        self.fov = best
-        _, fit.state, fit.pixels = tried[best]
-        scores = np.array([score for score, _, _ in tried.values()])
-        self.figures |= {"fov": best, "fov_log_likelihood_range": float(np.ptp(scores))}
+    def _relative_left(self, fit: JointLamps) -> float:
+        """Root mean square of what is left, of that of the samples."""
+        residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
+        size = float((fit.pixels.weights * fit.pixels.samples**2).sum())
+        left = float((fit.pixels.weights * residual**2).sum())
+        return float(np.sqrt(left / max(size, 1e-300)))
 
     def _turn(self, fit: JointLamps) -> None:
         """Let pixels look anywhere for a normal that surprises less."""
@@ -409,8 +454,8 @@ class LampFit:
         said = (
             f"{name}: {len(strengths)} lamps by {len(fit.pixels)} pixels; noise "
             f"{fit.noise.floor * fit.pixels.scale:.2g} and {100 * fit.noise.relative:.2g} % of the "
-            f"radiance, {100 * float(fit.noise.outliers.mean()):.2g} % outliers; strengths differ "
-            f"by {100 * spread:.2g} %"
+            f"radiance, {100 * float(fit.noise.shadows.mean()):.2g} % in cast shadows; strengths "
+            f"differ by {100 * spread:.2g} %"
         )
         if spread < 0.05 and not self.options.same_lamp:
             said += ", as of one lamp (--same-lamp)"

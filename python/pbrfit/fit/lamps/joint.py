@@ -7,9 +7,9 @@ the weights W of the samples and the precisions Q of the priors, a step solves
     [Σ J_yᵀ W J_y + Q_y   Σ_p B_pᵀ] [δy]      [g_y]
     [      B_p               A_p  ] [δz_p] = −[g_p],     A_p = J_pᵀ W J_p + Q_p,  B_p = J_pᵀ W J_y.
 
-A_p is 6 × 6, so the pixels are eliminated one by one: with A_p = C Cᵀ and Z_p = C⁻¹ B_p,
+A_p is 6 × 6, so the pixels are eliminated one by one:
 
-    (Σ J_yᵀ W J_y + Q_y − Σ_p Z_pᵀ Z_p) δy = −g_y + Σ_p Z_pᵀ C⁻¹ g_p.
+    (Σ J_yᵀ W J_y + Q_y − Σ_p B_pᵀ A_p⁻¹ B_p) δy = −g_y + Σ_p B_pᵀ A_p⁻¹ g_p.
 
 Each sample sees one picture's lights, so that B_p is filled picture by picture.
 """
@@ -82,6 +82,9 @@ class Freedom:
     """Coefficients of each picture's ambient light: 0, 1, 4 or 9."""
     same_lamp: bool = False
     """Whether all lamps have one colour."""
+    scale: bool = False
+    """Whether the colour that all lamps share is free in joint steps: weights that belong to a
+    wrong scale hide the highlights that would tell a better one."""
 
 
 def fit_surfaces(
@@ -172,7 +175,7 @@ class JointLamps:
         count = 6 * len(self.state.lamps)
         return count + 3 * self.freedom.ambient_terms * self.pixels.pictures
 
-    def _scale_of(self, lamps: Lamps) -> Array:
+    def scale_of(self, lamps: Lamps) -> Array:
         """(4,): what the lamps' strength and tint are off, in standard deviations of their prior.
 
         Mean and deviations from it of the mean logarithm of their colours.
@@ -213,7 +216,7 @@ class JointLamps:
             axis=-1,
         )
         cost += float((self.prior.precision * (surface - self.prior.mean) ** 2).sum())
-        return cost + float((self._scale_of(state.lamps) ** 2).sum())
+        return cost + float((self.scale_of(state.lamps) ** 2).sum())
 
     def step(self) -> float:
         """One step; the relative decrease of the cost, 0 where none was found."""
@@ -241,9 +244,9 @@ class JointLamps:
     def information(self) -> tuple[Array, Array, Array]:
         """S (M, M) of the lights with pixels eliminated, undamped; A (P, 6, 6) and B (P, 6, M)."""
         shared, _, own, mixed, _ = self.system()
-        factor = np.linalg.cholesky(own)
-        z = np.linalg.solve(factor, mixed).reshape(-1, mixed.shape[-1])
-        return shared - z.T @ z, own, mixed
+        flat = mixed.reshape(-1, mixed.shape[-1])
+        eliminated = flat.T @ np.matmul(np.linalg.inv(own), mixed).reshape(flat.shape)
+        return shared - eliminated, own, mixed
 
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
@@ -301,7 +304,7 @@ class JointLamps:
             slope = np.zeros((4, size))
             slope[:, 3 * lamps : first] = self._slope_of_scale(state.lamps)
             shared += slope.T @ slope
-            gradient += slope.T @ self._scale_of(state.lamps)
+            gradient += slope.T @ self.scale_of(state.lamps)
         return shared, gradient, own, mixed, gradients
 
     def _of_picture(self, picture: int, found: object) -> tuple[NDArray[np.intp], Array]:
@@ -339,23 +342,21 @@ class JointLamps:
         lamps, terms = self.state.lamps, self.freedom.ambient_terms
         basis = self.basis(len(gradient))
         try:
-            factor = np.linalg.cholesky(own)
-            solved = np.linalg.solve(factor, np.concatenate([mixed, gradients[..., None]], axis=-1))
-            z, y = solved[..., :-1].reshape(-1, len(gradient)), solved[..., -1].reshape(-1)
-            matrix = basis.T @ (shared - z.T @ z) @ basis
-            right = basis.T @ (z.T @ y - gradient)
-            diagonal = np.einsum("mm->m", matrix)
-            diagonal += self.damping * np.maximum(np.diag(basis.T @ shared @ basis), 1e-12)
-            change = basis @ np.linalg.solve(matrix, right)
+            inverse = np.linalg.inv(own)
+            solved = np.matmul(inverse, mixed @ basis)
+            flat = (mixed @ basis).reshape(-1, basis.shape[1])
+            eliminated = flat.T @ solved.reshape(flat.shape)
+            matrix = basis.T @ shared @ basis
+            diagonal = self.damping * np.maximum(np.diag(matrix), 1e-12)
+            matrix = matrix - eliminated + np.diag(diagonal)
+            right = solved.reshape(flat.shape).T @ gradients.reshape(-1) - basis.T @ gradient
+            moved = np.linalg.solve(matrix, right)
         except np.linalg.LinAlgError:
             return None
+        change = basis @ moved
         if not np.isfinite(change).all():
             return None
-        # Pixels: −C⁻ᵀ (C⁻¹ g + Z δy).
-        of_pixels = np.linalg.solve(
-            np.swapaxes(factor, 1, 2),
-            -(y + z @ change).reshape(len(own), UNKNOWNS)[..., None],
-        )[..., 0]
+        of_pixels = -np.einsum("puv,pv->pu", inverse, gradients) - solved @ moved
         places = change[: 3 * len(lamps)].reshape(-1, 3)
         colors = change[3 * len(lamps) : 6 * len(lamps)].reshape(-1, 3)
         ambient = self.state.ambient.copy()
@@ -401,6 +402,8 @@ class JointLamps:
             block[3 * count : 6 * count] = np.eye(3 * count)
             if self.freedom.same_lamp:
                 block = block.reshape(size, count, 3).sum(axis=1)
+            if not self.freedom.scale:
+                block = block @ self._at_one_scale()
             free.append(block)
         terms = self.freedom.ambient_terms
         if terms:
@@ -408,6 +411,17 @@ class JointLamps:
             block[6 * count :] = np.eye(size - 6 * count)
             free.append(block)
         return np.concatenate(free, axis=1) if free else np.zeros((size, 0))
+
+    def _at_one_scale(self) -> Array:
+        """Changes of the colours that leave the mean logarithm of each channel, in columns."""
+        from scipy.linalg import null_space
+
+        colors = np.maximum(self.state.lamps.colors, 1e-12)
+        count = 1 if self.freedom.same_lamp else len(colors)
+        fixed = np.zeros((3, count, 3))
+        for c in range(3):
+            fixed[c, :, c] = 1 / colors[:count, c]
+        return np.asarray(null_space(fixed.reshape(3, -1)))
 
 
 def minimize(

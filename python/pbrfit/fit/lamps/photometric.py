@@ -136,10 +136,10 @@ def moments(weights: Array, lamps: Array) -> Array:
 
 
 def weights_of(relative: Array, usable: Mask, predicted: Array, sigma: float) -> Array:
-    """Weights of samples: the slope of ρ by x², 1/(1 + x²)²; 0 where the lamp is behind."""
-    residual = (relative - np.maximum(predicted, 0.0)) / sigma
+    """Weights of samples: the slope of ρ by x², 1/(1 + x²)²; 0 of those that are dark."""
+    residual = (relative - predicted) / sigma
     weights = 1 / (1 + residual**2) ** 2
-    weights[(predicted <= 0) | (relative < DARK) | ~usable] = 0.0
+    weights[(relative < DARK) | ~usable] = 0.0
     return weights
 
 
@@ -155,7 +155,7 @@ def _solved(relative: Array, weights: Array, lamps: Array) -> Array:
 def scale_of(relative: Array, usable: Mask, predicted: Array) -> float:
     """σ from the residuals of samples that are lit: their median, of those that three unknowns a
     pixel leave free."""
-    lit = usable & (predicted > 0) & (relative >= DARK)
+    lit = usable & (relative >= DARK)
     if not lit.any():
         return SCALE_START
     count = lit.sum(axis=1)

@@ -1,21 +1,22 @@
-"""How far samples under lamps may be off: noise, misfit of the lobe, and outliers.
+"""How far samples under lamps may be off: what grows with the light, and cast shadows.
 
-An ordinary sample has a normal distribution around the model's radiance I = I_d + I_s, of a diffuse
-part and a lobe, with the variance
+A sample y has a normal distribution around the model's radiance I with the variance
 
-    s² = σ² + (κ I)² + (κ_s I_s)²:
+    s² = σ² + γ y,
 
-noise of the camera and what is proportional to the light, and `LOBE_MISFIT`, because no measured
-lobe has the shape that the model's has (A. Ngan, F. Durand and W. Matusik, "Experimental analysis of
-BRDF models", EGSR 2005). An outlier, in a cast shadow or where a neighbour is mirrored, may be a
-factor of e or more off on either side: ln y − ln I has a Laplace distribution of scale 1, which in
-shadows is a uniform one of y in [0, I],
+as of photons, though what is left is mostly misfit. With a variance in proportion to y², as misfit
+has it, the many samples that are diffuse would outvote the few that see a highlight; with an equal
+one, a highlight would be all that counts. Variances are of samples, not of the model, so that a
+model does not gain by showing what it would then be excused for.
 
-    p(y | outlier) = 1/(2 I) for y < I,     I/(2 y²) for y > I.
+What is darker than the model may be in a cast shadow, anything between 0 and I:
 
-So a highlight that is shown where there is none costs more the brighter it is. As a sum of squares
-Σ w (I − y)² a sample counts P/s² + (1 − P)/(I |I − y|), or y in place of I if that is more, with the
-probability P that it is ordinary: the weights that have the gradient of the likelihood.
+    p(y | shadow) = 1/I.
+
+So a highlight that is shown where there is none costs more the brighter it is. Nothing excuses what
+is brighter than the model: of outliers on both sides, highlights would be one. As a sum of squares
+Σ w (I − y)² a sample counts P/s² + (1 − P)/(I |I − y|), with the probability P that it is in no
+shadow: the weights that have the gradient of the likelihood.
 """
 
 from __future__ import annotations
@@ -25,25 +26,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radiance
 
 Array = NDArray[np.float64]
 
 NOISE_MIN = 1e-4
 """Least σ, in units where the mean radiance is 0.4: below what 8 bits or float16 can tell."""
 
-RELATIVE_MIN = 0.005
-"""Least κ: lamps that are a per cent larger or nearer than taken make as much."""
+RELATIVE_MIN = 0.05
+"""Least relative deviation of a sample of the mean radiance, √(γ/0.4): no surface is as diffuse as
+the model, and no lamp as far away, to better than some per cent. Where pictures obey the model,
+nothing is left, and weights do not matter."""
 
-LOBE_MISFIT = 0.3
-"""κ_s: the root mean square error of the best fits of one lobe to measured highlights is some tens
-of per cent."""
+SHADOWS = 1e-3, 0.5
+"""Bounds of the share of a picture's samples in cast shadows: with more, they would be the rule."""
 
-OUTLIERS_MIN, OUTLIERS_MAX = 1e-3, 0.5
-"""Bounds of the share of outliers in a picture: with more than a half, they would be the rule."""
-
-FIRST_FLOOR, FIRST_RELATIVE, FIRST_OUTLIERS = 0.02, 0.1, 0.1
-"""σ, κ and outliers before anything was fitted, for which 10 % are much."""
+FIRST_FLOOR, FIRST_RELATIVE, FIRST_SHADOWS = 0.02, 0.15, 0.1
+"""σ, relative deviation and shadows before anything was fitted, for which 10 % are much."""
 
 ROUNDS = 20
 """Of the equations for σ and κ, which are linear given the variances."""
@@ -54,10 +53,10 @@ class Left:
     """What a state leaves of samples, (P, N, 3) each."""
 
     residuals: Array
+    shown: Array
+    """The model's radiance."""
     level: Array
-    """The model's radiance, or the sample if it is more."""
-    lobe: Array
-    """What of the level is no diffuse reflection."""
+    """The sample, or `NOISE_MIN`."""
     counted: NDArray[np.bool_]
     """(P, N): samples that are data."""
 
@@ -65,15 +64,12 @@ class Left:
     def of(cls, pixels: LampPixels, state: LampState, shown: Array | None = None) -> Left:
         """At a state, whose radiance may be known."""
         shown = radiance(pixels, state) if shown is None else shown
-        directions, strengths = state.incident(pixels)
-        cosines = np.maximum(np.einsum("px,pkx->pk", state.normals, directions), 0) * strengths
-        diffuse = np.zeros(shown.shape)
-        for k, picture in enumerate(state.lamps.pictures):
-            diffuse[:, picture] += cosines[:, k, None] * state.lamps.colors[k]
-        diffuse *= (state.albedo * (1 - state.metallic[:, None]))[:, None]
-        level = np.maximum(np.maximum(shown, pixels.samples), NOISE_MIN)
-        lobe = np.maximum(shown - diffuse, 0.0)
-        return cls(pixels.residuals(shown), level, lobe, (pixels.weights > 0).any(axis=-1))
+        return cls(
+            pixels.residuals(shown),
+            np.maximum(shown, NOISE_MIN),
+            np.maximum(pixels.samples, NOISE_MIN),
+            (pixels.weights > 0).any(axis=-1),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,43 +79,41 @@ class Noise:
     floor: float
     """σ, in the pictures' scale."""
     relative: float
-    """κ."""
-    outliers: Array
-    """(N,): share of outliers of each picture."""
+    """√(γ/0.4): relative, at the mean radiance."""
+    shadows: Array
+    """(N,): share of samples in cast shadows of each picture."""
 
     @classmethod
     def first(cls, pixels: LampPixels) -> Noise:
         """Before anything was fitted."""
-        share = np.full(pixels.pictures, FIRST_OUTLIERS)
+        share = np.full(pixels.pictures, FIRST_SHADOWS)
         return cls(FIRST_FLOOR, FIRST_RELATIVE, share)
 
     def variance(self, left: Left) -> Array:
         """(P, N, 3): s²."""
-        of_lobe = (LOBE_MISFIT * left.lobe) ** 2
-        return np.asarray(self.floor**2 + (self.relative * left.level) ** 2 + of_lobe)
+        return np.asarray(self.floor**2 + self.relative**2 * MEAN_RADIANCE * left.level)
 
     def log_odds(self, left: Left) -> Array:
-        """(P, N): ln of the odds that a sample is ordinary.
+        """(P, N): ln of the odds that a sample is in no cast shadow; infinite where it is brighter.
 
         Its channels share what is left of them, so they tell as much as one.
         """
-        variance = self.variance(left)
-        misfit = 0.5 * (np.square(left.residuals) / variance).mean(axis=-1)
-        density = 0.5 * np.log(2 * np.pi * variance).mean(axis=-1)
-        share = np.clip(self.outliers, OUTLIERS_MIN, OUTLIERS_MAX)
-        return np.asarray(np.log(1 / share - 1) - misfit - density - self._log_outlier(left))
+        share = np.clip(self.shadows, *SHADOWS)
+        odds = np.log(1 / share - 1) + self._log_ordinary(left) + np.log(_shown(left))
+        return np.where(left.residuals.mean(axis=-1) > 0, odds, np.inf)
 
-    def _log_outlier(self, left: Left) -> Array:
-        """(P, N): ln of the density of a sample that is an outlier."""
-        level = left.level.mean(axis=-1)
-        over = left.residuals.mean(axis=-1)
-        shown = np.where(over > 0, level, np.maximum(level + over, NOISE_MIN))
-        return np.asarray(np.log(shown) - 2 * np.log(level) - np.log(2))
+    def _log_ordinary(self, left: Left) -> Array:
+        variance = self.variance(left)
+        terms = np.square(left.residuals) / variance + np.log(2 * np.pi * variance)
+        return np.asarray(-0.5 * terms.mean(axis=-1))
 
     def log_likelihoods(self, left: Left) -> Array:
-        """(P, N): ln of the likelihood of samples, ordinary or not; 0 of those that are no data."""
-        share = np.clip(self.outliers, OUTLIERS_MIN, OUTLIERS_MAX)
-        each = np.log(share) + self._log_outlier(left) + np.logaddexp(0, self.log_odds(left))
+        """(P, N): ln of the likelihood of samples; 0 of those that are no data."""
+        share = np.clip(self.shadows, *SHADOWS)
+        ordinary = np.log(1 - share) + self._log_ordinary(left)
+        shadow = np.log(share) - np.log(_shown(left))
+        dark = left.residuals.mean(axis=-1) > 0
+        each = np.where(dark, np.logaddexp(ordinary, shadow), ordinary)
         return np.asarray(each * left.counted)
 
     def weights(self, left: Left, odds: Array | None = None) -> Array:
@@ -127,24 +121,24 @@ class Noise:
         odds = self.log_odds(left) if odds is None else odds
         ordinary = probability(odds)[..., None]
         variance = self.variance(left)
-        # No outlier weighs more than it would as an ordinary sample.
-        of_outliers = np.minimum(
-            1 / (left.level * np.maximum(np.abs(left.residuals), NOISE_MIN)), 1 / variance
+        # In a shadow no sample weighs more than in none.
+        of_shadow = np.minimum(
+            1 / (left.shown * np.maximum(np.abs(left.residuals), NOISE_MIN)), 1 / variance
         )
-        return np.asarray(ordinary / variance + (1 - ordinary) * of_outliers)
+        return np.asarray(ordinary / variance + (1 - ordinary) * of_shadow)
 
     def renewed(self, left: Left, freedom: float) -> Noise:
         """From what is left; `freedom` is the share that the unknowns have not taken up."""
         ordinary = probability(self.log_odds(left)) * left.counted
         weights = np.repeat(ordinary[..., None], 3, axis=-1).ravel()
         squares = np.square(left.residuals).ravel() / freedom
-        squares = np.maximum(squares - (LOBE_MISFIT * left.lobe.ravel()) ** 2, 0)
-        bright = np.square(left.level).ravel()
-        lobe = (LOBE_MISFIT * left.lobe.ravel()) ** 2
+        bright = MEAN_RADIANCE * left.level.ravel()
+        # What highlights leave says nothing of other samples.
+        weights = weights * (bright < MEAN_RADIANCE * np.quantile(left.level, 0.95))
         floor2, relative2 = self.floor**2, self.relative**2
         for _ in range(ROUNDS):
             # The likelihood's equations, weighed by 1/variance²: two straight lines.
-            w = weights / np.maximum(floor2 + relative2 * bright + lobe, NOISE_MIN**2) ** 2
+            w = weights / np.maximum(floor2 + relative2 * bright, NOISE_MIN**2) ** 2
             a, b, c = w.sum(), (w * bright).sum(), (w * bright * bright).sum()
             d, e = (w * squares).sum(), (w * bright * squares).sum()
             determinant = a * c - b * b
@@ -158,11 +152,12 @@ class Noise:
                 floor2 = max((d - b * relative2) / max(a, 1e-300), NOISE_MIN**2)
         seen = np.maximum(left.counted.sum(axis=0), 1)
         share = (left.counted - ordinary).sum(axis=0) / seen
-        return Noise(
-            float(np.sqrt(floor2)),
-            float(np.sqrt(relative2)),
-            np.clip(share, OUTLIERS_MIN, OUTLIERS_MAX),
-        )
+        return Noise(float(np.sqrt(floor2)), float(np.sqrt(relative2)), np.clip(share, *SHADOWS))
+
+
+def _shown(left: Left) -> Array:
+    """(P, N): the model's radiance, mean over channels."""
+    return np.asarray(left.shown.mean(axis=-1))
 
 
 def probability(odds: Array) -> Array:

@@ -350,20 +350,21 @@ def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum,
     best = found[0]
     undetermined = []
     if not told:
-        # The surface that is bulged the other way, with lamps from the other side.
+        # The surface that is bulged the other way, with lamps from the other side: without
+        # perspective no cue but the outline knows it from this one.
         flip = np.diag([-1.0, -1.0, 1.0])
-        twin = Minimum(
-            Transform(best.transform.normals @ flip, best.transform.lamps @ flip),
-            best.cost,
-            best.parts,
+        twin = Minimum.at(
+            Transform(best.transform.normals @ flip, best.transform.lamps @ flip), places
         )
-        height = directions(places.lamps @ best.transform.lamps)[0][:, 1].mean()
-        if height < 0:
-            best = twin
-        undetermined.append(
-            "No outline tells a surface from the one bulged the other way under lamps from the "
-            f"other side: lamps are taken to be above rather than below (mean height {height:+.2f})"
-        )
+        height = float(directions(places.lamps @ best.transform.lamps)[0][:, 1].mean())
+        if twin.cost - best.cost < EQUALLY_LIKELY:
+            if height < 0:
+                best = twin
+            undetermined.append(
+                "No outline and no perspective tells a surface from the one bulged the other way "
+                "under lamps from the other side: lamps are taken to be above rather than below "
+                f"(mean of their y: {abs(height):.2f})"
+            )
     normals = directions(places.vectors @ best.transform.normals)[0]
     for other in found[1:]:
         if other.cost - found[0].cost > EQUALLY_LIKELY:

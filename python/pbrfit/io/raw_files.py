@@ -1,0 +1,198 @@
+"""Raw files of cameras, developed by LibRaw (the package rawpy) to linear light.
+
+Pictures of one view must stay comparable, so nothing depends on what a picture shows: no automatic
+brightness, and the sensor's white level is 65535 in all of them. The white balance is the camera's
+of each picture.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io.color import REC709, rgb_to_xyz
+from pbrfit.io.exif import focal_length_35mm
+from pbrfit.io.limits import AT_LEAST, Limits, converted, of_codes
+from pbrfit.io.quoting import shown
+
+# fmt: off
+RAW_SUFFIXES = frozenset({
+    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos",
+    ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw",
+    ".x3f",
+})
+# fmt: on
+
+SATURATED = 0.99
+"""Share of the way from a sensor's black level to its white level from which on a sample counts as
+clipped: sensors reach their white level with some spread."""
+
+REACH = 2
+"""Pixels around a sensor's sample that its value gets to where colours are interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Developed:
+    """A raw file as linear light."""
+
+    samples: NDArray[np.uint16]
+    """(H, W, 3), linear Rec.709 times 65535, turned as the camera was held."""
+    limits: Limits | None
+    """(H, W, 3): where `samples` bound the radiance; None = nowhere."""
+    color: str
+    """One sentence on its colour."""
+    focal_length_35mm: float | None
+    """In millimetres; None = the file does not say."""
+
+
+def is_raw(path: Path, head: bytes, kind: str | None) -> bool:
+    """Whether a file of this content (its first bytes) and format is a camera's raw file.
+
+    Many raw files are TIFF files whose first page is a thumbnail, so there the name decides.
+    """
+    canon = (head[:4] == b"II*\0" and head[8:10] == b"CR") or head[4:12] == b"ftypcrx "
+    return canon or (path.suffix.lower() in RAW_SUFFIXES and kind in ("TIFF", None))
+
+
+def how_to_develop(path: Path) -> str:
+    """What to do with a raw file elsewhere."""
+    return (
+        f"develop it first, for example with `darktable-cli {path.name} {path.stem}.exr`, or with "
+        f"`dcraw -4 -T {path.name}` and then colour space linear"
+    )
+
+
+def develop(path: Path, data: bytes, codes: tuple[int, int]) -> Developed:
+    """Develop the content of a raw file.
+
+    `codes` are the lowest and the highest of 65536 that are data. Raises InputError if rawpy is not
+    there, or LibRaw cannot read the file.
+    """
+    with _opened(path, data) as (rawpy, raw):
+        samples: NDArray[np.uint16] = raw.postprocess(
+            gamma=(1, 1),
+            no_auto_bright=True,
+            adjust_maximum_thr=0.0,  # else the white level is what a picture's brightest pixel has
+            use_camera_wb=True,
+            output_bps=16,
+            output_color=rawpy.ColorSpace.sRGB,
+        )
+        if samples.ndim != 3 or samples.shape[2] != 3 or samples.dtype != np.uint16:
+            raise InputError(
+                f"{path}: expected three channels of 16 bits, found {samples.shape} {samples.dtype}"
+            )
+        limits = of_codes(samples, *codes)
+        clipped = _clipped(raw, samples.shape)
+        if clipped is not None and clipped.any():
+            found = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
+            # Where the developed value is at its end, that is nearer the truth.
+            limits = found if limits is None else np.where(limits != 0, limits, found)
+        factors = np.array(raw.camera_whitebalance[:3], np.float64)
+        focal_length = focal_length_35mm(_as_tiff(data)) or focal_length_35mm(_exif_of_thumb(raw))
+    balance = "camera white balance"
+    if factors[1] > 0:
+        balance += " {:.3g}, 1, {:.3g}".format(*(factors[[0, 2]] / factors[1]))
+    color = f"linear Rec.709, {balance} (raw file, LibRaw)"
+    return Developed(np.ascontiguousarray(samples), limits, color, focal_length)
+
+
+def size(path: Path) -> tuple[int, int]:
+    """(height, width) of a raw file before it is turned; InputError as `develop`."""
+    with _opened(path, path.read_bytes()) as (_, raw):
+        return int(raw.sizes.height), int(raw.sizes.width)
+
+
+@contextmanager
+def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
+    """Give rawpy, and the file as it reads it."""
+    try:
+        import rawpy  # here: an extra package
+    except ImportError:
+        raise InputError(
+            f"{path}: expected rawpy, which reads raw files, found a raw file without it: pip "
+            f"install 'pbrfit[raw]', or {how_to_develop(path)}"
+        ) from None
+    try:
+        with rawpy.imread(io.BytesIO(data)) as raw:
+            yield rawpy, raw
+    except rawpy.LibRawError as error:
+        words = error.args[0] if error.args else error
+        said = words.decode("utf-8", "replace") if isinstance(words, bytes) else str(words)
+        raise InputError(
+            f"{path}: expected a raw file that LibRaw reads, found {shown(said)}"
+        ) from None
+
+
+def _clipped(raw: Any, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    """(H, W, 3): where a sensor's sample of a channel was clipped, turned as the picture is.
+
+    None where the sensor's samples do not lie under those of the picture.
+    """
+    from scipy.ndimage import maximum_filter
+
+    sensor = raw.raw_image_visible
+    white = np.array(raw.camera_white_level_per_channel or [raw.white_level] * 4, np.float64)
+    white[white <= 0] = raw.white_level
+    black = np.array(raw.black_level_per_channel, np.float64)
+    limit = black + SATURATED * (white - black)
+    if sensor.ndim == 3:  # every channel at every pixel
+        clipped = np.asarray(sensor[..., :3] >= limit[:3])
+    else:
+        colors = raw.raw_colors_visible
+        over = sensor >= limit[np.minimum(colors, 3)]
+        channels = np.where(colors == 3, 1, colors)  # the second green
+        around = 2 * REACH + 1
+        clipped = np.stack(
+            [maximum_filter(over & (channels == c), around) for c in range(3)], axis=-1
+        )
+    # dcraw's flip: 4 swaps rows and columns, after 2 and 1 have turned them round.
+    if raw.sizes.flip & 2:
+        clipped = clipped[::-1]
+    if raw.sizes.flip & 1:
+        clipped = clipped[:, ::-1]
+    if raw.sizes.flip & 4:
+        clipped = clipped.swapaxes(0, 1)
+    return clipped if clipped.shape == shape else None
+
+
+def _matrix(raw: Any) -> NDArray[np.float64] | None:
+    """(3, 3) from the camera's balanced channels to linear Rec.709; rows sum to 1.
+
+    Either LibRaw has it, or it follows from the matrix from XYZ to the camera's channels, whose
+    rows are scaled so that white has equal ones. None = not known.
+    """
+    matrix = np.asarray(raw.color_matrix, np.float64)[:, :3]
+    if not np.allclose(matrix.sum(axis=1), 1.0, atol=1e-2):
+        to_camera = np.asarray(raw.rgb_xyz_matrix, np.float64)[:3] @ rgb_to_xyz(REC709)
+        sums = to_camera.sum(axis=1)
+        if not (sums > 0).all() or np.linalg.cond(to_camera) > 1e6:
+            return None
+        matrix = np.linalg.inv(to_camera / sums[:, None])
+    return matrix
+
+
+def _as_tiff(data: bytes) -> bytes | None:
+    """The file as one of TIFF, where it is built like one: some makers have other first bytes."""
+    for order, mark in ((b"II", b"II*\0"), (b"MM", b"MM\0*")):
+        if data[:2] == order:
+            return mark + data[4:]
+    return None
+
+
+def _exif_of_thumb(raw: Any) -> bytes | None:
+    """EXIF of the JPEG that many raw files hold for a quick look."""
+    try:
+        thumb = raw.extract_thumb()
+    except Exception:  # none, or of a form that rawpy does not know
+        return None
+    found = re.search(rb"Exif\0\0(?=II\*\0|MM\0\*)", bytes(thumb.data[: 1 << 16]))
+    return None if found is None else bytes(thumb.data[found.start() : found.start() + (1 << 16)])

@@ -1,0 +1,208 @@
+//! Levenberg–Marquardt on one pixel under known lamps.
+//!
+//! As in [`pixel::descent`](crate::pixel::descent), where the rules are that this takes over: a step
+//! solves (A + λ diag A) δ = −g inside a box, and what is cut there stays cut while the others are
+//! solved for again. A lobe of a lamp is as narrow as α, so roughness always moves as it does there
+//! beside free normals: down by at most half, up to at most twice as much.
+
+use glam::DVec3;
+
+use super::samples::{Equations, METALLIC, OFFSET, Point, ROUGHNESS, Samples, UNKNOWNS};
+use crate::pixel::arrowhead::Arrowhead;
+use crate::pixel::descent::{
+    DIAGONAL_MIN, ROUGHNESS_HALVING_FLOOR, ROUGHNESS_STEP_MAX, after_trial,
+};
+use crate::pixel::offset_step::limit_offset_step;
+use crate::reflectance::planes::Material;
+use crate::reflectance::reflection::Reflection;
+use crate::reflectance::tangent_offset::{OFFSETS, OffsetNormal, offset_normal};
+
+/// Least perceptual roughness that a fit starts from where it is free. The derivative by roughness is
+/// 0 at 0: it would stay there.
+const START_ROUGHNESS_MIN: f64 = 0.03;
+/// Least n·v of a normal that a step may lead to, unless it was less before: 89.4 degrees.
+const N_DOT_V_MIN: f64 = 0.01;
+/// Damping λ of the first step, as a share of the diagonal.
+const FIRST_DAMPING: f64 = 1e-3;
+/// Decrease of the cost, as a share of it, up to which a pixel stops.
+const DECREASE_MIN: f64 = 1e-9;
+
+/// Which unknowns move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Free {
+    /// The normal, by its tangent offset.
+    pub normals: bool,
+    /// Metallic.
+    pub metallic: bool,
+    /// Roughness.
+    pub roughness: bool,
+}
+
+impl Free {
+    /// By unknown.
+    pub(super) fn unknowns(self) -> [bool; UNKNOWNS] {
+        let mut free = [true; UNKNOWNS];
+        free[ROUGHNESS] = self.roughness;
+        free[METALLIC] = self.metallic;
+        free[OFFSET..].fill(self.normals);
+        free
+    }
+}
+
+/// A pixel where its fit ended.
+pub(super) struct Ended {
+    pub(super) point: Point,
+    pub(super) cost: f64,
+    pub(super) equations: Equations,
+}
+
+/// The fit of one pixel.
+pub(super) struct Descent<'a> {
+    pub(super) samples: Samples<'a>,
+    /// The normal that tangent offsets are of.
+    pub(super) base: DVec3,
+    pub(super) start: Point,
+    pub(super) free: Free,
+}
+
+impl Descent<'_> {
+    /// At most so many steps. What it ends at is never worse than the start.
+    pub(super) fn run<M: Reflection>(&self, iterations: usize) -> Ended {
+        let start = self.start;
+        let mut at = start;
+        let raised = self.free.roughness
+            && at.material.roughness < START_ROUGHNESS_MIN
+            && iterations > 0
+            && self.samples.any();
+        if raised {
+            at.material.roughness = START_ROUGHNESS_MIN;
+        }
+        let ended = self.from::<M>(at, iterations);
+        if raised {
+            let cost = self.samples.cost::<M>(&start);
+            // Written so that NaN keeps the start.
+            if !(ended.cost < cost) {
+                return self.here::<M>(start);
+            }
+        }
+        ended
+    }
+
+    fn from<M: Reflection>(&self, start: Point, iterations: usize) -> Ended {
+        let mut ended = self.here::<M>(start);
+        let mut damping = FIRST_DAMPING;
+        for _ in 0..iterations {
+            let (trial, predicted) = self.step(&ended, 1.0 + damping);
+            let n_dot_v = |point: &Point| point.normal.dot(self.samples.view);
+            let least = N_DOT_V_MIN.min(n_dot_v(&ended.point));
+            let cost = if n_dot_v(&trial) >= least {
+                self.samples.cost::<M>(&trial)
+            } else {
+                f64::INFINITY
+            };
+            let costs = [ended.cost, cost];
+            let (accepted, goes_on, next) =
+                after_trial(costs, predicted, DECREASE_MIN * ended.cost, damping);
+            if accepted {
+                ended = Ended {
+                    point: trial,
+                    cost,
+                    equations: self.equations::<M>(&trial),
+                };
+            }
+            if !goes_on {
+                break;
+            }
+            damping = next;
+        }
+        ended
+    }
+
+    fn here<M: Reflection>(&self, point: Point) -> Ended {
+        Ended {
+            point,
+            cost: self.samples.cost::<M>(&point),
+            equations: self.equations::<M>(&point),
+        }
+    }
+
+    fn equations<M: Reflection>(&self, point: &Point) -> Equations {
+        let by_offset = (self.free.normals).then(|| self.turned(point.offset).by_offset);
+        self.samples.equations::<M>(point, by_offset.as_ref())
+    }
+
+    /// The normal of a tangent offset: that of the start to the last digit.
+    fn turned(&self, offset: [f64; OFFSETS]) -> OffsetNormal {
+        let mut turned = offset_normal(self.base, offset);
+        if offset == self.start.offset {
+            turned.normal = self.start.normal;
+        }
+        turned
+    }
+
+    /// Where one step leads, and by how much the cost would fall were it quadratic.
+    fn step(&self, from: &Ended, damped: f64) -> (Point, f64) {
+        let value = from.point.values();
+        let Equations { matrix, gradient } = &from.equations;
+        let mut system = Arrowhead::<3, UNKNOWNS>::new(matrix, gradient);
+        let (mut lowest, mut highest) = ([0.0; OFFSET], [0.0; OFFSET]);
+        for x in 0..OFFSET {
+            (lowest[x], highest[x]) = (-value[x], 1.0 - value[x]);
+        }
+        let down = 0.5 * (ROUGHNESS_HALVING_FLOOR - value[ROUGHNESS]);
+        let up = (value[ROUGHNESS] + ROUGHNESS_HALVING_FLOOR).min(ROUGHNESS_STEP_MAX);
+        lowest[ROUGHNESS] = lowest[ROUGHNESS].max(down).max(-ROUGHNESS_STEP_MAX);
+        highest[ROUGHNESS] = highest[ROUGHNESS].min(up);
+        for (x, is_free) in self.free.unknowns().into_iter().enumerate() {
+            let outwards = x < OFFSET
+                && if gradient[x] > 0.0 {
+                    value[x] <= 0.0
+                } else {
+                    value[x] >= 1.0
+                };
+            let held = !is_free || outwards || system.diagonal[x] <= DIAGONAL_MIN;
+            system.free[x] = if held { 0.0 } else { 1.0 };
+        }
+        let hold = |system: &mut Arrowhead<3, UNKNOWNS>, x: usize, moved: f64| {
+            system.free[x] = 0.0;
+            system.fixed[x] = moved;
+        };
+        let mut step = system.solve(damped);
+        for x in 0..OFFSET {
+            let cut = step[x].max(lowest[x]).min(highest[x]);
+            if cut != step[x] {
+                hold(&mut system, x, cut);
+            }
+        }
+        let offset = from.point.offset;
+        let wanted = [step[OFFSET], step[OFFSET + 1]];
+        let (share, there) = limit_offset_step(offset, wanted);
+        if share < 1.0 || there != [0, 1].map(|t| offset[t] + wanted[t]) {
+            for t in 0..OFFSETS {
+                hold(&mut system, OFFSET + t, there[t] - offset[t]);
+            }
+        }
+        step = system.solve(damped);
+        for x in 0..OFFSET {
+            step[x] = step[x].max(lowest[x]).min(highest[x]);
+        }
+        let mut there = offset;
+        if self.free.normals {
+            (_, there) = limit_offset_step(offset, [step[OFFSET], step[OFFSET + 1]]);
+            for t in 0..OFFSETS {
+                step[OFFSET + t] = there[t] - offset[t];
+            }
+        }
+        let moved = |x: usize| (value[x] + step[x]).clamp(0.0, 1.0);
+        let trial = Point {
+            offset: there,
+            normal: self.turned(there).normal,
+            material: Material {
+                albedo: [0, 1, 2].map(moved),
+                roughness: moved(ROUGHNESS),
+                metallic: moved(METALLIC),
+            },
+        };
+        (trial, system.decrease(&step))
+    }
+}

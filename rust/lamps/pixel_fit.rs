@@ -1,0 +1,256 @@
+//! Normals and materials of single pixels under known lamps.
+
+use std::ops::Range;
+
+use glam::DVec3;
+
+use super::descent::{Descent, Ended, Free};
+use super::samples::{AT_MOST, PictureLight, Point, Samples, UNKNOWNS};
+use crate::pixel::pixel_fit::PRIOR_MAX;
+use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::planes::Material;
+use crate::reflectance::sh::COEFFICIENTS;
+use crate::reflectance::tangent_offset::{OFFSET_MAX, OFFSETS, tangents};
+use crate::runtime::check::{LARGEST_F32, MAX_SAMPLES};
+use crate::runtime::memory::zeros;
+use crate::runtime::{Error, Result, check, pool};
+
+/// Pixels in a piece of work.
+const PIECE: usize = 128;
+
+/// Largest weight of a sample that is taken: its product with the square of any residual is finite.
+const WEIGHT_MAX: f64 = 1e100;
+
+/// Numbers that a pixel is told by: tangent offsets, albedos, roughness, metallic.
+pub const NUMBERS: usize = UNKNOWNS;
+
+/// Of each unknown in the order of the equations, its place in that of [`NUMBERS`].
+const PLACES: [usize; UNKNOWNS] = [2, 3, 4, 5, 6, 0, 1];
+
+/// What is known of P pixels in N pictures under K lamps.
+#[derive(Clone, Copy, Debug)]
+pub struct LampPictures<'a> {
+    /// Linear radiance: (pixel, picture).
+    pub pictures: &'a [[f64; 3]],
+    /// Weights of the squared residuals, 0 where there are no data: (pixel, picture).
+    pub weights: &'a [[f64; 3]],
+    /// 0, or [`AT_LEAST`](super::samples::AT_LEAST) or [`AT_MOST`](super::samples::AT_MOST): (pixel,
+    /// picture).
+    pub limits: Option<&'a [[u8; 3]]>,
+    /// Unit vectors from the surface to the camera.
+    pub views: &'a [DVec3],
+    /// Unit vectors from the surface to the lamps: (pixel, lamp).
+    pub directions: &'a [DVec3],
+    /// What the lamps bring, radiance of a white diffuse surface that faces them: (pixel, lamp).
+    pub intensities: &'a [[f64; 3]],
+    /// The picture that each lamp lights, in rising order: (lamp).
+    pub picture_of: &'a [usize],
+    /// SH light of each picture beside its lamps: (picture, coefficient).
+    pub ambient: &'a [[[f64; 3]; COEFFICIENTS]],
+    /// Unit normals that tangent offsets are of.
+    pub base_normals: &'a [DVec3],
+    /// Means of Gaussian priors Σ precision (x − mean)²: (pixel), by [`NUMBERS`].
+    pub prior_mean: &'a [[f64; NUMBERS]],
+    /// Their precisions, 0 for none.
+    pub prior_precision: &'a [[f64; NUMBERS]],
+}
+
+/// How pixels are fitted.
+#[derive(Clone, Copy, Debug)]
+pub struct LampFit {
+    /// What moves beside the albedo.
+    pub free: Free,
+    /// Steps at most.
+    pub iterations: usize,
+    /// What makes radiance of materials.
+    pub model: Model,
+    /// 0 means one for each processor.
+    pub threads: usize,
+}
+
+/// Pixels where their fits ended.
+#[derive(Clone, Debug)]
+pub struct LampFitted {
+    /// Unit normals.
+    pub normals: Vec<DVec3>,
+    /// In \[0, 1\].
+    pub materials: Vec<Material>,
+    /// Σ w residual² with the prior.
+    pub costs: Vec<f64>,
+    /// Jᵀ W J with the precision of the prior, 0 where an unknown was held: (pixel), by [`NUMBERS`].
+    pub information: Vec<[[f64; NUMBERS]; NUMBERS]>,
+}
+
+/// The best normal and material of each pixel near a start, never worse than it.
+///
+/// Pixels do not know of each other. The result does not depend on the number of threads.
+pub fn fit_under_lamps(
+    given: LampPictures,
+    start_normals: &[DVec3],
+    materials: &[Material],
+    how: LampFit,
+) -> Result<LampFitted> {
+    let lights = given.check(start_normals, materials)?;
+    let offsets = start_offsets(given.base_normals, start_normals)?;
+    let pixels = materials.len();
+    let mut fitted = LampFitted {
+        normals: zeros("start_normals", pixels)?,
+        materials: Vec::new(),
+        costs: zeros("pictures", pixels)?,
+        information: zeros("prior_precision", pixels)?,
+    };
+    (fitted.materials.try_reserve_exact(pixels)).map_err(|_| Error::Memory("albedo"))?;
+    fitted.materials.extend_from_slice(materials);
+    let any_ambient = lights.iter().any(|light| light.ambient.is_some());
+    let (pictures, lamps) = (lights.len(), given.picture_of.len());
+    let descent = |p: usize| {
+        let of_pictures = p * pictures..(p + 1) * pictures;
+        let of_lamps = p * lamps..(p + 1) * lamps;
+        Descent {
+            samples: Samples {
+                model: how.model,
+                view: given.views[p],
+                lights: &lights,
+                any_ambient,
+                targets: &given.pictures[of_pictures.clone()],
+                weights: &given.weights[of_pictures.clone()],
+                limits: given.limits.map(|limits| &limits[of_pictures]),
+                directions: &given.directions[of_lamps.clone()],
+                intensities: &given.intensities[of_lamps],
+                prior_mean: PLACES.map(|place| given.prior_mean[p][place]),
+                prior_precision: PLACES.map(|place| given.prior_precision[p][place]),
+            },
+            base: given.base_normals[p].normalize(),
+            start: Point {
+                offset: offsets[p],
+                normal: start_normals[p],
+                material: materials[p],
+            },
+            free: how.free,
+        }
+    };
+    let pieces = (fitted.normals.chunks_mut(PIECE))
+        .zip(fitted.materials.chunks_mut(PIECE))
+        .zip(fitted.costs.chunks_mut(PIECE))
+        .zip(fitted.information.chunks_mut(PIECE))
+        .enumerate()
+        .collect();
+    pool::map(
+        how.threads,
+        pieces,
+        |(piece, (((normals, materials), costs), information))| {
+            for i in 0..normals.len() {
+                let descent = descent(piece * PIECE + i);
+                let ended = with_model!(how.model, M => descent.run::<M>(how.iterations));
+                normals[i] = ended.point.normal;
+                materials[i] = ended.point.material;
+                costs[i] = ended.cost;
+                information[i] = known(&ended, how.free);
+            }
+        },
+    );
+    Ok(fitted)
+}
+
+/// The information of a pixel in the order of [`NUMBERS`].
+fn known(ended: &Ended, free: Free) -> [[f64; NUMBERS]; NUMBERS] {
+    let (free, matrix) = (free.unknowns(), &ended.equations.matrix);
+    let mut information = [[0.0; NUMBERS]; NUMBERS];
+    for x in 0..UNKNOWNS {
+        for y in 0..=x {
+            if free[x] && free[y] {
+                information[PLACES[x]][PLACES[y]] = matrix[x][y];
+                information[PLACES[y]][PLACES[x]] = matrix[x][y];
+            }
+        }
+    }
+    information
+}
+
+/// The tangent offset of each start: with n·n₀ > 0, a = n·t₁/n·n₀ and b = n·t₂/n·n₀.
+fn start_offsets(base: &[DVec3], start: &[DVec3]) -> Result<Vec<[f64; OFFSETS]>> {
+    let mut offsets = zeros("start_normals", start.len())?;
+    for (p, offset) in offsets.iter_mut().enumerate() {
+        let base = base[p].normalize();
+        let along = start[p].dot(base);
+        *offset = tangents(base).map(|t| start[p].dot(t) / along);
+        // Written so that NaN fails.
+        let within = |x: f64| x.abs() <= OFFSET_MAX;
+        if !(along > 0.0 && within(offset[0]) && within(offset[1])) {
+            let expected = "normals less than 90 degrees from base_normals";
+            let found = format!(
+                "{:.1} degrees at {p}",
+                along.clamp(-1.0, 1.0).acos().to_degrees()
+            );
+            return Err(Error::argument("start_normals", expected, found));
+        }
+    }
+    Ok(offsets)
+}
+
+impl LampPictures<'_> {
+    fn check(&self, start: &[DVec3], materials: &[Material]) -> Result<Vec<PictureLight>> {
+        let (pixels, pictures) = (materials.len(), self.ambient.len());
+        let samples = check::samples(pictures, pixels)?;
+        check::length("pictures", samples, self.pictures.len())?;
+        check::length("weights", samples, self.weights.len())?;
+        if let Some(limits) = self.limits {
+            check::length("limits", samples, limits.len())?;
+            let limits = limits.as_flattened();
+            if let Some(i) = limits.iter().position(|&limit| limit > AT_MOST) {
+                let found = format!("{} at {i}", limits[i]);
+                return Err(Error::argument("limits", "0, 1 or 2", found));
+            }
+        }
+        check::length("views", pixels, self.views.len())?;
+        check::length("base_normals", pixels, self.base_normals.len())?;
+        check::length("start_normals", pixels, start.len())?;
+        check::length("prior_mean", pixels, self.prior_mean.len())?;
+        check::length("prior_precision", pixels, self.prior_precision.len())?;
+        let lamps = self.picture_of.len();
+        if pixels.saturating_mul(lamps) > MAX_SAMPLES {
+            let expected = format!("at most {MAX_SAMPLES} pixels times lamps");
+            return Err(Error::argument(
+                "directions",
+                expected,
+                pixels.saturating_mul(lamps),
+            ));
+        }
+        check::length("directions", pixels * lamps, self.directions.len())?;
+        check::length("intensities", pixels * lamps, self.intensities.len())?;
+        check::moderate("pictures", self.pictures.as_flattened(), LARGEST_F32)?;
+        check::moderate("weights", self.weights.as_flattened(), WEIGHT_MAX)?;
+        check::not_negative("weights", self.weights.as_flattened())?;
+        check::moderate("intensities", self.intensities.as_flattened(), LARGEST_F32)?;
+        let ambient = self.ambient.as_flattened().as_flattened();
+        check::moderate("ambient", ambient, LARGEST_F32)?;
+        check::moderate("prior_mean", self.prior_mean.as_flattened(), PRIOR_MAX)?;
+        let precision = self.prior_precision.as_flattened();
+        check::moderate("prior_precision", precision, PRIOR_MAX)?;
+        check::not_negative("prior_precision", precision)?;
+        check::unit_vectors("views", self.views)?;
+        check::unit_vectors("directions", self.directions)?;
+        check::unit_vectors("base_normals", self.base_normals)?;
+        check::unit_vectors("start_normals", start)?;
+        check::indices("picture_of", pictures, self.picture_of)?;
+        if !self.picture_of.is_sorted() {
+            return Err(Error::argument(
+                "picture_of",
+                "numbers in rising order",
+                "others",
+            ));
+        }
+        Ok((0..pictures).map(|i| self.light(i)).collect())
+    }
+
+    fn light(&self, picture: usize) -> PictureLight {
+        let first = self.picture_of.partition_point(|&of| of < picture);
+        let end = self.picture_of.partition_point(|&of| of <= picture);
+        let ambient = &self.ambient[picture];
+        let is_dark = ambient.as_flattened().iter().all(|&value| value == 0.0);
+        PictureLight {
+            lamps: Range { start: first, end },
+            ambient: (!is_dark).then(|| [0, 1, 2].map(|c| std::array::from_fn(|k| ambient[k][c]))),
+        }
+    }
+}

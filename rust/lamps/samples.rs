@@ -1,0 +1,235 @@
+//! What one pixel costs under known lamps, and its normal equations.
+//!
+//! With intensities e_kc at the pixel, unit radiance I_kc ([`Surface`]), and SH light a_i beside the
+//! lamps of picture i,
+//!
+//! ```text
+//! model_ic = Σ_k e_kc I_kc + Σ_j w_cj a_ijc              residual_ic = model_ic − y_ic
+//! cost     = Σ_ic w_ic residual_ic² + Σ_x p_x (x − mean_x)²
+//! ```
+//!
+//! where a residual counts only if what the sample says is missed: y_ic itself, at least y_ic (of a
+//! sample at the upper limit of its file), or at most y_ic. Unknowns are in the order of the
+//! [`Arrowhead`](crate::pixel::arrowhead::Arrowhead): albedos, roughness, metallic, tangent offsets.
+
+use std::ops::Range;
+
+use glam::DVec3;
+
+use super::ambient::{SLOPES, radiance, under, weight_slopes};
+use super::slopes::SurfaceWithSlopes;
+use super::surface::Surface;
+use crate::reflectance::model::Model;
+use crate::reflectance::planes::Material;
+use crate::reflectance::reflection::{Reflection, Weights};
+use crate::reflectance::shade::{Frame, shade};
+use crate::reflectance::tangent_offset::OFFSETS;
+
+/// Unknowns of a pixel: albedos, roughness, metallic, tangent offsets.
+pub(super) const UNKNOWNS: usize = 7;
+pub(super) const ROUGHNESS: usize = 3;
+pub(super) const METALLIC: usize = 4;
+pub(super) const OFFSET: usize = 5;
+
+/// A sample says that radiance is at least this.
+pub const AT_LEAST: u8 = 1;
+/// A sample says that radiance is at most this.
+pub const AT_MOST: u8 = 2;
+
+/// Where a pixel is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Point {
+    pub(super) offset: [f64; OFFSETS],
+    pub(super) normal: DVec3,
+    pub(super) material: Material,
+}
+
+impl Point {
+    pub(super) fn values(&self) -> [f64; UNKNOWNS] {
+        let Material {
+            albedo: [red, green, blue],
+            roughness,
+            metallic,
+        } = self.material;
+        let [a, b] = self.offset;
+        [red, green, blue, roughness, metallic, a, b]
+    }
+}
+
+/// Σ w J Jᵀ and Σ w J residual, with the prior.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Equations {
+    /// On the diagonal and below it.
+    pub(super) matrix: [[f64; UNKNOWNS]; UNKNOWNS],
+    pub(super) gradient: [f64; UNKNOWNS],
+}
+
+/// Of all pixels: which lamps light a picture, and the SH light in it, if there is any.
+#[derive(Clone, Debug)]
+pub(super) struct PictureLight {
+    pub(super) lamps: Range<usize>,
+    pub(super) ambient: Option<Weights>,
+}
+
+/// What is known of one pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Samples<'a> {
+    pub(super) model: Model,
+    pub(super) view: DVec3,
+    pub(super) lights: &'a [PictureLight],
+    /// Whether a picture has SH light.
+    pub(super) any_ambient: bool,
+    /// By picture.
+    pub(super) targets: &'a [[f64; 3]],
+    pub(super) weights: &'a [[f64; 3]],
+    pub(super) limits: Option<&'a [[u8; 3]]>,
+    /// By lamp.
+    pub(super) directions: &'a [DVec3],
+    pub(super) intensities: &'a [[f64; 3]],
+    pub(super) prior_mean: [f64; UNKNOWNS],
+    pub(super) prior_precision: [f64; UNKNOWNS],
+}
+
+impl Samples<'_> {
+    /// Whether any sample counts.
+    pub(super) fn any(&self) -> bool {
+        self.weights.iter().flatten().any(|&weight| weight > 0.0)
+    }
+
+    /// The cost of a point.
+    pub(super) fn cost<M: Reflection>(&self, point: &Point) -> f64 {
+        let surface = Surface::new(self.model, point.normal, self.view, &point.material);
+        let weights = (self.any_ambient)
+            .then(|| shade(&Frame::<M>::new(point.normal, self.view), &point.material));
+        let mut cost = 0.0;
+        for (i, light) in self.lights.iter().enumerate() {
+            if self.weights[i] == [0.0; 3] {
+                continue;
+            }
+            let mut model = [0.0; 3];
+            for k in light.lamps.clone() {
+                let intensity = self.intensities[k];
+                if intensity == [0.0; 3] {
+                    continue;
+                }
+                let unit = surface.reflected(self.directions[k]);
+                for c in 0..3 {
+                    model[c] += intensity[c] * unit[c];
+                }
+            }
+            if let (Some(weights), Some(ambient)) = (&weights, &light.ambient) {
+                let reflected = radiance(weights, ambient);
+                for c in 0..3 {
+                    model[c] += reflected[c];
+                }
+            }
+            for c in 0..3 {
+                let residual = self.residual(i, c, model[c]);
+                cost += self.weights[i][c] * residual * residual;
+            }
+        }
+        for (x, value) in point.values().into_iter().enumerate() {
+            let deviation = value - self.prior_mean[x];
+            cost += self.prior_precision[x] * deviation * deviation;
+        }
+        cost
+    }
+
+    /// The normal equations at a point; those of the tangent offsets if ∂n by them is given.
+    pub(super) fn equations<M: Reflection>(
+        &self,
+        point: &Point,
+        by_offset: Option<&[DVec3; 2]>,
+    ) -> Equations {
+        let surface = SurfaceWithSlopes::new(self.model, point.normal, self.view, &point.material);
+        let weights = (self.any_ambient).then(|| {
+            let frame = Frame::<M>::new(point.normal, self.view);
+            let slopes = weight_slopes::<M>([point.normal, self.view], &point.material, by_offset);
+            (shade(&frame, &point.material), slopes)
+        });
+        let mut equations = Equations::default();
+        for (i, light) in self.lights.iter().enumerate() {
+            if self.weights[i] == [0.0; 3] {
+                continue;
+            }
+            let mut model = [0.0; 3];
+            // By channel: its own albedo, roughness, metallic, tangent offsets.
+            let mut slopes = [[0.0; SLOPES]; 3];
+            for k in light.lamps.clone() {
+                let intensity = self.intensities[k];
+                if intensity == [0.0; 3] {
+                    continue;
+                }
+                let unit = surface.reflected(self.directions[k]);
+                let turned = by_offset.map(|by| by.map(|change| unit.along(change)));
+                for c in 0..3 {
+                    model[c] += intensity[c] * unit.radiance[c];
+                    slopes[c][0] += intensity[c] * unit.by_albedo[c];
+                    slopes[c][1] += intensity[c] * unit.by_roughness[c];
+                    slopes[c][2] += intensity[c] * unit.by_metallic[c];
+                    if let Some([by_a, by_b]) = &turned {
+                        slopes[c][3] += intensity[c] * by_a[c];
+                        slopes[c][4] += intensity[c] * by_b[c];
+                    }
+                }
+            }
+            if let (Some((weights, by)), Some(ambient)) = (&weights, &light.ambient) {
+                let reflected = radiance(weights, ambient);
+                for c in 0..3 {
+                    model[c] += reflected[c];
+                    for x in 0..SLOPES {
+                        slopes[c][x] += under(&by[c][x], &ambient[c]);
+                    }
+                }
+            }
+            for c in 0..3 {
+                let weight = self.weights[i][c];
+                let residual = self.residual(i, c, model[c]);
+                if residual != 0.0 || self.is_data(i, c) {
+                    equations.add(c, &slopes[c], weight, residual);
+                }
+            }
+        }
+        for (x, value) in point.values().into_iter().enumerate() {
+            equations.matrix[x][x] += self.prior_precision[x];
+            equations.gradient[x] += self.prior_precision[x] * (value - self.prior_mean[x]);
+        }
+        equations
+    }
+
+    /// Whether a sample says what radiance is, and no limit of it.
+    #[inline]
+    fn is_data(&self, picture: usize, channel: usize) -> bool {
+        self.limits
+            .is_none_or(|limits| limits[picture][channel] == 0)
+    }
+
+    /// By how much radiance misses what a sample says.
+    #[inline]
+    fn residual(&self, picture: usize, channel: usize, radiance: f64) -> f64 {
+        let difference = radiance - self.targets[picture][channel];
+        match self.limits.map(|limits| limits[picture][channel]) {
+            Some(AT_LEAST) => difference.min(0.0),
+            Some(AT_MOST) => difference.max(0.0),
+            _ => difference,
+        }
+    }
+}
+
+impl Equations {
+    /// Adds a sample of a channel.
+    #[inline]
+    fn add(&mut self, channel: usize, slopes: &[f64; SLOPES], weight: f64, residual: f64) {
+        let weighted = slopes.map(|slope| weight * slope);
+        self.matrix[channel][channel] += weighted[0] * slopes[0];
+        self.gradient[channel] += weighted[0] * residual;
+        for f in 1..SLOPES {
+            let row = &mut self.matrix[ROUGHNESS + f - 1];
+            row[channel] += weighted[0] * slopes[f];
+            for g in 1..=f {
+                row[ROUGHNESS + g - 1] += weighted[g] * slopes[f];
+            }
+            self.gradient[ROUGHNESS + f - 1] += weighted[f] * residual;
+        }
+    }
+}

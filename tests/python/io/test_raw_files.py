@@ -1,0 +1,289 @@
+"""Raw files: how LibRaw is asked to develop them, and what comes of one."""
+
+from __future__ import annotations
+
+import io
+import struct
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit import InputError, Scene
+from pbrfit.batch.prediction import picture_size
+from pbrfit.io import images, raw_files
+from pbrfit.io.limits import AT_LEAST, AT_MOST
+from raw_writer import write_dng
+
+H, W = 12, 16
+HEAD = b"II*\0\x08\0\0\0\0\0"
+
+
+class FakeRaw:
+    """What `rawpy.imread` gives, of a picture of 16 bits."""
+
+    def __init__(self, developed: NDArray[np.uint16], flip: int = 0) -> None:
+        rows, columns = developed.shape[:2][:: -1 if flip & 4 else 1]
+        self.developed = developed
+        self.asked: dict[str, Any] = {}
+        self.sizes = SimpleNamespace(height=rows, width=columns, flip=flip)
+        self.raw_image_visible = np.full((rows, columns), 500, np.uint16)
+        self.raw_colors_visible = np.tile([[0, 1], [3, 2]], (rows // 2, columns // 2))
+        self.white_level = 1000
+        self.camera_white_level_per_channel: list[int] | None = None
+        self.black_level_per_channel = [0, 0, 0, 0]
+        self.camera_whitebalance = [2.0, 1.0, 1.5, 0.0]
+        self.color_matrix = np.eye(3, 4)
+        self.rgb_xyz_matrix = np.zeros((4, 3))
+        self.thumb: bytes | None = None
+
+    def __enter__(self) -> FakeRaw:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def postprocess(self, **asked: Any) -> NDArray[np.uint16]:
+        self.asked = asked
+        return self.developed
+
+    def extract_thumb(self) -> Any:
+        if self.thumb is None:
+            raise FakeError(b"No thumbnail in file")
+        return SimpleNamespace(data=self.thumb)
+
+
+class FakeError(Exception):
+    pass
+
+
+def codes() -> NDArray[np.uint16]:
+    return np.random.default_rng(0).integers(1, 65535, (H, W, 3)).astype(np.uint16)
+
+
+@pytest.fixture
+def raw(monkeypatch: pytest.MonkeyPatch) -> FakeRaw:
+    """A raw file that the module named rawpy gives for any content."""
+    return use(monkeypatch, FakeRaw(codes()))
+
+
+def use(monkeypatch: pytest.MonkeyPatch, fake: FakeRaw) -> FakeRaw:
+    def imread(file: io.BytesIO) -> FakeRaw:
+        if file.read() == HEAD + b"damaged":
+            raise FakeError(b"Unsupported file format\nor not RAW file")
+        return fake
+
+    module = SimpleNamespace(
+        imread=imread, LibRawError=FakeError, ColorSpace=SimpleNamespace(sRGB="sRGB")
+    )
+    monkeypatch.setitem(sys.modules, "rawpy", module)
+    return fake
+
+
+def written(folder: Path, content: bytes = b"", name: str = "a.nef") -> Path:
+    path = folder / name
+    path.write_bytes(HEAD + content)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["dng", "nef", "cr2", "cr3", "arw", "raf", "orf", "rw2", "NEF"])
+def test_it_is_developed_to_linear_light_that_no_picture_s_content_changes(
+    raw: FakeRaw, tmp_path: Path, suffix: str
+) -> None:
+    picture = images.read_picture(written(tmp_path, name=f"a.{suffix}"))
+    assert raw.asked == {
+        "gamma": (1, 1),
+        "no_auto_bright": True,
+        "adjust_maximum_thr": 0.0,
+        "use_camera_wb": True,
+        "output_bps": 16,
+        "output_color": "sRGB",
+    }
+    np.testing.assert_allclose(picture.pixels, raw.developed / 65535, rtol=1e-6)
+    assert picture.color == "linear Rec.709, camera white balance 2, 1, 1.5 (raw file, LibRaw)"
+    assert (picture.bit_depth, picture.limits, picture.alpha) == (16, None, None)
+    assert picture.focal_length_35mm is None
+    assert picture.stored is not None
+    assert picture.stored.in_words() == "16-bit RAW"
+
+
+def test_codes_at_the_end_are_limits(raw: FakeRaw, tmp_path: Path) -> None:
+    raw.developed[1, 2] = (65535, 0, 7)
+    limits = images.read_picture(written(tmp_path)).limits
+    assert limits is not None
+    assert limits[1, 2].tolist() == [AT_LEAST, AT_MOST, 0]
+    assert np.count_nonzero(limits) == 2
+    high = images.read_picture(written(tmp_path), code_range=(0, 100)).limits
+    assert high is not None
+    np.testing.assert_array_equal(high == AT_LEAST, raw.developed > 25700)
+
+
+def test_a_clipped_sample_bounds_the_colours_around_it(raw: FakeRaw, tmp_path: Path) -> None:
+    raw.raw_image_visible[4, 6] = 990  # red, 0.99 of the white level
+    raw.raw_image_visible[8, 8] = 989
+    limits = images.read_picture(written(tmp_path)).limits
+    assert limits is not None
+    expected = np.zeros((H, W, 3), int)
+    expected[2:7, 4:9, 0] = AT_LEAST
+    np.testing.assert_array_equal(limits, expected)
+
+
+def test_a_clipped_channel_bounds_a_colour_that_it_is_taken_from_above(
+    raw: FakeRaw, tmp_path: Path
+) -> None:
+    raw.color_matrix[0, :3] = (1.5, -0.5, 0.0)
+    raw.raw_image_visible[5, 6] = 1000  # the second green
+    limits = images.read_picture(written(tmp_path)).limits
+    assert limits is not None
+    assert limits[5, 6].tolist() == [AT_MOST, AT_LEAST, 0]
+
+
+def test_without_a_matrix_of_the_file_it_follows_from_that_of_xyz(raw: FakeRaw) -> None:
+    """A camera whose channels are those of sRGB needs none, whatever their scale."""
+    raw.color_matrix[:] = 0
+    to_linear = np.linalg.inv(raw_files.rgb_to_xyz(raw_files.REC709))
+    raw.rgb_xyz_matrix[:3] = np.diag([3.0, 2.0, 1.0]) @ to_linear
+    matrix = raw_files._matrix(raw)
+    assert matrix is not None
+    np.testing.assert_allclose(matrix, np.eye(3), atol=1e-12)
+    raw.rgb_xyz_matrix[:] = 0
+    assert raw_files._matrix(raw) is None
+
+
+@pytest.mark.parametrize(("flip", "place"), [(0, (4, 6)), (3, (7, 9)), (5, (9, 4)), (6, (6, 7))])
+def test_clipped_samples_are_turned_as_the_picture_is(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flip: int, place: tuple[int, int]
+) -> None:
+    shape = (W, H, 3) if flip & 4 else (H, W, 3)
+    raw = use(monkeypatch, FakeRaw(np.full(shape, 9, np.uint16), flip))
+    raw.raw_image_visible[4, 6] = 1000
+    limits = images.read_picture(written(tmp_path)).limits
+    assert limits is not None
+    rows, columns = np.nonzero(limits[..., 0])
+    assert ((rows.min() + rows.max()) / 2, (columns.min() + columns.max()) / 2) == place
+
+
+def test_a_sensor_of_another_shape_leaves_the_developed_codes(raw: FakeRaw, tmp_path: Path) -> None:
+    raw.raw_image_visible = np.full((H + 2, W), 1000, np.uint16)
+    raw.raw_colors_visible = np.zeros((H + 2, W), np.uint8)
+    assert images.read_picture(written(tmp_path)).limits is None
+
+
+def exif_block(millimetres: int) -> bytes:
+    exif = Image.Exif()
+    exif[0x8769] = {0xA405: millimetres}
+    return exif.tobytes()
+
+
+@pytest.mark.parametrize(
+    "head", [b"II*\0", b"IIU\0", b"IIRO"], ids=["TIFF", "Panasonic", "Olympus"]
+)
+@pytest.mark.usefixtures("raw")
+def test_the_focal_length_of_its_own_exif(tmp_path: Path, head: bytes) -> None:
+    # One entry that points to the EXIF directory, which has one of its own.
+    own = struct.pack("<IHHHIII", 8, 1, 0x8769, 4, 1, 26, 0)
+    own += struct.pack("<HHHIII", 1, 0xA405, 3, 1, 35, 0)
+    path = tmp_path / "a.rw2"
+    path.write_bytes(head + own)
+    assert images.read_picture(path).focal_length_35mm == 35
+
+
+def test_else_of_the_picture_for_a_quick_look(raw: FakeRaw, tmp_path: Path) -> None:
+    raw.thumb = b"\xff\xd8\xff\xe1\0\0" + exif_block(28)
+    assert images.read_picture(written(tmp_path)).focal_length_35mm == 28
+    raw.thumb = b"\xff\xd8 nothing"
+    assert images.read_picture(written(tmp_path)).focal_length_35mm is None
+
+
+@pytest.mark.usefixtures("raw")
+def test_memory_is_predicted_by_the_size_of_the_sensor(tmp_path: Path) -> None:
+    assert picture_size(written(tmp_path)) == (H, W)
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "message"),
+    [
+        (b"damaged", {}, r"a.nef: expected a raw file that LibRaw reads, found Unsupported file"),
+        (b"", {"color_space": "srgb"}, "a.nef: expected colour space linear .*, found srgb"),
+        (b"", {"layer": "x"}, "a.nef: expected an EXR file with layer x, found a RAW"),
+    ],
+)
+@pytest.mark.usefixtures("raw")
+def test_what_cannot_be_read_is_refused_in_one_line(
+    tmp_path: Path, content: bytes, options: Any, message: str
+) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        images.read_picture(written(tmp_path, content), **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_channels_that_are_none_are_refused(raw: FakeRaw, tmp_path: Path) -> None:
+    raw.developed = raw.developed[..., :1]
+    with pytest.raises(InputError, match=r"a.nef: expected three channels of 16 bits, found"):
+        images.read_picture(written(tmp_path))
+
+
+def test_without_rawpy_it_says_how_to_get_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "rawpy", None)
+    for read in (images.read_picture, picture_size):
+        with pytest.raises(InputError, match=r"a.nef: .* pip install 'pbrfit\[raw\]', or develop"):
+            read(written(tmp_path))
+
+
+@pytest.mark.parametrize("read", [images.read_data, images.read_ids, images.read_channels])
+@pytest.mark.usefixtures("raw")
+def test_maps_are_in_no_raw_file(tmp_path: Path, read: Any) -> None:
+    with pytest.raises(InputError, match=r"a.nef: expected EXR, HDR, .*, found a raw file"):
+        read(written(tmp_path))
+
+
+# With LibRaw
+
+
+@pytest.fixture
+def libraw() -> Iterator[None]:
+    pytest.importorskip("rawpy")
+    return None
+
+
+@pytest.mark.usefixtures("libraw")
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_a_white_card_is_grey_in_its_share_of_the_white_level(
+    tmp_path: Path, orientation: int
+) -> None:
+    """Whatever else is in the picture, and whether or not anything is near the white level."""
+    card = np.full((40, 60), 0.25)
+    card[:, 30:] = 0.125
+    card[4:8, 40:44] = 4.0
+    write_dng(tmp_path / "a.dng", card, orientation)
+    picture = images.read_picture(tmp_path / "a.dng")
+    seen = np.rot90(card, {1: 0, 3: 2, 6: -1, 8: 1}[orientation])
+    assert picture.pixels.shape == (*seen.shape, 3)
+    for level in (0.25, 0.125):
+        inside = seen == level
+        middle = np.median(picture.pixels[inside], axis=0)
+        np.testing.assert_allclose(middle, level, rtol=2e-3)
+    assert picture.limits is not None
+    assert (picture.limits[seen == 4.0] == AT_LEAST).all()
+    assert not picture.limits[seen == 0.25].any()
+    assert picture.color.startswith("linear Rec.709, camera white balance 2, 1, 1.25")
+
+
+@pytest.mark.usefixtures("libraw")
+def test_a_scene_of_raw_files(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    across = np.linspace(0.1, 0.3, 64)
+    for i in range(3):
+        write_dng(tmp_path / "images" / f"{i}.dng", np.tile(across * (i + 1) / 3, (48, 1)))
+    scene = Scene.load(tmp_path)
+    ratio = np.median(scene.images[2][:, 8:-8] / scene.images[0][:, 8:-8])
+    assert ratio == pytest.approx(3, rel=1e-2)
+    assert not scene.normals_known

@@ -1,0 +1,173 @@
+"""Results with lamps and a height: what they keep, and their pictures again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from pbrfit import DirectionalLight, InputError, Result, relight
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.reflection import render
+from pbrfit.result.preview import preview
+from pbrfit.result.relighting import own_light, rendered_picture, turned
+from relit import fitted, shaded_ball
+from result_files import FILES
+from under_lamps import ball_under_lamps, far_and_none, near_lamp
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return ball_under_lamps()
+
+
+def test_lamps_and_height_are_kept(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*FILES, "height.exr"])
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert "height.exr" in content["files"]
+    found = Result.load(tmp_path / "out")
+    assert found.lamps is not None
+    assert result.lamps is not None
+    np.testing.assert_array_equal(found.lamps.places, result.lamps.places)
+    np.testing.assert_array_equal(found.lamps.colors, result.lamps.colors)
+    assert found.height is not None
+    assert result.height is not None
+    np.testing.assert_array_equal(found.height, result.height.astype(np.float32))
+    assert np.isnan(found.height[~found.mask]).all()
+    found.save(tmp_path / "again")
+    for name in (*FILES, "height.exr"):
+        if name != "result.json":
+            again = (tmp_path / "again" / name).read_bytes()
+            assert again == (tmp_path / "out" / name).read_bytes(), name
+
+
+def test_height_as_another_reader_sees_it(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    file = OpenEXR.File(str(tmp_path / "out" / "height.exr"), separate_channels=True)
+    layers = {name: channel.pixels for name, channel in file.parts[0].channels.items()}
+    assert set(layers) == {"Y", "mask.Y"}
+    np.testing.assert_array_equal(layers["mask.Y"] == 1, result.mask)
+    assert np.isfinite(layers["Y"]).all()
+
+
+def test_a_result_without_lamps_or_height_says_nothing_of_them(tmp_path: Path) -> None:
+    plain = dataclasses.replace(ball_under_lamps(), lamps=None, height=None)
+    plain.save(tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == FILES
+    light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))
+    assert list(light) == ["basis", "order", "pictures", "coefficients"]
+    found = Result.load(tmp_path / "out")
+    assert found.lamps is None
+    assert found.height is None
+
+
+def test_a_missing_or_other_height_is_told(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    (tmp_path / "out" / "height.exr").write_bytes(b"")
+    with pytest.raises(InputError, match=r"height\.exr"):
+        Result.load(tmp_path / "out")
+    (tmp_path / "out" / "height.exr").unlink()
+    with pytest.raises(OSError, match=r"height\.exr"):
+        Result.load(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lamps": Lamps(np.array([0]), np.eye(3)[2:])}, "lamps: expected known colors, found NaN"),
+        ({"lamps": near_lamp((0, 0, 1))}, "lamps: expected depth for near lamps, found none"),
+        (
+            {"lamps": dataclasses.replace(far_and_none(), pictures=np.array([0, 3]))},
+            "lamps: expected indices of 3 pictures, found 3",
+        ),
+        ({"height": np.zeros((2, 2))}, r"height: expected \(32, 32\), found \(2, 2\)"),
+    ],
+)
+def test_what_does_not_fit_a_result_is_refused(
+    result: Result, change: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        dataclasses.replace(result, **change)
+
+
+def test_a_picture_is_lit_by_its_own_lamps_and_ambient_light(result: Result) -> None:
+    assert result.lamps is not None
+    surface = result.materials, result.normals
+    for i in range(3):
+        expected = render(*surface, result.lighting[i], result.fov, model=result.model)
+        for k in np.flatnonzero(result.lamps.pictures == i):
+            x, y, z = result.lamps.places[k].tolist()
+            azimuth, elevation = math.degrees(math.atan2(x, z)), math.degrees(math.asin(y))
+            lamp = DirectionalLight(azimuth, elevation, tuple(result.lamps.colors[k].tolist()))
+            expected += relight(result, lamp)
+        np.testing.assert_allclose(rendered_picture(result, i), expected, rtol=1e-10, atol=1e-12)
+    lamps, ambient = own_light(result, 0)
+    alone = relight(result, lamps)
+    sky = relight(result, ambient)
+    np.testing.assert_allclose(alone + sky, rendered_picture(result, 0), rtol=1e-12)
+
+
+def test_lamps_are_turned_as_a_hard_light_is(result: Result) -> None:
+    light = DirectionalLight(20, 30)
+    lamps = Lamps(np.array([0]), light.direction[None], colors=np.ones((1, 3)))
+    found = turned((lamps, result.lighting[0]), 70)
+    np.testing.assert_allclose(found[0].places[0], light.turned(70).direction, atol=1e-15)
+    np.testing.assert_allclose(found[1], turned(result.lighting[0], 70))
+    with pytest.raises(InputError, match="expected far ones to be turned, found near ones"):
+        turned(near_lamp((0, 0, 1)), 10)
+
+
+def test_surroundings_cast_shadows_of_lamps() -> None:
+    ball = shaded_ball()
+    assert ball.depth is not None
+    direction = np.array([0.6, 0.6, 0.53])
+    direction /= np.linalg.norm(direction)
+    far = Lamps(np.array([0]), direction[None], colors=np.ones((1, 3)))
+    under = DirectionalLight(
+        float(np.degrees(np.arctan2(direction[0], direction[2]))),
+        float(np.degrees(np.arcsin(direction[1]))),
+    )
+    expected = relight(ball, under)
+    np.testing.assert_allclose(relight(ball, far), expected, atol=1e-9)
+    # So far away that it is as good as far.
+    size = 1e4
+    near = Lamps(np.array([0]), size * direction[None], np.array([True]), size**2 * np.ones((1, 3)))
+    differing = np.abs(relight(ball, near) - expected).max(axis=-1) > 1e-2
+    assert differing.mean() < 0.005
+    assert not np.allclose(relight(ball, far, shadows=False), expected)
+
+
+def test_a_near_lamp_before_the_surface_is_in_no_shadow_of_what_is_behind_it() -> None:
+    ball = shaded_ball()
+    assert ball.depth is not None
+    scenery = ball.scenery
+    assert scenery is not None
+    middle = np.nanmedian(scenery.points.reshape(-1, 3), axis=0)
+    # Half way between the camera and the surface: all that the camera sees is open to it or nearly.
+    assert scenery.open_to_place(np.zeros(3)).mean() > 0.9
+    # Below the floor nothing is.
+    assert scenery.open_to_place(middle - (0, 100, 0)).mean() < 0.1
+
+
+def test_ambient_light_among_surroundings_stays(result: Result) -> None:
+    ball = shaded_ball()
+    sky = fitted().lighting[0]
+    none = Lamps(np.zeros(0, int), np.zeros((0, 3)), colors=np.zeros((0, 3)))
+    np.testing.assert_allclose(relight(ball, (none, sky)), relight(ball, sky), rtol=1e-6)
+    with pytest.raises(InputError, match=r"ambient: expected finite \(16, 3\)"):
+        relight(result, (none, result.lighting))
+    assert result.lamps is not None
+    with pytest.raises(InputError, match="lamps: expected indices of 1 pictures, found 2"):
+        relight(result, result.lamps)
+
+
+def test_the_preview_shows_lamps(result: Result) -> None:
+    dark = dataclasses.replace(result, lamps=None)
+    assert not np.array_equal(preview(result), preview(dark))
