@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
+from evaluation_tasks import recorded
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
@@ -21,11 +22,20 @@ from pbrfit.model.reflection import render_directional
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.panels import unpacked
-from pbrfit_evaluation.photographs import SUITE, explanations, lambertian, measure, ours, pictures
+from pbrfit_evaluation.photographs import (
+    SUITE,
+    explanations,
+    figures,
+    lambertian,
+    measure,
+    ours,
+    pictures,
+)
 from pbrfit_evaluation.photographs.explanations import IN_WORDS, KNOWING, OURS, WAYS, Way
 from pbrfit_evaluation.photographs.panels import as_colors, height
 from pbrfit_evaluation.photographs.pictures import Known, Photographs
 from pbrfit_evaluation.real.held_out import picture_scores, relative_error, split
+from pbrfit_evaluation.real.public_sets import Source
 from pbrfit_evaluation.real.sources import find_sources
 from scene_files import run
 
@@ -345,6 +355,37 @@ def test_command(folder: Path, tmp_path: Path) -> None:
     assert (out / "sheet-bump.png").is_file()
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "normals off by" in page
+
+
+def found_by(way: Way, rmse: float, degrees: float) -> tuple[measure.Task, dict[str, Any]]:
+    source = Source("bump", Path("bump"), "scene", LAMPS, "")
+    task = measure.Task(source, way, 0, "", SIZE, 1, None)
+    score = {"name": "0", "rms": 1.0, "rmse": rmse, "psnr": 30.0, "ssim": 0.9}
+    normals = {"mean": degrees, "median": degrees}
+    return task, {"scores": [score], "normals": normals, "kept_error": rmse, "seconds": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("rmse", "degrees", "holds"),
+    [(0.1, 4.0, [True, True]), (0.2, 4.0, [False, True]), (0.1, 6.0, [True, False])],
+)
+def test_ours_has_to_be_no_worse(rmse: float, degrees: float, holds: list[bool]) -> None:
+    results = recorded(
+        found_by("lambert-known", 0.15, 5.0),
+        found_by("nearest", 0.3, 9.0),
+        found_by("ours-known", rmse, degrees),
+    )
+    assert [one.holds for one in figures.verdicts(results, None)] == holds
+
+
+def test_nothing_has_to_be_better_than_a_file_keeps() -> None:
+    results = recorded(
+        found_by("lambert-known", 1e-4, 1e-4),
+        found_by("nearest", 0.3, 9.0),
+        found_by("ours-known", 0.019, 0.9),
+    )
+    assert [one.holds for one in figures.verdicts(results, None)] == [True, True]
+    assert all("as that is less" in one.where for one in figures.verdicts(results, None))
 
 
 def test_ways_that_are_told_lamps_need_them(folder: Path) -> None:

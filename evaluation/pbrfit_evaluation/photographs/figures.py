@@ -54,6 +54,10 @@ WITHOUT: dict[Way, tuple[Way, ...]] = {
 NO_WORSE = 1.0
 """Error of ours over that of the best of these, at most."""
 
+GOOD_ERROR, GOOD_DEGREES = 0.02, 1.0
+"""Relative error and median angle of normals below which nothing has to be better: what a file of 8
+bits keeps of a picture, and of a normal."""
+
 MAPS = ("relit", "error", "normals", "height", "albedo", "roughness", "metallic")
 """Panels of a way, in order."""
 
@@ -128,12 +132,23 @@ def verdicts(results: Of, _: object) -> Iterator[Verdict]:
             if not ours.finished or not math.isfinite(least[best]):
                 continue
             what = f"{source.name}, {IN_WORDS[way]}: error over that of {IN_WORDS[best]}"
-            yield Verdict(what, _error(ours) / least[best], NO_WORSE)
+            level = max(least[best], GOOD_ERROR)
+            yield Verdict(what, _error(ours) / level, NO_WORSE, _floor(level, least[best]))
             by_normals = ours.mean("normals", "median").mean
             matt = results.of(source=source, way="lambert-known").mean("normals", "median").mean
             if way == "ours-known" and math.isfinite(by_normals) and math.isfinite(matt):
                 what = f"{source.name}, {IN_WORDS[way]}: normals off over those of "
-                yield Verdict(what + IN_WORDS["lambert-known"], by_normals / matt, NO_WORSE)
+                level = max(matt, GOOD_DEGREES)
+                yield Verdict(
+                    what + IN_WORDS["lambert-known"],
+                    by_normals / level,
+                    NO_WORSE,
+                    _floor(level, matt),
+                )
+
+
+def _floor(level: float, value: float) -> str:
+    return f"over {level:g}, as that is less" if level > value else ""
 
 
 def _error(of: Of) -> float:
