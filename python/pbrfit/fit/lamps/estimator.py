@@ -366,13 +366,11 @@ class LampFit:
                 total = 0.5 * len(few) * float(np.log(max(total, 1e-12)))
                 total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
                 total += 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2
-                print("  look", fov, scale, round(total), chosen, left.sum(1).round())
                 scores[fov] = min(scores.get(fov, np.inf), total)
                 if total < least:
                     best, least = (fov, scale, total, chosen), total
         assert best is not None
         fov, scale, _, chosen = best
-        print("LOOK", best, scores, fit.noise)
         if len(fields) > 1:
             self.fov = fov
             self.figures |= {f"surprise_fov_{key:g}": value for key, value in scores.items()}
