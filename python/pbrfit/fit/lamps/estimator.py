@@ -30,7 +30,7 @@ from pbrfit.fit.lamps.joint import (
     offsets,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.sample_noise import Left, Noise
+from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
@@ -208,11 +208,6 @@ def of_labels(
     return found
 
 
-def log_likelihood(fit: JointLamps) -> float:
-    """Of the samples, with the noise of the fit: normal, or outliers."""
-    return float(fit.noise.log_likelihoods(Left.of(fit.pixels, fit.state)).sum())
-
-
 def seen_error(pixels: LampPixels, state: LampState) -> Array:
     """(P,): Σ (√I − √y)² over a pixel's samples: about what the eye makes of differences.
 
@@ -258,10 +253,10 @@ class LampFit:
             notes += [name for name, _, _ in starts]
         with self.clock.stage("lamps") as notes:
             fits = [(name, self._joint(few, lamps, albedo)) for name, lamps, albedo in starts]
-            scores = {name: log_likelihood(fit) for name, fit in fits}
-            name, fit = max(fits, key=lambda one: scores[one[0]])
+            scores = {name: float(seen_error(fit.pixels, fit.state).sum()) for name, fit in fits}
+            name, fit = min(fits, key=lambda one: scores[one[0]])
             if len(fits) > 1:
-                self.figures |= {f"log_likelihood_{key}": value for key, value in scores.items()}
+                self.figures |= {f"seen_error_{key}": value for key, value in scores.items()}
             notes.append(self._said(name, fit))
         return fit
 
@@ -322,7 +317,9 @@ class LampFit:
             same_lamp=self.options.same_lamp,
         )
         prior = first_prior(few, self._offset_sigma(few.places))
-        fit = JointLamps(few, state, Noise.first(few), prior, freedom, lit=self.lit_at(few))
+        near = bool(lamps.near.any())
+        noise = Noise.first(few, proportional=near)
+        fit = JointLamps(few, state, noise, prior, freedom, lit=self.lit_at(few))
         samples = int(np.count_nonzero(few.weights))
         fit.reweigh(renew=False)
         fit.state, _, _ = fit_surfaces(
@@ -333,22 +330,24 @@ class LampFit:
         for number in range(ROUNDS):
             if self.clock.out_of_time():
                 break
-            if number in LOOKS:
+            if number in LOOKS and not (near and number):
                 factors, degrees = LOOKS[number]
                 fields: tuple[float, ...] = FIELDS_OF_VIEW
                 if self.scene.fov_known:
                     fields = (self.fov,)
                 elif degrees:
-                    near = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
-                    fields = tuple(np.unique(near).tolist())
+                    around = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
+                    fields = tuple(np.unique(around).tolist())
                 scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
                 self._look(fit, scales, fields)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
-            if number == HELD_ROUNDS:
+            # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
+            # is what pulls them away where a metal is not known yet.
+            if number == HELD_ROUNDS and not near:
                 fit.freedom = replace(fit.freedom, places=known is None, colors=True)
             if number == ROUNDS - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
-                fit.freedom = replace(fit.freedom, scale=True)
+                fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
             self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
             fit.state, _, _ = fit_surfaces(
                 few,

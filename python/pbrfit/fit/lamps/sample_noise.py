@@ -83,15 +83,23 @@ class Noise:
     shadows: Array
     """(N,): share of samples in cast shadows of each picture."""
 
+    proportional: bool = False
+    """Whether (κ y)² stands for γ y: near lamps light what is beside them a hundred times as much
+    as the rest, and what is off is off in proportion."""
+
     @classmethod
-    def first(cls, pixels: LampPixels) -> Noise:
+    def first(cls, pixels: LampPixels, *, proportional: bool = False) -> Noise:
         """Before anything was fitted."""
         share = np.full(pixels.pictures, FIRST_SHADOWS)
-        return cls(FIRST_FLOOR, FIRST_RELATIVE, share)
+        floor = NOISE_MIN if proportional else FIRST_FLOOR
+        return cls(floor, FIRST_RELATIVE, share, proportional)
 
     def variance(self, left: Left) -> Array:
         """(P, N, 3): s²."""
-        return np.asarray(self.floor**2 + self.relative**2 * MEAN_RADIANCE * left.level)
+        return np.asarray(self.floor**2 + self.relative**2 * self._growth(left.level))
+
+    def _growth(self, level: Array) -> Array:
+        return level**2 if self.proportional else MEAN_RADIANCE * level
 
     def log_odds(self, left: Left) -> Array:
         """(P, N): ln of the odds that a sample is in no cast shadow; infinite where it is brighter.
@@ -132,9 +140,9 @@ class Noise:
         ordinary = probability(self.log_odds(left)) * left.counted
         weights = np.repeat(ordinary[..., None], 3, axis=-1).ravel()
         squares = np.square(left.residuals).ravel() / freedom
-        bright = MEAN_RADIANCE * left.level.ravel()
+        bright = self._growth(left.level.ravel())
         # What highlights leave says nothing of other samples.
-        weights = weights * (bright < MEAN_RADIANCE * np.quantile(left.level, 0.95))
+        weights = weights * (bright < np.quantile(bright, 0.95))
         floor2, relative2 = self.floor**2, self.relative**2
         for _ in range(ROUNDS):
             # The likelihood's equations, weighed by 1/variance²: two straight lines.
@@ -152,7 +160,12 @@ class Noise:
                 floor2 = max((d - b * relative2) / max(a, 1e-300), NOISE_MIN**2)
         seen = np.maximum(left.counted.sum(axis=0), 1)
         share = (left.counted - ordinary).sum(axis=0) / seen
-        return Noise(float(np.sqrt(floor2)), float(np.sqrt(relative2)), np.clip(share, *SHADOWS))
+        return Noise(
+            float(np.sqrt(floor2)),
+            float(np.sqrt(relative2)),
+            np.clip(share, *SHADOWS),
+            self.proportional,
+        )
 
 
 def _shown(left: Left) -> Array:

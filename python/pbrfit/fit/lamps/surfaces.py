@@ -320,7 +320,10 @@ def _with_metals(
     metal, metal_cost, metal_information = fit_surfaces(
         pixels, metal, weights, prior, iterations=2 * STEPS, free_normals=free_normals
     )
-    odds = -0.5 * INDEPENDENT * (metal_cost - cost)
+    # What the better of both leaves of a pixel is misfit, of which costs count as so many samples.
+    samples = np.maximum((pixels.weights > 0).sum(axis=(1, 2)) - UNKNOWNS, 1)
+    misfit = max(float(np.mean(np.minimum(cost, metal_cost) / samples)), 1.0)
+    odds = -0.5 * INDEPENDENT * (metal_cost - cost) / misfit
     odds -= 0.5 * (log_determinant(metal_information) - log_determinant(information))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width)
     share = metal_shares(odds, pixels.labels)
