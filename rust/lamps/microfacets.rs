@@ -103,8 +103,8 @@ pub(super) fn slanted(x: f64, alpha: f64) -> f64 {
 /// ∂W/∂α = −½ (y/t) ((y/t) ∂S(x)/∂α + (x/t) ∂S(y)/∂α).
 /// ```
 ///
-/// All quotients are of numbers that go to 0 together, so none overflows but ∂W/∂y, at angles and
-/// roughnesses where D is 0; it is kept finite, so that both make 0.
+/// All quotients are of numbers that go to 0 together. Derivatives by y and α overflow at angles and
+/// roughnesses of 10⁻³⁰⁸, where D is 0; they are kept finite, so that the product is 0.
 #[inline]
 pub(super) fn masked_cosine_slopes(
     n_dot_v: f64,
@@ -121,5 +121,8 @@ pub(super) fn masked_cosine_slopes(
     let by_x = -0.5 * share * (share * slope + of_y / t);
     let by_y = 0.5 * (alpha / of_y) * (alpha * x / t) / t;
     let by_alpha = -0.5 * share * (share * (flat(x) / of_x) + x / t * (flat(y) / of_y));
-    (0.5 * y / t, [by_x, by_y.min(f64::MAX), by_alpha])
+    (
+        0.5 * y / t,
+        [by_x, by_y.min(f64::MAX), by_alpha.max(-f64::MAX)],
+    )
 }

@@ -183,7 +183,7 @@ impl<'a> SurfaceWithSlopes<'a> {
     pub fn reflected(&self, light: DVec3) -> Reflected {
         let n_dot_l = self.normal.dot(light);
         let bisector = self.view + light;
-        if n_dot_l < f64::MIN_POSITIVE || bisector == DVec3::ZERO {
+        if n_dot_l < f64::MIN_POSITIVE || bisector.length_squared() < f64::MIN_POSITIVE {
             return Reflected::default();
         }
         let half = bisector.normalize();

@@ -81,9 +81,9 @@ impl<'a> Surface<'a> {
     pub fn reflected(&self, light: DVec3) -> [f64; 3] {
         let n_dot_l = self.normal.dot(light);
         let bisector = self.view + light;
-        // From straight behind there is no half vector, and below the smallest normal number
-        // quotients of masking overflow.
-        if n_dot_l < f64::MIN_POSITIVE || bisector == DVec3::ZERO {
+        // From straight behind there is no half vector. Below the smallest normal number lengths lose
+        // their digits, and quotients of masking overflow.
+        if n_dot_l < f64::MIN_POSITIVE || bisector.length_squared() < f64::MIN_POSITIVE {
             return [0.0; 3];
         }
         let half = bisector.normalize();

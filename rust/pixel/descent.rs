@@ -37,9 +37,9 @@ pub(crate) const ROUGHNESS_HALVING_FLOOR: f64 = 1e-3;
 /// Least damping λ after a rejected step, as a share of the diagonal.
 const DAMPING_AFTER_REJECTION_MIN: f64 = 1e-3;
 /// Least damping λ at any time, as a share of the diagonal: it keeps the pivots positive.
-const DAMPING_MIN: f64 = 1e-12;
+pub(crate) const DAMPING_MIN: f64 = 1e-12;
 /// Damping λ from which a pixel stops: its steps would be this much shorter than Newton's.
-const DAMPING_MAX: f64 = 1e10;
+pub(crate) const DAMPING_MAX: f64 = 1e10;
 /// Factor on the damping after a step whose gain ratio is good.
 const DAMPING_DECREASE: f64 = 0.2;
 /// Factor on the damping after a step that was rejected, or whose gain ratio is poor. Where residuals
@@ -268,27 +268,6 @@ impl<const C: usize, const U: usize> Kernel for CopySelected<'_, C, U> {
     }
 }
 
-/// Whether a trial is accepted, whether its pixel goes on, and the damping of the next step.
-#[inline(always)]
-pub(crate) fn after_trial(
-    [cost, trial]: [f64; 2],
-    predicted: f64,
-    floor: f64,
-    damping: f64,
-) -> (bool, bool, f64) {
-    // A comparison with NaN is false.
-    let fell = trial < cost;
-    let gained = if fell { cost - trial } else { predicted };
-    let damping = if fell & (gained > GAIN_RATIO_GOOD * predicted) {
-        (DAMPING_DECREASE * damping).max(DAMPING_MIN)
-    } else if fell & (gained > GAIN_RATIO_POOR * predicted) {
-        damping
-    } else {
-        (DAMPING_INCREASE * damping).max(DAMPING_AFTER_REJECTION_MIN)
-    };
-    (fell, gained > floor && damping < DAMPING_MAX, damping)
-}
-
 /// Which trials are accepted, who is done, and the damping of the next step.
 struct UpdateDamping<'a> {
     cost: &'a Doubles,
@@ -306,10 +285,24 @@ impl Kernel for UpdateDamping<'_> {
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
         for x in 0..BLOCK {
-            let costs = [self.cost.0[x], self.trial.0[x]];
-            let (predicted, floor) = (self.predicted.0[x], self.floor.0[x]);
-            let (fell, goes_on, damping) = after_trial(costs, predicted, floor, self.damping.0[x]);
+            // A comparison with NaN is false.
+            let fell = self.trial.0[x] < self.cost.0[x];
             let accepted = if fell { self.active.0[x] } else { 0.0 };
+            let gained = if fell {
+                self.cost.0[x] - self.trial.0[x]
+            } else {
+                self.predicted.0[x]
+            };
+            let predicted = self.predicted.0[x];
+            let damping = self.damping.0[x];
+            let damping = if fell & (gained > GAIN_RATIO_GOOD * predicted) {
+                (DAMPING_DECREASE * damping).max(DAMPING_MIN)
+            } else if fell & (gained > GAIN_RATIO_POOR * predicted) {
+                damping
+            } else {
+                (DAMPING_INCREASE * damping).max(DAMPING_AFTER_REJECTION_MIN)
+            };
+            let goes_on = gained > self.floor.0[x] && damping < DAMPING_MAX;
             self.accepted.0[x] = accepted;
             self.damping.0[x] = damping;
             self.active.0[x] = if goes_on { self.active.0[x] } else { 0.0 };

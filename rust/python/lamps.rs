@@ -222,6 +222,7 @@ fn fit_under_lamps<'py>(
     let picture_of = try_copied("picture_of", &picture_of)?;
     let picture_of: Vec<usize> = picture_of.into_iter().map(|i| i as usize).collect();
     let base_normals = array("base_normals", base_normals)?;
+    shape("base_normals", &[pixels, 3], base_normals.shape())?;
     let base_normals = vectors("base_normals", &base_normals)?.into_owned();
     let of_pixels = |name, given| -> PyResult<Vec<f64>> {
         let given: PyReadonlyArray<'_, f64, Ix2> = array(name, given)?;

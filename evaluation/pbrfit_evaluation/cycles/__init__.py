@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pbrfit_evaluation.cycles.job import Transport, default_cache
 from pbrfit_evaluation.cycles.process import CyclesError, CyclesNotFoundError, why_not
-from pbrfit_evaluation.cycles.scene import SAMPLES, Light, render_scene
+from pbrfit_evaluation.cycles.scene import SAMPLES, Light, render_scene, true_lamps
 
 __all__ = [
     "SAMPLES",
@@ -18,5 +18,6 @@ __all__ = [
     "Transport",
     "default_cache",
     "render_scene",
+    "true_lamps",
     "why_not",
 ]

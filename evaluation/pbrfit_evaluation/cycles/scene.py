@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.model.geometry import view_directions
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
@@ -167,6 +168,26 @@ def render_scene(
             **{name: level * values for name, values in known.items()},
         ),
     )
+
+
+def true_lamps(
+    world: World,
+    size: int = 128,
+    fov: float = 60.0,
+    *,
+    lights: int = 16,
+    seed: int = 0,
+    shell: Shell = "stage",
+) -> Lamps:
+    """The lamps that `render_scene` with `light="points"` and the same arguments puts into a room.
+
+    One a picture, near, in camera space and metres; colours are left unknown, for each picture has
+    an exposure of its own.
+    """
+    stream = np.random.SeedSequence(seed).spawn(4)[1]
+    stage = export(world, size, fov, shell)
+    places, _ = random_point_lights(stage, world.walls, lights, np.random.default_rng(stream))
+    return Lamps(np.arange(lights, dtype=np.intp), places, np.ones(lights, bool))
 
 
 def inner_pixels(

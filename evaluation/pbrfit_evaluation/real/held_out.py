@@ -166,6 +166,7 @@ def part(scene: Scene, pictures: tuple[int, ...]) -> Scene:
         file_noise=None if scene.file_noise is None else tuple(scene.file_noise[i] for i in of),
         names=tuple(scene.names[i] for i in of),
         lighting=None,
+        lamps=None if scene.lamps is None else scene.lamps.of_pictures(pictures),
         truth=None,
         assumed={},
         inputs={},
@@ -224,7 +225,7 @@ def explain_held_out(
         )
     combined = np.stack(
         [
-            best_combination(kept.images, scene.images[i], _weights(scene, i), kept.valid)
+            best_combination(kept.images, scene.images[i], counts(scene, i), kept.valid)
             for i in which.held_out
         ]
     )
@@ -247,7 +248,7 @@ def explained_by(
     """
     normals = np.asarray(scene.normals, np.float64) if normals is None else normals
     of = list(pictures)
-    each = [_weights(scene, i) for i in pictures]
+    each = [counts(scene, i) for i in pictures]
     weights = None if each[0] is None else np.stack([one for one in each if one is not None])
     lights = fit_lights(scene.images[of], weights, materials, normals, scene.fov, model)
     return render(materials, normals, lights, scene.fov, threads, model=model)
@@ -266,7 +267,7 @@ def picture_scores(
     """
     scores = []
     for i, found in zip(pictures, rendered, strict=True):
-        weights = _weights(scene, i)
+        weights = counts(scene, i)
         counted = np.isfinite(found).all(axis=-1)
         if weights is not None:
             counted &= weights > 0
@@ -288,7 +289,7 @@ def picture_scores(
     return tuple(scores)
 
 
-def _weights(scene: Scene, picture: int) -> NDArray[np.float32] | None:
+def counts(scene: Scene, picture: int) -> NDArray[np.float32] | None:
     """(H, W), 0 where some channel is: at a limit, or left out."""
     weights = scene.channel_weights(picture)
     return None if weights is None else weights.min(axis=-1)

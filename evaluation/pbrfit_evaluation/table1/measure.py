@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model
 from pbrfit.scene.arrays import unit_normals
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic import World, draw, make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.recipes import explain
@@ -127,9 +128,8 @@ def _scene(task: Task, row: Row, threads: int) -> Scene:
 
 def cycles_scene(task: Task, row: Row, threads: int) -> Scene:
     """Render a row's scene by Cycles, with its depth; the world is `make_scene`'s of this seed."""
-    [stream] = np.random.SeedSequence(task.seed).spawn(1)
     return cycles.render_scene(
-        draw(row.scene, np.random.default_rng(stream), _textures(task.textures)),
+        _world(task, row),
         task.size,
         TRUE_FOV,
         light=row.light,
@@ -140,6 +140,18 @@ def cycles_scene(task: Task, row: Row, threads: int) -> Scene:
         cache=task.cycles_cache,
         threads=threads,
     )
+
+
+def cycles_lamps(task: Task, row: Row) -> Lamps:
+    """The lamps of `cycles_scene` where the row has point lights, camera space, metres."""
+    return cycles.true_lamps(
+        _world(task, row), task.size, TRUE_FOV, lights=task.lights, seed=task.seed
+    )
+
+
+def _world(task: Task, row: Row) -> World:
+    [stream] = np.random.SeedSequence(task.seed).spawn(1)
+    return draw(row.scene, np.random.default_rng(stream), _textures(task.textures))
 
 
 def why_not(row: Row, options: Options) -> str:

@@ -78,6 +78,40 @@ def pixels_of(kind: Kind, rng: np.random.Generator) -> Arguments:
     }
 
 
+def many_of(kind: Kind, rng: np.random.Generator) -> Arguments:
+    """The same by the names of functions of many pixels."""
+    names = {"normal": "normals", "view": "views"}
+    return {names.get(name, name): array for name, array in pixels_of(kind, rng).items()}
+
+
+def lamplit_of(kind: Kind, rng: np.random.Generator) -> Arguments:
+    """With a lamp for each picture."""
+    directions = reference.unit(rng.normal(size=(kind.pixels, kind.pictures, 3)))
+    return many_of(kind, rng) | {"directions": directions, "threads": 1}
+
+
+def under_lamps(kind: Kind, rng: np.random.Generator) -> Arguments:
+    lamplit = lamplit_of(kind, rng)
+    normals = reference.unit(lamplit.pop("normals") + [0, 0, 1.5])  # less than 90 degrees apart
+    samples = (kind.pixels, kind.pictures, 3)
+    return lamplit | {
+        "pictures": rng.random(samples),
+        "weights": rng.random(samples),
+        "limits": rng.integers(0, 3, samples).astype(np.uint8),
+        "intensities": rng.random(samples),
+        "picture_of": np.arange(kind.pictures, dtype=np.uint64),
+        "ambient": rng.normal(size=(kind.pictures, 16, 3)),
+        "base_normals": normals,
+        "start_normals": normals,
+        "prior_mean": rng.random((kind.pixels, 7)),
+        "prior_precision": rng.random((kind.pixels, 7)),
+        "free_normals": kind.free_normals,
+        "free_metallic": kind.metallic is None,
+        "free_roughness": True,
+        "iterations": 3,
+    }
+
+
 def problem_of(kind: Kind, rng: np.random.Generator) -> Arguments:
     pixels = pixels_of(kind, rng)
     shape = (kind.pictures, kind.pixels, kind.channels)
@@ -142,13 +176,16 @@ FUNCTIONS = {
     ),
     "render": Function(
         lambda kind, rng: (
-            {
-                {"normal": "normals", "view": "views"}.get(name, name): array
-                for name, array in pixels_of(kind, rng).items()
-            }
-            | {"lighting": rng.normal(size=(kind.pictures, 16, 3)), "threads": 1}
+            many_of(kind, rng) | {"lighting": rng.normal(size=(kind.pictures, 16, 3)), "threads": 1}
         ),
         lambda _, __, arguments: _core.render(**arguments),
+    ),
+    "lamp_radiance": Function(
+        lamplit_of, lambda _, __, arguments: _core.lamp_radiance(**arguments)
+    ),
+    "lamp_slopes": Function(lamplit_of, lambda _, __, arguments: _core.lamp_slopes(**arguments)),
+    "fit_under_lamps": Function(
+        under_lamps, lambda _, __, arguments: _core.fit_under_lamps(**arguments)
     ),
     "Problem": Function(problem_of, evaluate),
     "value_and_grad": Function(
@@ -279,8 +316,9 @@ def other_shape(array: Array, data: st.DataObject) -> Any:
 def other_value(array: Array, data: st.DataObject) -> Any:
     changed = array.copy()
     place = data.draw(st.integers(0, array.size - 1))
+    values = VALUES if array.dtype.kind == "f" else [0, 1, 2, 3, 200]
     with np.errstate(over="ignore"):
-        changed.flat[place] = data.draw(st.sampled_from(VALUES))
+        changed.flat[place] = data.draw(st.sampled_from(values))
     return changed
 
 
@@ -336,7 +374,7 @@ def test_a_bad_array_is_refused_by_name(
     changed = data.draw(st.sampled_from(arrays))
     arguments[changed] = change(arguments[changed], data)
     if change in (other_dtype, no_array, huge):
-        if changed in ("weights", "lighting") and arguments[changed] is None:
+        if changed in ("weights", "lighting", "limits") and arguments[changed] is None:
             return  # may be left out
         with pytest.raises(InputError, match=f"^{changed}: expected") as refusal:
             outcome(function, kind, arguments)

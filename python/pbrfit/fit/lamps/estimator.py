@@ -7,10 +7,12 @@ itself with shadows and metals (`surfaces`); then the lights once more with what
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ from pbrfit.fit.lamps.sample_noise import Left, Noise
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
+from pbrfit.lazy import lazy
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -42,6 +45,9 @@ from pbrfit.result.refinement import Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
+from pbrfit.transport.scenery import Scenery
+
+log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
 
@@ -79,7 +85,7 @@ LOOK_PIXELS = 400
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
 
-FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 20.0, 75.0
+FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 12.0, 75.0
 """Degrees of what is likely before: who takes pictures of an object stands back, and cuts out what
 is around it."""
 
@@ -316,7 +322,7 @@ class LampFit:
             same_lamp=self.options.same_lamp,
         )
         prior = first_prior(few, self._offset_sigma(few.places))
-        fit = JointLamps(few, state, Noise.first(few), prior, freedom)
+        fit = JointLamps(few, state, Noise.first(few), prior, freedom, lit=self.lit_at(few))
         samples = int(np.count_nonzero(few.weights))
         fit.reweigh(renew=False)
         fit.state, _, _ = fit_surfaces(
@@ -329,7 +335,7 @@ class LampFit:
                 break
             if number in LOOKS:
                 factors, degrees = LOOKS[number]
-                fields = FIELDS_OF_VIEW
+                fields: tuple[float, ...] = FIELDS_OF_VIEW
                 if self.scene.fov_known:
                     fields = (self.fov,)
                 elif degrees:
@@ -412,7 +418,8 @@ class LampFit:
 
     def _views(self, fov: float, places: NDArray[np.intp]) -> Array:
         """(P, 3): unit vectors to the camera at places of the picture."""
-        return np.asarray(view_directions(*self.scene.valid.shape, fov).reshape(-1, 3)[places])
+        height, width = self.scene.valid.shape
+        return np.asarray(view_directions(height, width, fov).reshape(-1, 3)[places])
 
     def _left_by_roughness(
         self, fit: JointLamps, few: LampPixels, given: LampState, scale: float, prior: SurfacePrior
@@ -474,6 +481,36 @@ class LampFit:
         """Coefficients of ambient light: a constant; more would stand for the lamps themselves."""
         return 1
 
+    def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
+        """Which samples of some pixels lamps reach, by rays; None without surroundings."""
+        scenery = self._scenery
+        if scenery is None:
+            return None
+
+        def lit(lamps: Lamps) -> Array:
+            reached = np.zeros((len(pixels), pixels.pictures), bool)
+            seen = np.zeros(reached.shape[1], bool)
+            for picture, place, near in zip(lamps.pictures, lamps.places, lamps.near, strict=True):
+                open_to = scenery.open_to_place if near else scenery.open_to
+                reached[:, picture] |= open_to(place, pixels.places)
+                seen[picture] = True
+            reached[:, ~seen] = True
+            return reached.astype(np.float64)
+
+        return lit
+
+    @lazy
+    def _scenery(self) -> Scenery | None:
+        """What may cast shadows; None where there is no depth, or nobody wants it."""
+        scene = self.scene
+        if scene.depth is None or not scene.normals_known or self.options.transport == "none":
+            return None
+        try:
+            return Scenery(scene.depth, scene.normals, scene.valid, scene.segments, scene.fov)
+        except InputError as error:
+            log.warning("lamps: cast shadows by rays are left out: %s", error)
+            return None
+
     def _said(self, name: str, fit: JointLamps) -> str:
         strengths = fit.state.lamps.colors.mean(axis=-1)
         spread = float(np.std(np.log(np.maximum(strengths, 1e-12))))
@@ -500,6 +537,12 @@ class LampFit:
                 scene.through(self.fov), self.normals, self.model, self.setup.threads, places[band]
             )
             prior = of_labels(fit.prior, few, pixels, self._offset_sigma(pixels.places))
+            lit = self.lit_at(pixels)
+            if lit is not None:
+                weights = pixels.weights * lit(fit.state.lamps)[..., None]
+                dark = ~weights.any(axis=(1, 2))
+                weights[dark] = pixels.weights[dark]
+                pixels = replace(pixels, weights=weights)
             state = replace(
                 fit.state,
                 normals=pixels.normals,
@@ -596,7 +639,7 @@ class LampFit:
         def flags(of_unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:
             of = of_unknowns
             found = np.stack([of[:, 2:5].any(axis=-1), of[:, 5], of[:, 6]], axis=-1)
-            return np.asarray(_map(found, valid, False), bool)
+            return _map(found, valid, False)
 
         return Uncertainty(
             conditional=maps(variance),
@@ -647,7 +690,7 @@ def _scale_variance(fit: JointLamps, covariance: Array) -> float:
     return float(slope @ covariance @ slope)
 
 
-def _map(values: Array, valid: NDArray[np.bool_], fill: float = np.nan) -> Array:
+def _map(values: NDArray[Any], valid: NDArray[np.bool_], fill: float = np.nan) -> NDArray[Any]:
     """(H, W, ...): values of the valid pixels at their places."""
     found = np.full((*valid.shape, *values.shape[1:]), fill, values.dtype)
     found[valid] = values

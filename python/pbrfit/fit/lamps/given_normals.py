@@ -7,10 +7,13 @@ albedo ρ of each pixel and the lamp of each picture, robustly: shadows and high
 a weighted linear least-squares problem in three numbers.
 
 **Near.** s = (n·ω)⁺/d² is not. Positions on a grid around the scene are tried, coarse to fine, and
-judged by Σ|I − c ρ s|/Σ I with the c that makes it least, a weighted median of I/(ρ s).
+judged by the mean of |ln I − ln c ρ s|, of which no more than 1 counts, with the c that makes it
+least, a median. A pixel that is dark and should not be, or the reverse, counts 1.
 """
 
 from __future__ import annotations
+
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +28,7 @@ Array = NDArray[np.float64]
 ROUNDS = 25
 """Of albedo and lamps, far away: each costs two sums over the samples."""
 
-NEAR_ROUNDS = 5
+NEAR_ROUNDS = 8
 """Of albedo and positions."""
 
 NEAR_PIXELS = 400
@@ -40,6 +43,13 @@ REFINEMENTS = 5
 OUTSIDE = 0.3
 """How far beyond what is seen lamps are sought, of its size; behind the camera as far as the median
 distance."""
+
+REFINING_STEPS, REFINING_DAMPING, FINAL_SCALE = 40, 0.02, 0.05
+"""Steps of Gauss and Newton on near lamps; damping, of the diagonal; and the scale of residuals, a
+logarithm, that weights end with: 5 %, as model and noise leave."""
+
+DARK = 0.02
+"""Share of a picture's mean radiance below which a pixel is taken to be in a shadow."""
 
 TINY = 1e-12
 
@@ -84,7 +94,8 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
     assert points is not None
     grey = few.samples.mean(axis=-1)
     usable = (few.weights > 0).all(axis=-1) & (few.limits == 0).all(axis=-1)
-    albedo = _typical(grey, usable)
+    # Not the mean brightness: it has the mean shading in it, to which lamps would then fit.
+    albedo = np.full(len(few), ALBEDO_MEAN)
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
     size = high - low
     low, high = low - OUTSIDE * size, high + OUTSIDE * size
@@ -110,16 +121,71 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
                 place, width = around[best], width / 2
                 left[i], shading[:, i] = scores[best], colors[best] * nearby[best]
             places[i] = place
-        ratio = np.where(usable & (shading > 0), grey / np.maximum(shading, TINY), np.nan)
-        with np.errstate(all="ignore"):
+        bright = usable & (shading > 0) & (grey > DARK * grey.mean(axis=0))
+        ratio = np.where(bright, np.log(np.maximum(grey, TINY) / np.maximum(shading, TINY)), np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # pixels that no lamp reaches
             found = np.nanmedian(ratio, axis=1)
-        found = np.where(np.isfinite(found) & (found > 0), found, np.nanmedian(found))
-        albedo = found * (albedo.mean() / found.mean())
+        found = np.where(np.isfinite(found), found, np.nanmedian(found))
+        albedo = np.exp(found - found.mean()) * ALBEDO_MEAN
+    places, left_over = _refined(few, grey, usable, places)
     lamps = Lamps(np.arange(pixels.pictures), places, np.ones(pixels.pictures, bool))
     shading = _shading(pixels, places).T
     ordinary = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
     lamps, of_all = colored_by(pixels, lamps, shading, ordinary * (shading > 0))
-    return lamps, of_all, float(left.mean())
+    return lamps, of_all, left_over
+
+
+def _refined(
+    few: LampPixels, grey: Array, usable: NDArray[np.bool_], places: Array
+) -> tuple[Array, float]:
+    """Places by Gauss and Newton on logarithms, and the median of what they leave.
+
+    With a = ln ρ of each pixel and b = ln c of each lamp the residual ln I − a − b − ln s is linear
+    in a and b, and ln s = ln n·(q−p) − 3 ln |q−p| has the slope n/(n·(q−p)) − 3 (q−p)/|q−p|² by q.
+    Weights are those of Cauchy's distribution, whose scale falls from step to step, so that shadows
+    and highlights are left out in the end, and the pixels' a are eliminated.
+    """
+    points, normals = few.points, few.normals
+    assert points is not None
+    count, lamps = grey.shape
+    dark = grey < DARK * grey.mean(axis=0)
+    logs = np.log(np.maximum(grey, TINY))
+    a, b = np.zeros(count), np.zeros(lamps)
+    residual = np.zeros_like(grey)
+    for number in range(REFINING_STEPS):
+        away = places[:, None] - points
+        squared = np.maximum((away**2).sum(axis=-1), TINY)
+        height = np.einsum("kpx,px->kp", away, normals)
+        lit = (height > 0.02 * np.sqrt(squared)) & (usable & ~dark).T
+        shade = np.log(np.maximum(height, TINY)) - 1.5 * np.log(squared)
+        scale = max(1.0 * 0.8**number, FINAL_SCALE)
+        for _ in range(5 if number == 0 else 1):
+            weights = lit / (1 + ((logs.T - a - b[:, None] - shade) / scale) ** 2)
+            a = (weights * (logs.T - b[:, None] - shade)).sum(axis=0) / (weights.sum(axis=0) + TINY)
+            b = (weights * (logs.T - a - shade)).sum(axis=1) / (weights.sum(axis=1) + TINY)
+        residual = logs.T - a - b[:, None] - shade
+        weights = lit / (1 + (residual / scale) ** 2)
+        slope = normals / np.maximum(height, TINY)[..., None] - 3 * away / squared[..., None]
+        slope = np.concatenate([slope, np.ones((lamps, count, 1))], axis=-1)
+        slope = np.where(lit[..., None], slope, 0.0)
+        own = weights.sum(axis=0) + 1e-6
+        mixed = (weights[..., None] * slope).transpose(1, 0, 2).reshape(count, -1)
+        matrix = np.zeros((4 * lamps, 4 * lamps))
+        for k in range(lamps):
+            block = slice(4 * k, 4 * k + 4)
+            matrix[block, block] = slope[k].T @ (weights[k, :, None] * slope[k])
+        gradient = np.einsum("kp,kpu->ku", weights * residual, slope).reshape(-1)
+        gradient -= mixed.T @ ((weights * residual).sum(axis=0) / own)
+        schur = matrix - mixed.T @ (mixed / own[:, None])
+        schur += np.diag(REFINING_DAMPING * np.diag(matrix) + 1e-9)
+        change = np.linalg.solve(schur, gradient).reshape(lamps, 4)
+        length = np.linalg.norm(change[:, :3], axis=-1)
+        longest = 0.3 * float(np.median(np.sqrt(squared)))
+        places = places + change[:, :3] * np.minimum(1, longest / np.maximum(length, TINY))[:, None]
+        b = b + change[:, 3]
+    told = lit & (weights > 0.1)
+    return places, float(np.median(np.abs(residual[told]))) if told.any() else np.inf
 
 
 def _shading(pixels: LampPixels, places: Array) -> Array:
@@ -135,17 +201,17 @@ def _judged(
     grey: Array, albedo: Array, shading: Array, usable: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """(G,) each: what lamps leave of a picture, and their colours."""
-    shown = albedo[usable] * shading[:, usable]
-    grey = grey[usable]
-    ratio = grey / np.maximum(shown, TINY)
-    order = np.argsort(ratio, axis=1)
-    heavy = np.cumsum(np.take_along_axis(shown, order, axis=1), axis=1)
-    middle = (heavy < 0.5 * heavy[:, -1:]).sum(axis=1)
-    middle = np.minimum(middle, ratio.shape[1] - 1)
-    at = np.take_along_axis(order, middle[:, None], axis=1)
-    color = np.take_along_axis(ratio, at, axis=1)
-    color = np.where(heavy[:, -1:] > 0, color, 0.0)
-    return np.abs(grey - color * shown).sum(axis=1) / max(grey.sum(), TINY), color[:, 0]
+    shown, lit = np.log(albedo * shading + TINY), shading > TINY
+    there = usable & (grey > DARK * grey[usable].mean())
+    both = lit & there
+    ratio = np.where(both, np.log(np.maximum(grey, TINY)) - shown, np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # lamps behind all that is seen
+        color = np.nanmedian(ratio, axis=1)
+    left = np.where(both, np.minimum(np.abs(ratio - color[:, None]), 1.0), lit != there)
+    found = np.where(usable, left, 0.0).sum(axis=1) / max(int(usable.sum()), 1)
+    known = np.isfinite(color)
+    return np.where(known, found, np.inf), np.where(known, np.exp(np.where(known, color, 0)), 0.0)
 
 
 def _typical(grey: Array, usable: NDArray[np.bool_]) -> Array:

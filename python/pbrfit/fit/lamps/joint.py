@@ -139,7 +139,10 @@ def offsets(base: Array, normals: Array) -> Array:
 
 
 class JointLamps:
-    """The joint fit of some pixels; `state` is where it stands."""
+    """The joint fit of some pixels; `state` is where it stands.
+
+    `lit` tells by rays which samples (P, N) lamps reach; others are no data. None = nobody knows.
+    """
 
     def __init__(
         self,
@@ -149,11 +152,11 @@ class JointLamps:
         prior: SurfacePrior,
         freedom: Freedom,
         *,
-        visibility: Callable[[Lamps], Array] | None = None,
+        lit: Callable[[Lamps], Array] | None = None,
     ) -> None:
         self.pixels, self.state, self.noise = pixels, state, noise
         self.prior, self.freedom = prior, freedom
-        self.visibility = visibility
+        self.lit = lit
         self.damping = 1e-3
         self.cost = np.inf
         self.weights = np.zeros(pixels.samples.shape)
@@ -163,12 +166,12 @@ class JointLamps:
 
     def reweigh(self, *, renew: bool = True) -> None:
         """New noise and weights by what is left now."""
-        if self.visibility is not None:
-            self.state = replace(self.state, seen=self.visibility(self.state.lamps))
         left = Left.of(self.pixels, self.state)
         if renew:
             self.noise = self.noise.renewed(left, self._free_share())
         self.weights = self.pixels.weights * self.noise.weights(left)
+        if self.lit is not None:
+            self.weights *= self.lit(self.state.lamps)[..., None]
         self.cost = self._cost(self.state)
 
     def _free_share(self) -> float:

@@ -39,7 +39,7 @@ def fit_picture_light(
     weights: NDArray[np.floating] | None = None,
     direction: Array | None = None,
     *,
-    ambient_terms: int = 4,
+    ambient_terms: int = 9,
 ) -> tuple[Lamps, Array]:
     """The light of a picture (H, W, 3) of the same view, linear Rec.709.
 

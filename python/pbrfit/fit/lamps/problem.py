@@ -104,7 +104,7 @@ class LampPixels:
     @property
     def pictures(self) -> int:
         """N."""
-        return self.samples.shape[1]
+        return int(self.samples.shape[1])
 
     def of_rows(self, rows: NDArray[np.intp] | slice) -> LampPixels:
         """Some of the pixels."""

@@ -68,7 +68,7 @@ class Left:
             pixels.residuals(shown),
             np.maximum(shown, NOISE_MIN),
             np.maximum(pixels.samples, NOISE_MIN),
-            (pixels.weights > 0).any(axis=-1),
+            np.asarray((pixels.weights > 0).any(axis=-1)),
         )
 
 

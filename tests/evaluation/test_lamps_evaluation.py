@@ -1,0 +1,209 @@
+"""`pbrfit evaluate lamps`: where lamps are, how far found ones are off, verdicts, the command.
+
+How well fits find lamps is not tested here. A room of our own renderer stands in for one of Cycles.
+"""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluation_tasks import recorded
+from pbrfit.model.lamps import Lamps
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic.geometry import trace
+from pbrfit_evaluation import cycles, recipes
+from pbrfit_evaluation.cycles.export import export
+from pbrfit_evaluation.lamps import SETUPS, SUITE, figures, measure
+from pbrfit_evaluation.lamps.measure import NAMES, ROWS, Case, lamps_off
+from pbrfit_evaluation.lamps.variants import BY_KEY, CONSTANT, HARMONICS, NEAR, VARIANTS
+from pbrfit_evaluation.normal_errors import unit
+from pbrfit_evaluation.table1 import measure as table1
+from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
+from scene_files import run
+
+SIZE = 16
+LIGHTS = 4
+
+
+def own_room(case: Case, _: int) -> tuple[Scene, Lamps]:
+    """Stand in for `measure.room`: a room of our renderer, with its depth, and some lamps."""
+    [stream] = np.random.SeedSequence(case.seed).spawn(1)
+    of = draw("furnished", np.random.default_rng(stream))
+    made = make_scene("furnished", size=case.size, lights=case.lights, held_out=1, seed=case.seed)
+    rays = -made.views.reshape(-1, 3)
+    distance = trace(of.primitives, of.eye, rays @ of.turn.T).distance.reshape(made.valid.shape)
+    places = np.random.default_rng(case.seed).normal((0, 1, -1), 0.5, (case.lights, 3))
+    lamps = Lamps(np.arange(case.lights), places, np.ones(case.lights, bool))
+    return replace(made, depth=distance * made.views[..., 2]), lamps
+
+
+CASE = Case("points-shadows", NEAR, 2003, SIZE, LIGHTS, picture=True)
+
+
+@pytest.fixture(scope="module")
+def room() -> tuple[Scene, Lamps]:
+    return own_room(CASE, 1)
+
+
+# Rooms
+
+
+def test_setups_are_rooms_of_table_1_under_points() -> None:
+    assert set(SETUPS) == set(ROWS) == set(NAMES)
+    rows = [TABLE1[key] for key in ROWS.values()]
+    assert {(row.light, row.renderer, row.scene) for row in rows} == {
+        ("points", "cycles", "furnished")
+    }
+    assert [row.transport for row in rows] == ["shadows", "brdf"]
+
+
+def test_true_lamps_are_inside_the_room_and_not_in_furniture() -> None:
+    row = TABLE1[ROWS["points-shadows"]]
+    task = table1.Task(row.key, 8200, SIZE, LIGHTS, 0)
+    lamps = table1.cycles_lamps(task, row)
+    assert lamps.near.all()
+    assert lamps.pictures.tolist() == list(range(LIGHTS))
+    [stream] = np.random.SeedSequence(8200).spawn(1)
+    world = draw(row.scene, np.random.default_rng(stream))
+    for mesh in export(world, SIZE, 60.0).meshes[: world.walls]:
+        heights = np.einsum("kvi,vi->kv", lamps.places[:, None] - mesh.vertices, mesh.normals)
+        assert heights.min() >= 0.5  # metres from every wall
+
+
+def test_true_lamps_are_those_that_are_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    class StopError(Exception):
+        pass
+
+    def rendered(job: Any, **_: object) -> None:
+        asked.append(job.positions)
+        raise StopError
+
+    monkeypatch.setattr("pbrfit_evaluation.cycles.scene.rendered", rendered)
+    row = TABLE1[ROWS["points-shadows"]]
+    task = table1.Task(row.key, 8203, SIZE, LIGHTS, 0)
+    with pytest.raises(StopError):
+        table1.cycles_scene(task, row, 1)
+    np.testing.assert_array_equal(table1.cycles_lamps(task, row).places, asked[0])
+
+
+# What is measured
+
+
+def test_lamps_at_their_places_are_not_off(room: tuple[Scene, Lamps]) -> None:
+    scene, true = room
+    assert lamps_off(true, true, scene) == {"cm": 0, "degrees": 0, "near": 1}
+    moved = replace(true, places=true.places + np.array([0.03, 0, 0.04]))
+    off = lamps_off(moved, true, scene)
+    assert off["cm"] == pytest.approx(5)
+    assert 0 < off["degrees"] < 10
+
+
+def test_far_lamps_are_off_by_angles_alone(room: tuple[Scene, Lamps]) -> None:
+    scene, true = room
+    far = Lamps(true.pictures, unit(true.places), np.zeros(len(true), bool))
+    off = lamps_off(far, true, scene)
+    assert off.keys() == {"degrees", "near"}
+    assert off["near"] == 0
+    assert lamps_off(None, true, scene) == {}
+
+
+def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: dict[str, Any] = {}
+    light: dict[str, Any] = {}
+
+    def explain(scene: Scene, *_: object, **options: Any) -> Any:
+        told[key], light[key] = scene, options.get("light")
+        return recipes.explain(scene, "start", model="principled", threads=1)
+
+    monkeypatch.setattr(measure, "room", own_room)
+    monkeypatch.setattr(measure, "fit", explain)
+    monkeypatch.setattr(measure, "explain", explain)
+    for key in BY_KEY:
+        measure.run(replace(CASE, variant=key, picture=False), 1)
+    assert [key for key in BY_KEY if told[key].depth is not None] == [
+        key for key in BY_KEY if BY_KEY[key].depth
+    ]
+    assert [key for key in BY_KEY if told[key].lamps is not None] == ["known"]
+    assert light[CONSTANT] is None
+    assert {key: light[key] for key in ("sh", "lamps", NEAR, "auto-depth", "known")} == {
+        "sh": "sh",
+        "lamps": "lamps",
+        NEAR: "lamps",
+        "auto-depth": "auto",
+        "known": "lamps",
+    }
+
+
+def test_known_lamps_need_depth() -> None:
+    assert all(variant.depth for variant in VARIANTS if variant.lamps)
+
+
+# Figures
+
+
+def values(error: float, cm: float | None = None) -> dict[str, Any]:
+    scores = dict.fromkeys((*figures.ERRORS, "recon", "seconds"), error)
+    return {"scores": scores, "lamps": {} if cm is None else {"cm": cm, "near": 1.0}}
+
+
+def results(found: dict[str, dict[str, Any]]) -> Any:
+    cases = [replace(CASE, variant=key, picture=False) for key in found]
+    pairs = zip(cases, found.values(), strict=True)
+    return recorded(*pairs, setups=["points-shadows"], variants=list(found))
+
+
+def test_lamps_have_to_be_worth_something() -> None:
+    good = {CONSTANT: values(0.3), HARMONICS: values(0.4), NEAR: values(0.2, 3.0)}
+    assert all(one.holds for one in figures.verdicts(results(good), None))
+    for spoilt in (values(0.35, 3.0), values(0.2, 6.0)):
+        assert not all(one.holds for one in figures.verdicts(results({**good, NEAR: spoilt}), None))
+
+
+def test_auto_spoils_nothing() -> None:
+    one = {HARMONICS: values(0.2), "auto": values(0.2)}
+    assert [verdict.holds for verdict in figures.verdicts(results(one), None)] == [True]
+    two = {HARMONICS: values(0.2), "auto": values(0.21)}
+    assert [verdict.holds for verdict in figures.verdicts(results(two), None)] == [False]
+
+
+def test_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(measure, "room", own_room)
+    monkeypatch.setattr(cycles, "why_not", lambda: None)
+    short = SimpleNamespace(fit=recipes.fit)
+    monkeypatch.setattr(
+        measure,
+        "fit",
+        lambda scene, **options: short.fit(scene, iterations=2, uncertainty=False, **options),
+    )
+    out = tmp_path / "out"
+    few = ("--scenes", 1, "--size", SIZE, "--lights", LIGHTS, "--jobs", 1, "--first-seed", 2003)
+    variants = ("--variants", CONSTANT, HARMONICS)
+    assert run("evaluate", "lamps", "--quick", *few, *variants, "--out", out) == 0, (
+        capsys.readouterr().err
+    )
+    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
+    assert [row["solver"] for row in rows if row["scenes"]] == [
+        BY_KEY[key].words for key in (CONSTANT, HARMONICS)
+    ]
+    assert (out / "maps-points-shadows.png").is_file()
+
+
+def test_without_cycles_rows_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cycles, "why_not", lambda: "nothing there")
+    options = Namespace(setups=["points-shadows"], variants=[NEAR], lights=4)
+    assert SUITE.parts[0].cases(options) == []
+    [row] = figures.rows(figures.Of(options, []))
+    assert row.status == "not run: nothing there"

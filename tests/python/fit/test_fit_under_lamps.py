@@ -1,0 +1,329 @@
+"""Single pixels under known lamps: planted ones recovered, limits, priors, extremes, refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import reference
+from pbrfit import InputError, _core
+from pbrfit.model.reflection import MODELS
+from reference import unit
+
+Array = NDArray[Any]
+Arguments = dict[str, Any]
+
+PICTURES, LAMPS = 12, 18
+UNKNOWNS = 7
+"""Tangent offsets, albedos, roughness, metallic."""
+
+every_model = pytest.mark.parametrize("model", MODELS)
+
+
+def example(count: int, seed: int, model: str, *, ambient: bool = False) -> tuple[Arguments, Array]:
+    """Pixels with pictures of what is planted, and a start beside that; and what is planted (P, 8).
+
+    Half of the pictures have two lamps, and where there is SH light a third of them have none.
+    """
+    rng = np.random.default_rng(seed)
+    forward = np.array([0.0, 0.0, 1.0])
+    normals = unit(forward + 0.3 * rng.normal(size=(count, 3)))
+    views = unit(forward + 0.1 * rng.normal(size=(count, 3)))
+    directions = unit(forward + 0.6 * rng.normal(size=(count, LAMPS, 3)) * [1, 1, 0])
+    albedo = rng.uniform(0.1, 0.9, (count, 3))
+    roughness, metallic = rng.uniform(0.25, 0.8, count), rng.uniform(0.1, 0.9, count)
+    intensities = rng.uniform(0.5, 2.0, (count, LAMPS, 3))
+    picture_of = np.sort(np.arange(LAMPS) % PICTURES).astype(np.uint64)
+    light = np.zeros((PICTURES, 16, 3))
+    if ambient:
+        light[:, 0] = 0.5
+        light[:, 1:] = 0.05 * rng.normal(size=(PICTURES, 15, 3))
+        light[::3] = 0
+    given = {
+        "weights": np.ones((count, PICTURES, 3)),
+        "limits": None,
+        "views": views,
+        "directions": directions,
+        "intensities": intensities,
+        "picture_of": picture_of,
+        "ambient": light,
+        "base_normals": unit(normals + 0.05 * rng.normal(size=(count, 3))),
+        "albedo": np.clip(albedo + rng.uniform(-0.1, 0.1, albedo.shape), 0, 1),
+        "roughness": roughness * rng.uniform(0.8, 1.2, count),
+        "metallic": np.clip(metallic + rng.uniform(-0.1, 0.1, count), 0, 1),
+        "prior_mean": np.zeros((count, UNKNOWNS)),
+        "prior_precision": np.zeros((count, UNKNOWNS)),
+        "free_normals": True,
+        "free_metallic": True,
+        "free_roughness": True,
+        "iterations": 60,
+        "threads": 1,
+        "model": model,
+    }
+    given["start_normals"] = given["base_normals"]
+    planted = (normals, albedo, roughness, metallic)
+    given["pictures"] = rendered(given, *planted)
+    return given, np.column_stack(planted)
+
+
+def rendered(given: Arguments, *pixels: Array) -> Array:
+    """Pictures (P, N, 3) of normals and materials."""
+    normals, albedo, roughness, metallic = (np.ascontiguousarray(a) for a in pixels)
+    views, model = given["views"], given["model"]
+    maps = (normals, views, albedo, roughness, metallic)
+    radiance = _core.lamp_radiance(*maps, given["directions"], 1, model) * given["intensities"]
+    weights = _core.shade(*maps, model)
+    pictures = np.einsum("pck,nkc->pnc", weights, given["ambient"])
+    for k, picture in enumerate(given["picture_of"].astype(int)):
+        pictures[:, picture] += radiance[:, k]
+    return np.asarray(pictures)
+
+
+def fitted(given: Arguments, **changed: Any) -> tuple[Array, Array, Array]:
+    """Normals and materials (P, 8), costs and information."""
+    *pixels, cost, information = _core.fit_under_lamps(**(given | changed))
+    assert all(np.isfinite(a).all() for a in (*pixels, cost, information))
+    return np.column_stack(pixels), cost, information
+
+
+def start_of(given: Arguments) -> Array:
+    return np.column_stack(
+        [given[name] for name in ("start_normals", "albedo", "roughness", "metallic")]
+    )
+
+
+def share(found: Array, planted: Array, tolerance: float = 1e-6) -> float:
+    """Share of the pixels that are recovered."""
+    return float(np.mean(np.abs(found - planted).max(axis=1) < tolerance))
+
+
+@every_model
+@pytest.mark.parametrize("ambient", [False, True])
+def test_planted_pixels_are_recovered(model: str, ambient: bool) -> None:
+    given, planted = example(200, 0, model, ambient=ambient)
+    assert share(start_of(given), planted) == 0
+    found, cost, _ = fitted(given)
+    assert share(found, planted) >= 0.99
+    assert np.median(cost) < 1e-20
+
+
+@every_model
+def test_limits_recover_what_is_cut_off(model: str) -> None:
+    """Bright samples are known to be at least, dark ones at most so much."""
+    given, planted = example(200, 1, model)
+    low, high = np.quantile(given["pictures"], [0.1, 0.85])
+    cut = np.clip(given["pictures"], low, high)
+    limits = np.where(given["pictures"] > high, 1, np.where(given["pictures"] < low, 2, 0))
+    found, cost, _ = fitted(given, pictures=cut, limits=limits.astype(np.uint8))
+    assert share(found, planted) >= 0.9
+    assert np.median(cost) < 1e-20
+    taken_as_data, *_ = fitted(given, pictures=cut)
+    assert share(taken_as_data, planted) < 0.3
+
+
+@every_model
+def test_what_is_held_stays_and_the_rest_is_recovered(model: str) -> None:
+    given, planted = example(100, 2, model)
+    normals, roughness, metallic = planted[:, :3].copy(), planted[:, 6].copy(), planted[:, 7].copy()
+    known = {"start_normals": normals, "roughness": roughness, "metallic": metallic}
+    for free, columns, rows in [
+        ("free_normals", slice(0, 3), [0, 1]),
+        ("free_roughness", slice(6, 7), [5]),
+        ("free_metallic", slice(7, 8), [6]),
+    ]:
+        found, _, information = fitted(given | known, **{free: False})
+        np.testing.assert_array_equal(found[:, columns], planted[:, columns])
+        assert share(found, planted) >= 0.99
+        assert (information[:, rows] == 0).all()
+        assert (information[:, :, rows] == 0).all()
+        others = np.delete(np.diagonal(information, axis1=1, axis2=2), rows, axis=1)
+        assert (others > 0).all()
+
+
+@every_model
+@pytest.mark.parametrize("ambient", [False, True])
+def test_information_is_that_of_the_derivatives(model: str, ambient: bool) -> None:
+    given, _ = example(20, 3, model, ambient=ambient)
+    rng = np.random.default_rng(0)
+    weights = rng.uniform(0, 2, given["weights"].shape)
+    precision = rng.uniform(0, 1, (20, UNKNOWNS))
+    changed = {"weights": weights, "prior_precision": precision, "iterations": 0}
+    _, cost, information = fitted(given, **changed)
+    base = given["base_normals"]
+    maps = [given[name] for name in ("albedo", "roughness", "metallic")]
+
+    def pictures(unknown: int, step: float) -> Array:
+        x = np.zeros((UNKNOWNS, 20))
+        x[unknown] = step
+        moved = maps[0] + x[2:5].T, maps[1] + x[5], maps[2] + x[6]
+        return rendered(given, reference.turned(base, x[:2]), *moved)
+
+    residual = pictures(0, 0.0) - given["pictures"]
+    jacobian = np.stack(
+        [(pictures(x, 1e-5) - pictures(x, -1e-5)) / 2e-5 for x in range(UNKNOWNS)], axis=-1
+    )
+    expected = np.einsum("pnc,pncx,pncy->pxy", weights, jacobian, jacobian)
+    expected += precision[:, :, None] * np.eye(UNKNOWNS)
+    size = np.sqrt(np.einsum("pxx,pyy->pxy", expected, expected))
+    assert (np.abs(information - expected) < 1e-6 * size).all()
+    x = np.column_stack([np.zeros((20, 2)), *maps])
+    np.testing.assert_allclose(
+        cost, (weights * residual**2).sum((1, 2)) + (precision * x**2).sum(1), rtol=1e-12
+    )
+
+
+@every_model
+def test_a_prior_alone_is_its_mean(model: str) -> None:
+    given, _ = example(30, 4, model)
+    rng = np.random.default_rng(1)
+    mean = np.column_stack([rng.uniform(-0.4, 0.4, (30, 2)), rng.uniform(0.1, 0.9, (30, 5))])
+    precision = rng.uniform(0.1, 10, (30, UNKNOWNS))
+    found, cost, information = fitted(
+        given,
+        weights=np.zeros_like(given["weights"]),
+        prior_mean=mean,
+        prior_precision=precision,
+    )
+    expected = np.column_stack(
+        [reference.turned(given["base_normals"], mean[:, :2].T), mean[:, 2:]]
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert (cost < 1e-6).all()
+    np.testing.assert_array_equal(information, precision[:, :, None] * np.eye(UNKNOWNS))
+
+
+@every_model
+def test_priors_are_about_the_base_normals(model: str) -> None:
+    """With little data normals stay at the base, from wherever they start."""
+    given, _ = example(30, 5, model)
+    precision = np.zeros((30, UNKNOWNS))
+    precision[:, :2] = 1e10
+    start = unit(given["base_normals"] + 0.1)
+    found, _, _ = fitted(given, prior_precision=precision, start_normals=start)
+    np.testing.assert_allclose(found[:, :3], given["base_normals"], atol=1e-4)
+
+
+@every_model
+def test_without_data_the_start_stays(model: str) -> None:
+    given, _ = example(20, 6, model, ambient=True)
+    given["roughness"][:5] = 0
+    found, cost, information = fitted(given, weights=np.zeros_like(given["weights"]))
+    np.testing.assert_array_equal(found, start_of(given))
+    assert (cost == 0).all()
+    assert (information == 0).all()
+
+
+@every_model
+def test_extreme_pictures_are_fitted_without_end_or_nan(model: str) -> None:
+    given, _ = example(40, 7, model, ambient=True)
+    given["albedo"][::3], given["albedo"][1::3] = 0, 1
+    given["metallic"][::4], given["metallic"][1::4] = 0, 1
+    given["roughness"][::5], given["roughness"][1::5] = 0, 1
+    ones = np.ones_like(given["pictures"])
+    _, at_start, _ = fitted(given, iterations=0)
+    for pictures, limits in [(0 * ones, 0), (1e15 * ones, 0), (0 * ones, 2), (ones, 1), (-ones, 0)]:
+        changed = {"pictures": pictures, "limits": np.full(ones.shape, limits, np.uint8)}
+        _, before, _ = fitted(given, iterations=0, **changed)
+        found, after, _ = fitted(given, **changed)
+        assert (after <= before).all()
+        assert (found[:, 3:] >= 0).all()
+        assert (found[:, 3:] <= 1).all()
+        np.testing.assert_allclose(np.linalg.norm(found[:, :3], axis=1), 1, rtol=1e-9)
+    assert (at_start > 0).all()
+
+
+@every_model
+def test_normals_stay_on_the_side_of_the_camera(model: str) -> None:
+    """Lamps from aside pull them beyond the edge: white pixels are brightest there."""
+    given, _ = example(60, 8, model)
+    views = given["views"]
+    across = unit(np.cross(views, [1.0, 0.2, 0.1]))
+    edge = unit(across + 0.1 * views)
+    directions = unit(across - 0.5 * views)[:, None]
+    found, _, _ = fitted(
+        given,
+        directions=np.repeat(directions, LAMPS, axis=1),
+        base_normals=edge,
+        start_normals=edge,
+        pictures=np.full_like(given["pictures"], 3.0),
+    )
+    assert (np.sum(found[:, :3] * views, axis=1) >= 0.01).all()
+
+
+@every_model
+def test_a_mirror_that_is_none_leaves_its_start(model: str) -> None:
+    """The slope by roughness is 0 at 0. Narrow lobes have many minima, so not all get far."""
+    given, planted = example(100, 9, model)
+    given["roughness"][:] = 0
+    found, cost, _ = fitted(given)
+    assert (found[:, 6] > 0.1).mean() > 0.7
+    stuck, at_zero, _ = fitted(given, free_roughness=False)
+    assert (stuck[:, 6] == 0).all()
+    assert np.median(cost) < 0.1 * np.median(at_zero)
+    assert (cost <= fitted(given, iterations=0)[1]).all()
+    assert share(found[:, 6:7], planted[:, 6:7], 1e-3) > 0.2
+
+
+@every_model
+def test_pixels_do_not_know_of_each_other_or_of_threads(model: str) -> None:
+    given, _ = example(300, 10, model, ambient=True)
+    one, two = (_core.fit_under_lamps(**(given | {"threads": t})) for t in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
+    some = slice(137, 139)
+    own = {
+        name: value[some]
+        for name, value in given.items()
+        if isinstance(value, np.ndarray) and name not in ("picture_of", "ambient")
+    }
+    for a, b in zip(one, _core.fit_under_lamps(**(given | own)), strict=True):
+        np.testing.assert_array_equal(a[some], b)
+
+
+REFUSALS: list[tuple[str, Any, str]] = [
+    ("pictures", lambda a: a[:, :-1], r"shape \[6, 12, 3\], found shape \[6, 11, 3\]"),
+    ("pictures", lambda a: a * np.nan, "finite numbers, found NaN at 0"),
+    ("pictures", lambda a: a.astype(np.float32), "an array of float64 in 3 dim"),
+    ("weights", lambda a: a[:-1], r"shape \[6, 12, 3\], found shape \[5, 12, 3\]"),
+    ("weights", lambda a: -a, "numbers from 0, found -1 at 0"),
+    ("limits", lambda _: np.full((6, 12, 3), 3, np.uint8), "0, 1 or 2, found 3 at 0"),
+    ("limits", lambda _: np.zeros((6, 12), np.uint8), "an array of uint8 in 3 dim"),
+    ("views", lambda a: a[:-1], r"shape \[6, 3\], found shape \[5, 3\]"),
+    ("directions", lambda a: a * 2, "unit vectors, found "),
+    ("directions", lambda a: a[:-1], r"shape \[6, 18, 3\], found shape \[5, 18, 3\]"),
+    ("intensities", lambda a: a[:, 1:], r"shape \[6, 18, 3\], found shape \[6, 17, 3\]"),
+    ("intensities", lambda a: a * 1e20, r"numbers up to 1e16 in size, found "),
+    ("picture_of", lambda a: a[1:], r"shape \[18\], found shape \[17\]"),
+    ("picture_of", lambda a: a[::-1].copy(), "numbers in rising order, found "),
+    ("picture_of", lambda a: a + np.uint64(9), "indices below 12, found 12"),
+    ("ambient", lambda a: a[:, :9], r"shape \[12, 16, 3\], found shape \[12, 9, 3\]"),
+    ("base_normals", lambda a: a[:-1], r"shape \[6, 3\], found shape \[5, 3\]"),
+    ("start_normals", lambda a: -a, "normals less than 90 degrees from base_normals, found 180"),
+    ("albedo", lambda a: a + 1, r"numbers in \[0, 1\], found "),
+    ("roughness", lambda a: a[:-1], r"shape \[6\], found shape \[5\]"),
+    ("prior_mean", lambda a: a[:, 1:], r"shape \[6, 7\], found shape \[6, 6\]"),
+    ("prior_precision", lambda a: a - 1, "numbers from 0, found -1 at 0"),
+    ("model", lambda _: "phong", "paper or principled, found phong"),
+]
+
+
+@pytest.mark.parametrize(("name", "change", "refusal"), REFUSALS)
+def test_bad_arguments_are_refused_by_name(name: str, change: Any, refusal: str) -> None:
+    given, _ = example(6, 11, "paper")
+    with pytest.raises(InputError, match=f"^{name}: expected {refusal}"):
+        _core.fit_under_lamps(**(given | {name: change(given[name])}))
+
+
+def test_nothing_gives_nothing() -> None:
+    given, _ = example(3, 12, "paper")
+    none = {
+        name: value[:0]
+        for name, value in given.items()
+        if isinstance(value, np.ndarray) and name not in ("picture_of", "ambient")
+    }
+    normals, *_, information = _core.fit_under_lamps(**(given | none))
+    assert normals.shape == (0, 3)
+    assert information.shape == (0, UNKNOWNS, UNKNOWNS)

@@ -1,0 +1,137 @@
+"""Radiance of pixels under lamps of their own, and its derivatives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import reference
+from finite_differences import ridders
+from pbrfit import InputError, _core
+from pbrfit.model.reflection import MODELS
+from reference import unit
+
+Array = NDArray[np.float64]
+
+every_model = pytest.mark.parametrize("model", MODELS)
+
+
+def pixels(count: int, lamps: int, seed: int) -> dict[str, Any]:
+    """Pixels that see lamps at more than a grazing angle."""
+    rng = np.random.default_rng(seed)
+    forward = np.array([0.0, 0.0, 1.0])
+    return {
+        "normals": unit(forward + 0.3 * rng.normal(size=(count, 3))),
+        "views": unit(forward + 0.1 * rng.normal(size=(count, 3))),
+        "albedo": rng.uniform(0.05, 0.95, (count, 3)),
+        "roughness": rng.uniform(0.1, 0.95, count),
+        "metallic": rng.uniform(0.05, 0.95, count),
+        "directions": unit(forward + 0.4 * rng.normal(size=(count, lamps, 3))),
+    }
+
+
+@every_model
+def test_each_lamp_alone_is_a_directional_light(model: str) -> None:
+    given = pixels(50, 4, 0)
+    radiance = _core.lamp_radiance(**given, threads=1, model=model)
+    assert radiance.shape == (50, 4, 3)
+    for k in range(4):
+        lights = given["directions"][:, k].copy()
+        arguments = given | {"directions": lights, "colors": np.ones((50, 3))}
+        each = _core.render_directional(**arguments, threads=1, model=model)
+        np.testing.assert_array_equal(radiance[:, k], np.einsum("ppc->pc", each))
+
+
+@every_model
+def test_slopes_come_with_the_radiance_and_do_not_depend_on_threads(model: str) -> None:
+    given = pixels(3000, 2, 1)
+    radiance = _core.lamp_radiance(**given, threads=1, model=model)
+    one, two = (_core.lamp_slopes(**given, threads=t, model=model) for t in (1, 2))
+    np.testing.assert_array_equal(one[0], radiance)
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert [a.shape for a in one] == [
+        *((3000, 2, 3), (3000, 2, 3, 3), (3000, 2, 3, 3)),
+        *((3000, 2, 3), (3000, 2, 3), (3000, 2, 3)),
+    ]
+
+
+@every_model
+def test_slopes_are_those_of_the_values(model: str) -> None:
+    given = pixels(200, 3, 2)
+    given["directions"][np.einsum("px,pkx->pk", given["normals"], given["directions"]) < 0.05] = (
+        given["normals"][0]
+    )
+    n, directions = given["normals"], given["directions"]
+    over = np.einsum("px,pkx->pk", n, directions) > 0.05
+    width = 0.02 * given["roughness"] ** 2
+
+    def radiance(**changed: Array) -> Array:
+        return _core.lamp_radiance(**(given | changed), threads=1, model=model)
+
+    value, by_normal, by_direction, *by_material = _core.lamp_slopes(
+        **given, threads=1, model=model
+    )
+    scale = np.maximum(value, 1e-3)
+
+    def agrees(found: Array, expected: Array, error: Array, unit_of_x: Array | float) -> None:
+        near = np.abs(found - expected) <= 1e-6 * (np.abs(expected) + scale / unit_of_x) + error
+        assert near[over].all()
+
+    for tangent in reference.tangents(n):
+        slope, error = ridders(
+            lambda t, along=tangent: radiance(normals=unit(n + t * width[:, None] * along)), 1.0
+        )
+        found = np.einsum("pkcx,px->pkc", by_normal, tangent)
+        unit_of_x = width[:, None, None]
+        agrees(found, slope / unit_of_x, error / unit_of_x, unit_of_x)
+    flat = directions.reshape(-1, 3)
+    for tangent in reference.tangents(flat):
+        along = tangent.reshape(directions.shape)
+        step = width[:, None, None] * along
+        slope, error = ridders(lambda t, s=step: radiance(directions=unit(directions + t * s)), 1.0)
+        found = np.einsum("pkcx,pkx->pkc", by_direction, along)
+        unit_of_x = width[:, None, None]
+        agrees(found, slope / unit_of_x, error / unit_of_x, unit_of_x)
+    for name, found in zip(("albedo", "roughness", "metallic"), by_material, strict=True):
+        slope, error = ridders(lambda t, name=name: radiance(**{name: given[name] + t}), 0.02)
+        agrees(found, slope, error, 1.0)
+
+
+@every_model
+def test_below_the_horizon_all_is_zero(model: str) -> None:
+    given = pixels(40, 2, 3)
+    given["directions"] = np.tile(-given["normals"][:, None], (1, 2, 1))
+    for array in _core.lamp_slopes(**given, threads=1, model=model):
+        assert (array == 0).all()
+
+
+@pytest.mark.parametrize(("count", "lamps"), [(0, 3), (5, 0), (0, 0)])
+def test_nothing_gives_nothing(count: int, lamps: int) -> None:
+    given = pixels(count, lamps, 4)
+    assert _core.lamp_radiance(**given, threads=1).shape == (count, lamps, 3)
+    assert _core.lamp_slopes(**given, threads=1)[1].shape == (count, lamps, 3, 3)
+
+
+@pytest.mark.parametrize("function", [_core.lamp_radiance, _core.lamp_slopes])
+@pytest.mark.parametrize(
+    ("name", "change", "refusal"),
+    [
+        ("directions", lambda a: a[:-1], r"directions: expected shape \[5, 2, 3\], found shape "),
+        ("directions", lambda a: a[:, 0], r"directions: expected an array of float64 in 3 dim"),
+        ("directions", lambda a: 2 * a, r"directions: expected unit vectors, found "),
+        ("normals", lambda a: a[:-1], r"normals: expected shape \[5, 3\], found shape \[4, 3\]"),
+        ("views", lambda a: a * np.nan, r"views: expected unit vectors, found "),
+        ("roughness", lambda a: a + 1, r"roughness: expected numbers in \[0, 1\], found "),
+        ("albedo", lambda a: a.astype(np.float32), r"albedo: expected an array of float64 in 2 "),
+    ],
+)
+def test_bad_arrays_are_refused_by_name(
+    function: Any, name: str, change: Any, refusal: str
+) -> None:
+    given = pixels(5, 2, 5)
+    with pytest.raises(InputError, match=f"^{refusal}"):
+        function(**(given | {name: change(given[name])}), threads=1)

@@ -1,0 +1,562 @@
+//! Light of lamps: slopes against values alone, physics, and planted pixels.
+
+use glam::{DQuat, DVec3};
+use pbrfit::lamps::descent::Free;
+use pbrfit::lamps::pixel_fit::{LampFit, LampFitted, LampPictures, NUMBERS, fit_under_lamps};
+use pbrfit::lamps::render::{
+    DirectionalLight, Lamplit, lamp_radiance, lamp_slopes, render_directional,
+};
+use pbrfit::lamps::slopes::{Reflected, SurfaceWithSlopes};
+use pbrfit::lamps::surface::Surface;
+use pbrfit::reflectance::ggx::MIN_COSINE;
+use pbrfit::reflectance::model::Model;
+use pbrfit::reflectance::planes::Material;
+
+const MODELS: [Model; 2] = [Model::Paper, Model::Principled];
+
+/// Numbers in \[0, 1\) that look random.
+struct Numbers(u64);
+
+impl Numbers {
+    fn next(&mut self) -> f64 {
+        // splitmix64 (Steele, Lea, Flood 2014)
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.next()
+    }
+
+    fn direction(&mut self) -> DVec3 {
+        let (z, angle) = (self.between(-1.0, 1.0), std::f64::consts::TAU * self.next());
+        let rho = (1.0 - z * z).sqrt();
+        DVec3::new(rho * angle.cos(), rho * angle.sin(), z)
+    }
+
+    /// On the side of a normal, with a cosine of `least` or more.
+    fn direction_over(&mut self, normal: DVec3, least: f64) -> DVec3 {
+        loop {
+            let direction = self.direction();
+            if direction.dot(normal) >= least {
+                return direction;
+            }
+        }
+    }
+
+    fn material(&mut self) -> Material {
+        Material {
+            albedo: [self.next(), self.next(), self.next()],
+            roughness: self.between(0.05, 1.0),
+            metallic: self.next(),
+        }
+    }
+}
+
+/// df/dt at 0 by Ridders' method: central quotients extrapolated to step 0, for each entry the
+/// extrapolation that changes least.
+fn ridders(step: f64, f: impl Fn(f64) -> [f64; 3]) -> [f64; 3] {
+    let (mut best, mut error) = ([0.0; 3], [f64::INFINITY; 3]);
+    let mut previous: Vec<[f64; 3]> = Vec::new();
+    for level in 0..8 {
+        let h = step / f64::from(1 << level);
+        let (high, low) = (f(h), f(-h));
+        let mut row = vec![[0, 1, 2].map(|c| (high[c] - low[c]) / (2.0 * h))];
+        for (order, coarse) in previous.iter().enumerate() {
+            let power = 4_f64.powi(order as i32 + 1);
+            row.push([0, 1, 2].map(|c| (power * row[order][c] - coarse[c]) / (power - 1.0)));
+        }
+        for order in 1..row.len() {
+            for c in 0..3 {
+                let change = (row[order][c] - row[order - 1][c]).abs();
+                let change = change.max((row[order][c] - previous[order - 1][c]).abs());
+                if change < error[c] {
+                    (best[c], error[c]) = (row[order][c], change);
+                }
+            }
+        }
+        previous = row;
+    }
+    best
+}
+
+/// A surface under a lamp.
+#[derive(Clone, Copy, Debug)]
+struct Sight {
+    model: Model,
+    normal: DVec3,
+    view: DVec3,
+    light: DVec3,
+    material: Material,
+}
+
+impl Sight {
+    fn radiance(&self) -> [f64; 3] {
+        Surface::new(self.model, self.normal, self.view, &self.material).reflected(self.light)
+    }
+
+    fn slopes(&self) -> Reflected {
+        let surface = SurfaceWithSlopes::new(self.model, self.normal, self.view, &self.material);
+        surface.reflected(self.light)
+    }
+
+    /// A length over which radiance changes: of directions, beside the edges that n·l and n·v have.
+    fn scale(&self) -> f64 {
+        let alpha = self.material.roughness * self.material.roughness;
+        let n_dot_v = self.normal.dot(self.view);
+        alpha
+            .min(self.normal.dot(self.light))
+            .min((n_dot_v - MIN_COSINE).abs().max(1e-7))
+    }
+
+    fn check(&self) {
+        let slopes = self.slopes();
+        assert_eq!(slopes.radiance, self.radiance(), "{self:?}");
+        let near = |what: &str, found: [f64; 3], step: f64, f: &dyn Fn(f64) -> Sight| {
+            let expected = ridders(step, |t| f(t).radiance());
+            for c in 0..3 {
+                // Relative to the slope, or to the change over a step where it is next to nothing.
+                let size = expected[c].abs().max(1e-3 * self.radiance()[c] / step);
+                // Written so that NaN fails.
+                assert!(
+                    (found[c] - expected[c]).abs() <= 1e-6 * size,
+                    "by {what}: {} is not {} of {self:?}",
+                    found[c],
+                    expected[c]
+                );
+            }
+        };
+        let step = 0.05 * self.scale();
+        for tangent in tangents(self.normal) {
+            let found = [0, 1, 2].map(|c| slopes.by_normal(c).dot(tangent));
+            near("normal", found, step, &|t| Sight {
+                normal: (self.normal + t * tangent).normalize(),
+                ..*self
+            });
+        }
+        for tangent in tangents(self.light) {
+            let found = [0, 1, 2].map(|c| slopes.by_direction(c).dot(tangent));
+            near("direction", found, step, &|t| Sight {
+                light: (self.light + t * tangent).normalize(),
+                ..*self
+            });
+        }
+        for c in 0..3 {
+            assert!(slopes.by_normal(c).dot(self.normal).abs() < 1e-9 * (1.0 + 1.0 / step));
+            assert!(slopes.by_direction(c).dot(self.light).abs() < 1e-9 * (1.0 + 1.0 / step));
+        }
+        let with = |change: &dyn Fn(&mut Material)| {
+            let mut changed = *self;
+            change(&mut changed.material);
+            changed
+        };
+        // A channel sees its own albedo alone.
+        near("albedo", slopes.by_albedo, 0.01, &|t| {
+            with(&|material| material.albedo = material.albedo.map(|rho| rho + t))
+        });
+        near("metallic", slopes.by_metallic, 0.01, &|t| {
+            with(&|material| material.metallic += t)
+        });
+        near(
+            "roughness",
+            slopes.by_roughness,
+            0.02 * self.material.roughness,
+            &|t| with(&|material| material.roughness += t),
+        );
+    }
+}
+
+fn tangents(direction: DVec3) -> [DVec3; 2] {
+    let first = direction.any_orthonormal_vector();
+    // Neither is an axis.
+    let turned = DQuat::from_axis_angle(direction, 0.7) * first;
+    [turned, direction.cross(turned)]
+}
+
+#[test]
+fn slopes_are_those_of_the_values() {
+    let mut numbers = Numbers(1);
+    for model in MODELS {
+        for _ in 0..100 {
+            let normal = numbers.direction();
+            let view = numbers.direction_over(normal, 0.05);
+            Sight {
+                model,
+                normal,
+                view,
+                light: numbers.direction_over(normal, 0.05),
+                material: numbers.material(),
+            }
+            .check();
+        }
+    }
+}
+
+#[test]
+fn slopes_hold_in_the_lobe() {
+    let mut numbers = Numbers(2);
+    for model in MODELS {
+        for _ in 0..60 {
+            let normal = numbers.direction();
+            let view = numbers.direction_over(normal, 0.2);
+            let material = numbers.material();
+            let width = material.roughness * material.roughness;
+            let mirror = 2.0 * normal.dot(view) * normal - view;
+            let light = (mirror + width * numbers.direction()).normalize();
+            if normal.dot(light) < 0.05 {
+                continue;
+            }
+            Sight {
+                model,
+                normal,
+                view,
+                light,
+                material,
+            }
+            .check();
+        }
+    }
+}
+
+#[test]
+fn slopes_hold_at_the_borders_of_the_formulas() {
+    let normal = DVec3::Z;
+    let at = |cosine: f64, azimuth: f64| {
+        let sine = (1.0 - cosine * cosine).sqrt();
+        DVec3::new(sine * f64::cos(azimuth), sine * f64::sin(azimuth), cosine)
+    };
+    // n·v and n·l in turn: grazing, on both sides of the clamp of n·v, from behind, head on.
+    let cosines = [
+        (0.5, 1e-3),
+        (0.5, 1e-6),
+        (2e-4, 0.3),
+        (1.1 * MIN_COSINE, 0.3),
+        (0.9 * MIN_COSINE, 0.3),
+        (-0.3, 0.5),
+        (1e-3, 1e-3),
+        (1.0, 0.4),
+        (0.4, 1.0),
+    ];
+    for model in MODELS {
+        for (n_dot_v, n_dot_l) in cosines {
+            for roughness in [0.05, 0.4, 1.0] {
+                for (metallic, albedo) in [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)] {
+                    Sight {
+                        model,
+                        normal,
+                        view: at(n_dot_v, 0.4),
+                        light: at(n_dot_l, 2.9),
+                        material: Material {
+                            albedo: [albedo, 0.3, 0.8],
+                            roughness,
+                            metallic,
+                        },
+                    }
+                    .check();
+                }
+            }
+        }
+        // The lamp beside the camera, and the middle of the lobe, whose slopes by directions are 0.
+        for (n_dot_v, azimuth) in [(0.6, 0.0), (0.6, std::f64::consts::PI)] {
+            for roughness in [0.05, 1.0] {
+                Sight {
+                    model,
+                    normal,
+                    view: at(n_dot_v, 0.4),
+                    light: at(n_dot_v, 0.4 + azimuth),
+                    material: Material {
+                        albedo: [0.2, 0.5, 0.9],
+                        roughness,
+                        metallic: 0.5,
+                    },
+                }
+                .check();
+            }
+        }
+    }
+}
+
+#[test]
+fn below_the_horizon_everything_is_nothing() {
+    let mut numbers = Numbers(3);
+    for model in MODELS {
+        for _ in 0..50 {
+            let normal = numbers.direction();
+            let sight = Sight {
+                model,
+                normal,
+                view: numbers.direction_over(normal, 0.0),
+                light: -numbers.direction_over(normal, 0.0),
+                material: numbers.material(),
+            };
+            let slopes = sight.slopes();
+            assert_eq!(slopes.radiance, [0.0; 3]);
+            assert_eq!(slopes.by_albedo, [0.0; 3]);
+            assert_eq!(slopes.by_roughness, [0.0; 3]);
+            assert_eq!(slopes.by_metallic, [0.0; 3]);
+            for c in 0..3 {
+                assert_eq!(slopes.by_normal(c), DVec3::ZERO);
+                assert_eq!(slopes.by_direction(c), DVec3::ZERO);
+            }
+        }
+    }
+}
+
+/// f_r = I/(π n·l) is the same with light and camera exchanged, and so are its slopes by the normal.
+/// The principled model's ground and its scattering depend on n·v alone, so it holds of the paper's.
+#[test]
+fn reciprocity() {
+    let mut numbers = Numbers(4);
+    for _ in 0..100 {
+        let normal = numbers.direction();
+        let [view, light] = [0; 2].map(|_| numbers.direction_over(normal, 0.05));
+        let material = numbers.material();
+        let [there, back] = [(view, light), (light, view)].map(|(view, light)| {
+            let sight = Sight {
+                model: Model::Paper,
+                normal,
+                view,
+                light,
+                material,
+            };
+            let (slopes, y) = (sight.slopes(), normal.dot(light));
+            let across = light - y * normal;
+            [0, 1, 2].map(|c| {
+                let value = slopes.radiance[c] / y;
+                (value, (slopes.by_normal(c) - value * across) / y)
+            })
+        });
+        for c in 0..3 {
+            let ((value, slope), (other, other_slope)) = (there[c], back[c]);
+            assert!((value - other).abs() <= 1e-12 * value);
+            assert!(
+                slope.distance(other_slope)
+                    <= 1e-10 * (value + slope.length()) / material.roughness.powi(2)
+            );
+        }
+    }
+}
+
+#[test]
+fn turning_surface_and_lamp_about_the_view_changes_nothing() {
+    let mut numbers = Numbers(5);
+    for model in MODELS {
+        for _ in 0..100 {
+            let normal = numbers.direction();
+            let view = numbers.direction_over(normal, 0.0);
+            let light = numbers.direction_over(normal, 0.0);
+            let sight = Sight {
+                model,
+                normal,
+                view,
+                light,
+                material: numbers.material(),
+            };
+            let slopes = sight.slopes();
+            for c in 0..3 {
+                let [by_normal, by_direction] = [slopes.by_normal(c), slopes.by_direction(c)];
+                let change =
+                    by_normal.dot(view.cross(normal)) + by_direction.dot(view.cross(light));
+                let size = slopes.radiance[c] + by_normal.length() + by_direction.length();
+                assert!(change.abs() <= 1e-10 * size, "{change} beside {size}");
+            }
+        }
+    }
+}
+
+#[test]
+fn slopes_are_finite_everywhere() {
+    let directions = [
+        DVec3::Z,
+        DVec3::X,
+        -DVec3::Z,
+        DVec3::new(1.0, 0.0, 1e-308).normalize(),
+        DVec3::new(-1.0, 0.0, 3e-308).normalize(),
+        DVec3::new(1e-17, 0.0, 1.0),
+        DVec3::new(0.6, 0.0, 0.8),
+        DVec3::new(-1.0, 1e-16, 1e-15),
+        DVec3::new(-0.6, 0.0, 0.8),
+    ];
+    for model in MODELS {
+        for view in directions {
+            for light in directions {
+                for roughness in [0.0, 5e-324, 1e-154, 1e-80, 1e-16, 1e-8, 1e-3, 1.0] {
+                    let slopes = Sight {
+                        model,
+                        normal: DVec3::Z,
+                        view,
+                        light,
+                        material: Material {
+                            albedo: [0.0, 0.5, 1.0],
+                            roughness,
+                            metallic: 0.5,
+                        },
+                    }
+                    .slopes();
+                    for c in 0..3 {
+                        let scalars = [
+                            slopes.radiance[c],
+                            slopes.by_albedo[c],
+                            slopes.by_roughness[c],
+                            slopes.by_metallic[c],
+                        ];
+                        let vectors = [slopes.by_normal(c), slopes.by_direction(c)];
+                        assert!(
+                            scalars.iter().all(|x| x.is_finite())
+                                && vectors.iter().all(|v| v.is_finite()),
+                            "{view} {light} {roughness}: {slopes:?}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Pixels, each under lamps of its own.
+struct Example {
+    normals: Vec<DVec3>,
+    views: Vec<DVec3>,
+    materials: Vec<Material>,
+    directions: Vec<DVec3>,
+}
+
+const LAMPS: usize = 12;
+
+impl Example {
+    fn new(pixels: usize, seed: u64) -> Self {
+        let mut numbers = Numbers(seed);
+        let normals: Vec<_> = (0..pixels)
+            .map(|_| numbers.direction_over(DVec3::Z, 0.7))
+            .collect();
+        Self {
+            views: (0..pixels)
+                .map(|_| numbers.direction_over(DVec3::Z, 0.95))
+                .collect(),
+            materials: (0..pixels)
+                .map(|_| Material {
+                    albedo: [0; 3].map(|_| numbers.between(0.1, 0.9)),
+                    roughness: numbers.between(0.25, 0.8),
+                    metallic: numbers.between(0.1, 0.9),
+                })
+                .collect(),
+            directions: (0..pixels * LAMPS)
+                .map(|_| numbers.direction_over(DVec3::Z, 0.3))
+                .collect(),
+            normals,
+        }
+    }
+
+    fn lamplit(&self, model: Model) -> Lamplit<'_> {
+        Lamplit {
+            normals: &self.normals,
+            views: &self.views,
+            materials: &self.materials,
+            directions: &self.directions,
+            model,
+        }
+    }
+}
+
+#[test]
+fn pixels_under_lamps_are_the_same_by_any_way_and_number_of_threads() {
+    let example = Example::new(3000, 6);
+    for model in MODELS {
+        let radiance = lamp_radiance(example.lamplit(model), 1).unwrap();
+        assert_eq!(radiance, lamp_radiance(example.lamplit(model), 3).unwrap());
+        let slopes = lamp_slopes(example.lamplit(model), 1).unwrap();
+        assert_eq!(slopes.radiance, radiance);
+        assert_eq!(slopes, lamp_slopes(example.lamplit(model), 2).unwrap());
+        let light = DirectionalLight {
+            direction: example.directions[LAMPS * 7 + 3],
+            color: [1.0; 3],
+        };
+        let rendered = render_directional(
+            &example.normals,
+            &example.views,
+            &example.materials,
+            &[light],
+            1,
+            model,
+        );
+        let at = (LAMPS * 7 + 3) * 3;
+        assert_eq!(rendered.unwrap()[21..24], radiance[at..at + 3]);
+    }
+}
+
+/// Fits an example from beside what is planted.
+fn fitted(example: &Example, model: Model, threads: usize) -> LampFitted {
+    let pixels = example.normals.len();
+    let radiance = lamp_radiance(example.lamplit(model), 0).unwrap();
+    let mut numbers = Numbers(8);
+    let starts: Vec<_> = (example.normals.iter())
+        .map(|&normal| (normal + 0.05 * numbers.direction()).normalize())
+        .collect();
+    let materials: Vec<_> = (example.materials.iter())
+        .map(|material| Material {
+            albedo: material.albedo.map(|rho| rho + numbers.between(-0.1, 0.1)),
+            roughness: material.roughness * numbers.between(0.8, 1.2),
+            metallic: material.metallic + numbers.between(-0.1, 0.1),
+        })
+        .collect();
+    let intensities = vec![[1.0; 3]; pixels * LAMPS];
+    let picture_of: Vec<_> = (0..LAMPS).collect();
+    let no_prior = vec![[0.0; NUMBERS]; pixels];
+    let given = LampPictures {
+        pictures: radiance.as_chunks().0,
+        weights: &intensities,
+        limits: None,
+        views: &example.views,
+        directions: &example.directions,
+        intensities: &intensities,
+        picture_of: &picture_of,
+        ambient: &[[[0.0; 3]; 16]; LAMPS],
+        base_normals: &starts,
+        prior_mean: &no_prior,
+        prior_precision: &no_prior,
+    };
+    let how = LampFit {
+        free: Free {
+            normals: true,
+            metallic: true,
+            roughness: true,
+        },
+        iterations: 60,
+        model,
+        threads,
+    };
+    fit_under_lamps(given, &starts, &materials, how).unwrap()
+}
+
+#[test]
+fn planted_pixels_are_recovered() {
+    let example = Example::new(200, 7);
+    for model in MODELS {
+        let found = fitted(&example, model, 0);
+        let mut recovered = 0;
+        for p in 0..200 {
+            let (found_material, material) = (found.materials[p], example.materials[p]);
+            let near = found.normals[p].distance(example.normals[p]) < 1e-6
+                && (found_material.roughness - material.roughness).abs() < 1e-6
+                && (found_material.metallic - material.metallic).abs() < 1e-6
+                && (0..3).all(|c| (found_material.albedo[c] - material.albedo[c]).abs() < 1e-6);
+            recovered += usize::from(near);
+        }
+        assert!(recovered >= 196, "{model:?}: {recovered} of 200");
+    }
+}
+
+#[test]
+fn fitted_pixels_do_not_depend_on_threads() {
+    let example = Example::new(300, 9);
+    for model in MODELS {
+        let [one, two] = [1, 2].map(|threads| fitted(&example, model, threads));
+        assert_eq!(one.normals, two.normals);
+        assert_eq!(one.materials, two.materials);
+        assert_eq!(one.costs, two.costs);
+        assert_eq!(one.information, two.information);
+    }
+}
