@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from pbrfit.fit.lamps.cues import CUES, Places, Transform
+from pbrfit.fit.lamps.cues import CUES, Places, Transform, directions
 
 Array = NDArray[np.float64]
 
@@ -38,6 +38,10 @@ FEW = 500
 
 POLISHED_MAX = 4
 """Minima that are found with all places."""
+
+SAME = 0.05
+"""Mean chord of the angle between normals, 3 degrees, up to which two searches have led to one
+minimum."""
 
 FAR = 20.0
 """Negative log likelihood above the least at which a minimum is not looked at again."""
@@ -86,9 +90,17 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
     rounds = [_searched(start, few, places) for start in _starts(places, rough)]
     rounds.sort(key=lambda one: one[0])
     found: list[Minimum] = []
-    for cost, C in rounds[:POLISHED_MAX]:
-        if cost > rounds[0][0] + FAR:
+    seen: list[Array] = []
+    for cost, C in rounds:
+        if cost > rounds[0][0] + FAR or len(found) == POLISHED_MAX:
             break
+        about = Transform.of(C, places)
+        if about is None:
+            continue
+        normals, _ = directions(few.vectors @ about.normals)
+        if any(np.linalg.norm(normals - other, axis=1).mean() < SAME for other in seen):
+            continue
+        seen.append(normals)
         _, better = _searched(C, places, places)
         transform = Transform.of(better, places)
         if transform is not None:

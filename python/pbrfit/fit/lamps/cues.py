@@ -28,8 +28,9 @@ from pbrfit.fit.lamps.integrability import Integrability
 
 Array = NDArray[np.float64]
 
-ALBEDO_SPREAD_MIN = 0.02
-"""Least spread of the logarithm of albedo: 2 %, less than a step of 8 bits from shadow to light."""
+ALBEDO_SPREAD_MIN = 0.05
+"""Least spread of the logarithm of albedo: lamps that are not quite far away, and light from other
+surfaces, change it by about 5 % across an object, whatever its albedo."""
 
 STRENGTH_SPREAD = 0.1
 """Spread of the logarithm of lamps' strengths that is expected: one lamp moved by hand at arm's

@@ -119,6 +119,8 @@ def factors(samples: Array, usable: Mask) -> Factors:
             sigma = SCALES[round_]
         found = pseudo_normals(relative, usable, lamps, start=vectors, scale=sigma, rounds=TURNS)
         before = lamps
+        if round_ == len(SCALES) - 1:
+            lamps = _reconsidered(relative, usable, found.vectors, lamps)
         lamps, back = _whitened(_lamps_from(relative, usable, found.vectors, lamps, sigma))
         vectors = found.vectors @ back
         if not begins:
@@ -183,6 +185,33 @@ def _lamps_from(relative: Array, usable: Mask, vectors: Array, lamps: Array, sig
         moments = (weights.T @ products).reshape(-1, 3, 3) + ridge
         lamps = np.linalg.solve(moments, ((weights * relative).T @ vectors)[..., None])[..., 0]
     return lamps
+
+
+def _reconsidered(relative: Array, usable: Mask, vectors: Array, lamps: Array) -> Array:
+    """Lamps, each of which is replaced by one from three pixels where that leaves a lower loss.
+
+    A lamp that began wrong, at the samples of pixels in its shadow, calls all others outliers and
+    stays: its own loss has a minimum there.
+    """
+    draws = np.random.default_rng(1)
+    found = lamps.copy()
+    for n in range(len(lamps)):
+        lit = np.flatnonzero(usable[:, n] & (relative[:, n] >= DARK))
+        judges = np.flatnonzero(usable[:, n])
+        if len(lit) < 3:
+            continue
+        judges = draws.choice(judges, min(len(judges), 2 * JUDGES), replace=False)
+        triples = lit[draws.integers(0, len(lit), (DRAWS, 3))]
+        volume = np.abs(np.linalg.det(vectors[triples]))
+        triples = triples[volume > 0.01 * volume.max() + np.finfo(np.float64).tiny]
+        if not len(triples):
+            continue
+        solved = np.linalg.solve(vectors[triples], relative[triples, n][..., None])[..., 0]
+        tried = np.concatenate([lamps[n : n + 1], solved])
+        predicted = np.maximum(vectors[judges] @ tried.T, 0.0)
+        squared = ((relative[judges, n][:, None] - predicted) / JUDGED_SCALE) ** 2
+        found[n] = tried[(squared / (1 + squared)).sum(axis=0).argmin()]
+    return found
 
 
 def _whitened(lamps: Array) -> tuple[Array, Array]:
