@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from pbrfit.fit.lamps.cues import CUES, Places, Transform
+from pbrfit.fit.lamps.cues import CUES, Places, Transforms, unit_and_length
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,10 @@ IMPOSSIBLE = 1e6
 STEPS_MAX = 100
 """Steps of a search at most."""
 
+STEP = 1e-7
+"""Step of the differences, of the length of C: errors of rounding and of curvature are both about
+1e-7 of the slope's own scale."""
+
 SLOPE_MAX = 0.1
 """Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a
 search ends: C changes the surface by a degree where an entry changes by about 0.02."""
@@ -38,6 +42,10 @@ FEW = 500
 
 POLISHED_MAX = 4
 """Minima that are found with all places."""
+
+SAME = 0.05
+"""Mean chord of the angle between normals, 3 degrees, up to which two searches have led to one
+minimum."""
 
 FAR = 20.0
 """Negative log likelihood above the least at which a minimum is not looked at again."""
@@ -53,23 +61,27 @@ class Minimum:
 
     Attributes
     ----------
-    transform
-        What follows of C.
+    normals, lamps
+        (3, 3): what b and s are multiplied by, in rows.
     cost
         Negative log likelihood but for a constant.
     parts
         That of each cue.
     """
 
-    transform: Transform
+    normals: Array
+    lamps: Array
     cost: float
     parts: dict[str, float]
 
     @classmethod
-    def at(cls, transform: Transform, places: Places) -> Minimum:
-        """What the cues say of a transform."""
-        parts = {cue.name: cue.value(transform, places) for cue in CUES}
-        return cls(transform, sum(parts.values()), parts)
+    def at(cls, C: Array, places: Places) -> Minimum | None:
+        """What the cues say of C (3, 3); None if no matrix has these cofactors."""
+        transforms = Transforms.of(C[None], places)
+        if not transforms.possible[0]:
+            return None
+        parts = {cue.name: float(cue.values(transforms, places)[0]) for cue in CUES}
+        return cls(transforms.normals[0], transforms.lamps[0], sum(parts.values()), parts)
 
 
 def minima(places: Places, rough: Array | None) -> list[Minimum]:
@@ -86,13 +98,19 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
     rounds = [_searched(start, few, places) for start in _starts(places, rough)]
     rounds.sort(key=lambda one: one[0])
     found: list[Minimum] = []
-    for cost, C in rounds[:POLISHED_MAX]:
-        if cost > rounds[0][0] + FAR:
+    seen: list[Array] = []
+    for cost, C in rounds:
+        if cost > rounds[0][0] + FAR or len(found) == POLISHED_MAX:
             break
+        about = Minimum.at(C, places)
+        if about is None:
+            continue
+        normals, _ = unit_and_length(places.vectors @ about.normals)
+        if any(np.linalg.norm(normals - other, axis=1).mean() < SAME for other in seen):
+            continue
+        seen.append(normals)
         _, better = _searched(C, places, places)
-        transform = Transform.of(better, places)
-        if transform is not None:
-            found.append(Minimum.at(transform, places))
+        found.append(Minimum.at(better, places) or about)
     found.sort(key=lambda one: one.cost)
     return found
 
@@ -100,21 +118,29 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
 def _searched(start: Array, few: Places, places: Places) -> tuple[float, Array]:
     """Cost, at all places, and C of the minimum that a search at a few places leads to."""
     search = minimize(
-        _cost,
+        _cost_and_slope,
         start.ravel() / np.linalg.norm(start),
         (few,),
+        jac=True,
         method="BFGS",
         options={"maxiter": STEPS_MAX, "gtol": SLOPE_MAX},
     )
     C = np.asarray(search.x.reshape(3, 3))
-    return _cost(C.ravel(), places), C / np.linalg.norm(C)
+    return float(_costs(C[None], places)[0]), C / np.linalg.norm(C)
 
 
-def _cost(c: Array, places: Places) -> float:
-    transform = Transform.of(c.reshape(3, 3), places)
-    if transform is None:
-        return IMPOSSIBLE
-    return sum(cue.value(transform, places) for cue in CUES)
+def _cost_and_slope(c: Array, places: Places) -> tuple[float, Array]:
+    """Cost of C (9,), and its slope by forward differences."""
+    step = STEP * np.linalg.norm(c)
+    costs = _costs((c + step * np.vstack([np.zeros(9), np.eye(9)])).reshape(-1, 3, 3), places)
+    return float(costs[0]), (costs[1:] - costs[0]) / step
+
+
+def _costs(C: Array, places: Places) -> Array:
+    """Costs (T,) of C (T, 3, 3)."""
+    transforms = Transforms.of(C, places)
+    total = np.sum([cue.values(transforms, places) for cue in CUES], axis=0)
+    return np.where(transforms.possible, total, IMPOSSIBLE)
 
 
 def _starts(places: Places, rough: Array | None) -> list[Array]:

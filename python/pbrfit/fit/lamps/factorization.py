@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.lamps.photometric import (
     DARK,
+    SCALE_MIN,
     brightness,
     moments,
     pseudo_normals,
@@ -65,13 +66,16 @@ UNCHANGED = 1e-4
 """Sine of the largest angle between the lamps' spaces of two rounds below which they are found: a
 hundredth of a degree."""
 
-RANK_DEVIATIONS = 3.0
-"""Size of a direction of the factors, in standard deviations of what noise alone puts there, from
-which on it is one."""
+RANK_GAIN = 1.5
+"""Standard deviation of the residuals without a direction, of that with it, up to which there is
+none. For noise alone it is 1, and hardly above it as the samples are those that suit three."""
 
-PRODUCT_MIN = 1e-3
-"""Size of a direction, of the largest, below which it is none even without noise: a tenth of a step
-of 8 bits."""
+INLIER = 0.25
+"""Weight from which on a sample follows the law: its residual is below σ."""
+
+LENGTH_MAX = 3.0
+"""Length of b, of the median one, above which it says nothing of sizes: with whitened lamps |b| is
+the root mean square of a pixel's samples, all near its brightness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +90,6 @@ class Factors:
         3; 2 or 1 if lamps lie in a plane or a line, as far as the samples show.
     sizes
         (3,) root mean square size of the product's directions, of the pixels' brightness.
-    noise
-        (3,) the size that noise alone would have.
     scale
         σ.
     """
@@ -95,7 +97,6 @@ class Factors:
     lamps: Array
     rank: int
     sizes: Array
-    noise: Array
     scale: float
 
 
@@ -109,7 +110,7 @@ def factors(samples: Array, usable: Mask) -> Factors:
     relative, usable = relative[telling], usable[telling]
     count = relative.shape[1]
     if len(relative) < 3:
-        return Factors(np.zeros((count, 3)), 0, np.zeros(3), np.zeros(3), SCALES[-1])
+        return Factors(np.zeros((count, 3)), 0, np.zeros(3), SCALES[-1])
     lamps = _best_start(relative, usable)
     vectors: Array | None = None
     sigma = SCALES[0]
@@ -119,6 +120,8 @@ def factors(samples: Array, usable: Mask) -> Factors:
             sigma = SCALES[round_]
         found = pseudo_normals(relative, usable, lamps, start=vectors, scale=sigma, rounds=TURNS)
         before = lamps
+        if round_ == len(SCALES) - 1:
+            lamps = _reconsidered(relative, usable, found.vectors, lamps)
         lamps, back = _whitened(_lamps_from(relative, usable, found.vectors, lamps, sigma))
         vectors = found.vectors @ back
         if not begins:
@@ -159,7 +162,7 @@ def _best_start(relative: Array, usable: Mask) -> Array:
 def _solved(relative: Array, counted: Mask, lamps: Array) -> Array:
     """Least squares at each pixel with the samples that are counted."""
     matrices = moments(counted.astype(np.float64), lamps) + 1e-6 * np.eye(3)
-    return np.linalg.solve(matrices, ((counted * relative) @ lamps)[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(matrices, ((counted * relative) @ lamps)[..., None])[..., 0])
 
 
 def _start(relative: Array, usable: Mask) -> Array:
@@ -180,9 +183,37 @@ def _lamps_from(relative: Array, usable: Mask, vectors: Array, lamps: Array, sig
     ridge = 1e-9 * np.eye(3) * float(np.einsum("px,px->", vectors, vectors))
     for _ in range(TURNS):
         weights = weights_of(relative, usable, vectors @ lamps.T, sigma)
-        moments = (weights.T @ products).reshape(-1, 3, 3) + ridge
-        lamps = np.linalg.solve(moments, ((weights * relative).T @ vectors)[..., None])[..., 0]
+        matrices = (weights.T @ products).reshape(-1, 3, 3) + ridge
+        right = ((weights * relative).T @ vectors)[..., None]
+        lamps = np.asarray(np.linalg.solve(matrices, right)[..., 0])
     return lamps
+
+
+def _reconsidered(relative: Array, usable: Mask, vectors: Array, lamps: Array) -> Array:
+    """Lamps, each of which is replaced by one from three pixels where that leaves a lower loss.
+
+    A lamp that began wrong, at the samples of pixels in its shadow, calls all others outliers and
+    stays: its own loss has a minimum there.
+    """
+    draws = np.random.default_rng(1)
+    found = lamps.copy()
+    for n in range(len(lamps)):
+        lit = np.flatnonzero(usable[:, n] & (relative[:, n] >= DARK))
+        judges = np.flatnonzero(usable[:, n])
+        if len(lit) < 3:
+            continue
+        judges = draws.choice(judges, min(len(judges), 2 * JUDGES), replace=False)
+        triples = lit[draws.integers(0, len(lit), (DRAWS, 3))]
+        volume = np.abs(np.linalg.det(vectors[triples]))
+        triples = triples[volume > 0.01 * volume.max() + np.finfo(np.float64).tiny]
+        if not len(triples):
+            continue
+        solved = np.linalg.solve(vectors[triples], relative[triples, n][..., None])[..., 0]
+        tried = np.concatenate([lamps[n : n + 1], solved])
+        predicted = np.maximum(vectors[judges] @ tried.T, 0.0)
+        squared = ((relative[judges, n][:, None] - predicted) / JUDGED_SCALE) ** 2
+        found[n] = tried[(squared / (1 + squared)).sum(axis=0).argmin()]
+    return found
 
 
 def _whitened(lamps: Array) -> tuple[Array, Array]:
@@ -201,19 +232,38 @@ def _largest_sine(first: Array, second: Array) -> float:
 def _ordered(relative: Array, usable: Mask, lamps: Array, vectors: Array, sigma: float) -> Factors:
     """Factors with the product's directions by size.
 
-    With SᵀS/N = 1 the mean square of b·s over lamps is |b|². Noise of the deviation σ puts σ²/N of
-    it into each of b's directions in each pixel; a direction that is fitted to the noise of P × N
-    samples takes the largest share of it, σ²(1/√P + 1/√N)² (Marčenko and Pastur, 1967).
+    With SᵀS/N = 1 the mean square of b·s over lamps is |b|². Shadows put something into a third
+    direction even where lamps lie in a plane, but only in the samples that they fall on. So the
+    rank is the least one with which the samples that follow three are hardly farther off.
     """
     weights = weights_of(relative, usable, vectors @ lamps.T, sigma)
-    shares = weights.sum(axis=1)
+    # b of a pixel that few samples tell of is anything: it would be most of a mean of squares.
+    length = np.linalg.norm(vectors, axis=1)
+    shares = weights.sum(axis=1) * (length <= LENGTH_MAX * np.median(length))
     mean = np.einsum("p,px,py->xy", shares, vectors, vectors) / max(shares.sum(), 1e-300)
     squared, turned = np.linalg.eigh(mean)
     order = np.argsort(-squared)
     sizes = np.sqrt(np.maximum(squared[order], 0.0))
-    count, pictures = relative.shape
-    noise = np.full(3, sigma * (1 / np.sqrt(count) + 1 / np.sqrt(pictures)))
-    floor = np.maximum(noise, PRODUCT_MIN * sizes[0])
-    rank = int((sizes > floor).sum())
     lamps = lamps @ turned[:, order]
-    return Factors(lamps, rank, sizes, noise, sigma)
+    follows = usable & (relative >= DARK) & (weights >= INLIER)
+    residuals = [_residual(relative, follows, lamps[:, :rank]) for rank in (1, 2, 3)]
+    most = max(RANK_GAIN * residuals[2], SCALE_MIN)
+    rank = 1 + int(np.argmax(np.array(residuals) <= most))
+    return Factors(lamps, rank, sizes, sigma)
+
+
+def _residual(relative: Array, follows: Mask, lamps: Array) -> float:
+    """Median pixel's standard deviation of residuals under lamps (N, R) of a space of R directions.
+
+    0 if no pixel has more samples than directions.
+    """
+    pictures, rank = lamps.shape
+    padded = np.zeros((pictures, 3))
+    padded[:, :rank] = lamps
+    free = follows.sum(axis=1) - rank
+    some = np.flatnonzero(free > 0)[:: max(len(relative) // (4 * JUDGES), 1)]
+    if not len(some):
+        return 0.0
+    vectors = _solved(relative[some], follows[some], padded)
+    squared = np.where(follows[some], relative[some] - vectors @ padded.T, 0.0) ** 2
+    return float(np.median(np.sqrt(squared.sum(axis=1) / free[some])))

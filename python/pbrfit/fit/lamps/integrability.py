@@ -76,10 +76,10 @@ class Integrability:
     noise: Array
     blocks: int
 
-    def ratios(self, C: Array) -> tuple[float, float]:
-        """Cᵀ Q C and Cᵀ N C, for C (3, 3)."""
-        c = C.T.ravel()
-        return float(c @ self.squares @ c), float(c @ self.noise @ c)
+    def ratios(self, C: Array) -> tuple[Array, Array]:
+        """Cᵀ Q C and Cᵀ N C, (T,) each, for C (T, 3, 3)."""
+        c = np.swapaxes(C, 1, 2).reshape(-1, 9)
+        return ((c @ self.squares) * c).sum(axis=1), ((c @ self.noise) * c).sum(axis=1)
 
     def null_vectors(self) -> tuple[Array, Array]:
         """c₁ and c₂ (6,) with c₃ = 0 by rising ratio: (6,) ratios, (6, 6) in rows."""

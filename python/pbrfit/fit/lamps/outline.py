@@ -102,8 +102,10 @@ def local_radius(distance: Array) -> Array:
 
 
 def inflated(mask: Mask, views: Array) -> Array:
-    """Normals (H, W, 3) of the mask blown up as a balloon: n·v as in `Outline`, the azimuth away
-    from the nearest middle. A rough shape to start from, with no claim to be one."""
+    """Normals (H, W, 3) of the mask blown up as a balloon, a rough shape to start from.
+
+    n·v is as in `Outline`, the azimuth away from the nearest middle.
+    """
     padded = np.pad(mask, 1, mode="edge")
     distance = np.asarray(distance_transform_edt(padded))[1:-1, 1:-1] - 0.5
     radius = local_radius(distance)

@@ -79,8 +79,10 @@ class PseudoNormals:
 
 
 def brightness(samples: Array, usable: Mask) -> Array:
-    """q (P,): the median of each pixel's samples that are not black; at least a ten-thousandth of
-    that of all pixels, which keeps black pixels finite."""
+    """Brightness q (P,): the median of each pixel's samples that are not black.
+
+    At least a ten-thousandth of that of all pixels, which keeps black pixels finite.
+    """
     lit = np.where(usable & (samples > 0), samples, np.nan)
     some = np.isfinite(lit).any(axis=1)
     middle = np.zeros(len(samples))
@@ -149,12 +151,11 @@ def _solved(relative: Array, weights: Array, lamps: Array) -> Array:
     size = np.einsum("nx,nx->", lamps, lamps) / len(lamps)
     # The ridge is far below what any usable sample weighs: it decides only where nothing does.
     matrices += 1e-9 * size * np.eye(3)
-    return np.linalg.solve(matrices, ((weights * relative) @ lamps)[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(matrices, ((weights * relative) @ lamps)[..., None])[..., 0])
 
 
 def scale_of(relative: Array, usable: Mask, predicted: Array) -> float:
-    """σ from the residuals of samples that are lit: their median, of those that three unknowns a
-    pixel leave free."""
+    """σ from the median residual of lit samples, less what three unknowns a pixel take of it."""
     lit = usable & (relative >= DARK)
     if not lit.any():
         return SCALE_START
@@ -177,11 +178,12 @@ def _triples(lamps: Array) -> NDArray[np.intp]:
         )
         chosen = np.unique(np.sort(draws[:, :3], axis=1), axis=0)
     unit = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
-    volume = np.abs(np.linalg.det(unit[chosen]))
+    first, second, third = np.moveaxis(unit[chosen], 1, 0)
+    volume: Array = np.abs(np.einsum("ti,ti->t", first, np.cross(second, third)))
     # Of a triple's own noise, what reaches b grows as 1/volume: the half that amplifies it least,
     # thinned at random so that all lamps take part.
     good = np.argsort(-volume, kind="stable")[: max(len(chosen) // 2, 1)]
-    good = good[volume[good] > 1e-3 * volume.max()]
+    good = good[np.asarray(volume)[good] > 1e-3 * np.max(volume)]
     if len(good) > TRIPLES_MAX:
         good = np.random.default_rng(1).choice(good, TRIPLES_MAX, replace=False)
     return chosen[good]
@@ -199,7 +201,7 @@ def _best_of_triples(relative: Array, usable: Mask, lamps: Array) -> Array:
     candidates = np.concatenate(
         [np.einsum("txk,ptk->ptx", inverses, relative[:, triples]), plain[:, None]], axis=1
     )
-    known = usable[:, triples].all(axis=2)
+    known = np.asarray(usable[:, triples].all(axis=2))
     best = np.empty_like(plain)
     step = max(SAMPLES_AT_ONCE // (candidates.shape[1] * len(lamps)), 1)
     for first in range(0, len(relative), step):

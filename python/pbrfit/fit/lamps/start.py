@@ -8,6 +8,7 @@ cues at once (`ambiguity`, `cues`). What no cue tells is named in `undetermined`
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.ambiguity import EQUALLY_LIKELY, Minimum, minima
-from pbrfit.fit.lamps.cues import Places, Transform, directions
+from pbrfit.fit.lamps.cues import Places, unit_and_length
 from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.integrability import equations
 from pbrfit.fit.lamps.outline import Outline, inflated, outline
@@ -105,7 +106,7 @@ def start_of_known_lamps(
     usable: Mask,
     mask: Mask,
     views: Array,
-    lamp_directions: Array,
+    directions: Array,
     strengths: Array | None = None,
 ) -> LampStart:
     """Start with lamps whose directions are known.
@@ -120,7 +121,7 @@ def start_of_known_lamps(
         (H, W).
     views
         (H, W, 3) unit vectors to the camera.
-    lamp_directions
+    directions
         (N, 3) unit vectors.
     strengths
         (N,) or (N, 3); None = unknown, found up to a common factor.
@@ -131,7 +132,7 @@ def start_of_known_lamps(
         If there are fewer than three pictures or shapes do not fit.
     """
     data = _Samples.of(samples, usable, mask)
-    lamps = np.asarray(lamp_directions, np.float64)
+    lamps = np.asarray(directions, np.float64)
     if lamps.shape != (data.pictures, 3):
         raise InputError(f"directions: expected {(data.pictures, 3)}, found {lamps.shape}")
     undetermined: tuple[str, ...] = ()
@@ -140,9 +141,13 @@ def start_of_known_lamps(
     else:
         grey = np.asarray(strengths, np.float64).reshape(data.pictures, -1).mean(axis=1)
     normals = pseudo_normals(data.grey, data.usable, lamps * grey[:, None])
-    undetermined += _in_plane(lamps)
+    flat = _in_plane(lamps)
+    rough = None
+    if flat:
+        rough = inflated(mask, views) if len(outline(mask, views)) else np.array(views, np.float64)
     figures = {"spread of samples": normals.scale}
-    return _finished(data, views, normals, lamps * grey[:, None], figures, undetermined)
+    words = undetermined + flat
+    return _finished(data, views, normals, lamps * grey[:, None], figures, words, rough)
 
 
 def start_of_unknown_lamps(
@@ -183,9 +188,9 @@ def start_of_unknown_lamps(
     found = minima(places.of, None if rough is None else rough[places.chosen])
     best, undetermined = _decided(found, places.of, len(edge) > 0 or guide is not None)
     scaled = PseudoNormals(
-        normals.vectors @ best.transform.normals * data.brightness[:, None],
+        normals.vectors @ best.normals * data.brightness[:, None],
         normals.weights,
-        _turned(normals.precision, best.transform.normals),
+        _turned(normals.precision, best.normals),
         normals.scale,
     )
     figures = {
@@ -193,7 +198,7 @@ def start_of_unknown_lamps(
         **{f"size of direction {i + 1}": float(product.sizes[i]) for i in range(3)},
         **{f"cost of {name}": value for name, value in best.parts.items()},
     }
-    return _finished(data, views, scaled, lamps @ best.transform.lamps, figures, undetermined)
+    return _finished(data, views, scaled, lamps @ best.lamps, figures, undetermined)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,13 +238,13 @@ class _Samples:
 
     @property
     def pictures(self) -> int:
-        return self.grey.shape[1]
+        return int(self.grey.shape[1])
 
     @property
     def relative(self) -> Array:
         return np.asarray(self.grey / self.brightness[:, None])
 
-    def plane(self, values: Array, outside: float) -> Array:
+    def plane(self, values: NDArray[Any], outside: float) -> Array:
         """(H, W, ...) of values of pixels (P, ...)."""
         found = np.full(self.mask.shape + values.shape[1:], outside)
         found[self.mask] = values
@@ -302,18 +307,18 @@ def _places(
     at_edge = at_edge[_some(len(at_edge), OUTLINE_MAX)]
     where = (edge.rows[at_edge], edge.columns[at_edge])
     planes = data.plane(normals.vectors, 0.0)
-    block_plane = data.plane(blocks.astype(np.float64), -1.0).astype(np.intp)
+    at_outline = data.plane(blocks.astype(np.float64), -1.0)[where]
     places = Places(
         vectors=normals.vectors[chosen],
         views=views[data.where][chosen],
-        blocks=blocks[chosen],
+        blocks=len(np.unique(blocks[chosen])),
         brightness=data.brightness[chosen],
         pairs=_pairs(_chroma(data, normals, chosen)),
         outline_vectors=planes[where],
         outline_views=views[where],
         outward=edge.outward[at_edge],
         facing=edge.facing[at_edge],
-        outline_blocks=block_plane[where],
+        outline_blocks=len(np.unique(at_outline)),
         guide=None if guide is None else np.asarray(guide, np.float64)[data.where][chosen],
         lamps=lamps,
         integrability=integrable,
@@ -342,7 +347,7 @@ def _pairs(chroma: Array) -> NDArray[np.intp]:
 def _turned(precision: Array, G: Array) -> Array:
     """Precision of Gᵀ b from that of b."""
     inverse = np.linalg.inv(G)
-    return np.einsum("ij,pjk,lk->pil", inverse, precision, inverse, optimize=True)
+    return np.asarray(np.einsum("ij,pjk,lk->pil", inverse, precision, inverse, optimize=True))
 
 
 def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum, tuple[str, ...]]:
@@ -353,11 +358,10 @@ def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum,
         # The surface that is bulged the other way, with lamps from the other side: without
         # perspective no cue but the outline knows it from this one.
         flip = np.diag([-1.0, -1.0, 1.0])
-        twin = Minimum.at(
-            Transform(best.transform.normals @ flip, best.transform.lamps @ flip), places
-        )
-        height = float(directions(places.lamps @ best.transform.lamps)[0][:, 1].mean())
-        if twin.cost - best.cost < EQUALLY_LIKELY:
+        C = best.lamps * np.sign(np.linalg.det(best.lamps))
+        twin = Minimum.at(C @ flip, places)
+        height = float(unit_and_length(places.lamps @ best.lamps)[0][:, 1].mean())
+        if twin is not None and twin.cost - best.cost < EQUALLY_LIKELY:
             if height < 0:
                 best = twin
             undetermined.append(
@@ -365,11 +369,11 @@ def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum,
                 "under lamps from the other side: lamps are taken to be above rather than below "
                 f"(mean of their y: {abs(height):.2f})"
             )
-    normals = directions(places.vectors @ best.transform.normals)[0]
+    normals = unit_and_length(places.vectors @ best.normals)[0]
     for other in found[1:]:
         if other.cost - found[0].cost > EQUALLY_LIKELY:
             break
-        elsewhere = directions(places.vectors @ other.transform.normals)[0]
+        elsewhere = unit_and_length(places.vectors @ other.normals)[0]
         apart = float(np.degrees(angles(normals, elsewhere).mean()))
         if apart > SAME_DEGREES:
             undetermined.append(
@@ -423,7 +427,10 @@ def _start_of_few(
     normals = rough[data.where]
     rows = np.clip(data.relative, 0.0, 2.0) * data.usable
     ridge = 1e-3 * len(normals) * np.eye(3)
-    lamps = np.linalg.solve(normals.T @ normals + ridge, normals.T @ rows).T
+    lamps = np.asarray(np.linalg.solve(normals.T @ normals + ridge, normals.T @ rows).T)
+    if product.rank > 0:
+        space = product.lamps[:, : product.rank]
+        lamps = space @ (space.T @ lamps) / len(lamps)
     found = pseudo_normals(data.grey, data.usable, lamps)
     words = (
         f"The samples have rank {product.rank}: lamps lie in a plane with the scene or are too "
@@ -451,12 +458,12 @@ def _finished(
     """
     information, axes = np.linalg.eigh(found.precision)
     told = information[:, 0]
-    middle = float(np.median(told))
-    flat = middle <= 1e-6 * float(np.median(information[:, 2]))
-    lean = KNOWN_MIN * (float(np.median(information[:, 1])) if flat else middle)
-    lean = max(lean, np.finfo(np.float64).tiny)
+    # Where lamps lie in a plane no sample tells the third part: the least that is told counts.
+    medians = np.median(information, axis=0)
+    lean = KNOWN_MIN * float(medians[medians > 1e-6 * medians[2]].min(initial=np.inf))
+    lean = lean if np.isfinite(lean) else 1.0
     known = told > lean
-    unit, albedo = directions(found.vectors)
+    unit, albedo = unit_and_length(found.vectors)
     if rough is None:
         certain = known if known.any() else np.ones_like(known)
         around = _around(data, np.where(certain[:, None], unit, 0.0), views)
@@ -468,9 +475,9 @@ def _finished(
     precision = np.maximum(information, 0.0)
     mixed = (precision * own + lean * expected) / (precision + lean)
     vectors = np.where(known[:, None], found.vectors, np.einsum("pij,pj->pi", axes, mixed))
-    unit, _ = directions(vectors)
-    directions_, strengths = directions(lamps)
-    shading = np.maximum(unit @ directions_.T, 0.0)
+    unit, _ = unit_and_length(vectors)
+    along, strengths = unit_and_length(lamps)
+    shading = np.maximum(unit @ along.T, 0.0)
     some = _some(len(unit), COLORED_MAX)
     _, colors = color_of_lamps(data.colors[some], shading[some], found.weights[some], strengths)
     planes = _albedo(data.colors, shading, found.weights, colors)
@@ -479,7 +486,7 @@ def _finished(
     return LampStart(
         normals=data.plane(unit, np.nan),
         albedo=data.plane(planes, np.nan),
-        directions=directions_,
+        directions=along,
         strengths=colors,
         weights=weights,
         known=data.plane(known.astype(np.float64), 0.0).astype(bool),
@@ -498,12 +505,11 @@ def _around(data: _Samples, unit: Array, views: Array) -> Array:
         share = gaussian_filter(weight, radius)[data.where]
         enough = share > ENOUGH
         found[enough] = near[data.where][enough]
-    return directions(found)[0]
+    return unit_and_length(found)[0]
 
 
 def _albedo(colors: Array, shading: Array, weights: Array, strengths: Array) -> Array:
-    """(P, 3) albedo by weighted least squares; of pixels without any sample of weight, by the sum
-    of all."""
+    """Albedo (P, 3) by weighted least squares; without a sample of weight, by the sum of all."""
     channels = colors.shape[2]
     used = strengths[:, :channels]
     product = shading[..., None] * used
@@ -512,4 +518,4 @@ def _albedo(colors: Array, shading: Array, weights: Array, strengths: Array) -> 
     found = np.einsum("pn,pnc,pnc->pc", weights, product, colors) / np.maximum(below, tiny)
     total = colors.sum(axis=1) / np.maximum(product.sum(axis=1), 1e-3 * used.sum(axis=0))
     found = np.where(below > 1e-6 * np.median(below, axis=0), found, total)
-    return np.maximum(np.broadcast_to(found, (len(found), 3)), 0.0)
+    return np.asarray(np.maximum(np.broadcast_to(found, (len(found), 3)), 0.0))

@@ -2,7 +2,8 @@
 
 If the directions d are known but not the strengths, a factorisation gives lamps S up to a matrix A
 with S A = σ d. So (S A)×d = 0 for each lamp: linear in A, which is the vector of the least singular
-value, and σ = (S A)·d. Five lamps in general position tell A up to a factor; a sixth is a check.
+value, and σ = (S A)·d. Four lamps, no three of them in a plane, tell A up to a factor; a fifth is a
+check.
 
 A sample of channel c is α_c σ_c max(n·l, 0). With normals and directions from grey samples each
 channel leaves a product of albedo and strength, found in alternation; a factor between them remains

@@ -1,0 +1,148 @@
+"""The start of a fit with lamps: planted scenes are found, and what cannot be is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lamp_scenes import LampScene, around, ball, relief
+from pbrfit import InputError
+from pbrfit.fit.lamps.start import LampStart, start_of_known_lamps, start_of_unknown_lamps
+
+
+def found(scene: LampScene, guide: np.ndarray | None = None) -> LampStart:
+    return start_of_unknown_lamps(
+        scene.samples, scene.usable, scene.mask, scene.views, scene.fov, guide
+    )
+
+
+def under_known(scene: LampScene, strengths: np.ndarray | None = None) -> LampStart:
+    return start_of_known_lamps(
+        scene.samples, scene.usable, scene.mask, scene.views, scene.directions, strengths
+    )
+
+
+def in_a_plane() -> np.ndarray:
+    angle = np.radians(np.linspace(-50, 50, 7))
+    return np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+
+
+def test_known_lamps_tell_a_glossy_ball() -> None:
+    scene = ball(around(12, 40, 10), gloss=0.5, size=48)
+    assert scene.error(under_known(scene, scene.strengths).normals) < 0.5
+
+
+def test_strengths_of_known_lamps_are_found_where_directions_tell_them() -> None:
+    strengths = np.linspace(0.7, 1.3, 8)
+    scene = ball(around(8, 40, 15), strengths=strengths, size=48)
+    start = under_known(scene)
+    relative = start.strengths[:, 1] / start.strengths[:, 1].mean()
+    np.testing.assert_allclose(relative, strengths / strengths.mean(), rtol=0.01)
+    assert start.undetermined == ()
+
+
+def test_three_lamps_do_not_tell_their_strengths() -> None:
+    start = under_known(ball(around(3, 40, 5), size=48))
+    assert any("strengths" in words for words in start.undetermined)
+
+
+def test_samples_are_albedo_times_strength_times_cosine() -> None:
+    scene = ball(around(9, 40, 10), size=48, coded=False)
+    start = under_known(scene)
+    shading = np.maximum(np.einsum("hwi,ni->nhw", start.normals, start.directions), 0)
+    again = start.albedo * shading[..., None] * start.strengths[:, None, None]
+    off = np.abs(again - scene.samples)[:, scene.mask]
+    # Pixels at the terminator of several lamps have too few samples to be exact.
+    assert np.quantile(off, 0.99) < 1e-3
+    assert np.isnan(start.albedo[~scene.mask]).all()
+
+
+def test_a_ball_of_several_albedos_under_unknown_lamps() -> None:
+    scene = ball(around(9, 40, 10), strengths=np.linspace(0.9, 1.1, 9), size=56)
+    start = found(scene)
+    assert scene.error(start.normals) < 1.0
+    assert scene.lamp_error(start.directions) < 1.0
+    assert start.undetermined == ()
+
+
+def test_the_surface_bulged_the_other_way_is_told_by_the_outline() -> None:
+    scene = ball(-around(9, 40, 10) * [1, 1, -1], size=56)
+    assert scene.error(found(scene).normals) < 1.0
+
+
+def test_a_ball_in_four_pictures() -> None:
+    scene = ball(around(4, 40, 5), size=56)
+    assert scene.error(found(scene).normals) < 4.0
+
+
+def test_without_an_outline_a_relief_is_lit_from_above_and_that_is_said() -> None:
+    directions = around(9, 40, 10) + np.array([0.0, 0.3, 0.0])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    scene = relief(directions, size=56)
+    start = found(scene)
+    assert scene.error(start.normals) < 3.0
+    assert any("bulged the other way" in words for words in start.undetermined)
+    below = relief(directions * [1, -1, 1], size=56)
+    turned = found(below).normals * [-1, -1, 1]
+    assert below.error(turned) < 3.0
+
+
+def test_perspective_tells_a_relief_from_the_one_bulged_the_other_way() -> None:
+    directions = around(9, 40, 10) - np.array([0.0, 0.3, 0.0])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    scene = relief(directions, size=56, fov=50)
+    start = found(scene)
+    assert scene.error(start.normals) < 2.0
+    assert start.undetermined == ()
+
+
+def test_given_normals_settle_what_pictures_do_not() -> None:
+    directions = around(9, 40, 10) - np.array([0.0, 0.3, 0.0])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    scene = relief(directions, size=56)
+    start = found(scene, scene.normals)
+    assert scene.error(start.normals) < 2.0
+    assert start.undetermined == ()
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_lamps_in_a_plane_leave_a_part_of_normals_and_that_is_said(known: bool) -> None:
+    scene = ball(in_a_plane(), size=48)
+    start = under_known(scene) if known else found(scene)
+    assert any("plane" in words for words in start.undetermined)
+    assert np.isfinite(start.normals[scene.mask]).all()
+    # Across the plane the ball's outline gives a rough shape.
+    assert scene.error(start.normals) < 15.0
+
+
+def test_equal_lamps_are_no_crash() -> None:
+    scene = ball(np.tile(around(1, 30), (5, 1)), size=48)
+    start = found(scene)
+    assert np.isfinite(start.normals[scene.mask]).all()
+    assert "rank 1" in start.undetermined[0]
+
+
+def test_pictures_in_one_channel() -> None:
+    scene = ball(around(9, 40, 10), size=48)
+    start = start_of_unknown_lamps(
+        scene.samples.mean(axis=-1), scene.usable, scene.mask, scene.views
+    )
+    assert start.albedo.shape == (48, 48, 3)
+    assert scene.error(start.normals) < 1.0
+
+
+def test_the_same_pictures_give_the_same_bits() -> None:
+    scene = ball(around(6, 40, 10), size=40)
+    assert found(scene).normals.tobytes() == found(scene).normals.tobytes()
+
+
+def test_two_pictures_are_refused() -> None:
+    scene = ball(around(3, 40), size=24)
+    with pytest.raises(InputError, match="three or more"):
+        start_of_unknown_lamps(scene.samples[:2], scene.usable[:2], scene.mask, scene.views)
+
+
+def test_a_mask_of_another_size_is_refused() -> None:
+    scene = ball(around(3, 40), size=24)
+    with pytest.raises(InputError, match="mask: expected shape"):
+        start_of_unknown_lamps(scene.samples, scene.usable, scene.mask[1:], scene.views)
