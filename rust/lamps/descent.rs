@@ -98,14 +98,11 @@ impl Descent<'_> {
             at.material.roughness = START_ROUGHNESS_MIN;
         }
         let ended = self.from::<M>(at, iterations);
-        if raised {
-            let cost = self.samples.cost::<M>(&start);
-            // Written so that NaN keeps the start.
-            if !(ended.cost < cost) {
-                return self.here::<M>(start);
-            }
+        // A comparison with NaN is false, and leaves the start.
+        if !raised || ended.cost < self.samples.cost::<M>(&start) {
+            return ended;
         }
-        ended
+        self.here::<M>(start)
     }
 
     fn from<M: Reflection>(&self, start: Point, iterations: usize) -> Ended {
@@ -180,7 +177,7 @@ impl Descent<'_> {
         for x in 0..OFFSET {
             (lowest[x], highest[x]) = (-value[x], 1.0 - value[x]);
         }
-        let down = 0.5 * (ROUGHNESS_HALVING_FLOOR - value[ROUGHNESS]);
+        let down = (0.5 * (ROUGHNESS_HALVING_FLOOR - value[ROUGHNESS])).min(0.0);
         let up = (value[ROUGHNESS] + ROUGHNESS_HALVING_FLOOR).min(ROUGHNESS_STEP_MAX);
         lowest[ROUGHNESS] = lowest[ROUGHNESS].max(down).max(-ROUGHNESS_STEP_MAX);
         highest[ROUGHNESS] = highest[ROUGHNESS].min(up);

@@ -28,6 +28,7 @@ pub struct SurfaceWithSlopes<'a> {
 }
 
 /// What of a surface no light changes.
+#[expect(clippy::large_enum_variant)] // one at a time, on the stack
 enum Kind {
     /// G₁(n·v), and its derivative by roughness.
     Paper(f64, f64),

@@ -92,7 +92,8 @@ def lamplit_of(kind: Kind, rng: np.random.Generator) -> Arguments:
 
 def under_lamps(kind: Kind, rng: np.random.Generator) -> Arguments:
     lamplit = lamplit_of(kind, rng)
-    normals = reference.unit(lamplit.pop("normals") + [0, 0, 1.5])  # less than 90 degrees apart
+    # Less than 90 degrees apart.
+    normals = reference.unit(np.array([0, 0, 1.5]) + lamplit.pop("normals"))
     samples = (kind.pixels, kind.pictures, 3)
     return lamplit | {
         "pictures": rng.random(samples),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from pbrfit import InputError, _core
 from pbrfit.model.reflection import MODELS
 from reference import unit
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 
 every_model = pytest.mark.parametrize("model", MODELS)
 
@@ -69,8 +70,16 @@ def test_slopes_are_those_of_the_values(model: str) -> None:
     over = np.einsum("px,pkx->pk", n, directions) > 0.05
     width = 0.02 * given["roughness"] ** 2
 
-    def radiance(**changed: Array) -> Array:
-        return _core.lamp_radiance(**(given | changed), threads=1, model=model)
+    steps = width[:, None, None]
+
+    def radiance(name: str, value: Array) -> Array:
+        return _core.lamp_radiance(**(given | {name: value}), threads=1, model=model)
+
+    def turned(name: str, along: Array, t: float) -> Array:
+        return radiance(name, unit(given[name] + t * along))
+
+    def changed(name: str, t: float) -> Array:
+        return radiance(name, given[name] + t)
 
     value, by_normal, by_direction, *by_material = _core.lamp_slopes(
         **given, threads=1, model=model
@@ -82,23 +91,17 @@ def test_slopes_are_those_of_the_values(model: str) -> None:
         assert near[over].all()
 
     for tangent in reference.tangents(n):
-        slope, error = ridders(
-            lambda t, along=tangent: radiance(normals=unit(n + t * width[:, None] * along)), 1.0
-        )
+        along = width[:, None] * tangent
+        slope, error = ridders(partial(turned, "normals", along), 1.0)
         found = np.einsum("pkcx,px->pkc", by_normal, tangent)
-        unit_of_x = width[:, None, None]
-        agrees(found, slope / unit_of_x, error / unit_of_x, unit_of_x)
-    flat = directions.reshape(-1, 3)
-    for tangent in reference.tangents(flat):
-        along = tangent.reshape(directions.shape)
-        step = width[:, None, None] * along
-        slope, error = ridders(lambda t, s=step: radiance(directions=unit(directions + t * s)), 1.0)
-        found = np.einsum("pkcx,pkx->pkc", by_direction, along)
-        unit_of_x = width[:, None, None]
-        agrees(found, slope / unit_of_x, error / unit_of_x, unit_of_x)
+        agrees(found, slope / steps, error / steps, steps)
+    for tangent in reference.tangents(directions.reshape(-1, 3)):
+        tangent = tangent.reshape(directions.shape)
+        slope, error = ridders(partial(turned, "directions", steps * tangent), 1.0)
+        found = np.einsum("pkcx,pkx->pkc", by_direction, tangent)
+        agrees(found, slope / steps, error / steps, steps)
     for name, found in zip(("albedo", "roughness", "metallic"), by_material, strict=True):
-        slope, error = ridders(lambda t, name=name: radiance(**{name: given[name] + t}), 0.02)
-        agrees(found, slope, error, 1.0)
+        agrees(found, *ridders(partial(changed, name), 0.02), 1.0)
 
 
 @every_model
