@@ -29,7 +29,7 @@ from pbrfit.fit.lamps.joint import (
     minimize,
     offsets,
 )
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
@@ -208,13 +208,18 @@ def of_labels(
     return found
 
 
-def seen_error(pixels: LampPixels, state: LampState) -> Array:
+def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) -> Array:
     """(P,): Σ (√I − √y)² over a pixel's samples: about what the eye makes of differences.
 
     A highlight that is missing, or in a wrong place, counts more than shadows and what surfaces are
     not quite diffuse, however many samples these are.
     """
     shown = pixels.samples + pixels.residuals(radiance(pixels, state))
+    if relative:
+        # Near lamps: in proportion, of which no more than a factor of e counts.
+        floor = 0.01 * MEAN_RADIANCE
+        logs = np.log(np.maximum(shown, 0) + floor) - np.log(np.maximum(pixels.samples, 0) + floor)
+        return np.asarray((pixels.weights * np.minimum(logs**2, 1.0)).sum(axis=(1, 2)))
     roots = np.sqrt(np.maximum(shown, 0)) - np.sqrt(np.maximum(pixels.samples, 0))
     return np.asarray((pixels.weights * roots**2).sum(axis=(1, 2)))
 
@@ -330,7 +335,7 @@ class LampFit:
         for number in range(ROUNDS):
             if self.clock.out_of_time():
                 break
-            if number in LOOKS and not (near and number):
+            if number in LOOKS:
                 factors, degrees = LOOKS[number]
                 fields: tuple[float, ...] = FIELDS_OF_VIEW
                 if self.scene.fov_known:
@@ -442,7 +447,7 @@ class LampFit:
                     free_normals=free,
                     free_roughness=False,
                 )
-                errors.append(seen_error(few, state))
+                errors.append(seen_error(few, state, relative=fit.noise.proportional))
                 away = offsets(few.normals, state.normals)
                 squares.append((prior.precision[:, :2] * away**2).sum(axis=1))
             best = np.argmin(errors, axis=0)

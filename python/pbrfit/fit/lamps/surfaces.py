@@ -54,6 +54,12 @@ STEPS = 12
 METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
 
+VOTE_MAX, VOTERS = 3.0, 8
+"""Log odds that a pixel of a segment adds at most, and pixels that count as one."""
+
+SEGMENT_SHARES = (0.01, 0.95)
+"""Least and greatest share of metals in a segment: what is on it, or shines through, is little."""
+
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
 
@@ -322,7 +328,7 @@ def _with_metals(
     )
     # What the better of both leaves of a pixel is misfit, of which costs count as so many samples.
     samples = np.maximum((pixels.weights > 0).sum(axis=(1, 2)) - UNKNOWNS, 1)
-    misfit = max(float(np.mean(np.minimum(cost, metal_cost) / samples)), 1.0)
+    misfit = max(float(np.median(np.minimum(cost, metal_cost) / samples)), 1.0)
     odds = -0.5 * INDEPENDENT * (metal_cost - cost) / misfit
     odds -= 0.5 * (log_determinant(metal_information) - log_determinant(information))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width)
@@ -352,21 +358,31 @@ def _with_metals(
 
 
 def log_determinant(information: Array) -> Array:
-    """(P,): of the unknowns that are determined."""
+    """(P,): of the unknowns that are free; none is wider than uniform in [0, 1], of variance 1/12."""
     diagonal = np.einsum("puu->pu", information)
     solid = information.copy()
-    np.einsum("puu->pu", solid)[:] = np.where(diagonal > 0, diagonal, 1.0)
+    np.einsum("puu->pu", solid)[:] = np.where(diagonal > 0, diagonal + 12.0, 12.0)
     return np.asarray(np.linalg.slogdet(solid)[1])
 
 
 def metal_shares(odds: Array, labels: NDArray[np.intp]) -> Array:
-    """(P,): share of metals of each pixel's label, by expectation and maximisation."""
+    """(P,): share of metals of each pixel's label.
+
+    A segment is of one kind, which its pixels vote for, none with more than `VOTE_MAX` and eight as
+    one, as neighbours share what is left of them; some of its pixels may be of another. Of what is
+    in no segment the share is found by expectation and maximisation.
+    """
     found = np.full(len(odds), METAL_SHARE)
     for label in np.unique(labels):
         of = odds[labels == label]
+        if label > 0:
+            votes = float(np.clip(of, -VOTE_MAX, VOTE_MAX).sum()) / VOTERS
+            total = votes + np.log(METAL_SHARE / (1 - METAL_SHARE))
+            found[labels == label] = np.clip(probability(np.array(total)), *SEGMENT_SHARES)
+            continue
         share = METAL_SHARE
         for _ in range(30):
-            chance = 1 / (1 + np.exp(-np.clip(of + np.log(share / (1 - share)), -50, 50)))
+            chance = probability(of + np.log(share / (1 - share)))
             # One pixel's worth of the first share keeps it off 0 and 1.
             share = (float(chance.sum()) + METAL_SHARE) / (len(of) + 1)
         found[labels == label] = np.clip(share, 1e-4, 1 - 1e-4)
