@@ -99,6 +99,9 @@ ROUGHNESS_SPREADS = (0.02, 0.05)
 """Least and greatest spread of roughness inside a label: less is seen by nobody; with more, each
 pixel takes what its own few highlights are off the model's for a roughness of its own."""
 
+KNOWN_NORMALS_SPREADS = (0.03, 0.25)
+"""The same where normals are known and held."""
+
 FREE_OFFSETS = 0.09
 """Prior standard deviation of the tangent offsets of normals that diffuse shading has told, from
 these: 5 degrees, what they are off on glossy surfaces."""
@@ -176,13 +179,15 @@ class _Clock:
             self.unmeasured += time.perf_counter() - began
 
 
-def learnt_roughness(pixels: LampPixels, state: LampState, prior: SurfacePrior) -> SurfacePrior:
+def learnt_roughness(
+    pixels: LampPixels, state: LampState, prior: SurfacePrior, spreads: tuple[float, float]
+) -> SurfacePrior:
     """The prior with the spread that roughness has in each label, around what looks have found."""
-    precision = prior.precision.copy()
+    precision, (least, most) = prior.precision.copy(), spreads
     for label in np.unique(pixels.labels):
         of = pixels.labels == label
         away = np.abs(state.roughness[of] - prior.mean[of, 5])
-        spread = float(np.clip(1.4826 * np.median(away), *ROUGHNESS_SPREADS))
+        spread = float(np.clip(1.4826 * np.median(away), least, most))
         precision[of, 5] = spread**-2
     return SurfacePrior(prior.mean, precision)
 
@@ -362,7 +367,9 @@ class LampFit:
                 iterations=surfaces.STEPS,
                 free_normals=freedom.normals,
             )
-            fit.prior = learnt_roughness(few, fit.state, fit.prior)
+            # With normals that are known a highlight says how rough a surface is.
+            spreads = ROUGHNESS_SPREADS if freedom.normals else KNOWN_NORMALS_SPREADS
+            fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)
             fit.reweigh()
             self.clock.record(fit, few.scale, samples)
         return fit

@@ -48,6 +48,9 @@ REFINING_STEPS, REFINING_DAMPING, FINAL_SCALE = 40, 0.02, 0.05
 """Steps of Gauss and Newton on near lamps; damping, of the diagonal; and the scale of residuals, a
 logarithm, that weights end with: 5 %, as model and noise leave."""
 
+COLOR_ROUNDS = 30
+"""Of weights while colours of lamps are found."""
+
 DARK = 0.02
 """Share of a picture's mean radiance below which a pixel is taken to be in a shadow."""
 
@@ -225,17 +228,33 @@ def _typical(grey: Array, usable: NDArray[np.bool_]) -> Array:
 def colored_by(
     pixels: LampPixels, lamps: Lamps, shading: Array, weights: Array
 ) -> tuple[Lamps, Array]:
-    """Lamps with colours, and albedos (P, 3), by shading (P, K) and weights of the samples."""
-    count = len(lamps)
-    colors = np.ones((count, 3))
-    albedo = np.ones((len(pixels), 3))
-    data = weights[..., None] * pixels.samples[:, lamps.pictures]
-    squares = weights * shading**2
-    for _ in range(10):
-        of_pixels = np.einsum("pic,pi,ic->pc", data, shading, colors)
-        albedo = np.maximum(of_pixels / (squares @ colors**2 + TINY), 0) + TINY
-        of_lamps = np.einsum("pic,pi,pc->ic", data, shading, albedo)
-        colors = np.maximum(of_lamps / (squares.T @ albedo**2 + TINY), 0) + TINY
+    """Lamps with colours, and albedos (P, 3), by shading (P, K) and weights of the samples.
+
+    As ln I = ln ρ + ln c + ln s, by weights of Cauchy's distribution whose scale falls: shadows and
+    highlights are left out.
+    """
+    samples = pixels.samples[:, lamps.pictures]
+    mean = np.maximum(pixels.samples.mean(axis=0)[lamps.pictures], TINY)
+    lit = (weights > 0) & (shading > 0.05 * shading.max(axis=1, keepdims=True))
+    usable = lit[..., None] & (samples > DARK * mean)
+    logs = np.log(np.maximum(samples, TINY)) - np.log(np.maximum(shading, TINY))[..., None]
+    of_lamps = np.log(mean)
+    of_pixels = np.zeros((len(pixels), 3))
+    for number in range(COLOR_ROUNDS):
+        scale = max(0.85**number, FINAL_SCALE)
+        for _ in range(2):
+            residual = logs - of_pixels[:, None] - of_lamps
+            counted = usable / (1 + (residual / scale) ** 2)
+            sums = counted.sum(axis=1)
+            of_pixels = (counted * (logs - of_lamps)).sum(axis=1) / (sums + TINY)
+            residual = logs - of_pixels[:, None] - of_lamps
+            counted = usable / (1 + (residual / scale) ** 2)
+            step = (counted * residual).sum(axis=0) / (counted.sum(axis=0) + TINY)
+            of_lamps = of_lamps + step
+    known = usable.any(axis=1)
+    middle = [np.median(of_pixels[known[:, c], c]) if known[:, c].any() else 0.0 for c in range(3)]
+    albedo = np.exp(np.where(known, of_pixels, middle))
+    colors = np.exp(of_lamps)
     # What both share: the tint, so that the lamps are grey on the whole, as of pictures whose white
     # was balanced, and the scale, so that the mean albedo is what it mostly is.
     tint = np.exp(np.log(colors).mean(axis=0))

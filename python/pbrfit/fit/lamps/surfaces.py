@@ -45,6 +45,9 @@ ROUNDS = 3
 NEIGHBOUR_ROUNDS = 3
 """Times that pixels try the surfaces of their neighbours, which hand on what one has found."""
 
+ROUGHNESS_STARTS = (0.15, 0.35, 0.75)
+"""That pixels with known normals begin with, too: a lobe that misses all samples has no slope."""
+
 NORMALS = 100
 """Directions that a pixel is turned to where its normal is sought anywhere: 14 degrees apart."""
 
@@ -59,6 +62,9 @@ VOTE_MAX, VOTERS = 3.0, 8
 
 SEGMENT_SHARES = (0.01, 0.95)
 """Least and greatest share of metals in a segment: what is on it, or shines through, is little."""
+
+MISFIT_MIN = 0.01
+"""Least of what is left, in variances of the weights: a tenth of the 5 % that these take at least."""
 
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
@@ -279,6 +285,10 @@ def fit_band(
         return found[0], found[4]
 
     state, left = fitted(state, 1)
+    for roughness in ROUGHNESS_STARTS if not free else ():
+        same = np.full(len(pixels), roughness)
+        begin = state.with_surface(state.normals, state.albedo, same, state.metallic)
+        state, left = better_of(state, left, *fitted(begin, 1))
     if free:
         state, left = better_of(state, left, *fitted(facing_highlights(pixels, state), 1))
         for _ in range(NEIGHBOUR_ROUNDS):
@@ -320,15 +330,20 @@ def _with_metals(
 ) -> LampState:
     """A state of dielectrics, with metals where these explain the samples better."""
     count = len(pixels)
-    bright = np.clip(state.albedo * 1.5, 0.1, 1.0)
-    shiny = np.maximum(state.roughness, 0.25)
-    metal = state.with_surface(state.normals, bright, shiny, np.ones(count))
-    metal, metal_cost, metal_information = fit_surfaces(
-        pixels, metal, weights, prior, iterations=2 * STEPS, free_normals=free_normals
-    )
+    metal, metal_cost, metal_information = state, np.full(count, np.inf), information
+    for roughness in (0.25, 0.5):
+        bright = np.clip(state.albedo * 1.5, 0.1, 1.0)
+        begin = state.with_surface(state.normals, bright, np.full(count, roughness), np.ones(count))
+        begin, of_begin, told = fit_surfaces(
+            pixels, begin, weights, prior, iterations=2 * STEPS, free_normals=free_normals
+        )
+        take = of_begin < metal_cost
+        metal, metal_cost = better_of(metal, metal_cost, begin, of_begin)
+        metal_information = np.where(take[:, None, None], told, metal_information)
     # What the better of both leaves of a pixel is misfit, of which costs count as so many samples.
     samples = np.maximum((pixels.weights > 0).sum(axis=(1, 2)) - UNKNOWNS, 1)
-    misfit = max(float(np.median(np.minimum(cost, metal_cost) / samples)), 1.0)
+    left_over = np.median(np.minimum(cost, metal_cost) / samples)
+    misfit = max(float(left_over), MISFIT_MIN)
     odds = -0.5 * INDEPENDENT * (metal_cost - cost) / misfit
     odds -= 0.5 * (log_determinant(metal_information) - log_determinant(information))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width)
