@@ -75,6 +75,7 @@ def test_a_ball_in_four_pictures() -> None:
     assert scene.error(found(scene).normals) < 4.0
 
 
+@pytest.mark.slow
 def test_without_an_outline_a_relief_is_lit_from_above_and_that_is_said() -> None:
     directions = around(9, 40, 10) + np.array([0.0, 0.3, 0.0])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -131,6 +132,7 @@ def test_pictures_in_one_channel() -> None:
     assert scene.error(start.normals) < 1.0
 
 
+@pytest.mark.slow
 def test_the_same_pictures_give_the_same_bits() -> None:
     scene = ball(around(6, 40, 10), size=40)
     assert found(scene).normals.tobytes() == found(scene).normals.tobytes()
