@@ -41,8 +41,8 @@ DRAWS = 120
 law in all pictures, one of eight triples does; most of these are too alike to span the space well,
 and 120 leave more than ten."""
 
-JUDGES = 300
-"""Pixels that a draw is judged by: its loss is then known to some 6 %."""
+JUDGING = 300
+"""Pixels that a draw is judged by: their mean loss is known to 1/√300, some 6 %."""
 
 JUDGED_SCALE = 0.05
 """σ by which it is judged: a twentieth of a pixel's brightness, below any highlight's or shadow's
@@ -138,7 +138,7 @@ def _best_start(relative: Array, usable: Mask) -> Array:
     The samples of three pixels, if all follow the law, span the space of the lamps.
     """
     draws = np.random.default_rng(0)
-    judges = draws.choice(len(relative), min(len(relative), JUDGES), replace=False)
+    sample = draws.choice(len(relative), min(len(relative), JUDGING), replace=False)
     lit = np.where(usable & (relative <= BRIGHT), relative >= DARK, False).sum(axis=1)
     # The half of the pixels that are lit most: a sample in shadow spoils a draw.
     candidates = np.argsort(-lit, kind="stable")[: max(len(lit) // 2, 3)]
@@ -148,7 +148,7 @@ def _best_start(relative: Array, usable: Mask) -> Array:
         singular = np.linalg.svd(rows, compute_uv=False)
         if singular[2] > 1e-2 * singular[0]:
             tried.append(_whitened(rows.T)[0])
-    some, used = relative[judges], usable[judges]
+    some, used = relative[sample], usable[sample]
     losses = []
     for lamps in tried:
         plain = _solved(some, used & (some >= DARK) & (some <= BRIGHT), lamps)
@@ -199,10 +199,10 @@ def _reconsidered(relative: Array, usable: Mask, vectors: Array, lamps: Array) -
     found = lamps.copy()
     for n in range(len(lamps)):
         lit = np.flatnonzero(usable[:, n] & (relative[:, n] >= DARK))
-        judges = np.flatnonzero(usable[:, n])
+        sample = np.flatnonzero(usable[:, n])
         if len(lit) < 3:
             continue
-        judges = draws.choice(judges, min(len(judges), 2 * JUDGES), replace=False)
+        sample = draws.choice(sample, min(len(sample), 2 * JUDGING), replace=False)
         triples = lit[draws.integers(0, len(lit), (DRAWS, 3))]
         volume = np.abs(np.linalg.det(vectors[triples]))
         triples = triples[volume > 0.01 * volume.max() + np.finfo(np.float64).tiny]
@@ -210,8 +210,8 @@ def _reconsidered(relative: Array, usable: Mask, vectors: Array, lamps: Array) -
             continue
         solved = np.linalg.solve(vectors[triples], relative[triples, n][..., None])[..., 0]
         tried = np.concatenate([lamps[n : n + 1], solved])
-        predicted = np.maximum(vectors[judges] @ tried.T, 0.0)
-        squared = ((relative[judges, n][:, None] - predicted) / JUDGED_SCALE) ** 2
+        predicted = np.maximum(vectors[sample] @ tried.T, 0.0)
+        squared = ((relative[sample, n][:, None] - predicted) / JUDGED_SCALE) ** 2
         found[n] = tried[(squared / (1 + squared)).sum(axis=0).argmin()]
     return found
 
@@ -261,7 +261,7 @@ def _residual(relative: Array, follows: Mask, lamps: Array) -> float:
     padded = np.zeros((pictures, 3))
     padded[:, :rank] = lamps
     free = follows.sum(axis=1) - rank
-    some = np.flatnonzero(free > 0)[:: max(len(relative) // (4 * JUDGES), 1)]
+    some = np.flatnonzero(free > 0)[:: max(len(relative) // (4 * JUDGING), 1)]
     if not len(some):
         return 0.0
     vectors = _solved(relative[some], follows[some], padded)

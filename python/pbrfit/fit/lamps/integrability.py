@@ -159,6 +159,8 @@ def equations(
         return np.asarray(np.abs(rows[at, :6] @ null) / deviation)
 
     best = gathered(np.ones(len(b)))
+    if not len(b):
+        return best
     if count > BLOCKS_DRAWN:
         # Jumps and shadows' edges may outweigh all else in a sum of squares: the null vector is
         # that of a few blocks, drawn many times, for which the median residual is least.

@@ -177,7 +177,8 @@ def _triples(lamps: Array) -> NDArray[np.intp]:
             np.tile(np.arange(count), (8 * TRIPLES_MAX, 1)), axis=1
         )
         chosen = np.unique(np.sort(draws[:, :3], axis=1), axis=0)
-    unit = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
+    length = np.linalg.norm(lamps, axis=1, keepdims=True)
+    unit = lamps / np.maximum(length, np.finfo(np.float64).tiny)
     first, second, third = np.moveaxis(unit[chosen], 1, 0)
     volume: Array = np.abs(np.einsum("ti,ti->t", first, np.cross(second, third)))
     # Of a triple's own noise, what reaches b grows as 1/volume: the half that amplifies it least,

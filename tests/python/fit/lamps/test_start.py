@@ -75,6 +75,7 @@ def test_a_ball_in_four_pictures() -> None:
     assert scene.error(found(scene).normals) < 4.0
 
 
+@pytest.mark.slow
 def test_without_an_outline_a_relief_is_lit_from_above_and_that_is_said() -> None:
     directions = around(9, 40, 10) + np.array([0.0, 0.3, 0.0])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -131,6 +132,7 @@ def test_pictures_in_one_channel() -> None:
     assert scene.error(start.normals) < 1.0
 
 
+@pytest.mark.slow
 def test_the_same_pictures_give_the_same_bits() -> None:
     scene = ball(around(6, 40, 10), size=40)
     assert found(scene).normals.tobytes() == found(scene).normals.tobytes()
@@ -146,3 +148,24 @@ def test_a_mask_of_another_size_is_refused() -> None:
     scene = ball(around(3, 40), size=24)
     with pytest.raises(InputError, match="mask: expected shape"):
         start_of_unknown_lamps(scene.samples, scene.usable, scene.mask[1:], scene.views)
+
+
+@pytest.mark.parametrize("pixels", [1, 4, 20])
+def test_a_mask_of_few_pixels_is_no_crash(pixels: int) -> None:
+    scene = ball(around(5, 40), size=24)
+    mask = np.zeros_like(scene.mask)
+    mask[12, 2 : 2 + pixels] = True
+    start = start_of_unknown_lamps(scene.samples, scene.usable & mask, mask, scene.views)
+    assert np.isfinite(start.normals[mask]).all()
+    assert start.undetermined
+
+
+def test_black_pixels_and_black_pictures_are_no_crash() -> None:
+    scene = ball(around(8, 40, 10), size=48)
+    scene.samples[2] = 0.0
+    scene.samples[:, 20:24, 20:24] = 0.0
+    start = found(scene)
+    assert np.isfinite(start.normals[scene.mask]).all()
+    assert scene.error(start.normals) < 3.0
+    assert (start.strengths[2] == 0).all()
+    assert "picture 3" in start.undetermined[-1]

@@ -1,0 +1,88 @@
+"""The samples of the pixels of a mask: grey ones and colours, and which are usable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.fit.lamps.photometric import brightness
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+BLOCKS = 8
+"""Blocks of the picture across the mask's larger side: what light from other surfaces, gloss and
+shadows put in error together is about an eighth of an object."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Pixels of the mask: (P, N) grey samples, what of them is usable, and their colours."""
+
+    colors: Array
+    """(P, N, C)."""
+    grey: Array
+    usable: Mask
+    brightness: Array
+    where: tuple[NDArray[np.intp], ...]
+    mask: Mask
+
+    @classmethod
+    def of(cls, samples: Array, usable: Mask, mask: Mask) -> Samples:
+        """Of pictures (N, H, W) or (N, H, W, C), in which some are usable, (N, H, W)."""
+        samples = np.asarray(samples, np.float64)
+        if samples.ndim == 3:
+            samples = samples[..., None]
+        if samples.ndim != 4 or len(samples) < 3:
+            raise InputError(
+                f"pictures: expected three or more of one size, found {samples.shape[:3]}"
+            )
+        for name, array, shape in (
+            ("usable", usable, samples.shape[:3]),
+            ("mask", mask, samples.shape[1:3]),
+        ):
+            if np.shape(array) != shape:
+                raise InputError(f"{name}: expected shape {shape}, found {np.shape(array)}")
+        if not mask.any():
+            raise InputError("mask: expected pixels, found none")
+        colors = np.moveaxis(samples[:, mask], 0, 1)
+        used = np.moveaxis(usable[:, mask], 0, 1) & np.isfinite(colors).all(axis=2)
+        colors = np.where(used[..., None], colors, 0.0)
+        grey = colors.mean(axis=2)
+        return cls(colors, grey, used, brightness(grey, used), np.nonzero(mask), mask)
+
+    @property
+    def pictures(self) -> int:
+        """How many."""
+        return int(self.grey.shape[1])
+
+    @property
+    def relative(self) -> Array:
+        """Grey samples divided by the brightness of their pixel."""
+        return np.asarray(self.grey / self.brightness[:, None])
+
+    def plane(self, values: NDArray[Any], outside: float) -> Array:
+        """(H, W, ...) of values of pixels (P, ...)."""
+        found = np.full(self.mask.shape + values.shape[1:], outside)
+        found[self.mask] = values
+        return found
+
+
+def some_of(count: int, most: int) -> NDArray[np.intp]:
+    """At most so many of the indices below `count`, at random but always the same."""
+    if count <= most:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
+
+
+def blocks_of(where: tuple[NDArray[np.intp], ...]) -> NDArray[np.intp]:
+    """Number of the block of each pixel."""
+    rows, columns = where
+    size = max(np.ptp(rows), np.ptp(columns)) / BLOCKS + 1e-9
+    down = np.minimum((rows - rows.min()) / size, BLOCKS - 1).astype(np.intp)
+    right = np.minimum((columns - columns.min()) / size, BLOCKS - 1).astype(np.intp)
+    return np.asarray(down * BLOCKS + right)
