@@ -229,6 +229,17 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
     return np.asarray((pixels.weights * roots**2).sum(axis=(1, 2)))
 
 
+def likely_roughness(sums: Array, pixels: int) -> float:
+    """The mean of `ROUGHNESSES` by their likelihood, from what looks wrong with each.
+
+    Where none looks better than another, that is the middle one.
+    """
+    independent = INDEPENDENT_SHARE * pixels
+    logs = -0.5 * independent * np.log(np.maximum(sums, 1e-12) / max(float(sums.min()), 1e-12))
+    shares = np.exp(logs)
+    return float(shares @ np.array(ROUGHNESSES) / shares.sum())
+
+
 class LampFit:
     """A fit of a scene under lamps, stage by stage."""
 
@@ -399,7 +410,7 @@ class LampFit:
                 for label in kinds:
                     sums = left[:, few.labels == label].sum(axis=1)
                     best_of = int(np.argmin(sums))
-                    chosen[label] = ROUGHNESSES[best_of]
+                    chosen[label] = likely_roughness(sums, int((few.labels == label).sum()))
                     total += float(sums[best_of])
                     offset += float(turned[best_of, few.labels == label].sum())
                 independent = INDEPENDENT_SHARE * len(few)
