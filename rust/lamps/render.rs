@@ -196,16 +196,16 @@ pub fn lamp_slopes(pixels: Lamplit, threads: usize) -> Result<LampSlopes> {
                 by_albedo[at] = reflected.by_albedo;
                 by_roughness[at] = reflected.by_roughness;
                 by_metallic[at] = reflected.by_metallic;
-                for c in 0..3 {
-                    reflected
-                        .by_normal(c)
-                        .write_to_slice(&mut by_normal[at][3 * c..]);
-                    reflected
-                        .by_direction(c)
-                        .write_to_slice(&mut by_direction[at][3 * c..]);
-                }
+                by_normal[at] = flat(reflected.by_normal());
+                by_direction[at] = flat(reflected.by_direction());
             }
         }
     });
     Ok(slopes)
+}
+
+/// By channel, by axis.
+fn flat(vectors: [DVec3; 3]) -> [f64; 9] {
+    let by_channel = vectors.map(|v| v.to_array());
+    std::array::from_fn(|i| by_channel[i / 3][i % 3])
 }

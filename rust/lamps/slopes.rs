@@ -84,25 +84,23 @@ pub struct Reflected {
 }
 
 impl Reflected {
-    /// Derivative of a channel by the normal: a vector in the normal's tangent plane, so that its
-    /// product with a small change dn of the normal is the change of radiance.
-    pub fn by_normal(&self, channel: usize) -> DVec3 {
-        let [n, v, l, h] = [self.normal, self.view, self.light, self.half];
-        across(
-            self.by_n_dot_v[channel] * v + self.by_n_dot_l[channel] * l,
-            n,
-        ) + self.by_half[channel] * across(h, n)
+    /// Derivatives by the normal, by channel: vectors in the normal's tangent plane, so that the product
+    /// with a small change dn of the normal is the change of radiance.
+    pub fn by_normal(&self) -> [DVec3; 3] {
+        let [v, l, h] = [self.view, self.light, self.half].map(|d| across(d, self.normal));
+        [0, 1, 2].map(|c| self.by_n_dot_v[c] * v + self.by_n_dot_l[c] * l + self.by_half[c] * h)
     }
 
-    /// Derivative of a channel by the light's direction: a vector in its tangent plane.
-    pub fn by_direction(&self, channel: usize) -> DVec3 {
+    /// Derivatives by the light's direction, by channel: vectors in its tangent plane.
+    pub fn by_direction(&self) -> [DVec3; 3] {
         if self.light == DVec3::ZERO {
-            return DVec3::ZERO; // nothing is reflected
+            return [DVec3::ZERO; 3]; // nothing is reflected
         }
-        let [n, v, l, h] = [self.normal, self.view, self.light, self.half];
-        let by_half =
-            self.by_v_dot_h[channel] * across(v, h) + self.by_half[channel] * across(n, h);
-        across(self.by_n_dot_l[channel] * n + by_half / self.bisector, l)
+        let [n, v, h] = [self.normal, self.view, self.half];
+        let [of_v, of_n] = [v, n].map(|d| across(d, h) / self.bisector);
+        let [of_v, of_n, n] = [of_v, of_n, n].map(|d| across(d, self.light));
+        [0, 1, 2]
+            .map(|c| self.by_n_dot_l[c] * n + self.by_v_dot_h[c] * of_v + self.by_half[c] * of_n)
     }
 
     /// Derivatives of all channels by what turns the normal so: dn has to lie in the normal's tangent
