@@ -79,6 +79,10 @@ pictures obey the model, and all of their samples tell the same scale."""
 ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
 """That are tried for each label: about half an octave apart, less than what a lobe's width tells."""
 
+LOOK_PICTURES_MIN = 6
+"""From which on every third picture is left out where roughness, scale and field of view are chosen:
+the others are four at least, twelve samples for a pixel's six unknowns."""
+
 LOOK_PIXELS = 400
 """By which they are tried: thousands of samples, of which a narrow lobe shows in some per cent."""
 
@@ -446,15 +450,27 @@ class LampFit:
     def _left_by_roughness(
         self, fit: JointLamps, few: LampPixels, given: LampState, scale: float, prior: SurfacePrior
     ) -> tuple[Array, Array]:
-        """(R, P) each: what looks wrong with each roughness, and how unlikely the normals are."""
+        """(R, P) each: what looks wrong with each roughness, and how unlikely the normals are.
+
+        Surfaces are fitted to some pictures, and what they show in the others counts: with a normal
+        and a narrow lobe of its own a pixel can show any one highlight, but not the next.
+        """
         wrong, turned = [], []
+        left_out = np.zeros(few.pictures, bool)
+        if few.pictures >= LOOK_PICTURES_MIN:
+            left_out[1::3] = True
+        weights = few.weights
+        few = replace(few, weights=weights * ~left_out[None, :, None])
+        others = few
+        if left_out.any():
+            others = replace(few, weights=weights * left_out[None, :, None])
         free = fit.freedom.normals
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
         for roughness in ROUGHNESSES:
             same = np.full(len(few), roughness)
             begin = given.with_surface(given.normals, albedo, same, given.metallic)
             starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
-            errors, squares = [], []
+            errors, shown, squares = [], [], []
             for start in starts:
                 state, *_ = surfaces.robust_surfaces(
                     few,
@@ -465,11 +481,13 @@ class LampFit:
                     free_normals=free,
                     free_roughness=False,
                 )
-                errors.append(seen_error(few, state, relative=fit.noise.proportional))
+                relative = fit.noise.proportional
+                errors.append(seen_error(few, state, relative=relative))
+                shown.append(seen_error(others, state, relative=relative))
                 away = offsets(few.normals, state.normals)
                 squares.append((prior.precision[:, :2] * away**2).sum(axis=1))
             best = np.argmin(errors, axis=0)
-            wrong.append(np.take_along_axis(np.array(errors), best[None], 0)[0])
+            wrong.append(np.take_along_axis(np.array(shown), best[None], 0)[0])
             turned.append(np.take_along_axis(np.array(squares), best[None], 0)[0])
         return np.array(wrong), np.array(turned)
 
