@@ -225,7 +225,7 @@ def test_cases_have_names_of_their_own_and_untuned_seeds(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("stand_ins", "all_there")
+@pytest.mark.usefixtures("stand_ins")
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     code = main(["evaluate", "transport", "--out", str(out), "--quick", "--jobs", "1",
