@@ -131,6 +131,7 @@ def decompose(
     decided = fit_if_lit(scene, setup)
     if decided.found is not None:
         return _result(scene, setup, decided.found, model, options, decided)
+    by_pictures = not scene.normals_known
     scene = decided.scene
     layout = setup.layout(scene)
     transfer = memory.TransferMemory.of(
@@ -150,6 +151,8 @@ def decompose(
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     setup = replace(setup, normals_hindrance=hindered or way.hindered)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)
+    if by_pictures:
+        found = replace(found, refinement=found.refinement.of_normals_from_pictures())
     return _result(scene, setup, found, model, options, decided)
 
 

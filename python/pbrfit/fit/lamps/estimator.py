@@ -41,7 +41,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
-from pbrfit.result.refinement import Refinement
+from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
@@ -623,7 +623,7 @@ class LampFit:
             status = Status.ITERATION_LIMIT
             reason = f"{clock.steps} iterations were made"
         refined = self.free_normals and scene.normals_known
-        why = "asked for" if refined else "none were given" if self.free_normals else "held"
+        why = "asked for" if refined else FROM_PICTURES if self.free_normals else "held"
         return FitOutput(
             materials=maps,
             lighting=fit.state.ambient * scale,
