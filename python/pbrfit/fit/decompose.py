@@ -9,14 +9,13 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import memory
-from pbrfit.fit.lamps import dispatch
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
@@ -44,6 +43,9 @@ from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 from pbrfit.transport.decision import Transport
+
+if TYPE_CHECKING:
+    from pbrfit.fit.lamps.dispatch import Decided
 
 __all__ = ["Progress", "decompose"]
 
@@ -101,9 +103,11 @@ def decompose(
     model = chosen_model(options.model, scene.model)
     threads = whole_number("threads", threads)
     start = _to_start_from(start, model)
-    # Here and not above: scipy.optimize would double the time of `import pbrfit`. Before the clock
-    # starts: loading it is no part of the fit.
+    # Here and not above: scipy would double the time of `import pbrfit`. Before the clock starts:
+    # loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
+    from pbrfit.fit.lamps.dispatch import fit_if_lit
+
     began = time.perf_counter()
     if options.align == "auto":
         scene = aligned(scene)
@@ -124,10 +128,11 @@ def decompose(
         began=began,
         normals_hindrance=hindered,
     )
-    lit = dispatch.fit_if_lit(scene, setup)
-    if lit.found is not None:
-        return _result(scene, setup, lit.found, model, options, lit)
-    scene = lit.scene
+    decided = fit_if_lit(scene, setup)
+    if decided.found is not None:
+        return _result(scene, setup, decided.found, model, options, decided)
+    by_pictures = not scene.normals_known
+    scene = decided.scene
     layout = setup.layout(scene)
     transfer = memory.TransferMemory.of(
         layout, model, options.transport, depth=scene.depth is not None
@@ -146,7 +151,9 @@ def decompose(
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     setup = replace(setup, normals_hindrance=hindered or way.hindered)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)
-    return _result(scene, setup, found, model, options, lit)
+    if by_pictures:
+        found = replace(found, refinement=found.refinement.of_normals_from_pictures())
+    return _result(scene, setup, found, model, options, decided)
 
 
 def _result(
@@ -155,7 +162,7 @@ def _result(
     found: FitOutput,
     model: Model,
     options: FitOptions,
-    lit: dispatch.Lit,
+    decided: Decided,
 ) -> Result:
     """What a fit hands over, with final errors and what is to be said."""
     threads = setup.threads
@@ -182,7 +189,7 @@ def _result(
     if not transport.blocks:
         left_out = (*left_out, f"surroundings: {transport.why}")
     if found.lamps is None:
-        left_out = (*left_out, f"lamps: {lit.why}")
+        left_out = (*left_out, f"lamps: {decided.why}")
     result = Result(
         materials=found.materials,
         lighting=found.lighting,
@@ -198,7 +205,7 @@ def _result(
         seconds=found.seconds,
         metrics=_metrics(scene, found, model, threads),
         options=options,
-        assumed=_assumed(scene, found, options.model, lit),
+        assumed=_assumed(scene, found, options.model, decided),
         left_out=left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
@@ -313,9 +320,7 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     return found
 
 
-def _assumed(
-    scene: Scene, fit: FitOutput, model: Model | None, lit: dispatch.Lit
-) -> dict[str, str]:
+def _assumed(scene: Scene, fit: FitOutput, model: Model | None, decided: Decided) -> dict[str, str]:
     assumed = dict(scene.assumed)
     camera = fit.camera
     if camera.how == "fitted":
@@ -343,7 +348,7 @@ def _assumed(
         assumed["surroundings"] = f"none: {surrounded.transport.why}"
     assumed["scale"] = fit.scale
     if fit.lamps is not None:
-        assumed["light"] = f"lamps: {lit.why}"
+        assumed["light"] = f"lamps: {decided.why}"
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)
     return assumed

@@ -11,6 +11,7 @@ from pbrfit.report.html import Cell, Table, number, paragraph, table
 from pbrfit.report.maps import Block, Shown, difference_shown, normals_shown
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences
+from pbrfit.result.refinement import FROM_PICTURES
 from pbrfit.result.result import Result
 
 LABELS = {
@@ -33,9 +34,10 @@ def sentence(result: Result) -> str:
     """What was decided about the normals; nothing where refining them was not asked for."""
     if result.height is not None:
         return "Normals and height were found from the pictures, as no normals were given."
-    if result.refinement.asked == "off":
+    told = result.refinement
+    if told.asked == "off" and not told.why.startswith(FROM_PICTURES):
         return ""
-    return f"The normals were {result.refinement.in_words()}."
+    return f"The normals were {told.in_words()}."
 
 
 def blocks(result: Result) -> list[Block]:

@@ -326,8 +326,9 @@ FLAGS: dict[str, Flag] = {
         values=TRANSPORTS,
     ),
     "light": Flag(
-        "sh: light from all around, as spherical harmonics; lamps: a lamp in each picture and faint "
-        "light from all around; auto: whichever explains left-out pixels best (default: %(default)s)",
+        "sh: light from all around, as spherical harmonics; lamps: a lamp in each picture and "
+        "faint light from all around; auto: whichever explains left-out pixels best (default: "
+        "%(default)s)",
         values=LIGHTS,
     ),
     "same_lamp": Flag("all lamps have one colour and strength", kind=bool),

@@ -24,6 +24,9 @@ PICTURES_MIN = 3
 """Pictures from which on normals can be refined; with fewer almost any normal can be explained by
 its material."""
 
+FROM_PICTURES = "found from the pictures"
+"""How the reason begins where no normals were given."""
+
 CHANGE_DEGREES_MIN = 1e-4
 """Angle, in degrees, below which a normal is as given: float32 in files is 1e-5 degrees off."""
 
@@ -35,7 +38,8 @@ class Refinement:
     asked: str
     """As it was asked for: "off", "auto" or "on"."""
     refined: bool
-    """Whether the normals of the result are other ones than those that were given."""
+    """Whether the normals of the result are other ones than those that were given; where none were,
+    than those that pictures told before materials were fitted."""
     why: str
     """The reason in words: what can follow a colon, without a full stop."""
     figures: Mapping[str, float] = field(default_factory=dict)
@@ -56,8 +60,15 @@ class Refinement:
             },
         )
 
+    def of_normals_from_pictures(self) -> Refinement:
+        """The same where none were given, and the pictures told those to begin with."""
+        done = "then refined" if self.refined else "not refined"
+        return replace(self, why=f"{FROM_PICTURES}; {done}: {self.why}")
+
     def in_words(self) -> str:
         """What was done and why, to follow "normals: " or "the normals were "."""
+        if self.why.startswith(FROM_PICTURES):
+            return self.why
         if not self.refined:
             return f"left as given: {self.why}"
         mean, largest = (

@@ -38,8 +38,8 @@ def outcome(out: Path) -> Any:
 
 
 def without_priors(left_out: list[str]) -> list[str]:
-    """Beside priors, which depend on the lights that were found."""
-    return [entry for entry in left_out if not entry.startswith(("prior", "surroundings"))]
+    """Beside priors and lamps, which depend on the lights that were found."""
+    return [entry for entry in left_out if not entry.startswith(("prior", "surroundings", "lamps"))]
 
 
 # decompose
@@ -127,10 +127,10 @@ def test_a_result_is_replaced_only_when_asked(folder: Path, tmp_path: Path) -> N
     done(*fit, 1)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert f"{out}: expected a folder that does not exist yet" in refused(*fit, 2)
-    (folder / "normals.exr").rename(folder / "away")
+    (folder / "images").rename(folder / "away")
     assert run(*fit, 2, "--overwrite") == 2
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    (folder / "away").rename(folder / "normals.exr")
+    (folder / "away").rename(folder / "images")
     done(*fit, 2, "--overwrite")
     assert outcome(out)["iterations"] == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "scene"]

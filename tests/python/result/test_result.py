@@ -112,6 +112,8 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "seed": 0,
         "response": "auto",
         "transport": "auto",
+        "light": "auto",
+        "same_lamp": False,
         "refine_normals": "auto",
         "model": None,
         "uncertainty": True,
@@ -125,10 +127,11 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "alignment": "not checked: pictures below 24 pixels",
         "scale": "by the highlights of dielectrics",
     }
-    masked, monochrome, surroundings = content["left_out"]
+    masked, monochrome, surroundings, lamps = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
     assert monochrome.startswith("prior monochrome: lights are 0.")
     assert surroundings == "surroundings: no depth is given"
+    assert lamps.startswith("lamps: light from all around leaves only 0.")
     assert content["inputs"] == {"images/a.exr": "0" * 64}
 
     light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))

@@ -39,6 +39,11 @@ a fifth of what they cannot show of a lamp's shading on surfaces that face all w
 PICTURES_MIN = 3
 """With fewer, almost any lamp explains them."""
 
+VALID_PIXELS_MIN = 32
+"""Valid pixels from which on pictures can decide: half of them find the lights, three unknowns of
+lamps or 16 coefficients of harmonics for each picture and channel, which fewer than 16 pixels would
+leave free; and of fewer than the other 16 a mean score has an error that no gain exceeds."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -57,18 +62,28 @@ def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Ch
         return Choice(False, "lights are known")
     if scene.lamps is not None:
         return Choice(True, "lamps are given")
+    if setup.options.mono_light:
+        return Choice(False, "one light for all channels was asked for")
     if len(scene.images) < PICTURES_MIN:
         return Choice(False, f"fewer than {PICTURES_MIN} pictures")
+    if int(scene.valid.sum()) < VALID_PIXELS_MIN:
+        return Choice(False, "too few pixels")
     if start is not None:
         scene = replace(scene, normals=start.normals, normals_known=True)
     valid = np.flatnonzero(scene.valid.ravel())
     chosen = evenly_spaced(len(valid), 2 * settings.TRANSPORT_PIXELS).astype(np.intp)
     places = valid[chosen]
     by_sh = _left_by_harmonics(scene, setup, places)
+    if not len(by_sh):
+        return Choice(False, "too few pixels")  # the others are black or have no weight
     figures = {"left_out_sh": float(by_sh.mean()), "left_out_pixels": float(len(by_sh))}
     left = float(np.exp(by_sh.mean() / 2))
     if left < HARMONICS_LEFT_MIN:
-        return Choice(False, f"they leave {100 * left:.2g} % of left-out pixels", figures)
+        return Choice(
+            False,
+            f"light from all around leaves only {100 * left:.2g} % of left-out pixels",
+            figures,
+        )
     by_lamps = _left_by_lamps(scene, setup, start, places)
     figures["left_out_lamps"] = float(by_lamps.mean())
     difference = by_lamps - by_sh

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Lit:
+class Decided:
     """What was decided about the light of a scene."""
 
     found: FitOutput | None
@@ -32,7 +32,7 @@ class Lit:
     why: str
 
 
-def fit_if_lit(scene: Scene, setup: FitSetup) -> Lit:
+def fit_if_lit(scene: Scene, setup: FitSetup) -> Decided:
     """Fit a scene under lamps, if that is asked for or explains its pictures better.
 
     Raises
@@ -42,7 +42,7 @@ def fit_if_lit(scene: Scene, setup: FitSetup) -> Lit:
     """
     asked = setup.options.light
     if asked == "sh" and scene.normals_known:
-        return Lit(None, scene, "not asked for")
+        return Decided(None, scene, "not asked for")
     if asked == "lamps" and scene.lighting is not None:
         raise InputError("light: expected unknown light for lamps, found known SH light")
     if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
@@ -55,12 +55,12 @@ def fit_if_lit(scene: Scene, setup: FitSetup) -> Lit:
         if asked == "sh" or not choice.lamps:
             if start is not None:
                 scene = replace(scene, normals=start.normals, normals_known=True)
-            return Lit(None, scene, why)
+            return Decided(None, scene, why)
     found = fit_lamps(scene, setup, start)
     if start is not None:
         found = replace(found, height=height_of(found.normals, scene))
         scene = replace(scene, normals=found.normals, normals_known=True)
-    return Lit(found, scene, why)
+    return Decided(found, scene, why)
 
 
 def first_shape(scene: Scene) -> FirstShape:

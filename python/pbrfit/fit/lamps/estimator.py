@@ -41,7 +41,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
-from pbrfit.result.refinement import Refinement
+from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
@@ -77,7 +77,7 @@ FREE_SCALE_ROUNDS, NOTHING_LEFT = 2, 0.02
 pictures obey the model, and all of their samples tell the same scale."""
 
 ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
-"""That are tried for each label: about half an octave apart, less than what a lobe's width tells."""
+"""Tried for each label: about half an octave apart, less than what a lobe's width tells."""
 
 LOOK_PICTURES_MIN = 6
 """From which on every third picture is left out where roughness, scale and field of view are chosen:
@@ -94,7 +94,8 @@ FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 12.0, 75.0
 is around it."""
 
 INDEPENDENT_SHARE = 1 / 8
-"""Of the pixels that are looked at: what a picture shows wrong it shows wrong around it, too."""
+"""Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
+too."""
 
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
@@ -392,9 +393,10 @@ class LampFit:
     def _look(self, fit: JointLamps, scales: tuple[float, ...], fields: tuple[float, ...]) -> None:
         """Choose roughnesses of labels, a scale of all lamps and a field of view.
 
-        Of those that are tried, the ones with which some pixels look least wrong. Lamps that are brighter with albedos that are darker by as much leave what a dielectric
-        reflects diffusely as it is. Highlights tell all three, and only together: where they are
-        shown in wrong places, a rough surface without any is better.
+        Of those that are tried, the ones with which some pixels look least wrong. Lamps that are
+        brighter with albedos that are darker by as much leave what a dielectric reflects diffusely
+        as it is. Highlights tell all three, and only together: where they are shown in wrong
+        places, a rough surface without any is better.
         """
         of = evenly_spaced_over(fit.pixels.labels, LOOK_PIXELS).astype(np.intp)
         few = fit.pixels.of_rows(of)
@@ -639,7 +641,7 @@ class LampFit:
             status = Status.ITERATION_LIMIT
             reason = f"{clock.steps} iterations were made"
         refined = self.free_normals and scene.normals_known
-        why = "asked for" if refined else "none were given" if self.free_normals else "held"
+        why = "asked for" if refined else FROM_PICTURES if self.free_normals else "held"
         return FitOutput(
             materials=maps,
             lighting=fit.state.ambient * scale,

@@ -201,7 +201,7 @@ def _shading(pixels: LampPixels, places: Array) -> Array:
     away = places[:, None] - pixels.points
     squared = np.maximum((away**2).sum(axis=-1), TINY)
     cosine = np.einsum("gpx,px->gp", away, pixels.normals)
-    return np.maximum(cosine, 0) / (squared * np.sqrt(squared))
+    return np.asarray(np.maximum(cosine, 0) / (squared * np.sqrt(squared)))
 
 
 def _judged(
@@ -226,7 +226,7 @@ def _typical(grey: Array, usable: NDArray[np.bool_]) -> Array:
     count = np.maximum(usable.sum(axis=0), 1)
     mean = np.maximum((grey * usable).sum(axis=0) / count, TINY)
     found = (grey / mean * usable).sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
-    return np.maximum(found, 0) + TINY
+    return np.asarray(np.maximum(found, 0) + TINY)
 
 
 def colored_by(

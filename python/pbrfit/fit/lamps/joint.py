@@ -37,7 +37,8 @@ from pbrfit.model.lamps import Lamps
 Array = NDArray[np.float64]
 
 UNKNOWNS = 6
-"""Of a pixel in joint steps: two offsets of the normal, albedo, roughness. Metallic waits."""
+"""Number for each pixel in joint steps: two offsets of the normal, albedo, roughness. Metallic
+waits."""
 
 OFFSET_STEP_MAX = 0.3
 """Largest step of a normal's tangent offset, a tangent."""

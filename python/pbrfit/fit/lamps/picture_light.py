@@ -30,7 +30,7 @@ DIRECTIONS = 400
 STEPS = 30
 
 RIDGE = 1e-6
-"""Of the linear equations, of their trace."""
+"""Added to the diagonal of the linear equations, as a share of their trace."""
 
 
 def fit_picture_light(

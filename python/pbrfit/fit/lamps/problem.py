@@ -27,7 +27,7 @@ from pbrfit.scene.scene import Scene
 Array = NDArray[np.float64]
 
 MEAN_RADIANCE = 0.4
-"""Of all samples, in the unit that pictures are fitted in."""
+"""Mean of all samples in the unit that pictures are fitted in."""
 
 
 @dataclass(frozen=True, eq=False)

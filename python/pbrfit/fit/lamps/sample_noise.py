@@ -45,7 +45,8 @@ FIRST_FLOOR, FIRST_RELATIVE, FIRST_SHADOWS = 0.02, 0.15, 0.1
 """σ, relative deviation and shadows before anything was fitted, for which 10 % are much."""
 
 ROUNDS = 20
-"""Of the equations for σ and κ, which are linear given the variances."""
+"""Number of times that the equations for σ and κ are solved, which are linear given the
+variances."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,7 +70,7 @@ SEGMENT_SHARES = (0.01, 0.95)
 """Least and greatest share of metals in a segment: what is on it, or shines through, is little."""
 
 MISFIT_MIN = 0.01
-"""Least of what is left, in variances of the weights: a tenth of the 5 % that these take at least."""
+"""Least of what is left, in variances of the weights: a tenth of the 5 % they take at least."""
 
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
@@ -398,7 +398,7 @@ def _with_metals(
 
 
 def log_determinant(information: Array) -> Array:
-    """(P,): of the unknowns that are free; none is wider than uniform in [0, 1], of variance 1/12."""
+    """(P,): of the unknowns that are free; none is wider than uniform in [0, 1], variance 1/12."""
     diagonal = np.einsum("puu->pu", information)
     solid = information.copy()
     np.einsum("puu->pu", solid)[:] = np.where(diagonal > 0, diagonal + 12.0, 12.0)
