@@ -43,11 +43,10 @@ def fit_if_lit(scene: Scene, setup: FitSetup) -> Lit:
     asked = setup.options.light
     if asked == "sh" and scene.normals_known:
         return Lit(None, scene, "not asked for")
-    if asked == "lamps" and scene.lighting is not None:
-        raise InputError("light: expected unknown light for lamps, found known SH light")
-    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
-        raise InputError("lamps: expected depth for near lamps, found none")
+    check_light(scene, setup)
     start = None if scene.normals_known else first_shape(scene)
+    for said in () if start is None else start.undetermined:
+        log.warning("normals: %s", said)
     why = "asked for"
     if asked != "lamps":
         choice = choose(scene, setup, start)
@@ -61,6 +60,14 @@ def fit_if_lit(scene: Scene, setup: FitSetup) -> Lit:
         found = replace(found, height=height_of(found.normals, scene))
         scene = replace(scene, normals=found.normals, normals_known=True)
     return Lit(found, scene, why)
+
+
+def check_light(scene: Scene, setup: FitSetup) -> None:
+    """Raise InputError if lamps are asked for, or known, and cannot be fitted."""
+    if setup.options.light == "lamps" and scene.lighting is not None:
+        raise InputError("light: expected unknown light for lamps, found known SH light")
+    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
+        raise InputError("lamps: expected depth for near lamps, found none")
 
 
 def first_shape(scene: Scene) -> FirstShape:
@@ -80,14 +87,13 @@ def first_shape(scene: Scene) -> FirstShape:
     else:
         found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov)
         note = "normals and far lamps by the pictures"
-    for said in found.undetermined:
-        log.warning("normals: %s", said)
     return FirstShape(
         found.normals,
         found.directions,
         found.strengths,
         found.albedo,
         "; ".join([note, *found.undetermined]),
+        tuple(found.undetermined),
     )
 
 

@@ -123,6 +123,8 @@ class FirstShape:
     """(H, W, 3), likewise."""
     note: str
     """How they were found, and what the pictures leave open."""
+    undetermined: tuple[str, ...] = ()
+    """What the pictures leave open, each in words."""
 
 
 class _Clock:
@@ -641,7 +643,15 @@ class LampFit:
             measured_lighting=None,
             recon_rmse=rmse,
             lamps=lamps,
+            normal_sigma=self._normal_sigma(bands),
         )
+
+    def _normal_sigma(self, bands: list[surfaces.Band]) -> Array | None:
+        """(H, W), degrees, from the variances of both offsets; None where they are not asked for."""
+        if not (self.free_normals and self.options.uncertainty):
+            return None
+        variances = np.concatenate([one.marginal[:, :2].sum(axis=1) for one in bands])
+        return _map(np.degrees(np.minimum(np.sqrt(variances), np.pi / 2)), self.scene.valid)
 
     def _uncertainty(
         self, fit: JointLamps, bands: list[surfaces.Band], scale: float
