@@ -67,9 +67,7 @@ def test_pictures_tell_normals_that_the_scene_reads(told: tuple[Path, str]) -> N
 
 
 @pytest.mark.slow
-def test_normals_that_are_there_are_replaced_unread(
-    told: tuple[Path, str], tmp_path: Path
-) -> None:
+def test_normals_that_are_there_are_replaced_unread(told: tuple[Path, str], tmp_path: Path) -> None:
     before = Scene.load(told[0])
     folder = tmp_path / "scene"
     shutil.copytree(told[0], folder)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.decision import choose
 from pbrfit.fit.lamps.estimator import FirstShape, fit_lamps
-from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
@@ -72,6 +71,9 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
 
 def first_shape(scene: Scene) -> FirstShape:
     """Normals, and directions of the lamps, that the pictures of a scene tell by themselves."""
+    # Here and not above: scipy would double the time of `import pbrfit`.
+    from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
+
     images = np.stack([scene.picture(i, slice(None)) for i in range(len(scene.images))])
     usable = np.broadcast_to(scene.valid, images.shape[:3]).copy()
     if scene.limits is not None:
