@@ -17,6 +17,7 @@ from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.result.options import FitOptions
+from reference import unit
 
 Array = NDArray[np.float64]
 
@@ -68,27 +69,23 @@ def far(count: int, slant: float = 35, spread: float = 15) -> Lamps:
 
 def setup(model: Model = "principled", **options: Any) -> FitSetup:
     """Of a fit without anybody who looks on."""
+    threads = options.pop("threads", 0)
     return FitSetup(
         FitOptions(**({"model": model, "light": "lamps"} | options)),
-        options.pop("threads", 0),
+        threads,
         None,
         time.perf_counter(),
         None,
     )
 
 
-def bumps(size: int, fov: float = 0.0) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Normals of a ball, its mask, and depth (a relief, where there is a field of view)."""
+def dome(size: int) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Normals of a ball without its edge, their mask, and a depth that says nothing of it."""
     y, x = np.mgrid[:size, :size]
     x, y = (x - (size - 1) / 2) / (0.46 * size), ((size - 1) / 2 - y) / (0.46 * size)
     mask = x**2 + y**2 < 0.8
     normals = np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 1e-9))], axis=-1)
-    return geometry_unit(normals), mask, np.full((size, size), 2.0)
-
-
-def geometry_unit(vectors: Array) -> Array:
-    """Vectors of length 1."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+    return unit(normals), mask, np.full((size, size), 2.0)
 
 
 def relief(size: int, fov: float) -> tuple[Array, NDArray[np.bool_], Array]:
@@ -97,7 +94,7 @@ def relief(size: int, fov: float) -> tuple[Array, NDArray[np.bool_], Array]:
     depth = 2.0 + 0.12 * np.cos(2 * x + 0.4) * np.cos(1.5 * y) + 0.05 * np.sin(x - 2 * y)
     points = geometry.positions(depth, fov)
     by_column, by_row = np.gradient(points, axis=1), np.gradient(points, axis=0)
-    normals = geometry_unit(np.cross(by_row, by_column))
+    normals = unit(np.cross(by_row, by_column))
     normals *= np.sign(normals[..., 2:])
     mask = np.zeros((size, size), bool)
     mask[1:-1, 1:-1] = True
@@ -119,12 +116,14 @@ def planted(
     ambient: float = 0.0,
     shadow: NDArray[np.bool_] | None = None,
     ceiling: float | None = None,
+    card: tuple[int, int, float] | None = None,
 ) -> Planted:
     """Pictures of dielectrics with two roughnesses, the right one a metal if that is asked for.
 
-    Samples of `shadow` (N, H, W) are black; above `ceiling` they are clipped.
+    Samples of `shadow` (N, H, W) are black; above `ceiling` they are clipped. A `card` at (column,
+    row) has the third as albedo.
     """
-    normals, mask, depth = bumps(size) if shape is None else shape
+    normals, mask, depth = dome(size) if shape is None else shape
     rows, columns = np.indices(mask.shape)
     right = columns >= size // 2
     stripe = (rows // max(size // 8, 1)) % 2
@@ -134,6 +133,9 @@ def planted(
     if metal:
         albedo = np.where(right[..., None], [0.9, 0.7, 0.4], albedo)
         metallic[right] = 1.0
+    if card is not None:
+        column, row, value = card
+        albedo[row - 2 : row + 3, column - 2 : column + 3] = value
     roughness = np.where(right, *ROUGHNESS[::-1]).astype(float)
     count = int(lamps.pictures.max()) + 1
     places = np.flatnonzero(mask.ravel())
