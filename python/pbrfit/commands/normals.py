@@ -10,24 +10,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
+from pbrfit.commands.fit_options import fit_bar
 from pbrfit.commands.network_options import (
     DEVICE,
-    NORMAL_SOURCES,
     PRECISION,
     SAMPLER,
     SHOWN,
     Flags,
     asked_for,
     checkpoint,
-    normal_source,
+    source,
 )
 from pbrfit.commands.scene_options import field_of_view
+from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
 from pbrfit.model.depth_normals import DepthKind
-from pbrfit.scene import completion
+from pbrfit.model.materials import nearest_inside
+from pbrfit.result.options import FitOptions
+from pbrfit.scene import completion, known_lamps, reading
 from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
+from pbrfit.scene.scene import Scene
 
 FLAGS: dict[str, Flags] = {
     "marigold": {
@@ -72,6 +78,17 @@ FLAGS: dict[str, Flags] = {
 }
 """Options of each kind of source."""
 
+OF_PICTURES: Flags = {
+    "threads": cli.value(
+        "T", cli.whole_number, "0 = one for each processor; normals do not depend on it"
+    )
+}
+FLAGS["pictures"] = {
+    **OF_PICTURES,
+    "color_space": FLAGS["marigold"]["color_space"],
+    "fov": FLAGS["depth"]["fov"],
+}
+
 TITLES = {
     "marigold": "--from marigold",
     "depth": "--from depth:FILE (EXR, PNG or TIFF of 16 bits, .npy)",
@@ -84,26 +101,32 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Give normals to a folder of pictures: normals.exr, in the convention that the folder's "
         "scene.toml states, and where some are uncertain or missing weights.exr, which says how "
-        "much pixels count in a fit. marigold needs the extra packages pbrfit[diffusion]."
+        "much pixels count in a fit. pictures writes height.exr, too: height towards the viewer in "
+        "pixels. marigold needs the extra packages pbrfit[diffusion]."
     )
     cli.add_scene(parser)
     parser.add_argument(
         "--from",
         dest="source",
-        metavar=NORMAL_SOURCES,
-        type=normal_source,
+        metavar="marigold|pictures|flat|depth:FILE|FILE",
+        type=source(("marigold", "pictures", "flat"), ("depth:",)),
         default="marigold",
-        help="marigold: a network's estimate; flat: every surface faces the camera; depth:FILE: "
-        "from a depth map; FILE: normals that are there already",
+        help="marigold: a network's estimate; pictures: from three or more pictures under lamps; "
+        "flat: every surface faces the camera; depth:FILE: from a depth map; FILE: normals that "
+        "are there already",
     )
     cli.add_flags(parser, overwrite=cli.switch("replace existing normals and weights"))
     cli.add_quiet(parser, "no progress bar, no summary")
     for kind, title in TITLES.items():
         cli.add_flags(parser.add_argument_group(title), **FLAGS[kind])
+    title = "--from pictures, beside --color-space and --fov"
+    cli.add_flags(parser.add_argument_group(title), **OF_PICTURES)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write normals and weights, and say what they are like."""
+    if options.source == "pictures":
+        return _run_pictures(options)
     completion.check_normals_can_be_added(options.scene, overwrite=options.overwrite)
     found, said = _estimated(options)
     paths = completion.add_normals(
@@ -123,6 +146,66 @@ def run(options: argparse.Namespace) -> int:
             scene = shlex.quote(str(options.scene))
             print(f"look at them: pbrfit inspect {scene} --preview normals_preview.png")
     return cli.DONE
+
+
+def _run_pictures(options: argparse.Namespace) -> int:
+    """The same, of normals that pictures under lamps tell."""
+    folder, overwrite = options.scene, options.overwrite
+    completion.check_normals_can_be_added(folder, overwrite=overwrite, height=True)
+    given: dict[str, Any] = asked_for(options, FLAGS, "pictures", "--from pictures")
+    threads = given.pop("threads", 0)
+    count = len(scene_folder.find_pictures(folder))
+    if count < SHAPE_PICTURES_MIN:
+        raise InputError(
+            f"{folder}: expected {SHAPE_PICTURES_MIN} or more pictures under different lamps, "
+            f"found {count}"
+        )
+    scene = reading.load(folder, Scene, pictures_alone=True, **given)
+    try:
+        with fit_bar(FitOptions().iterations, folder.name, quiet=options.quiet) as show:
+            found = normals_from_pictures(scene, threads=threads, progress=show)
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from None
+    inside = nearest_inside(scene.valid)
+    paths = completion.add_normals(
+        folder,
+        found.normals[inside],
+        uncertainty=found.sigma_degrees[inside],
+        height=found.height,
+        overwrite=overwrite,
+    )
+    if not options.quiet:
+        with cli.unread_is_no_failure():
+            print(f"{paths[0]}: from {count} pictures under lamps")
+            for line in _of_pictures(found, scene.valid):
+                print(f"  {line}")
+            low, high = np.nanpercentile(found.height, [0, 100])
+            print(f"{paths[1]}: from {low:.3g} to {high:.3g} pixels")
+            scene_said = shlex.quote(str(folder))
+            print(f"look at them: pbrfit inspect {scene_said} --preview normals_preview.png")
+    return cli.DONE
+
+
+def _of_pictures(found: PictureNormals, valid: NDArray[np.bool_]) -> list[str]:
+    """What to know about normals that pictures told, in lines."""
+    tilt = np.degrees(np.arccos(np.clip(found.normals[valid][:, 2], -1, 1)))
+    middle, high = np.percentile(found.sigma_degrees[valid], [50, 95])
+    lines = [
+        f"turned away from the optical axis by {tilt.mean():.0f} degrees (mean), "
+        f"{np.percentile(tilt, 95):.0f} (95 %)",
+        f"uncertain by {middle:.1f} degrees (median), {high:.1f} (95 %)",
+    ]
+    said = known_lamps.in_words(found.lamps)
+    far = ~found.lamps.near
+    if far.any():
+        angles = known_lamps.angles(found.lamps.places[far])
+        (left, low), (right, top) = angles.min(axis=0), angles.max(axis=0)
+        said += (
+            f"; azimuths from {left:.0f} to {right:.0f} degrees, elevations from {low:.0f} to "
+            f"{top:.0f}"
+        )
+    lines.append(said)
+    return [*lines, *(f"not determined: {words}" for words in found.undetermined)]
 
 
 def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:

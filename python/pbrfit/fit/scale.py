@@ -144,7 +144,7 @@ def refer(
 ) -> tuple[Array, Scale]:
     """X with lights whose scale gives the pixels at (column, row) the albedo that is the third."""
     x, (column, row, value) = x.copy(), white
-    region = _region(objective.layout, column, row)
+    region = reference_region(objective.layout.valid, column, row)
     everything = np.arange(objective.pixels, dtype=np.uint64)
     held = None if prior is None else GaussianPrior(prior.prior_mean(x), prior.precision)
     means, moved = np.empty(0), np.zeros(objective.layout.light_channels)
@@ -170,11 +170,7 @@ def refer(
     variances = of_pixels / value**2 + settings.WHITE_TOLERANCE**2
     if objective.layout.light_channels < objective.channels:
         variances = variances.mean(keepdims=True)
-    said = (
-        f"by the reference at x {column:g}, y {row:g}: {len(region)} pixels of albedo {value:g}; "
-        f"lights {_percent(moved)}"
-    )
-    return x, Scale(np.sqrt(variances), said)
+    return x, Scale(np.sqrt(variances), reference_in_words(white, len(region), moved))
 
 
 def groupings(
@@ -213,9 +209,18 @@ def checked_white(
     return x, y, value
 
 
-def _region(layout: ParameterLayout, column: float, row: float) -> Pixels:
-    """The valid pixels around one, or the nearest one."""
-    rows, columns = np.nonzero(layout.valid)
+def reference_in_words(white: tuple[float, float, float], pixels: int, moved: Array) -> str:
+    """What a scale rests on: a reference of so many pixels, by which lights have moved (C,)."""
+    column, row, value = white
+    return (
+        f"by the reference at x {column:g}, y {row:g}: {pixels} pixels of albedo {value:g}; "
+        f"lights {_percent(moved)}"
+    )
+
+
+def reference_region(valid: NDArray[np.bool_], column: float, row: float) -> Pixels:
+    """Which of the valid pixels are around one, or the nearest one."""
+    rows, columns = np.nonzero(valid)
     far = np.maximum(np.abs(rows - row), np.abs(columns - column))
     near = max(settings.WHITE_RADIUS, float(far.min()))
     return np.flatnonzero(far <= near).astype(np.uint64)

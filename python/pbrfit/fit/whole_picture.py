@@ -135,6 +135,8 @@ class FitOutput:
     """Of the pictures, in picture units; None where light is spherical harmonics alone."""
     height: NDArray[np.float32] | None = None
     """As in `Result`."""
+    normal_sigma: Array | None = None
+    """(H, W), degrees: how uncertain normals are that lamps have told; None = they were held."""
 
 
 def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:

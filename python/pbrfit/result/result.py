@@ -30,7 +30,7 @@ from pbrfit.io.output import digest, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.materials import Materials, nearest_inside, of_channels, write_materials
+from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
@@ -41,6 +41,7 @@ from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.arrays import Source
 from pbrfit.scene.folder import is_scene
+from pbrfit.scene.height import HEIGHT_FILE, write_height
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
@@ -50,9 +51,6 @@ CONTAINS = ("result.json", "materials.exr")
 
 FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
 """Files of a result folder whose sha256 is in `result.json`."""
-
-HEIGHT_FILE = "height.exr"
-"""Another such file, of results with a height: channels Y, in pixels, and mask.Y, 1 = known."""
 
 
 class Result(ResultData):
@@ -104,7 +102,7 @@ class Result(ResultData):
         )
         Lighting(self.pictures, self.lighting, self.lamps).save(folder / "lighting.json")
         if self.height is not None:
-            _write_height(folder / HEIGHT_FILE, self.height)
+            write_height(folder / HEIGHT_FILE, self.height)
         self.history.save(folder / "history.csv")
         images.write_png(folder / "preview.png", preview(self, scene), tag="srgb")
         content = {
@@ -326,13 +324,6 @@ def _depth(layers: Layers, mask: NDArray[np.bool_] | None) -> NDArray[np.float32
     if mask is not None:
         there &= mask
     return np.where(there, depth, np.float32(np.nan))
-
-
-def _write_height(path: Path, height: NDArray[np.floating[Any]]) -> None:
-    known = np.isfinite(height)
-    filled = np.where(known, height, 0.0)[nearest_inside(known)]
-    channels = {"Y": filled.astype(np.float32), "mask.Y": known.astype(np.float32)}
-    images.write_exr(path, channels)
 
 
 def _height(path: Path, mask: NDArray[np.bool_]) -> NDArray[np.float32]:

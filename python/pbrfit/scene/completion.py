@@ -18,6 +18,7 @@ from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene import known_lamps
+from pbrfit.scene.height import HEIGHT_FILE, write_height
 
 
 def picture_size(folder: Path) -> tuple[int, int]:
@@ -29,18 +30,20 @@ def picture_size(folder: Path) -> tuple[int, int]:
     return height, width
 
 
-def check_normals_can_be_added(folder: Path, *, overwrite: bool) -> None:
+def check_normals_can_be_added(folder: Path, *, overwrite: bool, height: bool = False) -> None:
     """Check what can be checked before the normals are there: making them may take long.
 
-    Raises FileExistsError if the folder has normals or weights and `overwrite` is False; InputError
-    or OSError if there is no such folder, or its `scene.toml` states a convention that nothing can
-    be turned into.
+    Raises FileExistsError if the folder has normals or weights, or a height where there will be
+    one, and `overwrite` is False; InputError or OSError if there is no such folder, or its
+    `scene.toml` states a convention that nothing can be turned into.
     """
     _to_convention(folder, np.zeros(3))
     scene_folder.find_pictures(folder)
-    for path in [*find_normals(folder), folder / WEIGHT_FILE]:
+    others = [folder / WEIGHT_FILE, *([folder / HEIGHT_FILE] if height else [])]
+    for path in [*find_normals(folder), *others]:
         if path.exists() and not overwrite:
-            what = "weights" if path.name == WEIGHT_FILE else "normals"
+            kinds = {WEIGHT_FILE: "weights", HEIGHT_FILE: "height"}
+            what = kinds.get(path.name, "normals")
             raise FileExistsError(
                 f"{path}: expected no {what} yet, found some; --overwrite replaces normals and "
                 "weights"
@@ -53,33 +56,38 @@ def add_normals(
     *,
     uncertainty: NDArray[np.floating[Any]] | None = None,
     weights: NDArray[np.floating[Any]] | None = None,
+    height: NDArray[np.floating[Any]] | None = None,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write `normals.exr`, and `weights.exr` if there are weights; returns their paths.
+    """Write `normals.exr`, and `weights.exr` and `height.exr` if there are any; returns the paths.
 
     The normals are turned into the convention that the folder's `scene.toml` states, so that they
     are read back as they are given. Weights of earlier normals are not weights of these: with
     `overwrite` they are replaced, or removed where there are none now. Normals (H, W, 3) are in
     camera space, of the pictures' size; uncertainty (H, W), in degrees, is kept as a channel of
-    `normals.exr`; weights (H, W) are how much the pixels count. Raises FileExistsError if the
-    folder has normals or weights and `overwrite` is False; InputError if the normals have another
-    size than the pictures.
+    `normals.exr`; weights (H, W) are how much the pixels count; height (H, W) is in pixels, NaN
+    where unknown. Raises FileExistsError if the folder has normals, weights or a height that is to
+    be written and `overwrite` is False; InputError if the normals have another size than the
+    pictures.
     """
-    check_normals_can_be_added(folder, overwrite=overwrite)
+    check_normals_can_be_added(folder, overwrite=overwrite, height=height is not None)
     size = picture_size(folder)
     if normals.shape != (*size, 3):
         raise InputError(f"normals: expected shape {(*size, 3)}, found {normals.shape}")
     stored = _to_convention(folder, normals)
     path, weight_path = folder / "normals.exr", folder / WEIGHT_FILE
+    if height is not None:
+        write_height(folder / HEIGHT_FILE, height)
     write_normals(path, stored, uncertainty)  # what cannot be written costs nothing
     for other in find_normals(folder):
         if other != path:
             other.unlink()
+    written = [path] if height is None else [path, folder / HEIGHT_FILE]
     if weights is None:
         weight_path.unlink(missing_ok=True)
-        return [path]
+        return written
     write_weights(weight_path, weights, ())
-    return [path, weight_path]
+    return [*written, weight_path]
 
 
 def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

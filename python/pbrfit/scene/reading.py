@@ -60,6 +60,8 @@ HOW_TO_GET_NORMALS = (
     "(`--from flat`)"
 )
 
+FROM_PICTURES = "none given: found from the pictures"
+
 LONGEST_NAME = 250
 """Bytes of a picture's name without its suffix; file systems take 255 with it."""
 
@@ -88,8 +90,12 @@ def load(
     color_space: ColorSpace | None = None,
     max_size: int | None = None,
     code_range: tuple[int, int] | None = None,
+    pictures_alone: bool = False,
 ) -> AnyScene:
-    """Read a scene folder as a scene of some class; see `Scene.load`."""
+    """Read a scene folder as a scene of some class; see `Scene.load`.
+
+    With `pictures_alone` as if there were no normals, and no weights, which may be theirs.
+    """
     source = Source(folder.resolve(), color_space, max_size, code_range, fov)
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
@@ -128,7 +134,11 @@ def load(
         mask &= dark.usable
     if not mask.any():
         raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
-    normals, sigma = _read_or_leave_normals(notes, settings, mask, len(names))
+    normals, sigma = None, None
+    if pictures_alone:
+        assumed["normals"] = FROM_PICTURES
+    else:
+        normals, sigma = _read_or_leave_normals(notes, settings, mask, len(names))
     segments = _read_segments(notes, full_size)
     depth = _read_depth(notes, full_size)
     if full_size != size:
@@ -137,7 +147,7 @@ def load(
             sigma = averaged(np.where(mask, sigma, 0.0), size).astype(np.float32)
         normals, mask, segments = _averaged(normals, mask, segments, size)
         depth = None if depth is None else scene_depth.reduced(depth, size)
-    weights = _read_weights(notes, names, mask, full_size)
+    weights = None if pictures_alone else _read_weights(notes, names, mask, full_size)
     limits = _limits(read, mask, paths, code_range, assumed, for_good=dark is not None)
     if dark is not None:  # here, as what was clipped is found in the values of the files
         _subtract(dark, read.pixels, mask, paths, assumed)
@@ -551,7 +561,7 @@ def _read_or_leave_normals(
     """As `_read_normals`; None where there are none and the pictures are enough to tell them."""
     if find_normals(notes.folder) or pictures < SHAPE_PICTURES_MIN:
         return _read_normals(notes, settings, mask)
-    notes.assumed["normals"] = "none given: found from the pictures"
+    notes.assumed["normals"] = FROM_PICTURES
     return None, None
 
 

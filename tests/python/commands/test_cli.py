@@ -470,7 +470,7 @@ def test_help_names_defaults_once(command: str) -> None:
         ("decompose s --out o --code-range a,b", "--code-range: invalid code_range value: 'a,b'"),
         ("decompose s --out o --color-space log", "--color-space: invalid choice: 'log'"),
         ("synth s --scene moon", "--scene: invalid choice: 'moon'"),
-        ("normals s --from guess", "--from: expected marigold, flat, depth:FILE or a file"),
+        ("normals s --from guess", "expected marigold, pictures, flat, depth:FILE or a file"),
     ],
 )
 def test_wrong_usage_is_one_line(arguments: str, message: str) -> None:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.decision import choose
 from pbrfit.fit.lamps.estimator import FirstShape, fit_lamps
-from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
@@ -43,11 +42,10 @@ def fit_if_lit(scene: Scene, setup: FitSetup) -> Decided:
     asked = setup.options.light
     if asked == "sh" and scene.normals_known:
         return Decided(None, scene, "not asked for")
-    if asked == "lamps" and scene.lighting is not None:
-        raise InputError("light: expected unknown light for lamps, found known SH light")
-    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
-        raise InputError("lamps: expected depth for near lamps, found none")
+    check_light(scene, setup)
     start = None if scene.normals_known else first_shape(scene)
+    for said in () if start is None else start.undetermined:
+        log.warning("normals: %s", said)
     why = "asked for"
     if asked != "lamps":
         choice = choose(scene, setup, start)
@@ -63,8 +61,19 @@ def fit_if_lit(scene: Scene, setup: FitSetup) -> Decided:
     return Decided(found, scene, why)
 
 
+def check_light(scene: Scene, setup: FitSetup) -> None:
+    """Raise InputError if lamps are asked for, or known, and cannot be fitted."""
+    if setup.options.light == "lamps" and scene.lighting is not None:
+        raise InputError("light: expected unknown light for lamps, found known SH light")
+    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
+        raise InputError("lamps: expected depth for near lamps, found none")
+
+
 def first_shape(scene: Scene) -> FirstShape:
     """Normals, and directions of the lamps, that the pictures of a scene tell by themselves."""
+    # Here and not above: scipy would double the time of `import pbrfit`.
+    from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
+
     images = np.stack([scene.picture(i, slice(None)) for i in range(len(scene.images))])
     usable = np.broadcast_to(scene.valid, images.shape[:3]).copy()
     if scene.limits is not None:
@@ -80,14 +89,13 @@ def first_shape(scene: Scene) -> FirstShape:
     else:
         found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov)
         note = "normals and far lamps by the pictures"
-    for said in found.undetermined:
-        log.warning("normals: %s", said)
     return FirstShape(
         found.normals,
         found.directions,
         found.strengths,
         found.albedo,
         "; ".join([note, *found.undetermined]),
+        tuple(found.undetermined),
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.lamps import surfaces
+from pbrfit.fit.lamps import reference, surfaces
 from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
 from pbrfit.fit.lamps.joint import (
     ALBEDO_MEAN,
@@ -115,6 +115,10 @@ GIVEN_DEGREES = 5.0
 """Of given normals whose deviation nobody told, where they are refined."""
 
 
+BY_HIGHLIGHTS = "by the highlights of dielectrics, around a mean albedo of 0.35"
+"""What the scale between lamps and albedo rests on where there is no reference."""
+
+
 @dataclass(frozen=True, eq=False)
 class FirstShape:
     """Normals and lamps far away that pictures alone have told, where a joint fit begins."""
@@ -128,6 +132,8 @@ class FirstShape:
     """(H, W, 3), likewise."""
     note: str
     """How they were found, and what the pictures leave open."""
+    undetermined: tuple[str, ...] = ()
+    """What the pictures leave open, each in words."""
 
 
 class _Clock:
@@ -258,6 +264,7 @@ class LampFit:
         self.figures: dict[str, float] = {}
         self.fov = scene.fov
         self._shared_covariance: Array | None = None
+        self._reference: reference.Reference | None = None
 
     def solve(self) -> FitOutput:
         """All stages."""
@@ -267,7 +274,7 @@ class LampFit:
         rows = evenly_spaced_over(labels, JOINT_PIXELS).astype(np.intp)
         fit = self.joint(places[rows])
         with self.clock.stage("surfaces") as notes:
-            bands = self._surfaces(fit)
+            bands = self._bands(fit)
             metal = float(np.mean(np.concatenate([one.state.metallic for one in bands]) > 0.5))
             notes.append(f"{len(places)} pixels, {100 * metal:.2g} % metal")
         return self._output(fit, bands)
@@ -568,13 +575,29 @@ class LampFit:
 
     # Surfaces
 
-    def _surfaces(self, fit: JointLamps) -> list[surfaces.Band]:
-        """All pixels under the lights of a fit, band by band."""
+    def _bands(self, fit: JointLamps) -> list[surfaces.Band]:
+        """All pixels, under lights of the scale that a reference tells, if there is one."""
+        valid, white = self.scene.valid, self.options.white
+        if white is None:
+            return self._surfaces(fit, valid)
+
+        def under_lights(mask: NDArray[np.bool_]) -> list[surfaces.Band]:
+            self._shared_covariance = None
+            return self._surfaces(fit, mask)
+
+        bands, self._reference = reference.refer(fit, valid, white, under_lights)
+        if self.options.uncertainty:
+            self._shared_covariance = None
+            bands = self._surfaces(fit, valid)
+        return bands
+
+    def _surfaces(self, fit: JointLamps, mask: NDArray[np.bool_]) -> list[surfaces.Band]:
+        """Pixels of a mask under the lights of a fit, band by band."""
         scene, few = self.scene, fit.pixels
-        places = np.flatnonzero(scene.valid.ravel())
+        places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
         found = []
-        for band in surfaces.bands(scene.valid):
+        for band in surfaces.bands(mask):
             pixels = LampPixels.of(
                 scene.through(self.fov), self.normals, self.model, self.setup.threads, places[band]
             )
@@ -611,9 +634,17 @@ class LampFit:
         """(M, M): of what all pixels share."""
         if self._shared_covariance is None:
             shared, _, _ = fit.information()
+            # Looks have found the scale where steps have not, and it is as uncertain.
+            freedom = fit.freedom
+            fit.freedom = replace(freedom, scale=True)
             basis = fit.basis(len(shared))
+            fit.freedom = freedom
             inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
             self._shared_covariance = basis @ inner @ basis.T
+            if self._reference is not None:
+                self._shared_covariance = reference.with_known_scale(
+                    self._shared_covariance, fit, self._reference.variance
+                )
         return self._shared_covariance
 
     # Output
@@ -657,18 +688,29 @@ class LampFit:
             refinement=Refinement(self.options.refine_normals, refined, why),
             camera=Camera(self.fov, "given" if scene.fov_known else "fitted"),
             exposures=None,
-            scale="by the highlights of dielectrics, around a mean albedo of 0.35",
+            scale=BY_HIGHLIGHTS if self._reference is None else self._reference.said,
             measured_lighting=None,
             recon_rmse=rmse,
             lamps=lamps,
+            normal_sigma=self._normal_sigma(bands),
         )
+
+    def _normal_sigma(self, bands: list[surfaces.Band]) -> Array | None:
+        """(H, W), degrees, from the variances of both offsets; None where nobody asks."""
+        if not (self.free_normals and self.options.uncertainty):
+            return None
+        variances = np.concatenate([one.marginal[:, :2].sum(axis=1) for one in bands])
+        return _map(np.degrees(np.minimum(np.sqrt(variances), np.pi / 2)), self.scene.valid)
 
     def _uncertainty(
         self, fit: JointLamps, bands: list[surfaces.Band], scale: float
     ) -> Uncertainty:
         valid = self.scene.valid
         covariance = self._covariance(fit)
-        of_scale = float(np.sqrt(max(_scale_variance(fit, covariance), 0)))
+        scales = np.full(3, np.sqrt(max(_scale_variance(fit, covariance), 0)))
+        if self._reference is not None:
+            scales = np.sqrt(self._reference.variance)
+        red, green, blue = scales.tolist()
         variance, marginal, held = (
             np.concatenate([getattr(one, name) for one in bands])
             for name in ("variance", "marginal", "held")
@@ -689,7 +731,7 @@ class LampFit:
             undetermined=flags(~held & (marginal > 1 / 12)),
             on_bound=flags(held),
             noise=fit.noise.floor * scale,
-            albedo_scale=(of_scale, of_scale, of_scale),
+            albedo_scale=(red, green, blue),
             priors=True,
             light_pixels=len(fit.pixels),
             light_modes=int(np.linalg.matrix_rank(covariance, hermitian=True)),

@@ -1,0 +1,168 @@
+"""Radiance under lamps: its derivatives against central differences; samples that are bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.reflection import MODELS, Model
+from pbrfit.scene.arrays import AT_LEAST, AT_MOST
+from reference import unit
+
+Array = NDArray[np.float64]
+
+PIXELS, PICTURES = 6, 3
+STEP = 1e-6
+TERMS = 4
+NEAR = np.array([True, False, True, True])
+"""Of the lamps: one is alike to all sides, two have lobes; the second picture has two."""
+
+
+def example(model: Model, *, ambient: bool = True) -> tuple[LampPixels, LampState]:
+    rng = np.random.default_rng(0)
+    normals = unit(rng.normal(size=(PIXELS, 3)) * 0.3 + [0, 0, 1])
+    views = unit(rng.normal(size=(PIXELS, 3)) * 0.2 + [0, 0, 1])
+    points = rng.normal(size=(PIXELS, 3)) * 0.3 - [0, 0, 2]
+    blank = np.zeros((PIXELS, PICTURES, 3))
+    pixels = LampPixels(
+        blank,
+        np.ones_like(blank),
+        np.zeros(blank.shape, np.uint8),
+        views,
+        points,
+        normals,
+        np.zeros(PIXELS, np.intp),
+        np.arange(PIXELS),
+        1.0,
+        model,
+        1,
+    )
+    lamps = Lamps(
+        np.array([0, 1, 1, 2]),
+        np.array([[0.3, 0.2, 0.1], [0, 0.6, 0.8], [-0.4, 0.3, -0.2], [0.1, -0.5, 0.1]]),
+        near=NEAR,
+        colors=rng.uniform(1, 2, (4, 3)),
+        axes=unit(np.array([[0, 0, -1], [0, 0, -1], [0.1, 0.2, -1], [0, 0.2, -1]])),
+        exponents=np.array([0, 0, 2.0, 3.5]),
+    )
+    light = np.zeros((PICTURES, 16, 3))
+    if ambient:
+        light[:, :TERMS] = 0.1 * rng.normal(size=(PICTURES, TERMS, 3))
+    albedo = rng.uniform(0.2, 0.8, (PIXELS, 3))
+    roughness, metallic = rng.uniform(0.3, 0.7, PIXELS), rng.uniform(0.1, 0.9, PIXELS)
+    seen = rng.uniform(0.2, 1, (PIXELS, 4))
+    return pixels, LampState(lamps, light, normals, albedo, roughness, metallic, seen)
+
+
+def difference(pixels: LampPixels, moved: Callable[[float], LampState]) -> Array:
+    """(P, N, 3): central difference of the radiance."""
+    ends = [radiance(pixels, moved(step)) for step in (STEP, -STEP)]
+    return np.asarray((ends[0] - ends[1]) / (2 * STEP))
+
+
+def assert_alike(found: Array, expected: Array) -> None:
+    assert np.abs(found - expected).max() < 1e-6 * max(float(np.abs(expected).max()), 1.0)
+
+
+every_model = pytest.mark.parametrize("model", MODELS)
+
+
+@every_model
+@pytest.mark.parametrize("ambient", [False, True])
+def test_slopes_by_the_surface(model: Model, ambient: bool) -> None:
+    pixels, state = example(model, ambient=ambient)
+    found = slopes(pixels, state, ambient_terms=TERMS)
+    np.testing.assert_allclose(found.radiance, radiance(pixels, state), rtol=1e-12)
+    frames = tangents(state.normals)
+    for unknown in range(7):
+
+        def moved(step: float, unknown: int = unknown) -> LampState:
+            normals, albedo = state.normals, state.albedo.copy()
+            roughness, metallic = state.roughness, state.metallic
+            if unknown < 2:
+                normals = unit(normals + step * frames[:, unknown])
+            elif unknown < 5:
+                albedo[:, unknown - 2] += step
+            elif unknown == 5:
+                roughness = roughness + step
+            else:
+                metallic = metallic + step
+            return state.with_surface(normals, albedo, roughness, metallic)
+
+        assert_alike(found.by_surface[..., unknown], difference(pixels, moved))
+
+
+@every_model
+def test_slopes_by_near_lamps_with_and_without_lobes(model: Model) -> None:
+    pixels, state = example(model)
+    found, lamps = slopes(pixels, state, ambient_terms=TERMS), state.lamps
+    for k in np.flatnonzero(NEAR):
+        for axis in range(3):
+            shift = np.zeros((4, 3))
+            shift[k, axis] = 1.0
+
+            def moved(step: float, shift: Array = shift) -> LampState:
+                return replace(state, lamps=replace(lamps, places=lamps.places + step * shift))
+
+            expected = difference(pixels, moved)
+            assert_alike(found.by_place[:, k, :, axis], expected[:, lamps.pictures[k]])
+
+
+@every_model
+def test_slopes_by_far_lamps_are_those_across_the_direction(model: Model) -> None:
+    pixels, state = example(model)
+    found, lamps = slopes(pixels, state, ambient_terms=TERMS), state.lamps
+    [k] = np.flatnonzero(~NEAR)
+    for across in tangents(lamps.places[k : k + 1])[0]:
+
+        def moved(step: float, across: Array = across) -> LampState:
+            places = lamps.places.copy()
+            places[k] = unit(places[k] + step * across)
+            return replace(state, lamps=replace(lamps, places=places))
+
+        expected = difference(pixels, moved)[:, lamps.pictures[k]]
+        assert_alike(found.by_place[:, k] @ across, expected)
+
+
+@every_model
+def test_slopes_by_colours_and_ambient_light(model: Model) -> None:
+    pixels, state = example(model)
+    found, lamps = slopes(pixels, state, ambient_terms=TERMS), state.lamps
+    for k in range(4):
+        shift = np.zeros((4, 3))
+        shift[k] = 1.0
+
+        def tinted(step: float, shift: Array = shift) -> LampState:
+            return replace(state, lamps=replace(lamps, colors=lamps.colors + step * shift))
+
+        assert_alike(found.by_color[:, k], difference(pixels, tinted)[:, lamps.pictures[k]])
+    assert found.by_ambient is not None
+    for term in range(TERMS):
+
+        def lit(step: float, term: int = term) -> LampState:
+            ambient = state.ambient.copy()
+            ambient[1, term] += step
+            return replace(state, ambient=ambient)
+
+        expected = difference(pixels, lit)
+        assert_alike(found.by_ambient[..., term], expected[:, 1])
+        assert (expected[:, [0, 2]] == 0).all()
+
+
+def test_clipped_samples_are_bounds() -> None:
+    pixels, _ = example("paper")
+    limits = pixels.limits.copy()
+    limits[:, 0], limits[:, 1] = AT_LEAST, AT_MOST
+    weights = pixels.weights.copy()
+    weights[0] = 0.0
+    pixels = replace(pixels, samples=np.ones_like(weights), limits=limits, weights=weights)
+    brighter, darker = (pixels.residuals(np.full(weights.shape, shown)) for shown in (1.5, 0.5))
+    np.testing.assert_array_equal(brighter[1], np.repeat([[0.0], [0.5], [0.5]], 3, axis=1))
+    np.testing.assert_array_equal(darker[1], np.repeat([[-0.5], [0.0], [-0.5]], 3, axis=1))
+    assert (brighter[0] == 0).all()
