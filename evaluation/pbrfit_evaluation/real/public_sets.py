@@ -75,7 +75,7 @@ class PublicSet:
 
 
 def _find_arrays(folder: Path) -> list[Source]:
-    about = "linear arrays; true normals; camera taken as orthographic"
+    about = "linear arrays; true normals; field of view not told: highlights say about 48 degrees"
     sources = []
     for path in sorted(folder.glob("*.npz")):
         with np.load(path) as arrays:
@@ -94,7 +94,7 @@ def _write_arrays(source: Source, folder: Path) -> None:
     for i, picture in enumerate(pictures):
         channels = {name: picture[..., c].astype(np.float32) for c, name in enumerate("RGB")}
         images.write_exr(folder / "images" / f"picture_{i:02d}.exr", channels)
-    _write_rest(folder, np.where(valid[..., None], normals, 0.0), valid, "fov = 0\n")
+    _write_rest(folder, np.where(valid[..., None], normals, 0.0), valid, "")
 
 
 # Shrek, ball, brick sphere: one set of PNG files, seen by an orthographic camera

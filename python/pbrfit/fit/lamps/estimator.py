@@ -80,7 +80,7 @@ ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
 """Tried for each label: about half an octave apart, less than what a lobe's width tells."""
 
 LOOK_PICTURES_MIN = 6
-"""From which on every third picture is left out where roughness, scale and field of view are chosen:
+"""From which on every third picture is left out where roughness, scale and camera are chosen:
 the others are four at least, twelve samples for a pixel's six unknowns."""
 
 LOOK_PIXELS = 400
