@@ -128,7 +128,7 @@ def planted(
     right = columns >= size // 2
     stripe = (rows // max(size // 8, 1)) % 2
     base = np.array([[0.5, 0.35, 0.25], [0.2, 0.3, 0.45]])
-    albedo = base[stripe]
+    albedo: Array = base[stripe]
     metallic = np.zeros(mask.shape)
     if metal:
         albedo = np.where(right[..., None], [0.9, 0.7, 0.4], albedo)
@@ -145,7 +145,7 @@ def planted(
         blank,
         np.ones_like(blank),
         np.zeros(blank.shape, np.uint8),
-        geometry.view_directions(*mask.shape, fov).reshape(-1, 3)[places],
+        geometry.view_directions(mask.shape[0], mask.shape[1], fov).reshape(-1, 3)[places],
         points,
         normals.reshape(-1, 3)[places],
         np.zeros(len(places), np.intp),
@@ -172,9 +172,10 @@ def planted(
     if ceiling is not None:
         limits[images >= ceiling] = 1
         images = np.minimum(images, ceiling)
+    given: Any = np.where(mask[..., None], normals, [0, 0, 1.0]) if normals_known else None
     scene = Scene(
         images=images,
-        normals=np.where(mask[..., None], normals, [0, 0, 1.0]) if normals_known else None,
+        normals=given,
         mask=mask,
         fov=fov,
         depth=depth if with_depth else None,
