@@ -49,7 +49,7 @@ class Planted:
         """(P,): angles between normals and the true ones, degrees."""
         return np.asarray(geometry.angles_between(found, self.normals)[self.scene.valid])
 
-    def albedo_off(self, found: Array) -> float:
+    def albedo_off(self, found: NDArray[Any]) -> float:
         """Root mean square, after the best factor a channel."""
         a, b = found[self.scene.valid], self.of_valid("albedo")
         return float(np.sqrt(np.mean((a * (a * b).sum(0) / (a * a).sum(0) - b) ** 2)))
@@ -125,7 +125,7 @@ def planted(
     """
     normals, mask, depth = dome(size) if shape is None else shape
     rows, columns = np.indices(mask.shape)
-    right = columns >= size // 2
+    right: NDArray[np.bool_] = np.asarray(columns >= size // 2)
     stripe = (rows // max(size // 8, 1)) % 2
     base = np.array([[0.5, 0.35, 0.25], [0.2, 0.3, 0.45]])
     albedo: Array = base[stripe]

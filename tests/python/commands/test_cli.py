@@ -127,10 +127,10 @@ def test_a_result_is_replaced_only_when_asked(folder: Path, tmp_path: Path) -> N
     done(*fit, 1)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert f"{out}: expected a folder that does not exist yet" in refused(*fit, 2)
-    (folder / "normals.exr").rename(folder / "away")
+    (folder / "images").rename(folder / "away")
     assert run(*fit, 2, "--overwrite") == 2
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    (folder / "away").rename(folder / "normals.exr")
+    (folder / "away").rename(folder / "images")
     done(*fit, 2, "--overwrite")
     assert outcome(out)["iterations"] == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "scene"]
@@ -446,7 +446,7 @@ def test_help_names_defaults_once(command: str) -> None:
     assert ("--iterations K at most so many (default: 500)" in text) == (
         command in ("decompose", "demo")
     )
-    assert ("--threads T" in text) == (command in ("decompose", "demo", "relight"))
+    assert ("--threads T" in text) == (command in ("decompose", "demo", "normals", "relight"))
     for option in ("--robust {auto,none,huber,cauchy}", "--exposures {auto,as-is,equal}"):
         assert (option in text) == (command in ("decompose", "demo", "check-gradients"))
     if not command:
