@@ -49,7 +49,7 @@ class Planted:
         """(P,): angles between normals and the true ones, degrees."""
         return np.asarray(geometry.angles_between(found, self.normals)[self.scene.valid])
 
-    def albedo_off(self, found: Array) -> float:
+    def albedo_off(self, found: NDArray[Any]) -> float:
         """Root mean square, after the best factor a channel."""
         a, b = found[self.scene.valid], self.of_valid("albedo")
         return float(np.sqrt(np.mean((a * (a * b).sum(0) / (a * a).sum(0) - b) ** 2)))
@@ -125,10 +125,10 @@ def planted(
     """
     normals, mask, depth = dome(size) if shape is None else shape
     rows, columns = np.indices(mask.shape)
-    right = columns >= size // 2
+    right: NDArray[np.bool_] = np.asarray(columns >= size // 2)
     stripe = (rows // max(size // 8, 1)) % 2
     base = np.array([[0.5, 0.35, 0.25], [0.2, 0.3, 0.45]])
-    albedo = base[stripe]
+    albedo: Array = base[stripe]
     metallic = np.zeros(mask.shape)
     if metal:
         albedo = np.where(right[..., None], [0.9, 0.7, 0.4], albedo)
@@ -145,7 +145,7 @@ def planted(
         blank,
         np.ones_like(blank),
         np.zeros(blank.shape, np.uint8),
-        geometry.view_directions(*mask.shape, fov).reshape(-1, 3)[places],
+        geometry.view_directions(mask.shape[0], mask.shape[1], fov).reshape(-1, 3)[places],
         points,
         normals.reshape(-1, 3)[places],
         np.zeros(len(places), np.intp),
@@ -172,9 +172,10 @@ def planted(
     if ceiling is not None:
         limits[images >= ceiling] = 1
         images = np.minimum(images, ceiling)
+    given: Any = np.where(mask[..., None], normals, [0, 0, 1.0]) if normals_known else None
     scene = Scene(
         images=images,
-        normals=np.where(mask[..., None], normals, [0, 0, 1.0]) if normals_known else None,
+        normals=given,
         mask=mask,
         fov=fov,
         depth=depth if with_depth else None,

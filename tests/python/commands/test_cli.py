@@ -446,7 +446,7 @@ def test_help_names_defaults_once(command: str) -> None:
     assert ("--iterations K at most so many (default: 500)" in text) == (
         command in ("decompose", "demo")
     )
-    assert ("--threads T" in text) == (command in ("decompose", "demo", "relight"))
+    assert ("--threads T" in text) == (command in ("decompose", "demo", "normals", "relight"))
     for option in ("--robust {auto,none,huber,cauchy}", "--exposures {auto,as-is,equal}"):
         assert (option in text) == (command in ("decompose", "demo", "check-gradients"))
     if not command:

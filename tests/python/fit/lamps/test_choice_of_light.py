@@ -68,7 +68,8 @@ def test_what_is_known_decides() -> None:
 @pytest.mark.parametrize("ambient_terms", [0, 9])
 def test_the_lamp_of_one_more_picture_is_found(ambient_terms: int) -> None:
     result = ball_under_lamps()
-    lamp = Lamps(np.zeros(1, np.intp), [[0.36, 0.48, 0.8]], colors=[[1.1, 0.9, 0.7]])
+    place, color = np.array([[0.36, 0.48, 0.8]]), np.array([[1.1, 0.9, 0.7]])
+    lamp = Lamps(np.zeros(1, np.intp), place, colors=color)
     around = np.zeros((1, 16, 3))
     if ambient_terms:
         around[:, :4] = 0.05 * np.random.default_rng(0).normal(size=(1, 4, 3))
