@@ -46,9 +46,7 @@ def test_few_pixels_decide_nothing(room: Scene) -> None:
     assert said(decompose(few, **FEW)) == ["lamps: too few pixels"]
 
 
-def test_pixels_that_show_nothing_have_no_say(
-    room: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pixels_that_show_nothing_have_no_say(room: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decision, "HARMONICS_LEFT_MIN", 0.0)
     black = room.images.copy()
     black[:, :8] = 0
