@@ -24,7 +24,9 @@ def fit(scene: Scene, *, iterations: int, threads: int) -> Result:
     InputError
         If the pictures cannot be used.
     """
-    return decompose(scene, light="lamps", iterations=iterations, threads=threads)
+    return decompose(
+        scene, light="lamps", iterations=iterations, threads=threads, refine_normals="auto"
+    )
 
 
 def relit(

@@ -70,14 +70,13 @@ def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Ch
         return Choice(False, "too few pixels")
     if start is not None:
         scene = replace(scene, normals=start.normals, normals_known=True)
-    valid = np.flatnonzero(scene.valid.ravel())
-    chosen = evenly_spaced(len(valid), 2 * settings.TRANSPORT_PIXELS).astype(np.intp)
-    places = valid[chosen]
-    by_sh = _left_by_harmonics(scene, setup, places)
-    if not len(by_sh):
+    by_sh, places = _left_by_harmonics(scene, setup)
+    shown = np.isfinite(by_sh)
+    if np.count_nonzero(shown) < VALID_PIXELS_MIN // 2:
         return Choice(False, "too few pixels")  # the others are black or have no weight
-    figures = {"left_out_sh": float(by_sh.mean()), "left_out_pixels": float(len(by_sh))}
-    left = float(np.exp(by_sh.mean() / 2))
+    mean = float(by_sh[shown].mean())
+    figures = {"left_out_sh": mean, "left_out_pixels": float(shown.sum())}
+    left = float(np.exp(mean / 2))
     if left < HARMONICS_LEFT_MIN:
         return Choice(
             False,
@@ -85,8 +84,10 @@ def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Ch
             figures,
         )
     by_lamps = _left_by_lamps(scene, setup, start, places)
+    shown &= np.isfinite(by_lamps)
+    by_lamps = by_lamps[shown]
     figures["left_out_lamps"] = float(by_lamps.mean())
-    difference = by_lamps - by_sh
+    difference = by_lamps - by_sh[shown]
     error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
     gain = -float(difference.mean())
     clear = gain > max(settings.TRANSPORT_ERRORS_MIN * error, settings.TRANSPORT_GAIN_MIN)
@@ -99,14 +100,14 @@ def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Ch
     )
 
 
-def _left_by_harmonics(scene: Scene, setup: FitSetup, places: NDArray[np.intp]) -> Array:
-    """(Q,): score of each second place."""
-    small = scene
-    if int(scene.valid.sum()) > settings.STRIDED_SUBSET_EXCESS * 4 * len(places):
-        window = strided_window(scene.valid, len(places), 4 * len(places))
+def _left_by_harmonics(scene: Scene, setup: FitSetup) -> tuple[Array, NDArray[np.intp]]:
+    """Scores (Q,) of each second place, and the places (2Q,) among all pixels of the picture."""
+    small, count = scene, 2 * settings.TRANSPORT_PIXELS
+    if int(scene.valid.sum()) > settings.STRIDED_SUBSET_EXCESS * 4 * count:
+        window = strided_window(scene.valid, count, 4 * count)
         small = SceneCutter(scene).cut(window)
     objective = setup.objective(small)
-    chosen = evenly_spaced(objective.pixels, len(places))
+    chosen = evenly_spaced(objective.pixels, count)
     fitted, left_out = chosen[::2], chosen[1::2]
     x = objective.start()
     few, other = objective.restricted(fitted), objective.restricted(left_out)
@@ -116,7 +117,7 @@ def _left_by_harmonics(scene: Scene, setup: FitSetup, places: NDArray[np.intp]) 
     rest[other.layout.maps.stop :] = part[few.layout.maps.stop :]
     sum_sq = fit_level(other, rest)
     size = np.square(objective.pictures(left_out)).sum(axis=(0, 2))
-    return _scores(sum_sq, size)
+    return _scores(sum_sq, size), objective.places_in(scene, chosen)
 
 
 def _left_by_lamps(
@@ -150,5 +151,6 @@ def _left_by_lamps(
 
 
 def _scores(squares: Array, size: Array) -> Array:
-    shown = size > 0
-    return np.asarray(np.log(np.maximum(squares[shown] / size[shown], settings.NOISE_VARIANCE_MIN)))
+    """(Q,): NaN where pictures show nothing."""
+    left = np.divide(squares, size, out=np.full(len(size), np.nan), where=size > 0)
+    return np.asarray(np.log(np.maximum(left, settings.NOISE_VARIANCE_MIN)))

@@ -46,14 +46,14 @@ def fit_if_lit(scene: Scene, setup: FitSetup) -> Decided:
     start = None if scene.normals_known else first_shape(scene)
     for said in () if start is None else start.undetermined:
         log.warning("normals: %s", said)
-    why = "asked for"
-    if asked != "lamps":
+    lamps, why = asked == "lamps", "asked for" if asked == "lamps" else "not asked for"
+    if asked == "auto":
         choice = choose(scene, setup, start)
-        why = choice.why
-        if asked == "sh" or not choice.lamps:
-            if start is not None:
-                scene = replace(scene, normals=start.normals, normals_known=True)
-            return Decided(None, scene, why)
+        lamps, why = choice.lamps, choice.why
+    if not lamps:
+        if start is not None:
+            scene = replace(scene, normals=start.normals, normals_known=True)
+        return Decided(None, scene, why)
     found = fit_lamps(scene, setup, start)
     if start is not None:
         found = replace(found, height=height_of(found.normals, scene))
