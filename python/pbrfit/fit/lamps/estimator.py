@@ -306,6 +306,9 @@ class LampFit:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
         few = LampPixels.of(self.scene, self.normals, self.model, self.setup.threads, places)
+        if known is not None and known.colored:
+            lamps = replace(known, colors=known.colors / few.scale)
+            return few, [("known lamps and colours", lamps, albedo_under(few, lamps))]
         if self.start is not None and (known is None or not known.near.any()):
             lamps = Lamps(
                 np.arange(few.pictures), self.start.directions, colors=self.start.strengths
@@ -372,13 +375,15 @@ class LampFit:
                     around = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
                     fields = tuple(np.unique(around).tolist())
                 scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
-                self._look(fit, scales, fields)
+                told = known is not None and known.colored
+                self._look(fit, (1.0,) if told else scales, fields)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
             # is what pulls them away where a metal is not known yet.
             if number == HELD_ROUNDS and not near:
-                fit.freedom = replace(fit.freedom, places=known is None, colors=True)
+                free = known is None or not known.colored
+                fit.freedom = replace(fit.freedom, places=known is None, colors=free)
             if number == ROUNDS - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
                 fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
             self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
@@ -755,6 +760,18 @@ def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Ar
     colors, albedo = lamps.colors / tint, albedo * tint
     mean = max(float(albedo.mean()), 1e-9) / ALBEDO_MEAN
     return replace(lamps, colors=colors * mean), np.clip(albedo / mean, 0.01, 0.95)
+
+
+def albedo_under(pixels: LampPixels, lamps: Lamps) -> Array:
+    """(P, 3): the median over the pictures of what surfaces would be if they were matt."""
+    directions, strengths = lamps.at(pixels.points, len(pixels))
+    cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
+    shown = np.zeros(pixels.samples.shape)
+    for k, picture in enumerate(lamps.pictures):
+        shown[:, picture] += cosines[:, k, None] * lamps.colors[k]
+    lit = (shown > 0) & (pixels.weights > 0) & (pixels.limits == 0)
+    ratio = np.where(lit, pixels.samples / np.maximum(shown, 1e-12), ALBEDO_MEAN)
+    return np.asarray(np.clip(np.median(ratio, axis=1), 0.01, 0.95))
 
 
 def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
