@@ -187,10 +187,3 @@ def test_inspect_tells_that_there_are_no_normals(
     assert "assumed normals   none given: found from the pictures" in said
     assert "facing away       unknown: no normals are given" in said
     assert "normal error      none given" in said
-
-
-def test_a_fit_asks_for_normals(folder: Path, tmp_path: Path) -> None:
-    (folder / "normals.exr").unlink()
-    with pytest.raises(InputError, match="normals: expected known ones, found none"):
-        pbrfit.decompose(Scene.load(folder))
-    assert run("decompose", folder, "--out", tmp_path / "out") != 0

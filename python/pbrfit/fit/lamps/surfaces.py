@@ -49,7 +49,7 @@ METAL_STARTS = (0.35, 0.6)
 """Roughness that a metal begins with."""
 
 AS_SEEN_DEVIATION = 0.1
-"""Of a sample in the last fit by least squares, where the mean radiance is 0.4."""
+"""Deviation of a sample in the last fit by least squares, where the mean radiance is 0.4."""
 
 ROUGHNESS_STARTS = (0.15, 0.35, 0.75)
 """That pixels with known normals begin with, too: a lobe that misses all samples has no slope."""
