@@ -49,8 +49,12 @@ def some_weights(seed: int = 0) -> NDArray[np.float32]:
 
 
 def without_priors(result: pbrfit.Result) -> list[str]:
-    """What was left out beside priors, which depend on the lights that were found."""
-    return [entry for entry in result.left_out if not entry.startswith(("prior", "surroundings"))]
+    """What was left out beside lamps and priors, which depend on the lights that were found."""
+    return [
+        entry
+        for entry in result.left_out
+        if not entry.startswith(("prior", "surroundings", "lamps:"))
+    ]
 
 
 def assert_same_bits(a: pbrfit.Result, b: pbrfit.Result) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import pbrfit
 from pbrfit import InputError, Scene
 from pbrfit.io.depth_files import write_depth
 from pbrfit.model.lamps import Lamps
