@@ -13,7 +13,6 @@ from pbrfit.model.geometry import angles_between, positions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
-from pbrfit.result.result import Result
 from pbrfit.result.sheet import displayed, outside_grey
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.lamps.variants import BY_KEY
@@ -94,7 +93,7 @@ def run(case: Case, threads: int) -> dict[str, Any]:
         result = fit(scene, threads=threads, model=MODEL, light=variant.light)
     values: dict[str, Any] = {
         "scores": score(result, scene, threads).as_json(),
-        "lamps": lamps_off(lamps_of(result), true, exact),
+        "lamps": lamps_off(result.lamps, true, exact),
     }
     if case.picture:
         values["panels"] = maps(result.materials, exact)
@@ -108,11 +107,6 @@ def room(case: Case, threads: int) -> tuple[Scene, Lamps]:
         row.key, case.seed, case.size, case.lights, 0, cycles_cache=case.cycles_cache
     )
     return table1.cycles_scene(task, row, threads), table1.cycles_lamps(task, row)
-
-
-def lamps_of(result: Result) -> Lamps | None:
-    """What a result found; None where light comes from all around."""
-    return getattr(result, "lamps", None)
 
 
 def lamps_off(found: Lamps | None, true: Lamps, scene: Scene) -> dict[str, float]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.lamps.picture_light import fit_picture_light
-from pbrfit.model.reflection import render, render_directional
+from pbrfit.model.reflection import render_lamps
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 
@@ -48,8 +48,13 @@ def relit(
         (3,) unit vector to the picture's lamp; None = unknown.
     """
     lamps, ambient = fit_picture_light(result, picture, weights, direction)
-    of = (result.materials, result.normals)
-    shown = render(*of, ambient, result.fov, threads, model=result.model)
-    for lamp, color in zip(lamps.places, lamps.colors, strict=True):
-        shown += render_directional(*of, lamp, color, result.fov, threads, model=result.model)
-    return np.asarray(shown, np.float64)
+    shown = render_lamps(
+        result.materials,
+        result.normals,
+        lamps,
+        ambient[None],
+        result.fov,
+        threads=threads,
+        model=result.model,
+    )
+    return np.asarray(shown[0])

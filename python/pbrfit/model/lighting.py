@@ -182,7 +182,7 @@ def rotated(coefficients: ArrayLike, degrees: float) -> NDArray[np.float64]:
     return turned
 
 
-def _spread_directions(count: int) -> NDArray[np.float64]:
+def spread_directions(count: int) -> NDArray[np.float64]:
     """Directions that are spread evenly over the sphere, on a spiral: (count, 3)."""
     index = np.arange(count)
     z = 1 - (2 * index + 1) / count
@@ -191,4 +191,4 @@ def _spread_directions(count: int) -> NDArray[np.float64]:
     return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)
 
 
-_SPREAD = _spread_directions(64)
+_SPREAD = spread_directions(64)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.lamp_files import LampRow, Vector, matched, read_lamps, write_lamps
+from pbrfit.io.lamp_files import matched, read_lamps, write_lamps
+from pbrfit.model.lamp_rows import lamps_of_rows, rows_of_lamps
 from pbrfit.model.lamps import Lamps
 
 
@@ -19,15 +20,7 @@ def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:
     """
     rows, said = read_lamps(path)
     pictures, by_name = matched(path, rows, names)
-    order = np.argsort(pictures, kind="stable")
-    lamps = Lamps(
-        np.array(pictures, np.intp)[order],
-        np.array([row.place for row in rows])[order],
-        np.array([row.near for row in rows])[order],
-        np.array([row.color for row in rows])[order],
-        np.array([row.axis for row in rows])[order],
-        np.array([row.exponent for row in rows])[order],
-    )
+    lamps = lamps_of_rows(rows, pictures)
     parts = [f"known, {in_words(lamps)}, from {path.name}"]
     if not by_name:
         parts.append("matched to the pictures by order, as no name in it is that of a picture")
@@ -36,27 +29,14 @@ def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:
 
 def save(path: Path, lamps: Lamps, names: Sequence[str]) -> None:
     """Write `lights.json` for pictures of these names."""
-    rows = [
-        LampRow(
-            names[lamps.pictures[i]],
-            _vector(lamps.places[i]),
-            bool(lamps.near[i]),
-            _vector(lamps.colors[i]),
-            _vector(lamps.axes[i]),
-            float(lamps.exponents[i]),
-        )
-        for i in range(len(lamps))
-    ]
-    write_lamps(path, rows)
+    write_lamps(path, rows_of_lamps(lamps, names))
 
 
 def in_words(lamps: Lamps) -> str:
     """How many there are, how far, and whether their colours are known."""
-    near = int(lamps.near.sum())
-    counts = [f"{n} {kind}" for n, kind in ((len(lamps) - near, "far"), (near, "near")) if n]
     unknown = np.isnan(lamps.colors)
     colors = "unknown" if unknown.all() else "known in part" if unknown.any() else "known"
-    return f"{' and '.join(counts) or 'no'} lamps, colours {colors}"
+    return f"{lamps.in_words()}, colours {colors}"
 
 
 def angles(directions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -73,8 +53,3 @@ def spread(directions: NDArray[np.float64]) -> float:
     """Largest angle in degrees between two of some unit vectors (K, 3)."""
     least = float(np.clip((directions @ directions.T).min(initial=1.0), -1.0, 1.0))
     return float(np.degrees(np.arccos(least)))
-
-
-def _vector(row: NDArray[np.float64]) -> Vector:
-    x, y, z = row.tolist()
-    return x, y, z

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.decision import choose
-from pbrfit.fit.lamps.estimator import FirstShape, fit_lamps
+from pbrfit.fit.lamps.estimator import FirstShape, check_near, fit_lamps
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
@@ -65,8 +65,7 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
     """Raise InputError if lamps are asked for, or known, and cannot be fitted."""
     if setup.options.light == "lamps" and scene.lighting is not None:
         raise InputError("light: expected unknown light for lamps, found known SH light")
-    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
-        raise InputError("lamps: expected depth for near lamps, found none")
+    check_near(scene)
 
 
 def first_shape(scene: Scene) -> FirstShape:

@@ -2,7 +2,7 @@
 
 Stages: `lamps: start`, normals and lamps by matt shading; `lamps`, the joint fit of pixels that
 stand for all (`joint`), alternatives far and near where there is depth; `surfaces`, each pixel by
-itself with shadows and metals (`surfaces`); then the lights once more with what that found.
+itself with shadows and metals (`surfaces`).
 """
 
 from __future__ import annotations
@@ -386,7 +386,7 @@ class LampFit:
                 fit.freedom = replace(fit.freedom, places=known is None, colors=free)
             if number == ROUNDS - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
                 fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
-            self.clock.steps += minimize(fit, rounds=1, steps=STEPS, stop=self.clock.out_of_time)
+            self.clock.steps += minimize(fit, steps=STEPS, stop=self.clock.out_of_time)
             fit.state, _, _ = fit_surfaces(
                 few,
                 fit.state,
@@ -601,10 +601,10 @@ class LampFit:
         scene, few = self.scene, fit.pixels
         places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
-        found = []
+        seen, found = scene.through(self.fov), []
         for band in surfaces.bands(mask):
             pixels = LampPixels.of(
-                scene.through(self.fov), self.normals, self.model, self.setup.threads, places[band]
+                seen, self.normals, self.model, self.setup.threads, places[band], like=few
             )
             prior = of_labels(fit.prior, few, pixels, self._offset_sigma(pixels.places))
             lit = self.lit_at(pixels)
@@ -752,7 +752,7 @@ def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Ar
     """
     cosines = np.maximum(pixels.normals @ lamps.places.T, 0)
     shown = cosines[..., None] * lamps.colors[None] * albedo[:, None]
-    lit = (cosines > 0.3) & (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
+    lit = (cosines > 0.3) & pixels.ordinary
     ratio = np.where(lit[..., None] & (shown > 0), pixels.samples / np.maximum(shown, 1e-12), 1)
     factor = np.array([np.median(ratio[..., c][lit]) if lit.any() else 1.0 for c in range(3)])
     albedo = np.maximum(albedo * factor, 1e-9)
@@ -778,8 +778,7 @@ def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
     """Known lamps with colours to begin with, and albedos (P, 3), by the given normals."""
     directions, strengths = known.at(pixels.points, len(pixels))
     cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
-    ordinary = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
-    return colored_by(pixels, known, cosines, ordinary[:, known.pictures] * (cosines > 0))
+    return colored_by(pixels, known, cosines, pixels.ordinary[:, known.pictures] * (cosines > 0))
 
 
 def _scale_variance(fit: JointLamps, covariance: Array) -> float:
@@ -806,6 +805,12 @@ def _spread(values: Array, few: NDArray[np.intp], places: NDArray[np.intp], widt
     return np.asarray(values[tree.query(np.stack(np.divmod(places, width), axis=-1))[1]])
 
 
+def check_near(scene: Scene) -> None:
+    """Raise InputError if known lamps are near and nobody knows where surfaces are."""
+    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
+        raise InputError("lamps: expected depth for near lamps, found none")
+
+
 @one_blas_thread()
 def fit_lamps(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> FitOutput:
     """Fit surfaces, lamps and ambient light to a scene.
@@ -815,6 +820,5 @@ def fit_lamps(scene: Scene, setup: FitSetup, start: FirstShape | None = None) ->
     InputError
         If known lamps are near and there is no depth.
     """
-    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
-        raise InputError("lamps: expected depth for near lamps, found none")
+    check_near(scene)
     return LampFit(scene, setup, start).solve()

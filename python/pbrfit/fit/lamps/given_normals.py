@@ -61,7 +61,7 @@ TINY = 1e-12
 def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     """A lamp far away for each picture, and albedos (P, 3), by the given normals."""
     grey = pixels.samples.mean(axis=-1)
-    usable = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
+    usable = pixels.ordinary
     albedo = _typical(grey, usable)
     vectors = np.zeros((pixels.pictures, 3))
     weights = usable.astype(np.float64)
@@ -97,7 +97,7 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
     points = few.points
     assert points is not None
     grey = few.samples.mean(axis=-1)
-    usable = (few.weights > 0).all(axis=-1) & (few.limits == 0).all(axis=-1)
+    usable = few.ordinary
     # Not the mean brightness: it has the mean shading in it, to which lamps would then fit.
     albedo = np.full(len(few), ALBEDO_MEAN)
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
@@ -134,12 +134,11 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
         albedo = np.exp(found - found.mean()) * ALBEDO_MEAN
     places, _ = _refined(few, grey, usable, places, FIRST_SCALE)
     grey = pixels.samples.mean(axis=-1)
-    usable = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
+    usable = pixels.ordinary
     places, left_over = _refined(pixels, grey, usable, places, SECOND_SCALE)
     lamps = Lamps(np.arange(pixels.pictures), places, np.ones(pixels.pictures, bool))
     shading = _shading(pixels, places).T
-    ordinary = (pixels.weights > 0).all(axis=-1) & (pixels.limits == 0).all(axis=-1)
-    lamps, of_all = colored_by(pixels, lamps, shading, ordinary * (shading > 0))
+    lamps, of_all = colored_by(pixels, lamps, shading, (usable & (shading > 0)).astype(np.float64))
     return lamps, of_all, left_over
 
 

@@ -433,17 +433,12 @@ class JointLamps:
         return np.asarray(null_space(fixed.reshape(3, -1)))
 
 
-def minimize(
-    fit: JointLamps, *, rounds: int, steps: int, stop: Callable[[], bool] = lambda: False
-) -> int:
-    """Rounds of weights with joint steps in each; how many steps were made."""
+def minimize(fit: JointLamps, *, steps: int, stop: Callable[[], bool] = lambda: False) -> int:
+    """Joint steps by new weights, with the noise as it is; how many were made."""
     made = 0
-    for number in range(rounds):
-        fit.reweigh(renew=number > 0)
-        for _ in range(steps):
-            if stop():
-                return made
-            made += 1
-            if fit.step() < 1e-4:
-                break
+    fit.reweigh(renew=False)
+    while made < steps and not stop():
+        made += 1
+        if fit.step() < 1e-4:
+            break
     return made

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from pbrfit import _core
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
 from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
-from pbrfit.model.lighting import _spread_directions
+from pbrfit.model.lighting import spread_directions
 from pbrfit.result.result import Result
 
 Array = NDArray[np.float64]
@@ -70,8 +71,6 @@ def fit_picture_light(
         counted = np.broadcast_to(given, picture.shape).reshape(-1, 3)[valid].copy()
     counted[~np.isfinite(samples)] = 0
     samples = np.where(counted > 0, samples, 0.0)
-    from pbrfit.model.geometry import view_directions
-
     height, width = result.mask.shape
     views = view_directions(height, width, result.fov).reshape(-1, 3)[valid]
     scale = max(float(samples.mean()) / 0.4, 1e-12)
@@ -109,7 +108,7 @@ def light_of_picture(
     ambient = _core.shade(
         some.normals, few.views, some.albedo, some.roughness, some.metallic, few.model
     ).reshape(-1, 3, 16)[..., :terms]
-    tried = _spread_directions(DIRECTIONS) if direction is None else np.atleast_2d(direction)
+    tried = spread_directions(DIRECTIONS) if direction is None else np.atleast_2d(direction)
     unit = _core.lamp_radiance(
         some.normals,
         few.views,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.model.geometry import positions
+from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.scene.arrays import AT_LEAST, AT_MOST
@@ -61,8 +61,13 @@ class LampPixels:
         model: Model,
         threads: int,
         places: NDArray[np.intp] | None = None,
+        *,
+        like: LampPixels | None = None,
     ) -> LampPixels:
-        """Of the valid pixels of a scene, or some of them; `normals` (H, W, 3)."""
+        """Of the valid pixels of a scene, or some of them; `normals` (H, W, 3).
+
+        The scale is that of others of the same scene, where some are there already.
+        """
         valid = np.flatnonzero(scene.valid.ravel())
         places = valid if places is None else places
         count = len(scene.images)
@@ -75,8 +80,14 @@ class LampPixels:
                 weights[:, i] = scene.weights[i].reshape(-1)[places, None]
             if scene.limits is not None:
                 limits[:, i] = scene.limits[i].reshape(-1, 3)[places]
-        scale = scene.mean_brightness() / MEAN_RADIANCE
-        scale = scale if scale > 0 else 1.0
+        if like is not None:
+            scale = like.scale
+        else:
+            scale = scene.mean_brightness() / MEAN_RADIANCE
+            scale = scale if scale > 0 else 1.0
+        first, last = int(places.min()) // scene.width, int(places.max()) // scene.width
+        rows = slice(first, last + 1)
+        views = view_directions(scene.height, scene.width, scene.fov, rows)
         flat = np.zeros(scene.valid.size, np.intp)
         if scene.labels is not None:
             flat[valid] = scene.labels[0]
@@ -88,7 +99,7 @@ class LampPixels:
             samples / scale,
             weights / weights.max(),
             limits,
-            scene.views.reshape(-1, 3)[places],
+            views.reshape(-1, 3)[places - first * scene.width],
             points,
             np.asarray(normals, np.float64).reshape(-1, 3)[places],
             flat[places],
@@ -117,12 +128,10 @@ class LampPixels:
             points=None if self.points is None else self.points[rows],
         )
 
-    def of_pictures(self, chosen: list[int]) -> LampPixels:
-        """All of the pixels in some of the pictures."""
-        return replace(
-            self,
-            **{name: getattr(self, name)[:, chosen] for name in ("samples", "weights", "limits")},
-        )
+    @property
+    def ordinary(self) -> NDArray[np.bool_]:
+        """(P, N): samples that are data and at no limit, in all channels."""
+        return np.asarray((self.weights > 0).all(axis=-1) & (self.limits == 0).all(axis=-1))
 
     def residuals(self, radiance: Array) -> Array:
         """(P, N, 3): what a radiance is too much; 0 where a sample only bounds it, and is kept."""

@@ -95,8 +95,6 @@ class Band:
     squares: float
     total: float
     """Weighted sum of squared residuals, and sum of the scene's weights."""
-    outliers: Array
-    """(P, N): the probability that a sample is one."""
 
 
 def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slice]:
@@ -310,7 +308,6 @@ def fit_band(
     if free:
         state = _as_seen(pixels, state, prior)
     residual = pixels.residuals(radiance(pixels, state))
-    ordinary = probability(noise.log_odds(Left.of(pixels, state)))
     zeros = np.zeros((len(pixels), 7))
     variance, marginal, held = zeros, zeros, zeros.astype(bool)
     if uncertain is not None:
@@ -322,7 +319,6 @@ def fit_band(
         held,
         float((pixels.weights * residual**2).sum()),
         float(pixels.weights.sum()),
-        1 - ordinary,
     )
 
 
