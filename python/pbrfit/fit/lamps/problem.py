@@ -52,6 +52,8 @@ class LampPixels:
     scale: float
     model: Model
     threads: int
+    largest_weight: float = 1.0
+    """Of the scene's samples, by which all are divided."""
 
     @classmethod
     def of(
@@ -66,7 +68,7 @@ class LampPixels:
     ) -> LampPixels:
         """Of the valid pixels of a scene, or some of them; `normals` (H, W, 3).
 
-        The scale is that of others of the same scene, where some are there already.
+        Scale and largest weight are those of others of the same scene, where some are there already.
         """
         valid = np.flatnonzero(scene.valid.ravel())
         places = valid if places is None else places
@@ -81,10 +83,11 @@ class LampPixels:
             if scene.limits is not None:
                 limits[:, i] = scene.limits[i].reshape(-1, 3)[places]
         if like is not None:
-            scale = like.scale
+            scale, largest = like.scale, like.largest_weight
         else:
             scale = scene.mean_brightness() / MEAN_RADIANCE
             scale = scale if scale > 0 else 1.0
+            largest = 1.0 if scene.weights is None else float(scene.weights.max())
         first, last = int(places.min()) // scene.width, int(places.max()) // scene.width
         rows = slice(first, last + 1)
         views = view_directions(scene.height, scene.width, scene.fov, rows)
@@ -97,7 +100,7 @@ class LampPixels:
             points = found if np.isfinite(found).all() else None
         return cls(
             samples / scale,
-            weights / weights.max(),
+            weights / largest,
             limits,
             views.reshape(-1, 3)[places - first * scene.width],
             points,
@@ -107,6 +110,7 @@ class LampPixels:
             scale,
             model,
             threads,
+            largest,
         )
 
     def __len__(self) -> int:
