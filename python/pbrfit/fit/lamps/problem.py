@@ -68,7 +68,7 @@ class LampPixels:
     ) -> LampPixels:
         """Of the valid pixels of a scene, or some of them; `normals` (H, W, 3).
 
-        Scale and largest weight are those of others of the same scene, where some are there already.
+        Scale and largest weight are those of others of the same scene, where some are there.
         """
         valid = np.flatnonzero(scene.valid.ravel())
         places = valid if places is None else places
