@@ -33,6 +33,7 @@ from pbrfit.fit.settings import (
 )
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.result.verdict import Verdict, expected_errors, level_of
 from pbrfit.threads import in_pieces, one_blas_thread
 
 Array = NDArray[np.float64]
@@ -164,19 +165,18 @@ def of_variances(
         albedo_scale = np.full(1, SIGMA_MAX)
     deviation = np.minimum(albedo_scale, SIGMA_MAX)
     red, green, blue = np.broadcast_to(deviation, 3).tolist()
-    of_conditional = _materials(deviations(found.conditional), layout)
-    marginal = deviations(found.marginal)
+    marginal = _materials(deviations(found.marginal), layout)
     return Uncertainty(
-        conditional=of_conditional,
-        marginal=_materials(marginal, layout),
-        undetermined=_flags(marginal > SIGMA_UNDETERMINED, layout),
-        on_bound=_flags(held, layout),
+        deviation=marginal,
+        low=marginal,
+        high=marginal,
         noise=None if noise is None else noise * scale,
+        effective_share=1.0,
         albedo_scale=(red, green, blue),
-        priors=priors,
-        light_pixels=0 if lights is None else lights.pixels,
-        light_modes=0 if lights is None else len(lights.modes),
-        omitted=0.0 if lights is None else lights.omitted,
+        verdicts={
+            name: Verdict(level_of(name, error), error)
+            for name, error in expected_errors(marginal).items()
+        },
     )
 
 

@@ -21,7 +21,7 @@ from pbrfit.report.surroundings import round_step
 from pbrfit.result import differences
 from pbrfit.result.differences import Difference
 from pbrfit.result.result import Result
-from pbrfit.result.uncertainty import PARAMETERS
+from pbrfit.result.verdict import PARAMETERS
 
 BALL_SIDE = 96
 

@@ -12,7 +12,7 @@ from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
 from pbrfit.result.data import Status
 from pbrfit.result.result import Result
-from pbrfit.result.uncertainty import PARAMETERS
+from pbrfit.result.verdict import PARAMETERS
 from pbrfit.transport.decision import Kind
 
 EXPLAINED = (

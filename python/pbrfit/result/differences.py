@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.materials import Materials
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN
-from pbrfit.result.uncertainty import PARAMETERS, Uncertainty
+from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.result.verdict import PARAMETERS
 
 Map = NDArray[np.floating[Any]]
 

@@ -13,7 +13,7 @@ from pbrfit.result.data import ResultData
 from pbrfit.result.differences import PALETTE, Difference
 from pbrfit.result.relighting import rendered_picture
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
-from pbrfit.result.uncertainty import PARAMETERS
+from pbrfit.result.verdict import PARAMETERS
 from pbrfit.scene.arrays import SceneArrays
 
 
