@@ -35,7 +35,7 @@ def run() -> NoReturn:
 
 
 def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> int:
-    """Run a command; returns the exit code: 0 done, 1 some scenes failed, 2 unusable input.
+    """Run a command; returns one of the exit codes that `commands.arguments` names.
 
     `watched` is True in a process that `ending.watch` was called in.
     """

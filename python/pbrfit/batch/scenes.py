@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Literal
 from pbrfit._core import InputError
 from pbrfit.batch.settings import Reading
 from pbrfit.result.options import FitOptions
+from pbrfit.result.verdict import Verdict, verdicts_of
+from pbrfit.result.verdict import lines as of_verdicts
 
 if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
@@ -62,6 +64,8 @@ class SceneOutcome:
     iterations: int
     metrics: Mapping[str, float] = field(default_factory=dict)
     """As in `result.json`."""
+    verdicts: Mapping[str, Verdict] = field(default_factory=dict)
+    """By name of the map; none where the uncertainty was not estimated."""
     peak_bytes: int | None = None
     """Memory of the process at its highest meanwhile; None where the system does not tell, and of
     results that were kept."""
@@ -92,12 +96,16 @@ def decompose_scene(
         if content is not None:
             # Without `resume` the place was free: the result is of an attempt at this very task,
             # whose process died before it could tell.
+            verdicts = verdicts_of(content["uncertainty"])
             return SceneOutcome(
                 "kept" if task.resume else "done",
                 stop_reason=str(content["stop_reason"]),
                 iterations=int(content["iterations"]),
                 metrics=dict(content["metrics"]),
-                table=f"{task.output}: kept, nothing has changed",
+                verdicts=verdicts,
+                table="\n".join(
+                    [f"{task.output}: kept, nothing has changed", *of_verdicts(verdicts)]
+                ),
             )
     fresh = process_memory.forget_peak()
     # The folder is opened first: no right to write should show before the work, not after it.
@@ -121,6 +129,7 @@ def decompose_scene(
         stop_reason=result.stop_reason,
         iterations=result.history.iterations,
         metrics=dict(result.metrics),
+        verdicts={} if result.uncertainty is None else result.uncertainty.verdicts,
         peak_bytes=None if peak is None else 1024 * peak,
         table="\n".join(table(result, scene, task.output)),
     )
@@ -183,6 +192,9 @@ def table(result: Result, scene: Scene, output: Path) -> list[str]:
             known = key in result.history.columns
             at_start = _error(result.history[key][0]) if known else ""
             lines.append(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
+    if result.uncertainty is not None:
+        heading = f"\n{'map':<11}{'verdict':<16}expected error"
+        lines += [heading, *of_verdicts(result.uncertainty.verdicts)]
     lines.append(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
     if result.depth is not None:
         lines.append(f"surroundings ({result.options.transport}): {_surroundings(result)}")

@@ -10,11 +10,12 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.batch.settings import Reading
-from pbrfit.io.json_files import table
+from pbrfit.io.json_files import UNFIT, table
 from pbrfit.io.output import digest
 from pbrfit.model.reflection import chosen_model
 from pbrfit.result.options import FitOptions
 from pbrfit.result.result import files_of, model_of
+from pbrfit.result.verdict import verdicts_of
 from pbrfit.scene import folder as scene_folder
 
 
@@ -33,11 +34,11 @@ def kept(
             content["version"] == version("pbrfit")
             and content["options"] == options.to_json()
             and {**content["scene"], "path": ""} == {**_as_json(reading.as_json()), "path": ""}
-            and (content["uncertainty"] is not None) == options.uncertainty
+            and bool(verdicts_of(content["uncertainty"])) == options.uncertainty
             and content["files"] == {name: digest(output / name) for name in files_of(output)}
             and content["inputs"] == scene_folder.digests(scene)
         )
-    except (OSError, InputError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, InputError, *UNFIT):
         return None
     return content if same else None
 

@@ -15,8 +15,9 @@ from typing import Any, get_args
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
 
-DONE, SOME_FAILED, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
-"""Exit codes: done; some scenes failed; wrong usage or unusable input; Ctrl-C."""
+DONE, SOME_FAILED, UNUSABLE, NO_USABLE_MAP, INTERRUPTED = 0, 1, 2, 3, 130
+"""Exit codes: done; some scenes failed; wrong usage or unusable input; `decompose --strict` found a
+scene without a usable map; Ctrl-C."""
 
 
 Flag = dict[str, Any]

@@ -36,6 +36,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             "version of pbrfit; do all others"
         ),
         json=cli.switch("print a line of JSON a scene instead of a table"),
+        strict=cli.switch(
+            "exit code 3 if no map of a scene is usable; its result is written all the same. "
+            "Exit codes 1 and 2, of scenes that failed, come first"
+        ),
     )
     cli.add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
     cli.add_cluster(parser)
@@ -85,7 +89,7 @@ def _task(
 
 def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
     began = time.perf_counter()
-    with SceneDisplay(1, quiet=options.quiet, as_json=options.json) as display:
+    with _display(1, options) as display:
         try:
             with fit_bar(options.iterations, task.name, quiet=options.quiet) as show:
                 outcome = decompose_scene(task, 0, show)
@@ -96,14 +100,14 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
             display.tell(task, Attempt(None, message, seconds=time.perf_counter() - began))
             return cli.UNUSABLE
         display.tell(task, Attempt(outcome, None, seconds=time.perf_counter() - began))
-    return cli.DONE
+    return cli.NO_USABLE_MAP if display.unusable else cli.DONE
 
 
 def _run_all(
     scenes: Sequence[Path], outputs: Sequence[Path], options: argparse.Namespace, *, one: bool
 ) -> int:
     where = place.of_one(options.out) if one else place.of_batch(options.out)
-    display = SceneDisplay(len(scenes), quiet=options.quiet, as_json=options.json)
+    display = _display(len(scenes), options)
     with where as temporaries:
         tasks = [
             _task(path, output, options, temporaries)
@@ -140,7 +144,11 @@ def _run_all(
         display.summary()
     if display.failed:
         return cli.SOME_FAILED if len(display.failed) < len(tasks) else cli.UNUSABLE
-    return cli.DONE
+    return cli.NO_USABLE_MAP if display.unusable else cli.DONE
+
+
+def _display(scenes: int, options: argparse.Namespace) -> SceneDisplay:
+    return SceneDisplay(scenes, quiet=options.quiet, as_json=options.json, strict=options.strict)
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:

@@ -9,6 +9,7 @@ from typing import Any, Self
 from pbrfit.batch.driver import Attempt, repeat_log
 from pbrfit.batch.scenes import SceneOutcome, SceneTask
 from pbrfit.commands.arguments import complain, progress_bar, unread_is_no_failure
+from pbrfit.result.verdict import nothing_usable
 
 
 class SceneDisplay:
@@ -22,13 +23,18 @@ class SceneDisplay:
         No bar and no table.
     as_json
         A line of JSON a scene on stdout, instead of the table.
+    strict
+        Complain of scenes without a usable map.
     """
 
-    def __init__(self, scenes: int, *, quiet: bool, as_json: bool) -> None:
+    def __init__(self, scenes: int, *, quiet: bool, as_json: bool, strict: bool) -> None:
         self._scenes, self._quiet, self._as_json = scenes, quiet, as_json
+        self._strict = strict
         self._bar: Any = None
         self.ended = 0
         self.failed: list[SceneTask] = []
+        self.unusable: list[SceneTask] = []
+        """Scenes without a usable map, where `strict`."""
 
     def __enter__(self) -> Self:
         if self._scenes > 1:
@@ -52,6 +58,10 @@ class SceneDisplay:
                 self.failed.append(task)
                 named = str(task.scene) in attempt.error or str(task.output) in attempt.error
                 complain(attempt.error if named else f"{task.scene}: {attempt.error}")
+            if self._strict and outcome is not None and nothing_usable(outcome.verdicts):
+                self.unusable.append(task)
+                said = ", ".join(f"{name} {one.level}" for name, one in outcome.verdicts.items())
+                complain(f"{task.scene}: no usable map: {said}")
             with unread_is_no_failure():
                 if self._as_json:
                     print(_as_json(task, attempt), flush=True)
@@ -69,7 +79,10 @@ class SceneDisplay:
             self._bar.set_postfix_str(f"{running} at work")
 
     def summary(self) -> None:
-        """Say what failed."""
+        """Say what failed, and which scenes have no usable map."""
+        if self.unusable:
+            names = ", ".join(str(task.scene) for task in self.unusable)
+            complain(f"{len(self.unusable)} of {self._scenes} scenes have no usable map: {names}")
         if self.failed:
             names = ", ".join(str(task.scene) for task in self.failed)
             complain(f"{len(self.failed)} of {self._scenes} scenes failed: {names}")
@@ -93,5 +106,8 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
         "stop_reason": None if outcome is None else outcome.stop_reason,
         "iterations": None if outcome is None else outcome.iterations,
         "metrics": {} if outcome is None else dict(outcome.metrics),
+        "verdicts": {}
+        if outcome is None
+        else {name: one.as_json() for name, one in outcome.verdicts.items()},
     }
     return json.dumps(line)

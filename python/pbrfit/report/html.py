@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Literal
 
+from pbrfit.result.verdict import Mark
+
 STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #1e1e1e; background: #fff;
@@ -29,6 +31,9 @@ td.why { color: #555; max-width: 24rem; }
 .pass { color: #00674b; font-weight: 600; }
 .fail { color: #fff; background: #b33c00; font-weight: 600; padding: 0 .4em; border-radius: 3px; }
 .note { color: #555; }
+.disc { display: inline-block; width: .7rem; height: .7rem; border: 2px solid; border-radius: 50%;
+        margin-right: .3rem; vertical-align: -.1rem; print-color-adjust: exact;
+        -webkit-print-color-adjust: exact; }
 a { color: #00527f; }
 :focus-visible { outline: 3px solid #0072B2; outline-offset: 2px; }
 .scroll { overflow-x: auto; }
@@ -51,6 +56,8 @@ class Cell:
     value: float | None = None
     color: str = ""
     """For a style sheet: a patch of it stands before the text."""
+    mark: Mark | None = None
+    """Stands before the text."""
 
 
 def number(text: str, value: float | None = None) -> Cell:
@@ -110,12 +117,21 @@ def in_base64(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
 
 
+def _disc(mark: Mark) -> str:
+    red, green, blue = (round(255 * part) for part in mark.color)
+    color, share = f"#{red:02x}{green:02x}{blue:02x}", f"{100 * mark.filled:g}%"
+    filling = f"linear-gradient(90deg, {color} {share}, transparent {share})"
+    return f'<span class="disc" style="border-color:{color};background:{filling}"></span>'
+
+
 def _cell(tag: str, cell: Cell) -> str:
     text = escape(cell.text).replace("\n", "<br>")
     if cell.value is not None:
         text = f'<data value="{float(cell.value)!r}">{text}</data>'
     if cell.color:
         text = f'<span class="patch" style="background:{cell.color}"></span> {text}'
+    if cell.mark is not None:
+        text = f"{_disc(cell.mark)}{text}"
     if cell.look in ("pass", "fail", "note"):
         return f'<{tag}><span class="{cell.look}">{text}</span></{tag}>'
     if cell.look == "best":

@@ -21,7 +21,7 @@ from pbrfit.report.surroundings import round_step
 from pbrfit.result import differences
 from pbrfit.result.differences import Difference
 from pbrfit.result.result import Result
-from pbrfit.result.verdict import PARAMETERS
+from pbrfit.result.verdict import LEVELS, PARAMETERS, levels
 
 BALL_SIDE = 96
 
@@ -97,6 +97,9 @@ def _recovered(result: Result) -> Block:
         which = "found from the pictures"
     remarks = {name: f"median {_median(getattr(result, name))}" for name in PARAMETERS}
     remarks["albedo"] += ", linear"
+    if result.uncertainty is not None:
+        for name, one in result.uncertainty.verdicts.items():
+            remarks[name] += f"; {one.level}, {one.error_in_words}"
     pictures = [
         *_maps(result.materials, "recovered", remarks),
         normals_shown(result.normals, "normals", f"{which}, in camera space"),
@@ -145,31 +148,27 @@ def _errors(result: Result, truth: Materials) -> Block:
 def _deviations(result: Result) -> Block:
     uncertainty = result.uncertainty
     assert uncertainty is not None
-    summary = uncertainty.summary()
-    remarks = {
-        name: (
-            f"median {plain(summary['median_marginal'][name])}; "
-            f"not determined {percent(summary['undetermined'][name])}, "
-            f"at 0 or 1 {percent(summary['on_bound'][name])}"
+    medians = uncertainty.summary()["median_deviation"]
+    of_pixels = levels(uncertainty.deviation)
+    remarks = {}
+    for name in PARAMETERS:
+        shares = [np.mean(of_pixels[name][result.mask] == i) for i in range(len(LEVELS))]
+        parts = (
+            f"{level} {percent(float(share))}" for level, share in zip(LEVELS, shares, strict=True)
         )
-        for name in PARAMETERS
-    }
+        remarks[name] = f"median {plain(medians[name])}; {', '.join(parts)}"
     text = (
-        "Standard deviation of each value due to noise in the pictures, the uncertainty of the "
-        "lights included. Errors of the model, the normals or the field of view are not in it: "
-        "they show in the residuals. Fixed are values at 0 or 1, and metallic where it was given."
+        "Standard deviation of each value: from noise, from how far the pictures are from the "
+        "model, from the lights and the scale between them and albedo, and from the priors on "
+        "materials. Shares are of the pixels whose own deviation is within the limits of a "
+        "verdict. materials.exr also has the intervals that hold 95 % of the values."
     )
-    if uncertainty.priors:
-        text += " It is for the pictures alone; with the priors it may be smaller."
-    marks = {
-        "fixed": differences.WHITE,
-        "not determined by the pictures": differences.VERMILLION,
-    }
+    of_maps = differences.deviations(uncertainty)
     return Block(
         "Uncertainty",
         paragraph(text),
-        figures.difference_key("standard deviation", marks),
-        tuple(_differences(differences.deviations(uncertainty), "Standard deviation of", remarks)),
+        figures.difference_key("standard deviation", differences.deviation_marks(of_maps.values())),
+        tuple(_differences(of_maps, "Standard deviation of", remarks)),
     )
 
 

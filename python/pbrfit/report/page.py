@@ -142,6 +142,7 @@ def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str
     body = [
         f'<header><h1>{escape(title)}</h1><nav aria-label="Sections">{links}</nav></header>',
         "<main>",
+        _verdicts(result),
         *(paragraph(text, "verdict") for text in verdict.sentences(result, pictures)),
         f'<div class="numbers">{tables}</div>',
         *(
@@ -155,6 +156,16 @@ def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str
     style = (here / "style.css").read_text(encoding="utf-8")
     script = (here / "enlarge.js").read_text(encoding="utf-8")
     return document(title, "\n".join(body), style=style, script=script)
+
+
+def _verdicts(result: Result) -> str:
+    """The first thing on the page: which maps can be used."""
+    of_maps = verdict.of_maps(result)
+    if of_maps is None:
+        return ""
+    return f'<div class="verdicts">{table(of_maps)}</div>' + paragraph(
+        verdict.how_to_read(), "note"
+    )
 
 
 def _title(result: Result) -> str:

@@ -1,4 +1,4 @@
-"""How good a result is, in a few plain sentences, and its key numbers."""
+"""Which maps of a result can be used, how the fit went in plain sentences, its key numbers."""
 
 from __future__ import annotations
 
@@ -12,16 +12,8 @@ from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
 from pbrfit.result.data import Status
 from pbrfit.result.result import Result
-from pbrfit.result.verdict import PARAMETERS
+from pbrfit.result.verdict import MARKS, PARAMETERS, thresholds
 from pbrfit.transport.decision import Kind
-
-EXPLAINED = (
-    (0.01, "explain the pictures almost exactly"),
-    (0.05, "explain the pictures closely"),
-    (0.15, "explain the pictures roughly, but not in detail"),
-    (float("inf"), "do not explain the pictures well"),
-)
-"""Words by the median residual, relative to the pictures' RMS, that they hold below."""
 
 MODEL_FAILS = 0.05
 """Median residual, relative to the pictures' RMS, above which it is hardly noise alone."""
@@ -32,9 +24,6 @@ LACKS: Mapping[Kind, str] = {
     "bounce": "near lamps",
 }
 """What pictures may hold that the model does not, by what surroundings do."""
-
-NOT_TOLD = 0.005
-"""Share of pixels with an undetermined value above which a sentence says so."""
 
 SCALE_UNKNOWN = 0.1
 """Relative deviation of the scale between albedo and light above which a sentence says so."""
@@ -56,13 +45,47 @@ METRICS = {
 }
 
 
+def of_maps(result: Result) -> Table | None:
+    """The verdicts; None where the result has none."""
+    if result.uncertainty is None:
+        return None
+    columns = [
+        Cell("map", "name"),
+        Cell("verdict", "name"),
+        Cell("expected error", "number"),
+        Cell("cause"),
+        Cell("remedy"),
+    ]
+    rows = [
+        [
+            Cell(name, "name"),
+            Cell(one.level, "name", mark=MARKS[one.level]),
+            number(one.error_in_words, one.expected_error),
+            Cell(one.cause),
+            Cell(one.remedy),
+        ]
+        for name, one in result.uncertainty.verdicts.items()
+    ]
+    return Table(columns, rows)
+
+
+def how_to_read() -> str:
+    """What the words and figures of `of_maps` mean."""
+    rule = thresholds()
+    return (
+        "Expected error: the RMSE of the map that noise, misfit, lights and priors let expect, of "
+        f"values between 0 and 1. {rule[0].upper()}{rule[1:]}."
+    )
+
+
 def sentences(result: Result, pictures: Sequence[Picture]) -> list[str]:
-    """How the fit ended, how well it explains the pictures, what is uncertain."""
+    """How the fit ended, what it leaves of the pictures, what is to be doubted."""
     lines = (
+        _without_verdicts(result),
         f"{_ended(result)} {_explained(result, pictures)}",
         _truth(result),
         normals.sentence(result),
-        _uncertain(result),
+        _scale(result),
         _doubts(result, pictures),
     )
     return [line for line in lines if line]
@@ -90,11 +113,7 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
             f"The residual of the pictures is {plain(result.metrics['recon_rmse'])} "
             "(RMSE, in the pictures' unit)."
         )
-    words = next(words for limit, words in EXPLAINED if share < limit)
-    text = (
-        f"Materials and lights {words}: the median residual is {percent(share)} relative to the "
-        "picture's RMS"
-    )
+    text = f"The median residual is {percent(share)} relative to the picture's RMS"
     if len(pictures) > 1:
         [last] = worst(pictures, 1)
         assert last.fit is not None
@@ -106,38 +125,42 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
             f"{_lacks(result)}, or correct normals. Do not trust the maps where the "
             "residuals are large."
         )
+    else:
+        text += (
+            " A small residual does not mean that the maps are right: other materials and lights "
+            "may give the same pictures."
+        )
     return text
 
 
 def _truth(result: Result) -> str:
     if "albedo_rmse" not in result.metrics:
         return ""
-    of_maps = ", ".join(f"{name} {plain(result.metrics[f'{name}_rmse'])}" for name in PARAMETERS)
-    return f"Errors against ground truth: {of_maps} (RMSE of values between 0 and 1)."
+    errors = ", ".join(f"{name} {plain(result.metrics[f'{name}_rmse'])}" for name in PARAMETERS)
+    return f"Errors against ground truth: {errors} (RMSE of values between 0 and 1)."
 
 
-def _uncertain(result: Result) -> str:
-    uncertainty = result.uncertainty
-    if uncertainty is None:
-        return "The uncertainty of the maps was not estimated."
-    summary = uncertainty.summary()
-    if uncertainty.noise is None:
-        return "The uncertainty of the maps is unknown: there are no more samples than unknowns."
-    medians = ", ".join(f"{name} {plain(summary['median_marginal'][name])}" for name in PARAMETERS)
-    text = f"Uncertainty from noise alone: {medians} (median standard deviation)."
-    lost = [
-        f"{name} in {percent(share)}"
-        for name, share in summary["undetermined"].items()
-        if share >= NOT_TOLD
-    ]
-    if lost:
-        text += f" The pictures do not determine {', '.join(lost)} of the pixels."
-    if max(uncertainty.albedo_scale) > SCALE_UNKNOWN:
-        text += (
-            " They hardly determine the brightness of the lights, so all albedos may be wrong by "
-            f"one common factor (standard deviation {percent(max(uncertainty.albedo_scale))})."
+def _without_verdicts(result: Result) -> str:
+    if result.uncertainty is not None:
+        if result.uncertainty.noise is None:
+            return "There are no more samples than unknowns, so nothing tells the noise."
+        return ""
+    if result.options.uncertainty:
+        return (
+            "An earlier version of pbrfit made this result, without verdicts on its maps: "
+            "decompose the scene again to get them."
         )
-    return text
+    return "The uncertainty of the maps was not estimated, so none of them has a verdict."
+
+
+def _scale(result: Result) -> str:
+    uncertainty = result.uncertainty
+    if uncertainty is None or max(uncertainty.albedo_scale) <= SCALE_UNKNOWN:
+        return ""
+    return (
+        "The pictures hardly determine the brightness of the lights, so all albedos may be wrong "
+        f"by one common factor (standard deviation {percent(max(uncertainty.albedo_scale))})."
+    )
 
 
 def _doubts_about_fov(result: Result) -> list[str]:
@@ -200,7 +223,7 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
     known = {METRICS[key]: result.metrics[key] for key in METRICS if key in result.metrics}
     if result.uncertainty is not None and result.uncertainty.noise is not None:
         known["noise of a sample (standard deviation)"] = result.uncertainty.noise
-        for name, value in result.uncertainty.summary()["median_marginal"].items():
+        for name, value in result.uncertainty.summary()["median_deviation"].items():
             known[f"{name}, median deviation"] = value
     well: list[Fact] = [(label, plain(value), value) for label, value in known.items()]
     share = median_share(pictures)

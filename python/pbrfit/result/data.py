@@ -94,7 +94,8 @@ class ResultData:
     metrics
         Final errors; `metrics.PROTOCOL` says how they are taken. Against ground truth where known.
     uncertainty
-        Standard deviations of the maps; None where they were not asked for.
+        Deviations, intervals and verdicts of the maps; None where they were not asked for, and in
+        results of earlier versions, whose deviations were of noise alone.
     options, assumed, left_out, inputs
         Run details: options, decisions about the input, work that the scene did not
         need, sha256 of the files.

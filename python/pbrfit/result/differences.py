@@ -7,6 +7,7 @@ compared with the deviation that was predicted for it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from pbrfit.io.color import encode_srgb
 from pbrfit.model.materials import Materials
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.result.verdict import PARAMETERS
+from pbrfit.result.verdict import LEVELS, PARAMETERS, levels
 
 Map = NDArray[np.floating[Any]]
 
@@ -164,14 +165,24 @@ def errors(found: Materials, true: Materials) -> dict[str, Difference]:
 
 
 def deviations(uncertainty: Uncertainty) -> dict[str, Difference]:
-    """Marginal standard deviations; white = fixed, vermillion = not determined.
+    """Standard deviations; white = given, vermillion = not determined.
 
     Of albedo the root mean square over channels.
     """
+    of_pixels = levels(uncertainty.deviation)
     return {
-        name: Difference(values, values == 0, uncertainty.undetermined[..., i])
-        for i, (name, values) in enumerate(_planes(uncertainty.marginal).items())
+        name: Difference(values, values == 0, of_pixels[name] == LEVELS.index("not determined"))
+        for name, values in _planes(uncertainty.deviation).items()
     }
+
+
+def deviation_marks(maps: Iterable[Difference]) -> dict[str, int]:
+    """Entries of the palette beside the scale by label, of those that some of `deviations` have."""
+    found = {}
+    for label, index in (("given", WHITE), ("not determined", VERMILLION)):
+        if any((one.indices() == index).any() for one in maps):
+            found[label] = index
+    return found
 
 
 def _planes(deviations: Materials) -> dict[str, Map]:

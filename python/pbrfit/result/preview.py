@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from pbrfit.result.data import ResultData
 from pbrfit.result.differences import PALETTE, Difference
 from pbrfit.result.relighting import rendered_picture
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
-from pbrfit.result.verdict import PARAMETERS
+from pbrfit.result.verdict import MARKS, PARAMETERS
 from pbrfit.scene.arrays import SceneArrays
 
 
@@ -22,32 +23,42 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
 
     The first row shows a picture (with `scene`), its reconstruction and what is between them, the
     second the maps; with ground truth there is a row of it and one of the errors; where the
-    result has an uncertainty, a row of the marginal deviations; where normals were refined, a row
-    of the given ones, the refined ones and the angle between them. Residuals, errors and deviations
-    share one scale, and angles have the same by radians.
+    result has an uncertainty, verdicts below the maps and a row of the deviations; where normals
+    were refined, a row of the given ones, the refined ones and the angle between them. Residuals,
+    errors and deviations share one scale, and angles have the same by radians.
     """
     rows: list[Row] = [_pictures(result, scene)]
     labels = ["", "recovered"]
     # Names of the maps stand above the first row of them alone.
     of_normals = "normals" if result.normal_change is None else "normals, refined"
-    rows.append([*_maps(result.materials, PARAMETERS), _normals(result.normals, of_normals)])
+    verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
+    maps = [
+        replace(one, note=verdicts[name].in_words(), mark=MARKS[verdicts[name].level])
+        if name in verdicts
+        else one
+        for name, one in zip(PARAMETERS, _maps(result.materials, PARAMETERS), strict=True)
+    ]
+    rows.append([*maps, _normals(result.normals, of_normals)])
     on_scale = ["residual, relative to the picture's RMS"] if scene is not None else []
     left_out = scene is not None and (scene.weights is not None or scene.limits is not None)
     white = ["not used"] if left_out else []
     marks: dict[str, tuple[float, float, float]] = {}
     truth = None if scene is None else scene.truth
     if truth is not None:
-        rows.append(_maps(truth.materials))
+        rows.append([*_maps(truth.materials)])
         rows.append(_differences(differences.errors(result.materials, truth.materials)))
         labels += ["ground truth", "error"]
         on_scale.append("error")
     if result.uncertainty is not None:
-        rows.append(_differences(differences.deviations(result.uncertainty)))
+        of_maps = differences.deviations(result.uncertainty)
+        rows.append(_differences(of_maps))
         labels.append("deviation")
-        alone = ", without priors" if result.uncertainty.priors else ""
-        on_scale.append(f"standard deviation{alone}")
-        white.insert(0, "fixed")
-        marks["not determined"] = _color(differences.VERMILLION)
+        on_scale.append("standard deviation")
+        for label, index in differences.deviation_marks(of_maps.values()).items():
+            if index == differences.WHITE:
+                white.insert(0, label)
+            else:
+                marks[label] = _color(index)
     if white:
         marks = {" or ".join(white): _color(differences.WHITE)} | marks
     keys = []
@@ -115,7 +126,7 @@ def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
     ]
 
 
-def _maps(materials: Materials, captions: Sequence[str] = ("", "", "")) -> Row:
+def _maps(materials: Materials, captions: Sequence[str] = ("", "", "")) -> list[Panel]:
     albedo, roughness, metallic = captions
     return [
         Panel(albedo, displayed(materials.albedo)),

@@ -157,6 +157,8 @@ class Result(ResultData):
             fov = number(content["fov"])
             check_fov(fov)
             summary = content.get("uncertainty")
+            if summary is not None and "median_marginal" in table(summary):
+                summary = None  # of an earlier version, whose deviations were of noise alone
             # Earlier versions wrote none of these.
             source, of_normals = content.get("scene"), content.get("normals")
             camera = content.get("camera")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pbrfit.result import metrics
+from pbrfit.result.verdict import Mark
 
 PANEL_SIDE = (192, 384)
 """Smallest and largest longer side of a panel in pixels."""
@@ -43,6 +44,8 @@ class Panel:
     """Below it, in as many lines as it needs."""
     crossed: bool = False
     """Whether it is marked as refused: framed in red, with a cross in a corner."""
+    mark: Mark | None = None
+    """Before the note."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +97,8 @@ def sheet(
     line = caption_height(column)
     gutter = max((round(label_font.getlength(label)) + MARGIN for label in labels), default=0)
     note_font = _default(round(0.8 * letters))
-    notes = [[_wrapped(panel, column, note_font) for panel in row] for row in rows]
     note_line = round(1.1 * letters)
+    notes = [[_wrapped(panel, column, note_font, note_line) for panel in row] for row in rows]
     heights = [
         size[1] + MARGIN + (line if _has_captions(row) else 0) + note_line * max(map(len, below))
         for row, below in zip(rows, notes, strict=True)
@@ -126,8 +129,14 @@ def sheet(
             canvas.paste(Image.fromarray(pixels).resize(size, scaling), (x, below_caption))
             if panel.crossed:
                 _cross(draw, (x, below_caption, x + size[0], below_caption + size[1]), letters)
+            note_top = below_caption + size[1] + 4
+            if panel.mark is not None:
+                _disc(
+                    canvas, panel.mark, (x, note_top + round(0.05 * letters)), round(0.8 * letters)
+                )
+                x += note_line
             for k, text in enumerate(notes[i][j]):
-                at = (x, below_caption + size[1] + 4 + k * note_line)
+                at = (x, note_top + k * note_line)
                 draw.text(at, text, fill=REFUSED if panel.crossed else INK, font=note_font)
         y += heights[i]
     for i, key in enumerate(keys):
@@ -135,9 +144,11 @@ def sheet(
     return np.asarray(canvas)
 
 
-def _wrapped(panel: Panel | None, width: int, font: Font) -> list[str]:
-    """The lines of a panel's note; a word that is longer than a line is cut."""
+def _wrapped(panel: Panel | None, width: int, font: Font, indent: int) -> list[str]:
+    """The lines of a panel's note, indented by its mark; a word longer than a line is cut."""
     lines: list[str] = []
+    if panel is not None and panel.mark is not None:
+        width -= indent
     for word in panel.note.split() if panel is not None else ():
         if lines and font.getlength(f"{lines[-1]} {word}") <= width:
             lines[-1] += f" {word}"
@@ -148,6 +159,21 @@ def _wrapped(panel: Panel | None, width: int, font: Font) -> list[str]:
             word = word[fits:]
         lines.append(word)
     return lines
+
+
+def _disc(canvas: Image.Image, mark: Mark, corner: tuple[int, int], side: int) -> None:
+    """Paste a mark; drawn large and averaged down, so that its edge is smooth."""
+    large, color = 8 * side, _ink(mark.color)
+    drawn = Image.new("RGB", (large, large), color=PAPER)
+    draw, rim = ImageDraw.Draw(drawn), large // 10
+    draw.ellipse((0, 0, large - 1, large - 1), outline=color, width=rim)
+    inside = Image.new("L", (large, large))
+    ImageDraw.Draw(inside).ellipse(
+        (rim // 2, rim // 2, large - rim // 2, large - rim // 2), fill=255
+    )
+    inside.paste(0, (round(mark.filled * large), 0, large, large))
+    drawn.paste(color, (0, 0), inside)
+    canvas.paste(drawn.resize((side, side), Image.Resampling.BOX), corner)
 
 
 def _cross(draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], letters: int) -> None:

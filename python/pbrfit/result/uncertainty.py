@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import number, table
+from pbrfit.io.json_files import number
 from pbrfit.model.materials import Materials
-from pbrfit.result.verdict import PARAMETERS, Verdict
+from pbrfit.result.verdict import PARAMETERS, Verdict, verdicts_of
 
 KINDS = ("", "low.", "high.")
 """Prefixes of the channels of deviations and of both quantiles."""
@@ -81,7 +81,6 @@ class Uncertainty:
         red, green, blue = map(number, summary["albedo_scale"])
         if not np.isfinite(maps[mask]).all():
             raise ValueError("standard deviations that are NaN or infinite")
-        verdicts = table(summary["verdicts"])
         return cls(
             deviation=values(0),
             low=values(1),
@@ -89,7 +88,7 @@ class Uncertainty:
             noise=None if summary["noise"] is None else number(summary["noise"]),
             effective_share=number(summary["effective_share"]),
             albedo_scale=(red, green, blue),
-            verdicts={name: Verdict.from_json(verdicts[name]) for name in PARAMETERS},
+            verdicts=verdicts_of(summary),
         )
 
 

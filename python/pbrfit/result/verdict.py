@@ -36,6 +36,24 @@ nothing is determined that a guess does not know."""
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A disc that stands for a level: told by its filling as well as by its colour."""
+
+    filled: float
+    """Share of the disc, from the left."""
+    color: tuple[float, float, float]
+    """sRGB in [0, 1], told apart by all common colour vision."""
+
+
+MARKS: Mapping[Level, Mark] = {
+    "usable": Mark(1.0, (0.0, 0.45, 0.70)),
+    "rough guide": Mark(0.5, (0.70, 0.47, 0.0)),
+    "not determined": Mark(0.0, (0.84, 0.37, 0.0)),
+}
+"""Of the last the colour is that of its pixels in maps of deviations."""
+
+
+@dataclass(frozen=True)
 class Verdict:
     """About one map."""
 
@@ -45,7 +63,25 @@ class Verdict:
     cause: str = ""
     """Why the map is no better, in words without a full stop; empty where it is usable."""
     remedy: str = ""
-    """What would help, likewise."""
+    """What would help, likewise and with its verb: "pictures from other sides would help"."""
+
+    @property
+    def error_in_words(self) -> str:
+        """Expected error with as many digits as mean something."""
+        error = self.expected_error
+        if 0 < error < 0.001:
+            return "< 0.001"
+        return f"± {error:.2f}" if error >= 0.01 else f"± {error:.3f}" if error else "± 0"
+
+    @property
+    def why(self) -> str:
+        """Cause and remedy after a colon; empty where there are none."""
+        words = "; ".join(filter(None, (self.cause, self.remedy)))
+        return f": {words}" if words else ""
+
+    def in_words(self) -> str:
+        """All of it, as it stands beside a map."""
+        return f"{self.level}, {self.error_in_words}{self.why}"
 
     def as_json(self) -> dict[str, Any]:
         """For result.json."""
@@ -94,6 +130,41 @@ def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:
         of_map[~np.isfinite(values)] = 255
         found[name] = of_map
     return found
+
+
+def verdicts_of(summary: Any) -> dict[str, Verdict]:
+    """From what `Uncertainty.summary` gave, or None; raises one of `json_files.UNFIT`."""
+    if summary is None:
+        return {}
+    found = table(table(summary)["verdicts"])
+    return {name: Verdict.from_json(found[name]) for name in PARAMETERS}
+
+
+def lines(verdicts: Mapping[str, Verdict]) -> list[str]:
+    """A line a map, for terminals."""
+    return [
+        f"{name:<11}{one.level:<16}{one.error_in_words}{one.why}" for name, one in verdicts.items()
+    ]
+
+
+def thresholds() -> str:
+    """Up to which expected error a map is what, in words without a full stop."""
+    usable, rough = (
+        _by_map({name: f"{limits[name]:.2g}" for name in PARAMETERS})
+        for limits in (USABLE_MAX, ROUGH_MAX)
+    )
+    return (
+        f"a map is usable up to an expected error of {usable}, a rough guide up to {rough}, and "
+        "above that not determined: a guess that knows only what materials there are is hardly "
+        "worse"
+    )
+
+
+def _by_map(limits: Mapping[str, str]) -> str:
+    if len(set(limits.values())) == 1:
+        return limits[PARAMETERS[0]]
+    *some, last = (f"{limit} ({name})" for name, limit in limits.items())
+    return f"{', '.join(some)} or {last}"
 
 
 def nothing_usable(verdicts: Mapping[str, Verdict]) -> bool:

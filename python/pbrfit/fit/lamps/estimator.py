@@ -43,6 +43,7 @@ from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.result.verdict import Verdict, expected_errors, level_of
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.scenery import Scenery
@@ -114,6 +115,12 @@ these: 5 degrees, what they are off on glossy surfaces."""
 GIVEN_DEGREES = 5.0
 """Of given normals whose deviation nobody told, where they are refined."""
 
+
+UNIFORM_VARIANCE = 1 / 12
+"""Largest variance of albedo and roughness: that of a uniform distribution in [0, 1]."""
+
+INTERVAL_SIGMAS = 1.96
+"""Standard deviations on each side that hold 95 % of a normal distribution."""
 
 BY_HIGHLIGHTS = "by the highlights of dielectrics, around a mean albedo of 0.35"
 """What the scale between lamps and albedo rests on where there is no reference."""
@@ -716,31 +723,34 @@ class LampFit:
         if self._reference is not None:
             scales = np.sqrt(self._reference.variance)
         red, green, blue = scales.tolist()
-        variance, marginal, held = (
-            np.concatenate([getattr(one, name) for one in bands])
-            for name in ("variance", "marginal", "held")
+        # By the data; of albedo and roughness it is known beside that they are in [0, 1].
+        variances = np.concatenate([one.marginal for one in bands])[:, 2:]
+        variances[:, :4] = np.minimum(variances[:, :4], UNIFORM_VARIANCE)
+        sigma = np.sqrt(variances)
+        value = np.concatenate(
+            [
+                np.column_stack([one.state.albedo, one.state.roughness, one.state.metallic])
+                for one in bands
+            ]
         )
+        reach = INTERVAL_SIGMAS * sigma
 
         def maps(values: Array) -> Materials:
-            sigma = _map(np.where(held, 0.0, np.minimum(np.sqrt(values), 1.0)), valid)
-            return Materials(sigma[..., 2:5], sigma[..., 5], sigma[..., 6])
+            found = _map(values, valid)
+            return Materials(found[..., :3], found[..., 3], found[..., 4])
 
-        def flags(of_unknowns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-            of = of_unknowns
-            found = np.stack([of[:, 2:5].any(axis=-1), of[:, 5], of[:, 6]], axis=-1)
-            return _map(found, valid, False)
-
+        deviation = maps(sigma)
         return Uncertainty(
-            conditional=maps(variance),
-            marginal=maps(marginal),
-            undetermined=flags(~held & (marginal > 1 / 12)),
-            on_bound=flags(held),
+            deviation=deviation,
+            low=maps(np.clip(value - reach, 0, value)),
+            high=maps(np.clip(value + reach, value, 1)),
             noise=fit.noise.floor * scale,
+            effective_share=1.0,
             albedo_scale=(red, green, blue),
-            priors=True,
-            light_pixels=len(fit.pixels),
-            light_modes=int(np.linalg.matrix_rank(covariance, hermitian=True)),
-            omitted=0.0,
+            verdicts={
+                name: Verdict(level_of(name, error), error)
+                for name, error in expected_errors(deviation).items()
+            },
         )
 
 

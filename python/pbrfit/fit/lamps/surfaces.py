@@ -76,6 +76,9 @@ SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
 
 
+BOUND_STEP = 1e-6
+"""Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
+
 INDEPENDENT = 1 / 3
 """Share of a pixel's samples that count in the choice between dielectric and metal: the three
 channels of a sample share what is left of it."""
@@ -90,8 +93,6 @@ class Band:
     marginal: Array
     """(P, 7) each: of offsets, albedo, roughness, metallic by the data alone, with the lights held
     and with the lights as uncertain as they are."""
-    held: NDArray[np.bool_]
-    """(P, 7): on a bound, or not free."""
     squares: float
     total: float
     """Weighted sum of squared residuals, and sum of the scene's weights."""
@@ -309,14 +310,13 @@ def fit_band(
         state = _as_seen(pixels, state, prior)
     residual = pixels.residuals(radiance(pixels, state))
     zeros = np.zeros((len(pixels), 7))
-    variance, marginal, held = zeros, zeros, zeros.astype(bool)
+    variance, marginal = zeros, zeros
     if uncertain is not None:
-        variance, marginal, held = deviations(pixels, state, noise, weights, freedom, uncertain)
+        variance, marginal = deviations(pixels, state, noise, weights, freedom, uncertain)
     return Band(
         state,
         variance,
         marginal,
-        held,
         float((pixels.weights * residual**2).sum()),
         float(pixels.weights.sum()),
     )
@@ -432,18 +432,22 @@ def deviations(
     weights: Array,
     freedom: Freedom,
     covariance: Array | None,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """(P, 7) variances with lights held and as uncertain as `covariance`, and what is held."""
+) -> tuple[Array, Array]:
+    """(P, 7) variances with lights held, and with lights as uncertain as `covariance`.
+
+    At a bound they are those of the same curvature just inside: to the one side that is left.
+    """
     count = len(pixels)
     none = SurfacePrior(np.zeros((count, 7)), np.zeros((count, 7)))
-    fit = JointLamps(pixels, state, noise, none, freedom)
+    inside = replace(
+        state,
+        albedo=np.clip(state.albedo, BOUND_STEP, 1 - BOUND_STEP),
+        roughness=np.clip(state.roughness, BOUND_STEP, 1 - BOUND_STEP),
+    )
+    fit = JointLamps(pixels, inside, noise, none, freedom)
     fit.weights = weights
     _, _, own, mixed, _ = fit.system()
     variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
-    held = np.zeros((count, 7), bool)
-    held[:, 0:2] = not freedom.normals
-    held[:, 2:5] = (state.albedo <= 0) | (state.albedo >= 1)
-    held[:, 5] = (state.roughness <= 0) | (state.roughness >= 1)
     damped = own.copy()
     np.einsum("puu->pu", damped)[:] += 1e-9
     inverse = np.linalg.inv(damped)
@@ -456,4 +460,4 @@ def deviations(
         )
     chance = state.metallic
     variance[:, 6] = marginal[:, 6] = chance * (1 - chance)
-    return variance, marginal, held
+    return variance, marginal
