@@ -204,7 +204,9 @@ def _result(folder: Path, file: Path) -> None:
     assert isinstance(result.options.iterations, int)
     assert all(isinstance(digest, str) for digest in result.inputs.values())
     if result.uncertainty is not None:
-        assert np.isfinite(result.uncertainty.marginal.roughness[inside]).all()
+        for values in (result.uncertainty.deviation, result.uncertainty.low):
+            assert np.isfinite(values.roughness[inside]).all()
+        assert all(verdict.in_words() for verdict in result.uncertainty.verdicts.values())
         assert all(math.isfinite(scale) for scale in result.uncertainty.albedo_scale)
         json.dumps(result.uncertainty.summary(), allow_nan=False)
     assert isinstance(result.refinement.in_words(), str)

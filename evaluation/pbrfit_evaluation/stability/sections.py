@@ -195,7 +195,7 @@ SECTIONS = {
             "fits_beyond": ("numbers of maps beyond [0, 1]", 0),
             "fits_iterations_over": ("iterations beyond the limit", 0),
             "fits_overlooked": (
-                "unknowns that pictures cannot tell, neither flagged nor on a bound",
+                "unknowns that pictures cannot tell, called usable",
                 0,
             ),
             "fits_above_lbfgsb": ("residual of gauss-newton over that of lbfgsb, less 1", 1e-6),

@@ -13,6 +13,7 @@ from pbrfit.model.reflection import render
 from pbrfit.result import metrics
 from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
+from pbrfit.result.verdict import levels
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.stability.measure import Array
 from pbrfit_evaluation.stability.stiff_scenes import StiffScene, stiff_scenes
@@ -61,12 +62,13 @@ def facts(case: StiffScene, result: Result, iterations: int) -> dict[str, Any]:
     """What has to hold of a fit, and what else is told of it.
 
     Errors and shares are of the pixels that count. "fits_overlooked" are unknown maps of pixels
-    that the pictures cannot tell, without a flag.
+    that the pictures cannot tell, with a deviation that calls them usable.
     """
     found, truth, known = result.materials, case.scene.truth, result.uncertainty
     assert truth is not None
     assert known is not None
-    told = (known.undetermined | known.on_bound)[case.counted]
+    of_pixels = levels(known.deviation)
+    told = np.stack([of_pixels[name] for name in MAPS], axis=-1)[case.counted] > 0
     maps = {name: getattr(found, name) for name in MAPS}
     errors = {
         f"{name}\nRMSE": metrics.rmse(
@@ -75,7 +77,7 @@ def facts(case: StiffScene, result: Result, iterations: int) -> dict[str, Any]:
         for name, one in maps.items()
     }
     shares = {
-        f"{name}:\nshare flagged\nor on a bound": float(share)
+        f"{name}:\nshare that is\nnot usable": float(share)
         for name, share in zip(MAPS, told.mean(axis=0), strict=True)
     }
     done = int(result.history["iteration"][-1])
@@ -98,9 +100,8 @@ def _numbers(result: Result) -> list[Array]:
     """Every number that a fit hands back; all pixels of these scenes are valid."""
     known = result.uncertainty
     assert known is not None
-    maps = [
-        getattr(m, n) for m in (result.materials, known.conditional, known.marginal) for n in MAPS
-    ]
+    of_maps = (result.materials, known.deviation, known.low, known.high)
+    maps = [getattr(values, name) for values in of_maps for name in MAPS]
     history = [result.history[name] for name in ("loss", "recon_rmse")]
     return [*maps, result.lighting, *history, np.array(list(result.metrics.values()))]
 

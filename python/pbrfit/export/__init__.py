@@ -136,6 +136,7 @@ def export_result(
         bits=bits,
         geometry=geometry,
         masked=not result.mask.all(),
+        uncertain=result.uncertainty is not None,
     )
     maps, displacement = Maps.of(result), Displacement.of(result)
     files: list[ExportedFile] = []
@@ -268,6 +269,9 @@ def _write_manifest(
             {"path": of.path, "holds": of.holds, "color_space": of.color_space} for of in files
         ],
     }
+    if result.uncertainty is not None:
+        verdicts = result.uncertainty.verdicts
+        content["verdicts"] = {name: one.as_json() for name, one in verdicts.items()}
     if displacement is not None:
         content["displacement"] = displacement.as_json()
     write_json(path, content)

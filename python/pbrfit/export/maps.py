@@ -52,6 +52,8 @@ class Maps:
     """(H, W, 3), unit vectors in camera space, Y up."""
     mask: NDArray[np.bool_]
     """(H, W) bool."""
+    deviation: NDArray[np.float64] | None = None
+    """(H, W, 5): standard deviations of the first three, of results that have them."""
 
     @classmethod
     def of(cls, result: Result) -> Maps:
@@ -62,16 +64,28 @@ class Maps:
         if not result.mask.any():
             raise InputError("mask: expected at least one pixel in it, found none")
         nearest = nearest_inside(result.mask)
-        filled = {
-            name: np.asarray(getattr(result, name), dtype=np.float64)[nearest]
-            for name in ("albedo", "roughness", "metallic", "normals")
-        }
-        for name, values in filled.items():
-            if not np.isfinite(values).all():
+
+        def filled(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
+            found: NDArray[np.float64] = np.asarray(values, dtype=np.float64)[nearest]
+            if not np.isfinite(found).all():
                 raise InputError(
                     f"{name}: expected finite values inside the mask, found NaN or infinity"
                 )
-        return cls(mask=result.mask, **filled)
+            return found
+
+        deviation = None
+        if result.uncertainty is not None:
+            of = result.uncertainty.deviation
+            stacked = np.dstack([of.albedo, of.roughness, of.metallic])
+            deviation = filled("deviation", stacked)
+        return cls(
+            albedo=filled("albedo", result.albedo),
+            roughness=filled("roughness", result.roughness),
+            metallic=filled("metallic", result.metallic),
+            normals=filled("normals", result.normals),
+            mask=result.mask,
+            deviation=deviation,
+        )
 
     def floats(self, texture: Texture) -> NDArray[np.float32]:
         """Channels of a texture, (H, W, C) float32; colours are linear."""
@@ -89,6 +103,11 @@ class Maps:
         return np.stack([CHANNELS[name](self) for name in texture.channels], axis=-1)
 
 
+def _deviation(maps: Maps) -> NDArray[np.float64]:
+    assert maps.deviation is not None
+    return maps.deviation
+
+
 CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "base color R": lambda maps: maps.albedo[..., 0],
     "base color G": lambda maps: maps.albedo[..., 1],
@@ -100,6 +119,11 @@ CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
     "0.5 + 0.5 normal Y": lambda maps: 0.5 + 0.5 * maps.normals[..., 1],
     "0.5 − 0.5 normal Y": lambda maps: 0.5 - 0.5 * maps.normals[..., 1],
     "0.5 + 0.5 normal Z": lambda maps: 0.5 + 0.5 * maps.normals[..., 2],
+    "deviation of linear base color R": lambda maps: _deviation(maps)[..., 0],
+    "deviation of linear base color G": lambda maps: _deviation(maps)[..., 1],
+    "deviation of linear base color B": lambda maps: _deviation(maps)[..., 2],
+    "deviation of roughness": lambda maps: _deviation(maps)[..., 3],
+    "deviation of metallic": lambda maps: _deviation(maps)[..., 4],
     "mask": lambda maps: maps.mask.astype(np.float64),
     "occlusion, none": lambda maps: np.ones(maps.mask.shape),
     "detail mask, none": lambda maps: np.zeros(maps.mask.shape),
@@ -107,6 +131,7 @@ CHANNELS: dict[str, Callable[[Maps], NDArray[np.float64]]] = {
 }
 """What a channel of a texture may hold: (H, W) in [0, 1]."""
 
+BASE_COLOR_DEVIATION = tuple(f"deviation of linear base color {c}" for c in "RGB")
 BASE_COLOR = ("base color R", "base color G", "base color B")
 GREEN: dict[NormalConvention, str] = {
     "opengl": "0.5 + 0.5 normal Y",

@@ -6,7 +6,15 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from pbrfit._core import InputError
-from pbrfit.export.maps import BASE_COLOR, GREEN, NORMAL, Bits, NormalConvention, Texture
+from pbrfit.export.maps import (
+    BASE_COLOR,
+    BASE_COLOR_DEVIATION,
+    GREEN,
+    NORMAL,
+    Bits,
+    NormalConvention,
+    Texture,
+)
 from pbrfit.export.view_mesh import Geometry
 
 Format = Literal["gltf", "exr", "png", "ply", "lp", "ptm"]
@@ -28,6 +36,8 @@ class Preset:
     one."""
     displacement: str = "displacement"
     """Name of the texture with the height, of results that have one."""
+    deviations: tuple[Texture, ...] = ()
+    """Texture files beside these, of results that have deviations."""
 
 
 _SEPARATE = (
@@ -38,7 +48,13 @@ _SEPARATE = (
 )
 _MASK = Texture("mask", ("mask",), bits=8)
 
-PLAIN = Preset(("gltf", "exr", "png"), "opengl", _SEPARATE, _MASK)
+_DEVIATIONS = (
+    Texture("base_color_deviation", BASE_COLOR_DEVIATION),
+    Texture("roughness_deviation", ("deviation of roughness",)),
+    Texture("metallic_deviation", ("deviation of metallic",)),
+)
+
+PLAIN = Preset(("gltf", "exr", "png"), "opengl", _SEPARATE, _MASK, deviations=_DEVIATIONS)
 """Without a preset: all formats, a map a file."""
 
 PRESETS: dict[PresetName, Preset] = {
@@ -103,8 +119,11 @@ def plan(
     bits: Bits | None = None,
     geometry: Geometry | None = None,
     masked: bool = False,
+    uncertain: bool = False,
 ) -> Plan:
-    """What to write, from what was asked for; `masked`: the mask leaves pixels out.
+    """What to write, from what was asked for.
+
+    `masked`: the mask leaves pixels out; `uncertain`: there are deviations.
 
     Raises InputError if an option is unknown, or would have no effect beside the others.
     """
@@ -152,5 +171,6 @@ def plan(
         textures[0] = replace(textures[0], channels=(*textures[0].channels, "mask"))
     elif masked and isinstance(chosen.opacity, Texture):
         textures.append(chosen.opacity)
+    textures += chosen.deviations if uncertain else ()
     name = chosen.displacement
     return Plan(formats, convention, tuple(textures), bits, geometry or "card", name)

@@ -49,22 +49,19 @@ def of_maps(result: Result) -> Table | None:
     """The verdicts; None where the result has none."""
     if result.uncertainty is None:
         return None
-    columns = [
-        Cell("map", "name"),
-        Cell("verdict", "name"),
-        Cell("expected error", "number"),
-        Cell("cause"),
-        Cell("remedy"),
-    ]
+    verdicts = result.uncertainty.verdicts
+    columns = [Cell("map", "name"), Cell("verdict", "name"), Cell("expected error", "number")]
+    explained = any(one.why for one in verdicts.values())
+    if explained:
+        columns += [Cell("cause"), Cell("remedy")]
     rows = [
         [
             Cell(name, "name"),
             Cell(one.level, "name", mark=MARKS[one.level]),
             number(one.error_in_words, one.expected_error),
-            Cell(one.cause),
-            Cell(one.remedy),
+            *([Cell(one.cause), Cell(one.remedy)] if explained else ()),
         ]
-        for name, one in result.uncertainty.verdicts.items()
+        for name, one in verdicts.items()
     ]
     return Table(columns, rows)
 
@@ -73,8 +70,8 @@ def how_to_read() -> str:
     """What the words and figures of `of_maps` mean."""
     rule = thresholds()
     return (
-        "Expected error: the RMSE of the map that noise, misfit, lights and priors let expect, of "
-        f"values between 0 and 1. {rule[0].upper()}{rule[1:]}."
+        "Expected error: the RMSE of a map, of values between 0 and 1, that noise, misfit, lights "
+        f"and priors lead to. {rule[0].upper()}{rule[1:]}."
     )
 
 

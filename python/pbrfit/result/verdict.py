@@ -47,7 +47,7 @@ class Mark:
 
 MARKS: Mapping[Level, Mark] = {
     "usable": Mark(1.0, (0.0, 0.45, 0.70)),
-    "rough guide": Mark(0.5, (0.70, 0.47, 0.0)),
+    "rough guide": Mark(0.5, (0.90, 0.62, 0.0)),
     "not determined": Mark(0.0, (0.84, 0.37, 0.0)),
 }
 """Of the last the colour is that of its pixels in maps of deviations."""
@@ -94,9 +94,8 @@ class Verdict:
         level = text(content["level"])
         if level not in LEVELS:
             raise ValueError(f"level {level!r}")
-        found: Level = level  # type: ignore[assignment]
         expected = number(content["expected_error"])
-        return cls(found, expected, text(content["cause"]), text(content["remedy"]))
+        return cls(level, expected, text(content["cause"]), text(content["remedy"]))
 
 
 def level_of(name: str, expected_error: float) -> Level:

@@ -294,7 +294,9 @@ def test_exr_layers_and_textures_as_openexr_reads_them(result: Result, tmp_path:
     folder, inside = tmp_path / "out" / "exr", result.mask
     layers = exr(folder / "materials.exr")
     assert {"albedo.R", "roughness.Y", "metallic.Y", "normal.Z", "mask.Y"} <= set(layers)
-    assert ("uncertainty.marginal.roughness.Y" in layers) == (result.uncertainty is not None)
+    kinds = ("", "low.", "high.")
+    assert result.uncertainty is not None
+    assert {f"uncertainty.{kind}roughness.Y" for kind in kinds} <= set(layers)
     [part] = OpenEXR.File(str(folder / "base_color.exr")).parts
     assert part.header["chromaticities"] == pytest.approx(
         (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)

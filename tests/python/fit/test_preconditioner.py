@@ -110,6 +110,6 @@ def test_uncertainty_of_many_pictures_is_that_of_all_lights(
     expected = uncertainty.estimate(objective, x)
     for name in ("albedo", "roughness", "metallic"):
         np.testing.assert_allclose(
-            getattr(found.marginal, name), getattr(expected.marginal, name), rtol=2e-3
+            getattr(found.deviation, name), getattr(expected.deviation, name), rtol=2e-3
         )
     np.testing.assert_allclose(found.albedo_scale, expected.albedo_scale, rtol=1e-3)

@@ -132,7 +132,7 @@ def test_true_normals_are_kept_and_change_nothing(noise: float, seed: int) -> No
     assert auto.uncertainty is not None
     assert off.uncertainty is not None
     np.testing.assert_array_equal(
-        auto.uncertainty.marginal.roughness, off.uncertainty.marginal.roughness
+        auto.uncertainty.deviation.roughness, off.uncertainty.deviation.roughness
     )
 
 

@@ -186,7 +186,7 @@ class TestFit:
         assert np.isnan(result.roughness[~mask]).all()
         assert np.isfinite(result.roughness[mask]).all()
         assert result.uncertainty is not None
-        assert np.isfinite(result.uncertainty.marginal.roughness[mask]).all()
+        assert np.isfinite(result.uncertainty.deviation.roughness[mask]).all()
         assert result.uncertainty.noise == pytest.approx(0.01, rel=0.2)
 
     def test_known_lights_are_held(self, noisy: pbrfit.Scene) -> None:

@@ -32,6 +32,7 @@ from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.history import History, HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.synthetic import make_scene
+from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.transport.decision import Transport
 from relit import shaded_ball
 from scene_files import lights_of, truth_of
@@ -116,7 +117,8 @@ def test_numbers_are_those_of_result_json(page: Page, folder: Path) -> None:
         *content["metrics"].values(),
         *(content[key] for key in ("fov", "iterations", "evaluations", "seconds")),
         content["uncertainty"]["noise"],
-        *content["uncertainty"]["median_marginal"].values(),
+        *content["uncertainty"]["median_deviation"].values(),
+        *(one["expected_error"] for one in content["uncertainty"]["verdicts"].values()),
     ]
     assert len(content["metrics"]) == 6
     for value in expected:
@@ -129,6 +131,11 @@ def test_numbers_are_those_of_result_json(page: Page, folder: Path) -> None:
     for name, digest in content["inputs"].items():
         assert name in page.text
         assert digest in page.text
+
+
+def test_a_small_residual_is_not_praised(page: Page) -> None:
+    assert "almost exactly" not in page.text
+    assert "A small residual does not mean that the maps are right" in page.text
 
 
 def test_maps_are_drawn_pixel_by_pixel(page: Page, folder: Path) -> None:
@@ -151,7 +158,7 @@ def test_errors_and_deviations_have_the_colours_of_the_scale(page: Page, folder:
     error = np.abs(result.roughness - truth.materials.roughness)
     shares = {
         "Absolute error of roughness": error,
-        "Standard deviation of roughness": result.uncertainty.marginal.roughness,
+        "Standard deviation of roughness": result.uncertainty.deviation.roughness,
     }
     for alt, values in shares.items():
         found = np.asarray(page.picture(alt).convert("RGB"))
@@ -159,7 +166,7 @@ def test_errors_and_deviations_have_the_colours_of_the_scale(page: Page, folder:
         expected = np.rint(255 * PALETTE[steps.astype(int)])
         if "deviation" in alt:
             expected[values == 0] = 255
-            expected[result.uncertainty.undetermined[..., 1]] = (214, 94, 0)
+            expected[values > ROUGH_MAX["roughness"]] = (214, 94, 0)
         np.testing.assert_array_equal(found, expected)
 
 
@@ -308,7 +315,12 @@ def test_without_truth_and_uncertainty_there_is_neither(tmp_path: Path) -> None:
     assert [h.text for h in found.all("h3")][:1] == ["Recovered"]
     for word in ("Ground truth", "Error", "Uncertainty"):
         assert word not in [h.text for h in found.all("h3")]
-    assert "The uncertainty of the maps was not estimated." in found.text
+    assert "An earlier version of pbrfit made this result" in found.text
+    options = dataclasses.replace(result.options, uncertainty=False)
+    asked = dataclasses.replace(result, uncertainty=None, options=options)
+    assert "The uncertainty of the maps was not estimated" in (
+        written(asked, tmp_path / "asked.html", scene).text
+    )
 
 
 def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
@@ -370,7 +382,7 @@ def test_there_are_no_deviations_where_nothing_tells_the_noise(tmp_path: Path) -
     assert result.uncertainty is not None
     assert result.uncertainty.noise is None
     page = written(result, tmp_path / "page.html")
-    assert "The uncertainty of the maps is unknown" in page.text
+    assert "There are no more samples than unknowns, so nothing tells the noise." in page.text
     assert "median deviation" not in page.text
 
 

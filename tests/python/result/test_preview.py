@@ -11,11 +11,12 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit import Scene, decompose
+from pbrfit import Result, Scene, decompose
 from pbrfit.result import differences
 from pbrfit.result.drawing import plot_history
 from pbrfit.result.preview import normals_preview, preview
-from pbrfit.result.sheet import MARGIN, PANEL_SIDE, Key, Panel, Row, caption_height, sheet
+from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Key, Panel, Row, caption_height, sheet
+from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, ROUGH_MAX, Verdict
 from pbrfit.synthetic import make_scene
 from refined import degrees_of, refined
 
@@ -82,14 +83,55 @@ def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() ->
         assert np.ptp(columns) < PANEL_SIDE[0]
 
 
+def with_verdicts(result: Result, cause: str) -> Result:
+    """A result whose maps have all levels."""
+    assert result.uncertainty is not None
+    levels = zip(PARAMETERS, LEVELS, strict=True)
+    verdicts = {name: Verdict(level, 0.1, cause) for name, level in levels}
+    uncertainty = dataclasses.replace(result.uncertainty, verdicts=verdicts)
+    return dataclasses.replace(result, uncertainty=uncertainty)
+
+
+def test_a_mark_tells_levels_apart_without_its_colour() -> None:
+    shares = []
+    for level in LEVELS:
+        grey = np.full((24, 24, 3), 0.5)
+        row: Row = [Panel("", grey, "word", mark=MARKS[level])]
+        below = sheet([row])[PANEL_SIDE[0] + MARGIN + 4 :]
+        disc = below[: FONT[0], MARGIN : MARGIN + round(0.8 * FONT[0])]
+        shares.append((disc.min(axis=-1) < 128).mean())
+    full, half, ring = shares
+    assert full > half + 0.15
+    assert half > ring + 0.15
+    assert ring > 0.1
+
+
+def test_pixels_that_are_not_determined_are_vermillion_and_given_ones_white() -> None:
+    scene = part(24, 24)
+    result = decompose(scene, iterations=1)
+    assert result.uncertainty is not None
+    limit = ROUGH_MAX["metallic"]
+    metallic = np.full((24, 24), limit)
+    metallic[0], metallic[1] = 0.0, np.nextafter(limit, 1)
+    deviation = dataclasses.replace(result.uncertainty.deviation, metallic=metallic)
+    uncertainty = dataclasses.replace(result.uncertainty, deviation=deviation)
+    found = differences.deviations(uncertainty)["metallic"].indices()
+    assert (found[0] == differences.WHITE).all()
+    assert (found[1] == differences.VERMILLION).all()
+    assert (found[2:] < differences.STEPS).all()
+
+
 def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
     scene = part(24, 24, truth=True)
-    result = decompose(scene, iterations=1)
-    row = PANEL_SIDE[0] + MARGIN
+    result = with_verdicts(decompose(scene, iterations=1), "")
+    row, note = PANEL_SIDE[0] + MARGIN, round(1.1 * FONT[0])
     whole = preview(result, scene).shape[0]
     without_truth = preview(result, dataclasses.replace(scene, truth=None)).shape[0]
     unsure = preview(dataclasses.replace(result, uncertainty=None), scene).shape[0]
-    assert (whole - without_truth, whole - unsure) == (2 * row, row)
+    assert (whole - without_truth, whole - unsure) == (2 * row, row + note)
+    # Why a map is no better stands below it, in as many lines as it needs.
+    explained = preview(with_verdicts(result, "few lights, all of them from one side"), scene)
+    assert explained.shape[0] - whole in (note, 2 * note)
 
 
 def test_refined_normals_add_a_row_and_a_key() -> None:

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
+from pbrfit.io import images
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.result.options import Priors
 from pbrfit.result.refinement import NOT_ASKED
@@ -25,14 +26,9 @@ LAYERS = {
     *("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y"),
     *("normal.X", "normal.Y", "normal.Z", "mask.Y"),
     *(
-        f"uncertainty.{kind}.{channel}"
-        for kind in ("marginal", "conditional")
+        f"uncertainty.{kind}{channel}"
+        for kind in ("", "low.", "high.")
         for channel in ("albedo.R", "albedo.G", "albedo.B", "roughness.Y", "metallic.Y")
-    ),
-    *(
-        f"uncertainty.{kind}.{parameter}.Y"
-        for kind in ("undetermined", "on_bound")
-        for parameter in ("albedo", "roughness", "metallic")
     ),
 }
 HISTORY = ["elapsed_s", "iteration", "evaluations", "loss", "recon_rmse"]
@@ -313,6 +309,28 @@ def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
         file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
         with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
             Result.load(tmp_path / "out")
+
+
+def test_the_uncertainty_of_an_earlier_version_is_passed_over(
+    result: Result, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "out")
+    file, of_maps = tmp_path / "out" / "result.json", tmp_path / "out" / "materials.exr"
+    layers = images.read_channels(of_maps)
+    earlier = {name: of for name, of in layers.items() if not name.startswith("uncertainty")}
+    images.write_exr(of_maps, earlier | {"uncertainty.marginal.albedo.R": earlier["albedo.R"]})
+    content = json.loads(file.read_text("utf-8"))
+    noise = {"noise": 0.01, "median_marginal": {"albedo": 0.01}, "priors": True}
+    file.write_text(json.dumps(content | {"uncertainty": noise}), encoding="utf-8")
+    loaded = Result.load(tmp_path / "out")
+    assert loaded.uncertainty is None
+    loaded.save(tmp_path / "again")
+    again = json.loads((tmp_path / "again" / "result.json").read_text("utf-8"))
+    assert again["uncertainty"] is None
+    # What is of no version is no uncertainty.
+    file.write_text(json.dumps(content | {"uncertainty": {"noise": 0.01}}), encoding="utf-8")
+    with pytest.raises(InputError, match="expected channel uncertainty"):
+        Result.load(tmp_path / "out")
 
 
 def test_depth_of_the_scene_goes_through_fit_and_file(tmp_path: Path) -> None:

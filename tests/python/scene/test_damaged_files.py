@@ -270,7 +270,7 @@ def test_a_result_of_other_types_is_refused(
 def test_a_result_with_maps_that_are_not_finite_is_refused(result: Path) -> None:
     path = result / "materials.exr"
     sound = images.read_channels(path)
-    for name in ("albedo.G", "roughness.Y", "normal.Z", "uncertainty.marginal.metallic.Y"):
+    for name in ("albedo.G", "roughness.Y", "normal.Z", "uncertainty.metallic.Y"):
         images.write_exr(path, sound | {name: np.full_like(sound[name], np.inf)})
         with pytest.raises(InputError, match="NaN or infinit"):
             Result.load(result)
