@@ -50,7 +50,7 @@ MARKS: Mapping[Level, Mark] = {
     "rough guide": Mark(0.5, (0.90, 0.62, 0.0)),
     "not determined": Mark(0.0, (0.84, 0.37, 0.0)),
 }
-"""Of the last the colour is that of its pixels in maps of deviations."""
+"""Colours of Okabe and Ito; vermillion is also that of pixels which are not determined."""
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,9 @@ from pbrfit.synthetic import make_scene
 
 HEIGHT, WIDTH = 10, 12
 MAPS = ["base_color", "mask", "metallic", "normal_opengl", "roughness"]
+ALL_MAPS = sorted(
+    [*MAPS, *(f"{name}_deviation" for name in ("base_color", "roughness", "metallic"))]
+)
 GEOMETRIES: tuple[Geometry, ...] = ("card", "facets")
 LIGHTS = ["coefficients.csv", "lighting.json", "panoramas.csv", "three.json"]
 
@@ -83,7 +86,9 @@ def whole(result: Result) -> Result:
     maps = Maps.of(result)
     materials = Materials(maps.albedo, maps.roughness, maps.metallic)
     mask = np.ones((HEIGHT, WIDTH), bool)
-    return dataclasses.replace(result, materials=materials, normals=maps.normals, mask=mask)
+    return dataclasses.replace(
+        result, materials=materials, normals=maps.normals, mask=mask, uncertainty=None
+    )
 
 
 def small(shape: tuple[int, int], fov: float, result: Result) -> Result:
@@ -167,10 +172,10 @@ def test_everything_without_options(result: Result, tmp_path: Path) -> None:
     exported = export_result(result, tmp_path / "out")
     assert names(tmp_path / "out") == [
         "export.json",
-        *sorted([*(f"exr/{name}.exr" for name in MAPS), "exr/materials.exr"]),
+        *sorted([*(f"exr/{name}.exr" for name in ALL_MAPS), "exr/materials.exr"]),
         *sorted([*(f"lights/{name}" for name in LIGHTS), *(f"lights/{x}.exr" for x in "abç")]),
         "material.glb",
-        *(f"png/{name}.png" for name in MAPS),
+        *(f"png/{name}.png" for name in ALL_MAPS),
     ]
     told = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))
     assert told["version"] == version("pbrfit")
@@ -178,6 +183,8 @@ def test_everything_without_options(result: Result, tmp_path: Path) -> None:
         tmp_path / "out"
     )
     assert all(file["color_space"] for file in told["files"])
+    assert result.uncertainty is not None
+    assert told["verdicts"] == result.uncertainty.summary()["verdicts"]
     assert [file.size for file in exported.files] == [
         (tmp_path / "out" / file.path).stat().st_size for file in exported.files
     ]
@@ -187,7 +194,7 @@ def test_everything_without_options(result: Result, tmp_path: Path) -> None:
 def test_a_png_a_map_is_the_map_to_the_last_code(result: Result, tmp_path: Path, bits: Any) -> None:
     export_result(result, tmp_path / "out", format="png", bits=bits)
     folder, inside = tmp_path / "out" / "png", result.mask
-    assert sorted(path.stem for path in folder.iterdir()) == MAPS
+    assert sorted(path.stem for path in folder.iterdir()) == ALL_MAPS
     color = png(folder / "base_color.png")
     assert color.dtype == np.dtype(f"uint{bits}")
     linear = decode_srgb(color / (2**bits - 1))
@@ -196,10 +203,15 @@ def test_a_png_a_map_is_the_map_to_the_last_code(result: Result, tmp_path: Path,
         found = png(folder / f"{name}.png")[..., 0]
         expected = getattr(result, name)
         np.testing.assert_array_equal(found[inside], codes(expected[inside], bits))
+    assert result.uncertainty is not None
+    deviation = result.uncertainty.deviation
+    for name, values in (("base_color", deviation.albedo), ("metallic", deviation.metallic)):
+        found = png(folder / f"{name}_deviation.png")[inside]
+        np.testing.assert_array_equal(found.squeeze(), codes(values[inside], bits))
     normals = png(folder / "normal_opengl.png")[inside]
     np.testing.assert_array_equal(normals, codes(0.5 + 0.5 * result.normals[inside], bits))
     np.testing.assert_array_equal(png(folder / "mask.png")[..., 0], codes(inside, bits))
-    for name in MAPS:
+    for name in ALL_MAPS:
         parts = chunks((folder / f"{name}.png").read_bytes())
         if name == "base_color":
             assert b"sRGB" in parts

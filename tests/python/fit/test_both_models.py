@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pbrfit import Objective, Priors, Scene, decompose
 from pbrfit.fit import uncertainty
 from pbrfit.model.reflection import MODELS, Model
+from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 from scene_kinds import all_pixels, known_lights

@@ -31,8 +31,8 @@ from pbrfit.result.data import Status
 from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.history import History, HistoryRow
 from pbrfit.result.options import FitOptions
-from pbrfit.synthetic import make_scene
 from pbrfit.result.verdict import ROUGH_MAX
+from pbrfit.synthetic import make_scene
 from pbrfit.transport.decision import Transport
 from relit import shaded_ball
 from scene_files import lights_of, truth_of

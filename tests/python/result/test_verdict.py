@@ -1,0 +1,147 @@
+"""Verdicts: their thresholds, their words, and that they are the same wherever they are shown."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from page_reader import Page
+from pbrfit import Materials, Result, decompose
+from pbrfit.batch.scenes import table
+from pbrfit.report import write_report
+from pbrfit.result import preview, verdict
+from pbrfit.result.sheet import Panel, Row
+from pbrfit.result.verdict import LEVELS, PARAMETERS, ROUGH_MAX, USABLE_MAX, Verdict
+from pbrfit.synthetic import make_scene
+
+SIZE = 8
+VERDICTS = {
+    "albedo": Verdict("usable", 0.0312),
+    "roughness": Verdict("rough guide", 0.154, "few highlights", "more lights would help"),
+    "metallic": Verdict("not determined", 0.31, "few lights from one side"),
+}
+
+
+def deviating(value: float) -> Materials:
+    """Deviations of one value in all maps."""
+    return Materials(np.full((2, 2, 3), value), np.full((2, 2), value), np.full((2, 2), value))
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    found = decompose(make_scene("room", size=SIZE, lights=3, noise=0.01), iterations=2)
+    assert found.uncertainty is not None
+    uncertainty = dataclasses.replace(found.uncertainty, verdicts=VERDICTS)
+    return dataclasses.replace(found, uncertainty=uncertainty)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_levels_change_at_their_thresholds(name: str) -> None:
+    usable, rough = USABLE_MAX[name], ROUGH_MAX[name]
+    assert 0 < usable < rough < 1
+    above_usable, above_rough = math.nextafter(usable, 1), math.nextafter(rough, 1)
+    limits = ((0.0, usable), (above_usable, rough), (above_rough, 1.0))
+    for level, errors in zip(LEVELS, limits, strict=True):
+        for error in errors:
+            assert verdict.level_of(name, error) == level
+            of_pixels = verdict.levels(deviating(error))[name]
+            assert (of_pixels == LEVELS.index(level)).all()
+
+
+def test_pixels_outside_the_mask_have_no_level_and_no_error() -> None:
+    deviation = deviating(0.05)
+    for values in (deviation.albedo, deviation.roughness, deviation.metallic):
+        values[0, 0] = np.nan
+    assert all(of[0, 0] == 255 for of in verdict.levels(deviation).values())
+    assert all(
+        error == pytest.approx(0.05) for error in verdict.expected_errors(deviation).values()
+    )
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_one_usable_map_is_something(name: str) -> None:
+    none = {one: Verdict("rough guide", 0.12) for one in PARAMETERS}
+    assert verdict.nothing_usable(none)
+    assert not verdict.nothing_usable(none | {name: Verdict("usable", 0.1)})
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (0.0, "± 0"),
+        (0.0009, "< 0.001"),
+        (0.004, "± 0.004"),
+        (0.0312, "± 0.03"),
+        (0.1, "± 0.10"),
+        (0.31, "± 0.31"),
+    ],
+)
+def test_errors_have_as_many_digits_as_mean_something(error: float, words: str) -> None:
+    assert Verdict("usable", error).error_in_words == words
+
+
+def test_the_thresholds_are_said_in_full() -> None:
+    said = verdict.thresholds()
+    for limit in (*USABLE_MAX.values(), *ROUGH_MAX.values()):
+        assert re.search(rf"\b{limit:.2g}\b", said)
+
+
+def test_verdicts_are_saved_and_read_again(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    loaded = Result.load(tmp_path / "out").uncertainty
+    assert loaded is not None
+    assert loaded.verdicts == VERDICTS
+    content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
+    assert verdict.verdicts_of(content["uncertainty"]) == VERDICTS
+    for wrong in ({"level": "good"}, {"expected_error": "small"}, {"cause": None}):
+        changed = content["uncertainty"]["verdicts"]["albedo"] | wrong
+        with pytest.raises((ValueError, TypeError)):
+            Verdict.from_json(changed)
+
+
+def test_one_verdict_everywhere(
+    result: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = make_scene("room", size=SIZE, lights=3, noise=0.01)
+    terminal = table(result, scene, tmp_path / "out")
+    panels: list[Panel] = []
+    sheet: Any = preview.sheet
+
+    def keep(rows: list[Row], **options: Any) -> Any:
+        panels.extend(panel for row in rows for panel in row if panel is not None)
+        return sheet(rows, **options)
+
+    monkeypatch.setattr(preview, "sheet", keep)
+    preview.preview(result)
+    write_report(result, tmp_path / "page.html")
+    page = Page((tmp_path / "page.html").read_text("utf-8"))
+    cells = [[cell.text for cell in page.all("td")][5 * i : 5 * i + 5] for i in range(3)]
+    for (name, one), row in zip(VERDICTS.items(), cells, strict=True):
+        why = "; ".join(filter(None, (one.cause, one.remedy)))
+        error = f"± {one.expected_error:.2f}"
+        [line] = [line for line in terminal if re.match(rf"{name} +{one.level}", line)]
+        assert re.split(" {2,}|: ", line) == [name, one.level, error, *filter(None, [why])]
+        [panel] = [p for p in panels if p.caption.startswith(name)]
+        assert panel.note == f"{one.level}, {error}" + (f": {why}" if why else "")
+        assert panel.mark == verdict.MARKS[one.level]
+        assert row == [name, one.level, error, one.cause, one.remedy]
+        assert one.expected_error in page.values
+    assert verdict.thresholds()[1:] in page.text
+
+
+def test_causes_have_no_column_where_there_are_none(result: Result, tmp_path: Path) -> None:
+    assert result.uncertainty is not None
+    good = {name: Verdict("usable", 0.01) for name in PARAMETERS}
+    uncertainty = dataclasses.replace(result.uncertainty, verdicts=good)
+    write_report(dataclasses.replace(result, uncertainty=uncertainty), tmp_path / "page.html")
+    page = Page((tmp_path / "page.html").read_text("utf-8"))
+    heads = [cell.text for cell in page.all("th")]
+    assert heads[:3] == ["map", "verdict", "expected error"]
+    assert "cause" not in heads
