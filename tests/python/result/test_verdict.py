@@ -17,7 +17,7 @@ from pbrfit import Materials, Result, decompose
 from pbrfit.batch.scenes import table
 from pbrfit.report import write_report
 from pbrfit.result import preview, verdict
-from pbrfit.result.sheet import Panel, Row
+from pbrfit.result.sheet import Panel, Row, sheet
 from pbrfit.result.verdict import LEVELS, PARAMETERS, ROUGH_MAX, USABLE_MAX, Verdict
 from pbrfit.synthetic import make_scene
 
@@ -112,7 +112,6 @@ def test_one_verdict_everywhere(
     scene = make_scene("room", size=SIZE, lights=3, noise=0.01)
     terminal = table(result, scene, tmp_path / "out")
     panels: list[Panel] = []
-    sheet: Any = preview.sheet
 
     def keep(rows: list[Row], **options: Any) -> Any:
         panels.extend(panel for row in rows for panel in row if panel is not None)
