@@ -146,9 +146,8 @@ class TestFit:
             assert one is not None
             assert other is not None
             assert one.noise == pytest.approx(other.noise, rel=0.01)
-            for kind in ("conditional", "marginal"):
-                here, there = (getattr(u, kind).albedo for u in (one, other))
-                assert np.median(here) == pytest.approx(np.median(there), rel=0.05)
+            here, there = (u.deviation.albedo for u in (one, other))
+            assert np.median(here) == pytest.approx(np.median(there), rel=0.05)
             np.testing.assert_allclose(one.albedo_scale, other.albedo_scale, rtol=0.1)
 
     @pytest.mark.slow
