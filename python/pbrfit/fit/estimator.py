@@ -27,9 +27,10 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import lbfgsb, misfit, scale, settings
+from pbrfit.fit import discrepancy, lbfgsb, misfit, scale, settings
 from pbrfit.fit.camera import doubt_camera
 from pbrfit.fit.coarse import Lights, Watch, judged, reweighted, rounds
+from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
@@ -176,7 +177,7 @@ def fit_mixture_prior(
             with run.stage("scale") as notes:
                 lights = _with_scale(run, lights, notes)
     with run.stage("material prior") as notes:
-        found = _fitted_prior(run, lights)
+        found = _fitted_prior(run, lights, notes)
         if found is None:
             notes.append("stopped before all pixels had theirs")
             return x, None
@@ -238,21 +239,39 @@ def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
     return replace(lights, x=x)
 
 
-def _fitted_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior] | None:
+def discrepancy_of(run: Run, objective: Objective, x: Array) -> Discrepancy:
+    """How far samples are off under the lights of x."""
+    return discrepancy.find(objective, x, run.picture_effect, modes=run.light_modes)
+
+
+def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, GaussianPrior] | None:
     """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
     strength, x = run.options.priors.material, lights.x
     objective = reweighted(run, run.objective, x)
     if run.shared_state is not None:
         assert run.shared_state.material is not None
-        return run.shared_state.material.applied(objective, x, run.out_of_time)
-    variance = lights.misfit.of_likelihood
+        applied = run.shared_state.material.applied(objective, x, run.out_of_time)
+        if applied is None:
+            return None
+        x, prior, run.posterior = applied
+        return x, prior
+    run.discrepancy = discrepancy_of(run, objective, x)
+    notes.append(run.discrepancy.in_words())
     steps = run.options.solver == "gauss-newton"
     # Penalties that follow have to weigh against the data as they are.
     once = steps and not _beyond_squares(run, None)
-    fitted = fit_prior(objective, x, strength, variance, run.out_of_time, counted_once=once)
+    fitted = fit_prior(
+        objective,
+        x,
+        strength,
+        run.discrepancy.of_pixel,
+        run.out_of_time,
+        counted_once=once,
+        pooling=run.discrepancy.pooling,
+    )
     if fitted is None:
         return None
-    x, prior, run.fitted_prior = fitted
+    x, prior, run.posterior, run.fitted_prior = fitted
     if steps:
         # What clusters of pixels are made of has been found together with the lights.
         prior = replace(prior, cluster=None)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
@@ -19,6 +20,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import FittedPrior
 from pbrfit.fit.priors.penalties import Penalty
+from pbrfit.fit.priors.posterior import Posterior
 from pbrfit.fit.scale import Scale
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
@@ -71,6 +73,8 @@ class SharedState:
     """The robust loss and its scale; None = squares."""
     noise: NoiseModel | None = None
     """Of samples; None where none was found."""
+    discrepancy: Discrepancy | None = None
+    """How far samples are off; None where nothing asked for it."""
     cohesion: tuple[Array, float] | None = None
     """(S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
     each pixel is pulled to it with; None where the prior has no weight."""
@@ -112,6 +116,12 @@ class Run:
         """When the material prior was fitted: the monochrome weight is chosen by it."""
         self.fitted_prior: FittedPrior | None = None
         """The material prior as it was fitted last."""
+        self.posterior: Posterior | None = None
+        """Of all pixels, by that prior."""
+        self.discrepancy: Discrepancy | None = None
+        """How far samples are off under the lights that were found last."""
+        self.light_modes: Array | None = None
+        """How lights may move that are held for now, though not known; None = as the objective."""
         self.noise: NoiseModel | None = None
         """Of samples, as it was found last."""
         self.camera = Camera(scene.fov, "given" if scene.fov_known else "assumed")

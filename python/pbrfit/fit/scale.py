@@ -78,6 +78,8 @@ class Scale:
     """What it rests on, in words, for `Result.assumed`."""
     note: str = ""
     """For the stage."""
+    referred: bool = False
+    """Whether it rests on pixels of known albedo."""
 
     def beside(self, other: Array) -> Scale:
         """With the relative change (light channels,) that a likelier camera makes as an error."""
@@ -170,7 +172,8 @@ def refer(
     variances = of_pixels / value**2 + settings.WHITE_TOLERANCE**2
     if objective.layout.light_channels < objective.channels:
         variances = variances.mean(keepdims=True)
-    return x, Scale(np.sqrt(variances), reference_in_words(white, len(region), moved))
+    said = reference_in_words(white, len(region), moved)
+    return x, Scale(np.sqrt(variances), said, referred=True)
 
 
 def groupings(

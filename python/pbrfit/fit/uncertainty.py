@@ -1,39 +1,37 @@
-"""Uncertainty: how far the numbers of a fit can be trusted, from its Gauss–Newton normal matrix.
+"""Uncertainty: the posterior of each value of a fit, as deviations and intervals.
 
-docs/uncertainty.md derives the formulas and says when not to believe them.
+A pixel's samples are off by the variance v of `pbrfit.fit.discrepancy`. Roughness and metallic have
+the covariance V of their posterior on a grid (`pbrfit.fit.priors.posterior`), where likelihoods
+have the power η, and of the rest what their own curvature says, with albedo solved for:
+
+    C = (V⁻¹ + (1 − η) h/v)⁻¹            h = A_vv − A_vρ A_ρρ⁻¹ A_ρv
+    albedo: v A_ρρ⁻¹ + K C Kᵀ            K = −A_ρρ⁻¹ A_ρv
+
+A is the Gauss–Newton matrix of the sum of squares, with the precision of a weak prior. To the
+diagonal come the moves with the lights, v_noise Σ (C Bᵀ m / v)² over their modes m, and for albedo
+what it has of the scale's deviation. Values on a bound are not held there: their deviation is what
+they may be off on the other side. docs/uncertainty.md says what was measured.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.light_spectrum import of_objective
-from pbrfit.fit.normal_equations import (
-    WORKING_SET,
-    chunks,
-    held_at_bounds,
-    inverse,
-)
+from pbrfit.fit import settings
+from pbrfit.fit.discrepancy import Discrepancy, prior_precision
+from pbrfit.fit.normal_equations import WORKING_SET, chunks
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.sampling import evenly_spaced
-from pbrfit.fit.settings import (
-    FREE_MOVE_MAX,
-    LIGHT_INFORMATION_MIN,
-    LIGHT_PIXELS_MAX,
-    OMITTED_CHECK_PIXELS,
-    OMITTED_VARIANCE_SHARE_MAX,
-    SIGMA_MAX,
-    SIGMA_UNDETERMINED,
-)
+from pbrfit.fit.pixels import taken
+from pbrfit.fit.priors.population import LOG_ALBEDO_DEVIATION
+from pbrfit.fit.priors.posterior import Distributions, Grid, Posterior
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.result.verdict import Verdict, expected_errors, level_of
+from pbrfit.result.verdict import by_deviations
 from pbrfit.threads import in_pieces, one_blas_thread
 
 Array = NDArray[np.float64]
@@ -42,228 +40,207 @@ PIECES_MIN = 16
 """Pieces that the pixels are taken in, at least, so that their matrices take little memory beside
 the pictures."""
 
+TWO_SIDED = 1.96
+"""Deviations of a normal distribution on each side that hold 0.95 of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """The posteriors of the unknowns of pixels, (P, D) each, but for the common scale."""
+
+    value: NDArray[np.floating[Any]]
+    variance: NDArray[np.floating[Any]]
+    low: NDArray[np.floating[Any]]
+    high: NDArray[np.floating[Any]]
+
+    @classmethod
+    def empty(cls, pixels: int, unknowns: int) -> Spread:
+        """To be filled, in float32."""
+        return cls(*np.zeros((4, pixels, unknowns), np.float32))
+
+    def put(self, pixels: NDArray[np.intp] | slice, other: Spread, of_other: Any = ...) -> None:
+        """Give some pixels what some of another's have."""
+        for name in ("value", "variance", "low", "high"):
+            getattr(self, name)[pixels] = getattr(other, name)[of_other]
+
 
 @one_blas_thread()
 def estimate(
     objective: Objective,
     x: Array,
-    *,
-    priors: bool = False,
-    albedo_scale: Array | None = None,
-    picture_effect: float = 1.0,
-    light_pixels: int = LIGHT_PIXELS_MAX,
+    discrepancy: Discrepancy,
+    posterior: Posterior | None,
+    scale_deviation: Array,
 ) -> Uncertainty:
-    """Uncertainty of a fit that ended at x; the lights' covariance is from so many pixels at most.
+    """Uncertainty of a fit that ended at x.
 
-    `priors`, whether priors took part in the fit, and the relative deviation of the scale, by
-    `pbrfit.fit.scale`, are passed on to `Uncertainty`. Variances are `picture_effect` times those
-    of independent samples (`pbrfit.fit.noise`).
+    `posterior` of all pixels that the fit has used; None = it had no prior. `scale_deviation` by
+    channel, 0 where lights are known.
     """
-    lights = light_modes(objective, x, light_pixels)
-    return of_variances(
-        variances(objective, x, lights),
+    return of_spread(
+        spread(objective, x, discrepancy, posterior),
         objective.layout,
-        lights,
-        samples=objective.samples,
-        scale=objective.scale,
-        priors=priors,
-        albedo_scale=albedo_scale,
-        picture_effect=picture_effect,
+        discrepancy,
+        scale_deviation,
+        noise=noise_of(objective, discrepancy),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Variances:
-    """Variances of the unknowns of pixels for noise of deviation 1, (P, D)."""
-
-    conditional: NDArray[np.floating[Any]]
-    marginal: NDArray[np.floating[Any]]
-    """With the lights held, and with their modes."""
-    singular: NDArray[np.bool_]
-    held: NDArray[np.bool_]
-    """Which are not determined, and which are held at a bound."""
-    sum_sq_residuals: Array
-    """(P,): each pixel's sum of squared residuals."""
-
-    @classmethod
-    def empty(cls, pixels: int, unknowns: int) -> Variances:
-        """To be filled, in float32."""
-        shape = pixels, unknowns
-        conditional, marginal = np.zeros((2, *shape), np.float32)
-        singular, held = np.zeros((2, *shape), bool)
-        return cls(conditional, marginal, singular, held, np.zeros(pixels))
-
-    def put(self, pixels: NDArray[np.intp], other: Variances, of_other: NDArray[np.bool_]) -> None:
-        """Give some pixels what some of another's have."""
-        largest = np.finfo(np.float32).max
-        for name in ("conditional", "marginal"):
-            getattr(self, name)[pixels] = np.minimum(getattr(other, name)[of_other], largest)
-        for name in ("singular", "held", "sum_sq_residuals"):
-            getattr(self, name)[pixels] = getattr(other, name)[of_other]
+def noise_of(objective: Objective, discrepancy: Discrepancy) -> float | None:
+    """Deviation of a sample in picture units; None where samples are no more than unknowns."""
+    if objective.samples <= objective.size:
+        return None
+    return float(np.sqrt(discrepancy.variance)) * objective.scale
 
 
-def variances(objective: Objective, x: Array, lights: LightModes | None) -> Variances:
-    """Of all pixels of a fit, given how its lights may move."""
-    problem, layout = objective.problem, objective.layout
-    held = held_at_bounds(x, layout)
-    for_core = objective.for_core(x)
-    conditional = np.empty(held.shape)
-    marginal = np.empty(held.shape)
-    singular = np.empty(held.shape, dtype=bool)
-    sum_sq_residuals = np.empty(layout.pixels)
-    bytes_each = max(8 * 4 * held.shape[1] ** 2, PIECES_MIN * WORKING_SET // layout.pixels)
+def spread(
+    objective: Objective, x: Array, discrepancy: Discrepancy, posterior: Posterior | None
+) -> Spread:
+    """Of all pixels of a fit; without a posterior that of no prior."""
+    layout = objective.layout
+    unknowns = layout.maps.stop // layout.pixels
+    found = Spread.empty(layout.pixels, unknowns)
+    grid = distributions = None
+    if posterior is None and not is_sharp(discrepancy):
+        grid = Grid(objective, x, discrepancy.of_pixel)
+        distributions = Distributions.flat(grid)
+    labels = np.zeros(layout.pixels, np.intp)
+    bytes_each = max(8 * 4 * unknowns**2, PIECES_MIN * WORKING_SET // layout.pixels)
 
     def fill(chunk: slice) -> None:
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
-        matrices, _, sum_sq_residuals[chunk] = problem.normal_equations(for_core, pixels)
-        found = inverse(matrices, held[chunk])
-        conditional[chunk] = np.einsum("pii->pi", found.matrices)
-        marginal[chunk] = conditional[chunk]
-        singular[chunk] = found.singular
-        if lights is not None:
-            args = for_core, pixels, found.matrices
-            marginal[chunk] += problem.moves_with_lights(*args, lights.modes)
-            if len(lights.free):
-                moves = problem.moves_with_lights(*args, lights.free)
-                singular[chunk] |= moves > FREE_MOVE_MAX**2
+        own = None
+        if posterior is not None:
+            own = posterior.part(chunk)
+        elif grid is not None and distributions is not None:
+            own = distributions.posterior(grid.of_piece(pixels), labels[chunk])
+        found.put(chunk, _of_pixels(objective, x, discrepancy, own, pixels))
 
     in_pieces(objective.threads, fill, chunks(layout.pixels, bytes_each))
-    return Variances(conditional, marginal, singular, held, sum_sq_residuals)
+    return found
 
 
-def of_variances(
-    found: Variances,
-    layout: ParameterLayout,
-    lights: LightModes | None,
-    *,
-    samples: int,
-    scale: float,
-    priors: bool,
-    albedo_scale: Array | None,
-    picture_effect: float,
-) -> Uncertainty:
-    """The uncertainty with the noise that is left, from those of all pixels, which change.
-
-    Of the scene are the number of samples that have a weight, and its scale.
-    """
-    held = found.held
-    unknowns = np.count_nonzero(~held) + layout.size - layout.maps.stop
-    degrees = samples - unknowns
-    noise = math.sqrt(float(found.sum_sq_residuals.sum()) / degrees) if degrees > 0 else None
-
-    def deviations(variances: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """In their place."""
-        np.sqrt(variances, out=variances)
-        variances *= (noise or 0.0) * math.sqrt(picture_effect)
-        variances[found.singular | (not degrees > 0) & ~held] = SIGMA_MAX
-        np.minimum(variances, SIGMA_MAX, out=variances)
-        return variances
-
-    if lights is None:
-        albedo_scale = np.zeros(1)
-    elif albedo_scale is None or noise is None:
-        albedo_scale = np.full(1, SIGMA_MAX)
-    deviation = np.minimum(albedo_scale, SIGMA_MAX)
-    red, green, blue = np.broadcast_to(deviation, 3).tolist()
-    marginal = _materials(deviations(found.marginal), layout)
-    return Uncertainty(
-        deviation=marginal,
-        low=marginal,
-        high=marginal,
-        noise=None if noise is None else noise * scale,
-        effective_share=1.0,
-        albedo_scale=(red, green, blue),
-        verdicts={
-            name: Verdict(level_of(name, error), error)
-            for name, error in expected_errors(marginal).items()
-        },
-    )
+def is_sharp(discrepancy: Discrepancy) -> bool:
+    """Whether nothing is left of samples but rounding, beside which a grid of nodes is coarse."""
+    return discrepancy.of_pixel <= (10 * settings.EXACT_RMSE) ** 2
 
 
-@dataclass(frozen=True, eq=False)
-class LightModes:
-    """Covariance of the lights, of noise 1, as independent modes of deviation 1."""
-
-    modes: Array
-    """(R, N, K, C): those that matter to materials."""
-    free: Array
-    """(F, N, K, C), as strong as the lights themselves: those that materials can make up for."""
-    pixels: int
-    """How many they are from."""
-    omitted: float
-    """As in `Uncertainty`."""
-
-
-def light_modes(
+def _of_pixels(
     objective: Objective,
     x: Array,
-    light_pixels: int = LIGHT_PIXELS_MAX,
-    of_pixels: int | None = None,
-) -> LightModes | None:
-    """How the lights of a fit may move, from their spectrum over some of its pixels.
-
-    None where they are known. `of_pixels` is how many pixels saw them, if not those of the
-    objective alone.
-
-    The mode of λ adds (1 − λ)/λ to the sum over pixels of their variances in units of A⁻¹. That
-    ranks the modes and bounds what those left out would add.
-    """
-    if objective.lighting is None:
-        return None
-    held = held_at_bounds(x, objective.layout)
-    layout, for_core = objective.layout, objective.for_core(x)
-    pixels = evenly_spaced(layout.pixels, light_pixels)
-    own_held = held[pixels]
-    known = of_objective(objective, x, pixels, own_held)
-    left, vectors = known.left, known.vectors
-    light_channels, k = layout.light_channels, layout.coefficients
-    blocks = layout.pictures * light_channels
-
-    def in_x(of_units: Array) -> Array:
-        """(modes, N, K, C) from modes in the columns."""
-        modes = np.einsum("aki,aim->mak", known.from_units, of_units.reshape(blocks, k, -1))
-        modes = modes.reshape(-1, layout.pictures, light_channels, k).transpose(0, 1, 3, 2)
-        return np.ascontiguousarray(np.repeat(modes, layout.channels // light_channels, axis=-1))
-
-    # What the other pixels know of the lights is taken to be like what these know.
-    more = (of_pixels or layout.pixels) / len(pixels)
-    is_free = left < LIGHT_INFORMATION_MIN
-    left = np.maximum(left, LIGHT_INFORMATION_MIN)
-    deviation = 1 / np.sqrt(more * left)
-    adds = (1 - left) / left
-    remaining = np.cumsum(adds[::-1])[::-1] + known.rest / left[-1]  # λ rises
-    remaining /= more * max(1, int(np.count_nonzero(~own_held)))
-    used = int(np.count_nonzero(~is_free & (remaining > OMITTED_VARIANCE_SHARE_MAX)))
-    modes = in_x((vectors * deviation)[:, ~is_free])
-    lights = for_core[layout.maps.stop :].reshape(layout.pictures, k, -1)[..., :light_channels]
-    in_units = np.einsum("aik,ak->ai", known.to_units, lights.transpose(0, 2, 1).reshape(blocks, k))
-    return LightModes(
-        modes=modes[:used],
-        free=in_x(vectors[:, is_free] * np.linalg.norm(in_units)),
-        pixels=len(pixels),
-        omitted=_omitted(objective, for_core, pixels, own_held, modes, used),
-    )
-
-
-def _omitted(
-    objective: Objective,
-    for_core: Array,
+    discrepancy: Discrepancy,
+    posterior: Posterior | None,
     pixels: NDArray[np.uint64],
-    held: NDArray[np.bool_],
-    modes: Array,
-    used: int,
-) -> float:
-    """Largest share of a deviation that the modes from `used` on would add, over some pixels."""
-    some = evenly_spaced(len(pixels), OMITTED_CHECK_PIXELS)
-    matrices, _, _ = objective.problem.normal_equations(for_core, pixels[some])
-    found = inverse(matrices, held[some])
-    args = for_core, pixels[some], found.matrices
-    kept = np.einsum("pii->pi", found.matrices) + objective.problem.moves_with_lights(
-        *args, modes[:used]
+) -> Spread:
+    problem, for_core, c = objective.problem, objective.for_core(x), objective.channels
+    matrices, _, _ = problem.normal_equations(for_core, pixels)
+    values = taken(objective, x, pixels)
+    unknowns, v = matrices.shape[1], discrepancy.of_pixel
+    rest = slice(c, unknowns)
+    precision = prior_precision(unknowns, c, v)
+    by_albedo = np.linalg.inv(matrices[:, :c, :c] + np.diag(precision[:c]))
+    slopes = -by_albedo @ matrices[:, :c, rest]
+    curvature = matrices[:, rest, rest] + matrices[:, rest, :c] @ slopes
+    if posterior is None:
+        information = (curvature + np.diag(precision[rest])) / v
+    else:
+        information = curvature / v * posterior.unused[:, None, None].astype(np.float64)
+        information += np.linalg.inv(_covariance(posterior, unknowns - c))
+    of_rest = np.linalg.inv(information)
+    whole = np.empty_like(matrices)
+    whole[:, rest, rest] = of_rest
+    whole[:, :c, rest] = slopes @ of_rest
+    whole[:, rest, :c] = whole[:, :c, rest].transpose(0, 2, 1)
+    whole[:, :c, :c] = v * by_albedo + whole[:, :c, rest] @ slopes.transpose(0, 2, 1)
+    variance = np.einsum("pii->pi", whole).copy()
+    if len(discrepancy.modes):
+        moves = problem.moves_with_lights(for_core, pixels, whole / v, discrepancy.modes)
+        variance += discrepancy.of_noise * moves
+    if posterior is not None:  # a value that is not the mean of its posterior is off by that, too
+        off = values[:, rest] - posterior.mean[:, : unknowns - c]
+        variance[:, rest] += np.square(off) * (1 - posterior.unused[:, None])
+    variance = np.minimum(variance, settings.SIGMA_MAX**2)
+    half = TWO_SIDED * np.sqrt(variance)
+    low, high = values - half, values + half
+    if posterior is not None:
+        _take_over_quantiles(low[:, rest], high[:, rest], posterior, unknowns - c)
+    return Spread(
+        values,
+        variance,
+        np.clip(np.minimum(low, values), 0, 1),
+        np.clip(np.maximum(high, values), 0, 1),
     )
-    rest = objective.problem.moves_with_lights(*args, modes[used:])
-    known = (kept > 0) & ~found.singular
-    return float(1 - np.sqrt((kept[known] / (kept + rest)[known]).min(initial=1.0)))
+
+
+def _covariance(posterior: Posterior, unknowns: int) -> Array:
+    """(Q, F, F): of roughness, and metallic where it is one of so many unknowns."""
+    found = np.zeros((len(posterior.mean), 2, 2))
+    found[:, 0, 1] = found[:, 1, 0] = posterior.covariance
+    for i in range(2):
+        found[:, i, i] = posterior.variance[:, i] + settings.PRIOR_SIGMA_MIN**2
+    return found[:, :unknowns, :unknowns]
+
+
+def _take_over_quantiles(low: Array, high: Array, posterior: Posterior, unknowns: int) -> None:
+    """Put the posterior's quantiles where the grid tells more than the curvature, if farther out.
+
+    They may be lopsided, or reach from one mode to the other; deviations have the lights beside.
+    """
+    told = posterior.unused[:, None] < 0.5
+    used = slice(unknowns)
+    sigma = np.sqrt(posterior.variance[:, used] + settings.PRIOR_SIGMA_MIN**2)
+    wider = np.maximum((high - low) / (2 * TWO_SIDED * sigma), 1.0)
+    mean = posterior.mean[:, used]
+    np.copyto(low, mean - wider * (mean - posterior.low[:, used]), where=told)
+    np.copyto(high, mean + wider * (posterior.high[:, used] - mean), where=told)
+
+
+def scale_deviation(jackknife: Array | None, discrepancy: Discrepancy, *, referred: bool) -> Array:
+    """(C',): relative deviation of the scale, from that by segments and patches.
+
+    A scale that was found by highlights is off by as much more than samples as these are less than
+    all light; what is known of albedos of pictures is known of it too. One that was `referred` to
+    known albedo, and one of known lights, is as it is.
+    """
+    if jackknife is None:
+        return np.full(1, LOG_ALBEDO_DEVIATION)
+    if referred or not jackknife.any():
+        return jackknife
+    noise = settings.SCALE_NOISE_RATIO * np.sqrt(discrepancy.variance) / settings.MEAN_RADIANCE
+    misfit = discrepancy.misfit / settings.MEAN_RADIANCE / settings.HIGHLIGHT_SHARE
+    variance = np.square(jackknife) + noise**2 + misfit**2
+    return np.asarray(1 / np.sqrt(1 / variance + 1 / LOG_ALBEDO_DEVIATION**2))
+
+
+def of_spread(
+    found: Spread,
+    layout: ParameterLayout,
+    discrepancy: Discrepancy,
+    scale_deviation: Array,
+    *,
+    noise: float | None,
+) -> Uncertainty:
+    """The uncertainty, with the scale's in that of albedo."""
+    c = layout.channels
+    by_scale = np.zeros(found.value.shape[1], np.float32)
+    by_scale[:c] = scale_deviation
+    more = np.square(found.value * by_scale)
+    sigma = np.minimum(np.sqrt(found.variance + more), settings.SIGMA_MAX)
+    widen = sigma / np.sqrt(np.maximum(found.variance, np.finfo(np.float32).tiny))
+    low = np.clip(found.value - widen * (found.value - found.low), 0, 1)
+    high = np.clip(found.value + widen * (found.high - found.value), 0, 1)
+    deviation = _materials(sigma, layout)
+    red, green, blue = np.broadcast_to(scale_deviation, 3).tolist()
+    value = found.value
+    return Uncertainty(
+        deviation=deviation,
+        low=_materials(np.where(np.isfinite(low), low, value), layout),
+        high=_materials(np.where(np.isfinite(high), high, value), layout),
+        noise=noise,
+        effective_share=discrepancy.effective_share,
+        albedo_scale=(red, green, blue),
+        verdicts=by_deviations(deviation),
+    )
 
 
 def _materials(values: NDArray[np.floating[Any]], layout: ParameterLayout) -> Materials:
@@ -275,15 +252,3 @@ def _materials(values: NDArray[np.floating[Any]], layout: ParameterLayout) -> Ma
         layout.whole(values[:, c]),
         layout.whole(metallic),
     )
-
-
-def _flags(values: NDArray[np.bool_], layout: ParameterLayout) -> NDArray[np.bool_]:
-    """(H, W, 3) of (P, D), False outside the mask."""
-    c = layout.channels
-    albedo = values[:, 0].copy()
-    for channel in range(1, c):
-        albedo |= values[:, channel]
-    flags = np.zeros((*layout.valid.shape, 3), dtype=bool)
-    for i, of_map in enumerate((albedo, *values[:, c:].T)):
-        flags[layout.valid, i] = of_map
-    return flags

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import scale, transport
+from pbrfit.fit.discrepancy import Discrepancy
+from pbrfit.fit.estimator import discrepancy_of
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
@@ -16,13 +18,13 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Progress, Run, SharedState
 from pbrfit.fit.transport import Surrounded
-from pbrfit.fit.uncertainty import estimate
+from pbrfit.fit.uncertainty import estimate, scale_deviation
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
-from pbrfit.result.options import FitOptions, Priors
+from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
@@ -127,6 +129,8 @@ class FitOutput:
     """Lights by which the monochrome weight was chosen; None = it was not."""
     noise: NoiseModel | None = None
     """Of samples; None where all weigh as given."""
+    discrepancy: Discrepancy | None = None
+    """How far samples are off; None where neither a prior nor the uncertainty asked for it."""
     surrounded: Surrounded | None = None
     recon_rmse: float | None = None
     """With surroundings or lamps, and the error with them: of all samples by their weights, each
@@ -146,19 +150,16 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     seconds = run.elapsed
     uncertainty = None
     if setup.options.uncertainty:
-        uncertainty = estimate(
-            run.objective,
-            x,
-            priors=setup.options.priors != Priors.none(),
-            albedo_scale=None if run.scale is None else run.scale.deviation,
-            picture_effect=run.picture_effect,
-        )
+        run.discrepancy = found_off = run.discrepancy or discrepancy_of(run, run.objective, x)
+        deviation = scale_deviation_of(run, found_off)
+        uncertainty = estimate(run.objective, x, found_off, run.posterior, deviation)
     materials, lighting = run.objective.unpack(x)
     return FitOutput(
         materials=materials,
         lighting=lighting,
         normals=np.asarray(run.scene.normals, dtype=np.float64),
         uncertainty=uncertainty,
+        discrepancy=run.discrepancy,
         status=found.status,
         reason=found.reason,
         rows=tuple(run.rows),
@@ -181,6 +182,15 @@ def recon_among(run: Run, x: Array) -> float:
     """Root mean square residual in picture units, of samples as they weigh in the scene."""
     given = run.objective.weighed(None)
     return given.residual_rmse(given.data_value_and_grad(x)[0])
+
+
+def scale_deviation_of(run: Run, discrepancy: Discrepancy) -> Array:
+    """Relative deviation of the common scale by channel; 0 where lights are known."""
+    if run.objective.lighting is None:
+        return np.zeros(1)
+    if run.scale is None:
+        return scale_deviation(None, discrepancy, referred=False)
+    return scale_deviation(run.scale.deviation, discrepancy, referred=run.scale.referred)
 
 
 def scale_in_words(run: Run) -> str:

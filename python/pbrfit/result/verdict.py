@@ -115,6 +115,12 @@ def expected_errors(deviation: Materials) -> dict[str, float]:
     return found
 
 
+def by_deviations(deviation: Materials) -> dict[str, Verdict]:
+    """Of each map, without causes."""
+    errors = expected_errors(deviation)
+    return {name: Verdict(level_of(name, error), error) for name, error in errors.items()}
+
+
 def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:
     """For each pixel (H, W) the index in `LEVELS` that its own deviation alone would give its map.
 

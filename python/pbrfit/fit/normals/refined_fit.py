@@ -24,6 +24,7 @@ from pbrfit.fit.camera import doubt_camera
 from pbrfit.fit.coarse import Lights, Watch, rounds
 from pbrfit.fit.estimator import find_lights, solve
 from pbrfit.fit.levels import Level
+from pbrfit.fit.light_modes import light_modes
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
@@ -304,6 +305,10 @@ def _fit_held(
     """
     options = run.options
     scene = replace(scene, normals=free.layout.whole(free.normals(free_x)))
+    if free.lighting is not None and run.light_modes is None:
+        of_lights = make(scene, False)
+        held_x = _held_x(free, free_x, of_lights)
+        run.light_modes = light_modes(of_lights, held_x, settings.LIGHT_PIXELS_MAX)
     if (
         free.lighting is not None
         and options.robust not in ROBUST_LOSSES

@@ -16,7 +16,13 @@ from pbrfit.fit.run import Run, SharedState, material_errors
 from pbrfit.fit.tiles.maps import TiledMaps
 from pbrfit.fit.tiles.subset_fit import SubsetResult, fit_subset
 from pbrfit.fit.tiles.windows import SceneCutter, Tile, strided_window, tiles
-from pbrfit.fit.whole_picture import FitOutput, FitSetup, Start, scale_in_words
+from pbrfit.fit.whole_picture import (
+    FitOutput,
+    FitSetup,
+    Start,
+    scale_deviation_of,
+    scale_in_words,
+)
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
@@ -110,8 +116,11 @@ def fit_tiles(
         passes += run.evaluations * run.objective.pixels / whole.pixels
         if options.uncertainty:
             before = time.perf_counter()
-            variances = uncertainty.variances(run.objective, x, subset.light_modes)
-            maps.put_variances(tile, run.scene, variances)
+            assert subset.shared_state.discrepancy is not None
+            found = uncertainty.spread(
+                run.objective, x, subset.shared_state.discrepancy, run.posterior
+            )
+            maps.put_spread(tile, run.scene, found)
             clock.unmeasured += time.perf_counter() - before
         del run, x  # before the next tile has its own
         clock.tell(whole.rmse, state, tiles=(len(statuses), len(pieces)))
@@ -131,16 +140,14 @@ def fit_tiles(
         HistoryRow(seconds, clock.iteration, clock.evaluations, whole.mean, whole.rmse, **errors)
     )
     deviations = None
-    if maps.variances is not None:
-        deviations = uncertainty.of_variances(
-            maps.variances,
+    discrepancy = subset.shared_state.discrepancy
+    if maps.spread is not None and discrepancy is not None:
+        deviations = uncertainty.of_spread(
+            maps.spread,
             layout,
-            subset.light_modes,
-            samples=whole.samples,
-            scale=units.scale,
-            priors=options.priors != Priors.none(),
-            albedo_scale=None if clock.scale is None else clock.scale.deviation,
-            picture_effect=clock.picture_effect,
+            discrepancy,
+            scale_deviation_of(clock, discrepancy),
+            noise=uncertainty.noise_of(clock.objective, discrepancy),
         )
     status, reason = ending(subset.status, subset.reason, statuses, options)
     return FitOutput(
@@ -148,6 +155,7 @@ def fit_tiles(
         lighting=subset.lighting,
         normals=maps.normals,
         uncertainty=deviations,
+        discrepancy=discrepancy,
         status=status,
         reason=reason,
         rows=tuple(clock.rows),

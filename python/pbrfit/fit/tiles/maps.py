@@ -13,7 +13,7 @@ from pbrfit.scene.scene import Scene
 
 
 class TiledMaps:
-    """Maps of a picture, NaN until their tile is done, with `variances` if somebody asked."""
+    """Maps of a picture, NaN until their tile is done, with `spread` if somebody asked."""
 
     def __init__(self, scene: Scene, layout: ParameterLayout, *, uncertain: bool) -> None:
         shape = scene.valid.shape
@@ -21,11 +21,11 @@ class TiledMaps:
             np.full((*shape, 3), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
         )
         self.normals = np.array(scene.normals, dtype=np.float64)
-        self.variances: uncertainty.Variances | None = None
+        self.spread: uncertainty.Spread | None = None
         self._valid = scene.valid
         if uncertain:
             unknowns = layout.maps.stop // layout.pixels
-            self.variances = uncertainty.Variances.empty(layout.pixels, unknowns)
+            self.spread = uncertainty.Spread.empty(layout.pixels, unknowns)
             self._number = pixel_index(layout).astype(np.int32)
 
     def put(self, tile: Tile, part: Scene, materials: Materials) -> None:
@@ -36,13 +36,13 @@ class TiledMaps:
             )
         tile.inner.of(self.normals)[...] = tile.inside.of(part.normals)
 
-    def put_variances(self, tile: Tile, part: Scene, found: uncertainty.Variances) -> None:
-        """The same of variances."""
-        assert self.variances is not None
+    def put_spread(self, tile: Tile, part: Scene, found: uncertainty.Spread) -> None:
+        """The same of posteriors."""
+        assert self.spread is not None
         inside = np.zeros(part.valid.shape, bool)
         tile.inside.of(inside)[...] = True
         numbers = tile.inner.of(self._number)[tile.inner.of(self._valid)]
-        self.variances.put(numbers.astype(np.intp), found, inside[part.valid])
+        self.spread.put(numbers.astype(np.intp), found, inside[part.valid])
 
 
 class NearestMaps:

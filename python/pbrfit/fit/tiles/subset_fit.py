@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import uncertainty
+from pbrfit.fit.estimator import discrepancy_of
 from pbrfit.fit.objective import Normalization, Objective, valid_values
 from pbrfit.fit.run import Run, SharedState
 from pbrfit.fit.tiles.maps import NearestMaps
@@ -40,8 +40,6 @@ class SubsetResult:
     shared_state: SharedState
     priors: Priors
     """What tiles have in common, and the priors that they have then."""
-    light_modes: uncertainty.LightModes | None
-    """How the lights may move; None where they are known or nobody asked."""
     nearest: NearestMaps
     """Materials and normals to start from."""
 
@@ -65,11 +63,9 @@ def fit_subset(
     run, x = found.run, found.x
     objective = run.objective
     materials, lighting = objective.unpack(x)
-    light_modes = None
-    if setup.options.uncertainty:
+    if setup.options.uncertainty and run.discrepancy is None:
         began = time.perf_counter()
-        pixels = int(np.count_nonzero(whole.valid))
-        light_modes = uncertainty.light_modes(objective, x, of_pixels=pixels)
+        run.discrepancy = discrepancy_of(run, objective, x)
         run.unmeasured += time.perf_counter() - began
     material, priors = None, setup.options.priors
     if run.fitted_prior is not None:
@@ -88,10 +84,10 @@ def fit_subset(
             material=material,
             robust=objective.robust,
             noise=run.noise,
+            discrepancy=run.discrepancy,
             cohesion=_segment_means(objective, x, priors.cohesion),
         ),
         priors=priors,
-        light_modes=light_modes,
         nearest=NearestMaps(window, whole.valid, materials, np.asarray(run.scene.normals)),
     )
 

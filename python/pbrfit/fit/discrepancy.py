@@ -1,0 +1,181 @@
+"""How far samples are off in a pixel's likelihood: by noise, and by what the model has not.
+
+Where pictures are the model and noise, a fit leaves noise, and nothing that neighbours share.
+Errors of the model (shadows, bounces, wrong normals, another field of view, another reflection) are
+smooth. Lights and materials take up what of them they can, and what is left says how much that was.
+With residuals r of pixels p and q that lie a sixteenth of the picture apart on one segment,
+
+    c² = mean of Σ r_p r_q / samples, less three times its standard error, or 0
+
+is the variance that such pixels share. A pixel's samples then are as uncertain as
+
+    v = 3 s² + (G c)²        G c no more than half the mean radiance
+
+s² is the variance of residuals by their degrees of freedom. It counts thrice because the same
+samples have told lights, prior and pixel. G is how much more of an error is taken up
+than left: one figure for all scenes and errors, measured where truth is known
+(`MISFIT_AMPLIFICATION`). An error that is taken up whole leaves no trace and is in no deviation.
+
+Of what lights may do, `light_share` is the ratio φ of the variance that they add to a pixel's
+roughness and metallic to what its own samples leave; it is common to all pixels
+(`pbrfit.fit.priors.posterior`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.light_modes import light_modes
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
+from pbrfit.fit.pixels import Pixels, fit_all
+from pbrfit.fit.priors.population import METALLIC_DEVIATION, ROUGHNESS_DEVIATION
+from pbrfit.fit.priors.posterior import Pooling
+from pbrfit.fit.sampling import evenly_spaced
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """Of a scene under some lights, in units of x, for samples of weight 1."""
+
+    variance: float
+    """s²."""
+    shared: float
+    """c: standard deviation that neighbours surely share."""
+    modes: Array
+    """(R, N, K, C): how lights may move, of noise 1; R is 0 where they are known."""
+    light_share: float
+    """φ."""
+    picture_effect: float = 1.0
+    """As of `NoiseModel`."""
+
+    @property
+    def misfit(self) -> float:
+        """G c: standard deviation of a sample by what the model does not have."""
+        largest = settings.MISFIT_SHARE_MAX * settings.MEAN_RADIANCE
+        return min(settings.MISFIT_AMPLIFICATION * self.shared, largest)
+
+    @property
+    def of_noise(self) -> float:
+        """3 s²."""
+        return settings.SAMPLE_USES * self.variance * self.picture_effect
+
+    @property
+    def of_pixel(self) -> float:
+        """v: the variance in a pixel's likelihood."""
+        return self.of_noise + self.misfit**2
+
+    @property
+    def effective_share(self) -> float:
+        """s²/v: the share of the samples that would say as much if they were independent noise."""
+        return self.variance / self.of_pixel
+
+    @property
+    def pooling(self) -> Pooling:
+        """How much pixels of one material tell together."""
+        return Pooling(self.light_share, self.of_pixel / self.of_noise)
+
+    def in_words(self) -> str:
+        """For a stage's note."""
+        return (
+            f"samples off by {self.variance**0.5:.2g} by noise, {self.misfit:.2g} by the model; "
+            f"light share {self.light_share:.2g}"
+        )
+
+
+def find(
+    objective: Objective,
+    x: Array,
+    picture_effect: float = 1.0,
+    *,
+    modes: Array | None = None,
+) -> Discrepancy:
+    """From some pixels under the lights of x, each with its best materials.
+
+    `modes` are those of the lights where these are held, though not known. Where samples are no
+    more than unknowns nothing can be left of them, and they are as uncertain as they can be.
+    """
+    pairs = neighbours(objective.layout)
+    pixels = np.unique(pairs) if pairs.size else evenly_spaced(objective.pixels, 1024)
+    pixels = pixels.astype(np.uint64)
+    few, part = objective.restricted(pixels), objective.part_of(x, pixels)
+    sum_sq = fit_all(few, part, starts=settings.SUBSET_STARTS)
+    assert sum_sq is not None  # nothing stops it
+    least = settings.DEGREES_OF_FREEDOM_SHARE_MIN * few.samples
+    unknowns = few.layout.maps.stop
+    if objective.lighting is not None:
+        unknowns += (objective.size - objective.layout.maps.stop) * len(pixels) / objective.pixels
+    freedom = max(few.samples - unknowns, least)
+    variance = max(float(sum_sq.sum()) / freedom, settings.NOISE_VARIANCE_MIN)
+    if objective.samples <= objective.size:
+        variance = (settings.MISFIT_SHARE_MAX * settings.MEAN_RADIANCE) ** 2
+    shared = _shared(few, part, np.searchsorted(pixels, pairs)) if pairs.size else 0.0
+    if modes is None:
+        modes = light_modes(few, part, settings.LIGHT_PIXELS_MAX, of_pixels=objective.pixels)
+    share = _light_share(few, part, variance, modes)
+    return Discrepancy(variance, shared, modes, share, picture_effect)
+
+
+def neighbours(layout: ParameterLayout) -> Pixels:
+    """(2, Q): pairs of pixels of a segment, a sixteenth of the picture apart, evenly spread."""
+    index = pixel_index(layout)
+    step = max(1, round(max(index.shape) / settings.MISFIT_STEPS))
+    found = []
+    for down, right in ((0, step), (step, 0)):
+        here = index[: index.shape[0] - down, : index.shape[1] - right].ravel()
+        there = index[down:, right:].ravel()
+        both = (here >= 0) & (there >= 0)
+        if layout.segments is not None:
+            both[both] = layout.segments[here[both]] == layout.segments[there[both]]
+        pairs = np.stack([here[both], there[both]])
+        if pairs.size:
+            found.append(pairs[:, evenly_spaced(pairs.shape[1], settings.MISFIT_PAIRS)])
+    return np.concatenate(found, axis=1).astype(np.uint64) if found else np.zeros((2, 0), np.uint64)
+
+
+def _shared(objective: Objective, x: Array, pairs: NDArray[np.intp]) -> float:
+    """c, from pairs (2, Q) of the objective's pixels."""
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    residuals = objective.problem.residuals(objective.for_core(x), everything).astype(np.float64)
+    weights = objective.sample_weights
+    if weights is not None:
+        residuals *= np.sqrt(np.broadcast_to(weights, residuals.shape))
+    of_pixels = residuals.transpose(1, 0, 2).reshape(objective.pixels, -1)
+    products = np.einsum("ps,ps->p", of_pixels[pairs[0]], of_pixels[pairs[1]])
+    if len(products) < 2:
+        return 0.0
+    # Each pixel is in two pairs or so, which are not independent.
+    error = float(products.std()) / np.sqrt(len(products) / 2)
+    surely = float(products.mean()) - settings.MISFIT_ERRORS * error
+    return float(np.sqrt(max(surely, 0.0) / of_pixels.shape[1]))
+
+
+def _light_share(objective: Objective, x: Array, variance: float, modes: Array) -> float:
+    """φ, the mean over pixels and both values; 0 where nothing may move."""
+    if not len(modes):
+        return 0.0
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    for_core, channels = objective.for_core(x), objective.channels
+    matrices, _, _ = objective.problem.normal_equations(for_core, everything)
+    alone: Array = np.linalg.inv(
+        matrices + np.diag(prior_precision(matrices.shape[1], channels, variance))
+    )
+    own = np.einsum("pii->pi", alone)
+    moves = objective.problem.moves_with_lights(for_core, everything, alone, modes)
+    return float((moves / own)[:, channels:].mean())
+
+
+def prior_precision(unknowns: int, channels: int, variance: float) -> Array:
+    """(D,): of a pixel's albedo, roughness and metallic before any picture, beside sums of squares.
+
+    `variance` is that of a sample.
+    """
+    deviations = [settings.ALBEDO_DEVIATION] * channels
+    deviations += [ROUGHNESS_DEVIATION, METALLIC_DEVIATION]
+    return variance / np.square(deviations[:unknowns])

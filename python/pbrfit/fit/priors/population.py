@@ -1,0 +1,48 @@
+"""What surfaces there are: the weak prior that everything else in `fit.priors` begins from.
+
+Roughness and metallic of public material sets, one draw each (`tools/material_population.py`; the
+sets and their licences are in docs/priors.md): fourteen sets have a roughness of 0.44 ± 0.23, of
+which 7 % is below 0.1, and 17 % of their surface is metal, more than rooms have, because some were
+chosen for it; between both is 3 %. So few sets cannot tell their mean from the middle of the range,
+which this prior has.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.settings import METAL_SHARE
+
+ROUGHNESS_EXPONENT = 1.0
+"""Density of roughness ∝ (r (1 − r)) to this power: mean 0.5, deviation 0.22, 3 % below 0.1."""
+
+MIXED_SHARE = 0.05
+"""Share of surfaces between dielectric and metal: rust, dust, edges of both within a pixel."""
+
+ROUGHNESS_DEVIATION, METALLIC_DEVIATION = 0.22, 0.3
+"""Standard deviations of this prior."""
+
+LOG_ALBEDO_DEVIATION = 0.45
+"""Standard deviation of the logarithm of a picture's mean albedo, of which two lie between 0.15 and
+0.8. Single sets have 0.7, and pictures hold several."""
+
+
+def population(
+    roughness: NDArray[np.floating[Any]], metallic: NDArray[np.floating[Any]]
+) -> NDArray[np.float32]:
+    """Probabilities of nodes (K,) of a grid with these values; their sum is 1."""
+    inside = np.clip(roughness, 0.02, 0.98)
+    density = (inside * (1 - inside)) ** ROUGHNESS_EXPONENT
+    pure = {0.0: 1 - METAL_SHARE - MIXED_SHARE, 1.0: METAL_SHARE}
+    share = np.zeros(len(metallic))
+    between = np.ones(len(metallic), bool)
+    for value, of_value in pure.items():
+        share[metallic == value] = of_value
+        between &= metallic != value
+    if between.any():
+        share[between] = MIXED_SHARE / len(np.unique(metallic[between]))
+    found = density * share
+    return np.asarray(found / found.sum(), np.float32)

@@ -1,0 +1,338 @@
+"""What pixels say about roughness and metallic, and what they are with a prior: on a grid of nodes.
+
+With noise s², lights known and nodes k,
+
+    l_ik = min over albedo of Σ ω (I − T)² / 2s²          A_ik = exp(−η_i (l_ik − min_k l_ik))
+    p_k ← [w Σ_i A_ik p_k / Σ_j A_ij p_j + n q_k] / sum over k
+    posterior_ik ∝ A_ik p_k
+
+with q the prior that p begins from, which counts for n pixels: of a segment the distribution of the
+picture, of the picture the population of all surfaces (`population`). η = σ²/(σ² + spacing²) widens
+likelihoods that are too sharp for the grid. What is left of them, 1 − η, is for the fit after.
+
+**Pixels that share an error.** That of the lights is common to all, and P pixels whose variance by
+lights is φ times that by their own samples tell no more than 1/φ of them. Where what is left of the
+pictures is no noise, pixels of a segment share that too: the ratio of a pixel's variance with it to
+that without is how many say as much as one. So n is `PICTURE_PSEUDO_PIXELS` (1 + φ P) times that
+ratio (`Pooling`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.population import population
+from pbrfit.fit.sampling import slices
+from pbrfit.threads import in_pieces
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.uint64]
+Labels = NDArray[np.intp]
+Stop = Callable[[], bool]
+
+ROUGHNESS_NODES = np.linspace(*settings.PRIOR_ROUGHNESS_NODES)
+METALLIC_NODES = np.linspace(*settings.PRIOR_METALLIC_NODES)
+PURE_NODES = np.array([0.0, 1.0])
+"""Among surroundings, of which something is always left that is none of a material: as large as a
+dielectric's lobe, so that metallic between both would take it up."""
+INTERVAL = 0.95
+"""Probability between the quantiles of a posterior."""
+
+NODE_DISTANCE = float(ROUGHNESS_NODES[1] - ROUGHNESS_NODES[0])
+
+
+@dataclass(frozen=True)
+class Pooling:
+    """How much pixels of one material tell together."""
+
+    light_share: float = 0.0
+    """φ: variance of a pixel's roughness and metallic by that of the lights, over that by its own
+    samples."""
+    misfit_ratio: float = 1.0
+    """Variance of a pixel's likelihood over that by noise alone, 1 or more."""
+
+    def prior_pixels(self, pixels: int) -> float:
+        """How many pixels the prior of so many counts for."""
+        shared = 1 + self.light_share * pixels
+        return settings.PICTURE_PSEUDO_PIXELS * shared * self.misfit_ratio
+
+
+def labels_of(objective: Objective) -> Labels:
+    """The pixels' segments (P,), 0 = unclassified."""
+    layout = objective.layout
+    return np.zeros(layout.pixels, np.intp) if layout.segments is None else layout.segments
+
+
+class Grid:
+    """Likelihoods over the nodes, (roughness, metallic) row by row, with the lights of x."""
+
+    def __init__(
+        self, objective: Objective, x: Array, variance: float, metallic: Array | None = None
+    ) -> None:
+        self._planes = len(objective.layout.roughness_metallic)
+        self._problem, self._x = objective.problem, objective.for_core(x)
+        self.objective, self._variance = objective, variance
+        known = objective.known_metallic
+        if metallic is None:
+            metallic = METALLIC_NODES if objective.transfer is None else PURE_NODES
+        self._metallic = metallic if known is None else np.array([known])
+        nodes = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
+        self.roughness, self.metallic = (of_nodes.ravel() for of_nodes in nodes)
+
+    def likelihood(self, pixels: Pixels) -> Likelihood:
+        """Of some pixels."""
+
+        def of_piece(piece: slice) -> Likelihood:
+            return self.of_piece(pixels[piece])
+
+        pieces = slices(len(pixels), settings.PIXELS_AT_ONCE)
+        parts = in_pieces(self.objective.threads, of_piece, pieces)
+        return Likelihood(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def _sum_sq(self, pixels: Pixels) -> NDArray[np.float32]:
+        """Least Σ ω (I − T)² of each node, (Q, nodes)."""
+        sum_sq = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
+        return sum_sq.reshape(len(pixels), -1)
+
+    def of_piece(self, pixels: Pixels) -> Likelihood:
+        """The same of few enough pixels."""
+        excess = self._sum_sq(pixels)
+        least = excess.min(axis=1, keepdims=True)
+        excess -= least
+        excess /= np.float32(2 * self._variance)
+        # σ of roughness, from the curvature of its profile at the best node.
+        profile = _least(excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1))
+        best = np.clip(profile.argmin(axis=1), 1, len(ROUGHNESS_NODES) - 2)[:, None]
+        below, at, above = (np.take_along_axis(profile, best + i, axis=1) for i in (-1, 0, 1))
+        curvature = (
+            np.maximum(below - 2 * at + above, settings.LIKELIHOOD_CURVATURE_MIN) / NODE_DISTANCE**2
+        )
+        sharpness = settings.PRIOR_NODE_SPACING**2 * curvature  # spacing²/σ²
+        share = 1 / (1 + sharpness)  # η
+        excess *= -share
+        np.exp(excess, out=excess)
+        return Likelihood(excess, (sharpness * share)[:, 0], least[:, 0])
+
+
+def _least(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Over the last axis, which is short: numpy's own minimum is for long ones."""
+    found = values[..., 0].copy()
+    for i in range(1, values.shape[-1]):
+        np.minimum(found, values[..., i], out=found)
+    return found
+
+
+class Likelihood(NamedTuple):
+    """What pixels' samples say about the nodes."""
+
+    values: NDArray[np.float32]
+    """A, (Q, nodes); 1 at the best node of each pixel."""
+    unused: NDArray[np.float32]
+    """1 − η, (Q,)."""
+    least: NDArray[np.float32]
+    """Σ ω (I − T)² at the best node, (Q,)."""
+
+
+class Posterior(NamedTuple):
+    """What pixels are, by their samples and their prior; the first of two is roughness."""
+
+    mean: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    """(Q, 2)."""
+    covariance: NDArray[np.float32]
+    """(Q,): of roughness and metallic."""
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    """(Q, 2): quantiles, `INTERVAL` of the probability between them."""
+    cluster: Labels
+    """(Q,): the group of nodes that most of it is in."""
+    unused: NDArray[np.float32]
+    """(Q,): 1 − η."""
+
+    def part(self, pixels: slice) -> Posterior:
+        """Of some pixels."""
+        return Posterior(*(of_all[pixels] for of_all in self))  # type: ignore[arg-type]
+
+    def gaussian(
+        self, sigma_min: float, variance: float, objective: Objective
+    ) -> tuple[Array, Array]:
+        """Mean and precision of the unknown ones of roughness and metallic, each (P, F).
+
+        `variance` is s² times the strength.
+        """
+        used = slice(len(objective.layout.roughness_metallic))
+        precision = variance / (sigma_min**2 + self.variance[:, used].astype(np.float64))
+        return self.mean[:, used].astype(np.float64), precision
+
+    def prior(self, sigma_min: float, variance: float, objective: Objective) -> GaussianPrior:
+        """See `gaussian`."""
+        _, cluster = np.unique(self.cluster, return_inverse=True)
+        blocks, factor = objective.layout.roughness_metallic, 1 / objective.total_weight
+        mean, precision = self.gaussian(sigma_min, variance, objective)
+        return GaussianPrior(mean, precision, cluster, blocks, factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Distributions:
+    """Distributions over the nodes: row 0 of the whole picture, the others of large segments."""
+
+    probabilities: NDArray[np.float32]
+    """(rows, nodes), float32."""
+    groups: Labels
+    """(rows, nodes): which group of neighbouring nodes each belongs to, 0 = none."""
+    row: Labels
+    """By label: the row that a segment has."""
+    nodes: NDArray[np.float32]
+    """(nodes, 2): their roughness and metallic."""
+
+    @classmethod
+    def of(
+        cls, found: Likelihood, labels: Labels, grid: Grid, pooling: Pooling | None = None
+    ) -> Distributions:
+        """From pixels of these labels; unclassified ones, of label 0, have the picture's.
+
+        Without pooling the likeliest ones: where lights are to follow, a prior would pull at them.
+        """
+        from scipy.ndimage import label
+
+        likelihood = found.values
+        base = np.full(likelihood.shape[1], 1 / likelihood.shape[1], np.float32)
+        if pooling is not None:
+            base = population(grid.roughness, grid.metallic)
+        more = 0.0 if pooling is None else pooling.prior_pixels(len(likelihood))
+        whole = mixture_of(likelihood, base, more)
+        rows = [whole]
+        row = np.zeros(labels.max() + 1, np.intp)
+        order = np.argsort(labels, kind="stable")
+        segments, starts = np.unique(labels[order], return_index=True)
+        for segment, of_segment in zip(segments, np.split(order, starts[1:]), strict=True):
+            if segment and len(of_segment) >= settings.SEGMENT_PIXELS_MIN:
+                row[segment] = len(rows)
+                own = likelihood[of_segment]
+                more = settings.PICTURE_PSEUDO_PIXELS
+                if pooling is not None:
+                    more = pooling.prior_pixels(len(own))
+                rows.append(mixture_of(own, whole, more))
+        probabilities = np.maximum(np.stack(rows), np.float32(settings.NODE_PROBABILITY_MIN))
+        shape = (len(ROUGHNESS_NODES), -1)
+        high = probabilities > settings.GROUP_PROBABILITY_SHARE * probabilities.max(
+            axis=1, keepdims=True
+        )
+        groups = np.stack([label(of_row.reshape(shape))[0].ravel() for of_row in high])
+        nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
+        return cls(probabilities, groups.astype(np.intp), row, nodes)
+
+    @classmethod
+    def flat(cls, grid: Grid) -> Distributions:
+        """All nodes alike: no prior."""
+        count = len(grid.roughness)
+        nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
+        probabilities = np.full((1, count), 1 / count, np.float32)
+        return cls(probabilities, np.ones((1, count), np.intp), np.zeros(1, np.intp), nodes)
+
+    def of_all(self, grid: Grid, stop: Stop = lambda: False) -> Posterior | None:
+        """The posterior of all pixels of the grid's objective; None if stopped before."""
+        labels = labels_of(grid.objective)
+        everything = np.arange(len(labels), dtype=np.uint64)
+
+        def of_piece(chunk: slice) -> Posterior | None:
+            if stop():
+                return None
+            return self.posterior(grid.of_piece(everything[chunk]), labels[chunk])
+
+        parts = in_pieces(
+            grid.objective.threads, of_piece, slices(len(labels), settings.PIXELS_AT_ONCE)
+        )
+        found = [part for part in parts if part is not None]
+        if len(found) < len(parts):
+            return None
+        return Posterior(*map(np.concatenate, zip(*found, strict=True)))
+
+    def without_data(self, posterior: Posterior, labels: Labels) -> Posterior:
+        """Means and variances of the groups of nodes that pixels fell to.
+
+        Where the mean metallic is nearest to 0 or 1, these hold exactly: surfaces are dielectrics
+        or metals, and whatever a dielectric has of a metal changes its highlight, and so the scale
+        of lights, many times as much.
+        """
+        rows, count = self.rows(labels), self.groups.max() + 1
+        kinds, kind = np.unique(rows * count + posterior.cluster % count, return_inverse=True)
+        row, group = np.divmod(kinds, count)
+        share = self.probabilities[row] * (self.groups[row] == group[:, None] + 1)
+        share /= np.maximum(share.sum(axis=1, keepdims=True), np.finfo(np.float32).tiny)
+        mean = share @ self.nodes
+        variance = np.maximum(share @ self.nodes**2 - mean**2, 0)
+        nearest = np.round(mean[:, 1])
+        levels = np.unique(self.nodes[:, 1])
+        half = np.diff(levels).min(initial=1.0) / 2
+        pure = np.abs(mean[:, 1] - nearest) < half
+        mean[pure, 1], variance[pure, 1] = nearest[pure], 0
+        return posterior._replace(mean=np.clip(mean[kind], 0, 1), variance=variance[kind])
+
+    def rows(self, labels: Labels) -> Labels:
+        """Of pixels with these labels."""
+        known = labels < len(self.row)
+        return np.where(known, self.row[np.where(known, labels, 0)], 0)
+
+    def posterior(self, likelihood: Likelihood, labels: Labels) -> Posterior:
+        """Of pixels with these likelihoods and labels."""
+        rows = self.rows(labels)
+        posterior = self.probabilities[rows]
+        posterior *= likelihood.values
+        posterior /= posterior.sum(axis=1, keepdims=True)
+        mean = posterior @ self.nodes
+        variance = np.maximum(posterior @ self.nodes**2 - mean**2, 0)
+        covariance = posterior @ self.nodes.prod(axis=1) - mean.prod(axis=1)
+        of_grid = posterior.reshape(len(posterior), len(ROUGHNESS_NODES), -1)
+        intervals = [
+            _interval(of_grid.sum(axis=2), ROUGHNESS_NODES, NODE_DISTANCE),
+            _interval(of_grid.sum(axis=1), self.nodes[: of_grid.shape[2], 1], 0.0),
+        ]
+        low, high = np.stack(intervals, axis=-1).astype(np.float32)
+        # The group that most of the posterior is in.
+        group = np.zeros(len(posterior), np.intp)
+        count = self.groups.max() + 1
+        for of_row in np.unique(rows):
+            of_groups = np.equal.outer(self.groups[of_row], np.arange(1, count))
+            here = rows == of_row
+            group[here] = (posterior[here] @ of_groups.astype(np.float32)).argmax(axis=1)
+        cluster = labels * count + group
+        mean = np.clip(mean, 0, 1)
+        return Posterior(mean, variance, covariance, low, high, cluster, likelihood.unused)
+
+
+def _interval(
+    probabilities: NDArray[np.float32], values: NDArray[np.floating[Any]], width: float
+) -> NDArray[np.float64]:
+    """(2, Q): quantiles of nodes (Q, K), each as wide as this around its value."""
+    total = probabilities.cumsum(axis=1, dtype=np.float64)
+    total /= total[:, -1:]
+    found = []
+    for level in (0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2):
+        at = np.argmax(total >= level, axis=1)[:, None]
+        before = np.where(at > 0, np.take_along_axis(total, np.maximum(at - 1, 0), axis=1), 0.0)
+        own = np.take_along_axis(total, at, axis=1) - before
+        share = (level - before) / np.maximum(own, np.finfo(np.float64).tiny)
+        found.append(np.clip(values[at] + width * (share - 0.5), 0, 1)[:, 0])
+    return np.stack(found)
+
+
+def mixture_of(
+    likelihood: NDArray[np.float32], prior: NDArray[np.float32], prior_pixels: float
+) -> NDArray[np.float32]:
+    """Probabilities of the nodes by EM, where their prior counts for so many pixels more."""
+    probabilities = prior
+    for _ in range(settings.EM_ITERATIONS):
+        of_pixels = likelihood @ probabilities
+        probabilities = probabilities * (np.reciprocal(of_pixels) @ likelihood)
+        probabilities += np.float32(prior_pixels) * prior
+        probabilities /= probabilities.sum()
+    return probabilities
