@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +18,9 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.result.result import Result
-from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.result.verdict import PARAMETERS, level_of
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday.disturbances import Kind
+from pbrfit_evaluation.everyday.disturbances import Floats, Kind
 from pbrfit_evaluation.everyday.measure import CHANNELS
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.recipes import constant_guess
@@ -102,8 +102,8 @@ def compared(result: Result, scene: Scene) -> dict[str, Any]:
             "cause": verdict.cause,
             "deserved": level_of(name, found["rmse"]),
         }
-    found_albedo, true_albedo = result.materials.albedo[valid], truth.materials.albedo[valid]
-    return {"maps": maps, "scale": scale_errors(found_albedo, true_albedo, known)}
+    albedo, true_albedo = result.materials.albedo[valid], truth.materials.albedo[valid]
+    return {"maps": maps, "scale": scale_errors(albedo, true_albedo, known.albedo_scale)}
 
 
 def calibration(found: Array, true: Array, deviation: Array, low: Array, high: Array) -> Values:
@@ -146,7 +146,9 @@ def calibration(found: Array, true: Array, deviation: Array, low: Array, high: A
     }
 
 
-def scale_errors(found: Array, true: Array, known: Uncertainty) -> dict[str, dict[str, float]]:
+def scale_errors(
+    found: Floats, true: Floats, deviations: Sequence[float]
+) -> dict[str, dict[str, float]]:
     """By channel the `error` of the scale of albedos (P, 3), and its `deviation`.
 
     The error is |ln s|, where s times the true albedo is nearest to the found one.
@@ -155,7 +157,7 @@ def scale_errors(found: Array, true: Array, known: Uncertainty) -> dict[str, dic
     errors = np.abs(np.log(np.maximum(scales, np.finfo(np.float64).tiny)))
     return {
         channel: {"error": float(error), "deviation": float(deviation)}
-        for channel, error, deviation in zip(CHANNELS, errors, known.albedo_scale, strict=True)
+        for channel, error, deviation in zip(CHANNELS, errors, deviations, strict=True)
     }
 
 
