@@ -54,6 +54,9 @@ TIME = 0.1
 LEAST_SHARE = 0.005
 """Share of a row's values that a bin has where it is drawn, at least."""
 
+LEAST_ERROR = 1e-3
+"""RMSE below which maps are drawn at it: far below all that verdicts tell apart."""
+
 GREY = 7
 """Place in the palette of what is no measurement."""
 
@@ -311,10 +314,8 @@ def _reliability(results: Of, group: Group) -> Plot:
             )
         )
     caption = (
-        f"Where {group}: all scenes of a row together. Bins of less than {LEAST_SHARE:.1%} of the "
-        f"values are left out; what is below {low:g} is drawn there. Dotted: as said."
-        if group == GROUPS[0]
-        else f"{group.capitalize()}: likewise."
+        f"{group.capitalize()}: all scenes of a row together. Bins of less than "
+        f"{100 * LEAST_SHARE:g} % of the values are left out; what is below {low:g} is drawn there."
     )
     return Plot(
         f"reliability-{group.replace(' ', '-')}",
@@ -350,7 +351,8 @@ def _expected(results: Of) -> Plot:
             ]
             if found:
                 x, y = (
-                    [max(one[key], 1e-4) for one in found] for key in ("expected_error", "rmse")
+                    [max(one[key], LEAST_ERROR) for one in found]
+                    for key in ("expected_error", "rmse")
                 )
                 series.append(Series(group, x, y, look=look))
         limits = (USABLE_MAX[name], ROUGH_MAX[name])
@@ -361,11 +363,14 @@ def _expected(results: Of) -> Plot:
                 title=name,
                 log="xy",
                 marks=marks,
+                x_range=(LEAST_ERROR, 1.0),
+                y_range=(LEAST_ERROR, 1.0),
             )
         )
     caption = (
         "A point a scene. Lines: errors up to which a map is usable, and up to which it is a rough "
-        "guide. Right verdicts are in the squares along the diagonal."
+        "guide; right verdicts are in the squares along the diagonal. What is below "
+        f"{LEAST_ERROR:g} is drawn there."
     )
     return Plot("verdicts", caption, panels, columns=len(PARAMETERS), size=(3.3, 2.9))
 
