@@ -161,7 +161,7 @@ def test_a_jpeg_has_a_twin_with_noise_of_its_rms(said: Any) -> None:
 def test_jpeg_files_have_the_quality_and_the_chroma_that_are_said(tmp_path: Path) -> None:
     codes = np.random.default_rng(1).integers(0, 256, (16, 16, 3)).astype(np.uint8)
     for said, factors in (("90-444", (1, 1)), ("75-420", (2, 2))):
-        disturbances._jpeg(said)(tmp_path / said, codes)
+        disturbances.jpeg(said)(tmp_path / said, codes)
         with Image.open(tmp_path / f"{said}.jpg") as picture:
             assert picture.layer[0][1:3] == factors  # type: ignore[attr-defined]
             # Of quality 50 the first entry is 16; 90 and 75 have a fifth and a half of it.

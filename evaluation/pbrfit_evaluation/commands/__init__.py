@@ -47,7 +47,7 @@ SUITES = {
     "stability": "numerical stability of the core",
     "table1": "errors of materials and relighting on scenes whose ground truth is known",
     "transport": "what depth is worth where light is blocked and bounces",
-    "uncertainty": "predicted deviations against many refits under noise",
+    "uncertainty": "whether deviations, intervals and verdicts are right where the model is wrong",
 }
 """Summaries by name; `pbrfit_evaluation.NAME.SUITE` is the suite."""
 

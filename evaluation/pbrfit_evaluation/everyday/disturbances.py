@@ -168,17 +168,17 @@ def disturbed(disturbance: Disturbance, kind: Kind, seed: int, size: int) -> Dis
     format_, _, rest = disturbance.partition("-")
     match format_:
         case "jpeg":
-            return _in_files(made(0.0), _jpeg(rest))
+            return in_files(made(0.0), jpeg(rest))
         case "white":
-            return _with_noise_of(made(0.0), _jpeg(rest), rng)
+            return _with_noise_of(made(0.0), jpeg(rest), rng)
         case "fov":
             return _of_another_view(made(NOISE, fov=FOV_TRUE), rest)
         case "clean":
             return made(0.0)
         case "png":
-            return _in_files(made(NOISE), _write_png)
+            return in_files(made(NOISE), write_png)
         case "grey":
-            return _grey(made(0.0), rng)
+            return grey(made(0.0), rng)
         case "together":
             return _together(made(NOISE), kind, seed, size, rng)
     return _spoilt(made(NOISE), disturbance, kind, seed, size, rng)
@@ -188,7 +188,7 @@ def _together(given: Disturbed, kind: Kind, seed: int, size: int, rng: Generator
     """Each with a picture of its own, in files that do not tell the field of view."""
     for number, one in enumerate(TOGETHER):
         given = _spoilt(given, one, kind, seed, size, rng, bad_picture=BAD_PICTURE + 2 * number)
-    return _in_files(given, _write_png, say_fov=False)
+    return in_files(given, write_png, say_fov=False)
 
 
 def _spoilt(
@@ -288,7 +288,7 @@ def _white(scene: Scene) -> float:
     return float(np.quantile(scene.images[:, scene.valid], UNCLIPPED))
 
 
-def _grey(clean: Disturbed, rng: Generator) -> Disturbed:
+def grey(clean: Disturbed, rng: Generator) -> Disturbed:
     """Materials and lights without colour, at the same mean radiance; grey pictures with noise.
 
     Each is the mean over its channels, also of what a camera gives with noise in each of them.
@@ -333,7 +333,8 @@ Write = Callable[[Path, NDArray[np.uint8]], None]
 """Writes codes (H, W, 3) to a path without its suffix."""
 
 
-def _write_png(path: Path, codes: NDArray[np.uint8]) -> None:
+def write_png(path: Path, codes: NDArray[np.uint8]) -> None:
+    """A `Write` of PNG files."""
     Image.fromarray(codes).save(path.with_suffix(".png"))
 
 
@@ -341,13 +342,13 @@ def _write_jpeg(path: Path, codes: NDArray[np.uint8], *, quality: int, chroma: s
     Image.fromarray(codes).save(path.with_suffix(".jpg"), quality=quality, subsampling=chroma)
 
 
-def _jpeg(said: str) -> Write:
+def jpeg(said: str) -> Write:
     """Of quality and chroma subsampling, such as "90-420"."""
     quality, _, chroma = said.partition("-")
     return partial(_write_jpeg, quality=int(quality), chroma=":".join(chroma))
 
 
-def _in_files(given: Disturbed, write: Write, *, say_fov: bool = True) -> Disturbed:
+def in_files(given: Disturbed, write: Write, *, say_fov: bool = True) -> Disturbed:
     """Exposed, encoded as sRGB of 8 bits, written, and read; held-out pictures stay."""
     white = _white(given.scene)
     truth = _truth(given.scene)
@@ -362,7 +363,7 @@ def _in_files(given: Disturbed, write: Write, *, say_fov: bool = True) -> Distur
 def _with_noise_of(clean: Disturbed, write: Write, rng: Generator) -> Disturbed:
     """Float pictures with white noise of the RMS that files leave in the samples they can hold."""
     white, valid = _white(clean.scene), clean.scene.valid
-    error = _in_files(clean, write).scene.images - clean.expected / white
+    error = in_files(clean, write).scene.images - clean.expected / white
     held = error[(clean.expected < white) & valid[..., None]]
     sigma = white * float(np.sqrt(np.mean(np.square(held, dtype=np.float64))))
     pictures = clean.expected + sigma * rng.standard_normal(clean.expected.shape)

@@ -1,109 +1,387 @@
-"""The calibration as rows, verdicts and a table."""
+"""Coverage, reliability and verdicts of all conditions as rows, bars, tables and plots."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from pbrfit_evaluation.suite import Column, Results, Row, Section, Table, Verdict
-from pbrfit_evaluation.uncertainty.measure import LIGHTS, Array, Lights, Task
+from pbrfit.result.verdict import LEVELS, PARAMETERS, ROUGH_MAX, USABLE_MAX
+from pbrfit_evaluation.everyday.measure import CHANNELS
+from pbrfit_evaluation.suite import (
+    Column,
+    Line,
+    Mark,
+    Panel,
+    Plot,
+    Results,
+    Row,
+    Section,
+    Series,
+    Table,
+    Value,
+    Verdict,
+    digits,
+    numbers_csv,
+)
+from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition, Group
+from pbrfit_evaluation.uncertainty.measure import (
+    DEVIATION_EDGES,
+    EXACT,
+    RATIO_EDGES,
+    Array,
+    Case,
+)
 
-WITHIN = 0.2
-"""A ratio of found to predicted deviation this near to 1 counts as right."""
+COVERED = (0.9, 0.99)
+"""Share of the errors within two deviations, at least and at most: of a Gaussian 0.954."""
 
-BARS: dict[Lights, tuple[float, float, float]] = {"known": (0.9, 1.1, 0.9), "free": (0.8, 1.25, 0)}
-"""Least and largest median of the ratios, least share of them within `WITHIN` of 1."""
+ABOVE_GUESS = 1.02
+"""Mean error of a map over that of the constant guess, at most."""
 
-PARAMETERS = {"albedo": slice(0, 3), "roughness": slice(3, 4), "metallic": slice(4, 5)}
+USABLE_RIGHT, UNDETERMINED_WRONG = 0.95, 0.1
+"""Share of the maps called usable whose error is so small, at least; and of those called not
+determined whose error is that of a rough guide or better, at most."""
 
-COLUMNS: tuple[Column | str, ...] = (
-    *(Column("draws", "refits"), Column("compared", "share of\npixels"), "converged", "median"),
-    *(Column("within", "within 20 %"), *(Column(f"median_{name}", name) for name in PARAMETERS)),
-    *(Column("median_by_fit", "by a fit"), Column("within_by_fit", "within 20 %"), "variance"),
-    *(Column("median_bias", "bias"), Column("albedo_scale", "scale")),
+SCALES_COVERED = 0.9
+"""Share of the scales whose error is within two deviations, at least."""
+
+TIME = 0.1
+"""Seconds after the fits over those of the fits, at most."""
+
+LEAST_SHARE = 0.005
+"""Share of a row's values that a bin has where it is drawn, at least."""
+
+LEAST_ERROR = 1e-3
+"""RMSE below which maps are drawn at it: far below all that verdicts tell apart."""
+
+GREY = 7
+"""Place in the palette of what is no measurement."""
+
+Of = Results[Case]
+
+METRICS = ("within_1", "within_2", "in_interval", "deviation")
+
+
+# ------------------------------------------------------------------------------------------ rows
+
+
+def _conditions(results: Of) -> Iterator[tuple[Condition, Of]]:
+    """Those with a scene, in their order."""
+    for name, condition in CONDITIONS.items():
+        if (of := results.of(condition=name)).pairs:
+            yield condition, of
+
+
+def rows(results: Of) -> list[Row]:
+    """A row a condition: of each map means over scenes; the scale, and seconds."""
+    return [_row(condition, of) for condition, of in _conditions(results)]
+
+
+def _row(condition: Condition, of: Of) -> Row:
+    metrics: dict[str, float | None] = {}
+    if of.finished:
+        for name in PARAMETERS:
+            metrics |= {f"{name}_{key}": value for key, value in _of_map(of, name).items()}
+        metrics |= {
+            "scale_within_2": _share(_scales_within(of)),
+            "seconds": _mean(of.numbers("seconds", "fit")),
+            "after_share": _after_share(of),
+        }
+    return Row(condition.title, len(of.finished), None, metrics, status=of.status("scenes"))
+
+
+def _of_map(of: Of, name: str) -> dict[str, float | None]:
+    path = ("maps", name)
+    errors, guesses = of.numbers(*path, "rmse"), of.numbers(*path, "guess")
+    on_bound = sum(of.numbers(*path, "on_bound", "count"))
+    inside = sum(of.numbers(*path, "on_bound", "inside"))
+    values = sum(float(np.sum(one["maps"][name]["ratios"])) for _, one in of.finished)
+    return {
+        **of.metrics(["within_2"], *path),
+        **{key: _mean(of.numbers(*path, key)) for key in METRICS if key != "within_2"},
+        "rmse": _mean(errors),
+        "guess": _mean(guesses),
+        "over_guess": _mean(errors) / _mean(guesses) if any(guesses) else math.nan,
+        "expected_error": _mean(of.numbers(*path, "expected_error")),
+        "on_bound": on_bound / values,
+        "on_bound_inside": inside / on_bound if on_bound else math.nan,
+    }
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else math.nan
+
+
+def _share(flags: Sequence[bool]) -> float:
+    return _mean([float(flag) for flag in flags])
+
+
+def _scales_within(of: Of) -> list[bool]:
+    """Of each channel of each scene, whether the error of the scale is within two deviations."""
+    each = [values["scale"][channel] for _, values in of.finished for channel in CHANNELS]
+    return [one["error"] <= max(2 * one["deviation"], EXACT) for one in each]
+
+
+def _after_share(of: Of) -> float:
+    """Seconds after the fits over those of the fits, of scenes where they can be told apart."""
+    fits, after = (of.numbers("seconds", name) for name in ("fit", "after"))
+    return sum(after) / sum(fits) if fits else math.nan
+
+
+# -------------------------------------------------------------------------------------- verdicts
+
+
+def verdicts(results: Of, of_rows: Sequence[Row]) -> Iterator[Verdict]:
+    """What coverage, errors, levels, the scale and seconds have to be."""
+    for row in of_rows:
+        yield from _row_verdicts(row)
+    said = confusion(results)
+    usable, undetermined = said[0], said[-1]
+    yield _of_said(f"“{LEVELS[0]}” and right", usable[0], usable.sum(), USABLE_RIGHT, at_least=True)
+    wrong = undetermined[:-1].sum()
+    yield _of_said(f"“{LEVELS[-1]}” and wrong", wrong, undetermined.sum(), UNDETERMINED_WRONG)
+    shares = {c.title: _share(_scales_within(of)) for c, of in _conditions(results) if of.finished}
+    worst = min(shares, key=lambda title: shares[title], default="")
+    yield Verdict(
+        "share of scales of albedo, of all channels and scenes, within two deviations",
+        _share(_scales_within(results)),
+        SCALES_COVERED,
+        f"least: {worst}, {digits(shares[worst])}" if worst else "",
+        at_least=True,
+    )
+    what = "seconds after the fit (uncertainty and final errors) over those of the fit"
+    yield Verdict(what, _after_share(results), TIME)
+
+
+def _row_verdicts(row: Row) -> Iterator[Verdict]:
+    """Of the maps that are farthest off; a row without scenes holds nothing."""
+
+    def of_maps(metric: str) -> dict[str, float]:
+        found = {name: row.metrics.get(f"{name}_{metric}") for name in PARAMETERS}
+        return {name: math.nan if value is None else value for name, value in found.items()}
+
+    within, over = of_maps("within_2"), of_maps("over_guess")
+    low, high = COVERED
+    least, most, worst = (
+        min(within, key=lambda name: within[name]),
+        max(within, key=lambda name: within[name]),
+        max(over, key=lambda name: over[name]),
+    )
+    what = f"{row.name}: share of errors within two deviations"
+    yield Verdict(f"{what}, least", within[least], low, least, at_least=True)
+    yield Verdict(f"{what}, largest", within[most], high, most)
+    yield Verdict(f"{row.name}: error over the constant guess's", over[worst], ABOVE_GUESS, worst)
+
+
+def _of_said(
+    what: str, count: float, total: float, bar: float, *, at_least: bool = False
+) -> Verdict:
+    """A share of what was said; where it was never said there is nothing to hold."""
+    if not total:
+        return Verdict(f"share of maps called {what}", math.nan, None, "no map was called so")
+    where = f"{count:.0f} of {total:.0f}"
+    return Verdict(f"share of maps called {what}", count / total, bar, where, at_least=at_least)
+
+
+def confusion(results: Of, *names: str) -> Array:
+    """(3, 3): how many maps were called each level (rows) and by their error are each (columns).
+
+    Of some maps, by default all.
+    """
+    found = np.zeros((len(LEVELS), len(LEVELS)))
+    for _, values in results.finished:
+        for name in names or PARAMETERS:
+            one = values["maps"][name]
+            found[LEVELS.index(one["said"]), LEVELS.index(one["deserved"])] += 1
+    return found
+
+
+# --------------------------------------------------------------------------------- what is shown
+
+COLUMNS = (
+    *(Column("within_1", "within 1\ndeviation"), Column("within_2", "within 2")),
+    *(Column("in_interval", "in the\ninterval"), Column("rmse", "RMSE")),
+    *(Column("expected_error", "RMSE\nexpected"), Column("guess", "RMSE of\nthe guess")),
+    *(Column("over_guess", "RMSE over\nthe guess's"), Column("deviation", "deviation,\nmedian")),
+    *(
+        Column("on_bound", "share of\nvalues 0 or 1"),
+        Column("on_bound_inside", "of them in\ninterval"),
+    ),
 )
 
 
-def _groups(results: Results[Task]) -> Iterator[tuple[str, Lights, Results[Task]]]:
-    """Scenes with the same lights (known or free) and noise, together."""
-    levels = sorted(
-        {(task.lights, task.noise) for task, _ in results.finished},
-        key=lambda level: (LIGHTS.index(level[0]), level[1]),
+def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
+    """Tables of the maps, reliability, verdicts, and the scale with seconds."""
+    yield Section(
+        "Coverage and errors",
+        "Means over scenes; of Gaussian errors 68 % are within one deviation and 95 % within two. "
+        "The interval is from the 2.5 % to the 97.5 % quantile. The guess is one material "
+        "everywhere: the true mean albedo, roughness 0.5, metallic 0. RMSE expected is what the "
+        "verdict rests on.",
+        [_of_one_map(of_rows, name) for name in PARAMETERS],
     )
-    for lights, noise in levels:
-        title = f"lights {lights}, noise {noise:g}"
-        yield title, lights, results.of(lights=lights, noise=noise)
-
-
-def _ratios(of: Results[Task], above: str = "found", below: str = "predicted") -> Array:
-    """(Q, 5) of all scenes together."""
-
-    def columns(values: Any) -> Array:
-        return np.array(values, np.float64).reshape(-1, 5)
-
-    with np.errstate(divide="ignore"):  # a fit may have ended on a bound, and predict 0
-        return np.concatenate([columns(v[above]) / columns(v[below]) for _, v in of.finished])
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values)) if values.size else math.nan
-
-
-def _share_within(ratios: Array) -> float:
-    return float(np.mean(np.abs(ratios - 1) <= WITHIN)) if ratios.size else math.nan
-
-
-def figures(results: Results[Task]) -> list[Row]:
-    """A row for each kind of lights and level of noise."""
-    rows = []
-    for title, lights, of in _groups(results):
-        ratios, by_fit = _ratios(of), _ratios(of, below="predicted_by_fit")
-        least, largest, share = BARS[lights]
-        metrics = {
-            "draws": of.finished[0][0].draws,
-            "values": ratios.size,
-            "median": _median(ratios),
-            "within": _share_within(ratios),
-            **{f"median_{name}": _median(ratios[:, at]) for name, at in PARAMETERS.items()},
-            "median_by_fit": _median(by_fit),
-            "within_by_fit": _share_within(by_fit),
-            "median_bias": _median(np.abs(_ratios(of, "bias"))),
-            **{name: of.mean(name).mean for name in ("variance", "compared", "converged")},
-            "albedo_scale": max(of.numbers("albedo_scale")),
-            "least_median": least,
-            "largest_median": largest,
-            "least_within": share,
-        }
-        held = all(verdict.holds for verdict in _judged(title, metrics))
-        status = "ok" if held else "not held"
-        rows.append(Row(title, len(of.finished), None, metrics, status=status))
-    return rows
-
-
-def verdicts(_: Results[Task], rows: Sequence[Row]) -> list[Verdict]:
-    """What the ratios have to be; without any, nothing holds."""
-    return [verdict for row in rows for verdict in _judged(row.name, row.metrics)]
-
-
-def _judged(name: str, metrics: Mapping[str, Any]) -> Iterator[Verdict]:
-    median, share = metrics["median"], metrics["least_within"]
-    yield Verdict(f"{name}: median", median, metrics["least_median"], at_least=True)
-    yield Verdict(f"{name}: median", median, metrics["largest_median"])
-    if share:
-        what = f"{name}: share within 20 % of 1"
-        yield Verdict(what, metrics["within"], share, at_least=True)
-
-
-def sections(_: Results[Task], rows: Sequence[Row]) -> list[Section]:
-    """The table."""
-    text = (
-        "Predicted is the formula at the true materials, lights and noise. By a fit: what is "
-        "predicted from one noisy set of pictures and its fit, which know neither; no bar. "
-        "Variance: of the residual over its degrees of freedom, by the true one. Bias: median of "
-        "the mean error, in predicted deviations. Scale: largest predicted relative deviation of "
-        "the scale between albedo and light."
+    if not results.finished:
+        return
+    yield Section(
+        "Reliability",
+        "Above: values with about the same deviation, and the RMS of their errors; right are "
+        "points on the dotted line, above it the posterior knows less than it says. Below: the "
+        "share of the errors within so many deviations.",
+        figures=[_reliability(results, group) for group in GROUPS if _of_group(results, group)],
     )
-    return [Section("Found by predicted", text, [Table.of(rows, COLUMNS)])]
+    yield Section(
+        "Verdicts",
+        "Each map of each scene counts once: what it was called, and what it is by its true error.",
+        [_confusions(results)],
+        [_expected(results)],
+    )
+    columns = (
+        Column("scale_within_2", "scales within 2\ndeviations"),
+        Column("seconds", "seconds\nof a fit"),
+        Column("after_share", "after it,\nby those"),
+    )
+    yield Section(
+        "Scale of albedo and seconds",
+        "The scale is what true albedo has to be multiplied by to be nearest to the found one, "
+        "a channel at a time. Seconds after a fit are those of the uncertainty and of the final "
+        "errors together.",
+        [Table.of(of_rows, columns)],
+    )
+
+
+def _of_one_map(of_rows: Sequence[Row], name: str) -> Table:
+    def own(row: Row) -> Row:
+        prefix = f"{name}_"
+        kept = {k.removeprefix(prefix): v for k, v in row.metrics.items() if k.startswith(prefix)}
+        return Row(row.name, row.scenes, None, kept, status=row.status)
+
+    return Table.of([own(row) for row in of_rows], COLUMNS, f"{name.capitalize()}.")
+
+
+def _of_group(results: Of, group: Group) -> list[tuple[str, Of]]:
+    """Titles and scenes of the conditions that are drawn together."""
+    return [(c.title, of) for c, of in _conditions(results) if c.group == group and of.finished]
+
+
+def _sums(of: Of, name: str, *path: str) -> Array:
+    """Of all scenes together, an array that each has of a map."""
+    total: Any = 0
+    for _, values in of.finished:
+        one = values["maps"][name]
+        for key in path:
+            one = one[key]
+        total = total + np.asarray(one, np.float64)
+    return np.asarray(total)
+
+
+def _reliability(results: Of, group: Group) -> Plot:
+    """Panels of errors against deviations, and below of the share within so many, a map each."""
+    low, high = DEVIATION_EDGES[0], DEVIATION_EDGES[-1]
+    steps = RATIO_EDGES[1:-1]
+    gaussian = [math.erf(step / math.sqrt(2)) for step in steps]
+    above, below = [], []
+    for name in PARAMETERS:
+        lines = [Series("as said", [low, high], [low, high], look=GREY, empty=True)]
+        shares = [Series("as said", steps.tolist(), gaussian, look=GREY, empty=True)]
+        for look, (title, of) in enumerate(_of_group(results, group)):
+            count, deviation, error = (
+                _sums(of, name, "reliability", key) for key in ("count", "deviation", "error")
+            )
+            some = count >= max(1.0, LEAST_SHARE * count.sum())
+            x, y = (np.sqrt(sums[some] / count[some]) for sums in (deviation, error))
+            x, y = (np.maximum(values, low).tolist() for values in (x, y))
+            lines.append(Series(title, x, y, look=look))
+            ratios = _sums(of, name, "ratios")
+            within = np.cumsum(ratios)[:-1] / ratios.sum()
+            shares.append(Series(title, steps.tolist(), within.tolist(), look=look))
+        above.append(
+            Panel(
+                *("lines", lines, "deviation, RMS", "error, RMS"),
+                title=name,
+                log="xy",
+                x_range=(low, high),
+                y_range=(low, high),
+            )
+        )
+        below.append(
+            Panel(
+                *("lines", shares, "deviations", "share within"),
+                x_range=(0.0, None),
+                y_range=(0.0, 1.02),
+            )
+        )
+    caption = (
+        f"{group.capitalize()}: all scenes of a row together. Bins of less than "
+        f"{100 * LEAST_SHARE:g} % of the values are left out; what is below {low:g} is drawn there."
+    )
+    return Plot(
+        f"reliability-{group.replace(' ', '-')}",
+        caption,
+        [*above, *below],
+        columns=len(PARAMETERS),
+        share_y="row",
+        size=(3.3, 2.9),
+    )
+
+
+def _confusions(results: Of) -> Table:
+    """How many maps were called what, by map and in all."""
+    lines: list[Sequence[Value]] = []
+    for title, names in (*((name, (name,)) for name in PARAMETERS), ("all maps", PARAMETERS)):
+        for said, counts in zip(LEVELS, confusion(results, *names), strict=True):
+            first = title if said == LEVELS[0] else ""
+            lines.append([first, said, *map(float, counts)])
+    deserved = ["error of\na usable map", "of a\nrough guide", "larger"]
+    return Table(["", "called", *deserved], lines)
+
+
+def _expected(results: Of) -> Plot:
+    """Expected and true errors of the maps of all scenes."""
+    panels = []
+    for name in PARAMETERS:
+        series = []
+        for look, group in enumerate(GROUPS):
+            found = [
+                values["maps"][name]
+                for _, of in _of_group(results, group)
+                for _, values in of.finished
+            ]
+            if found:
+                x, y = (
+                    [max(one[key], LEAST_ERROR) for one in found]
+                    for key in ("expected_error", "rmse")
+                )
+                series.append(Series(group, x, y, look=look))
+        limits = (USABLE_MAX[name], ROUGH_MAX[name])
+        marks = [Mark(limit, axis=axis) for limit in limits for axis in ("x", "y")]
+        panels.append(
+            Panel(
+                *("points", series, "RMSE expected", "RMSE"),
+                title=name,
+                log="xy",
+                marks=marks,
+                x_range=(LEAST_ERROR, 1.0),
+                y_range=(LEAST_ERROR, 1.0),
+            )
+        )
+    caption = (
+        "A point a scene. Lines: errors up to which a map is usable, and up to which it is a rough "
+        "guide; right verdicts are in the squares along the diagonal. What is below "
+        f"{LEAST_ERROR:g} is drawn there."
+    )
+    return Plot("verdicts", caption, panels, columns=len(PARAMETERS), size=(3.3, 2.9))
+
+
+def csvs(results: Of, _: Sequence[Row]) -> dict[str, list[Line]]:
+    """Every number of every scene, and what was said of its maps."""
+    said: list[Line] = [
+        {"part": "uncertainty", "task": case.key, "figure": f"maps/{name}/{key}", "value": text}
+        for case, values in results.finished
+        for name, of in values["maps"].items()
+        for key in ("said", "deserved", "cause")
+        if (text := of[key])
+    ]
+    return {"scenes.csv": [*numbers_csv("uncertainty", results), *said]}

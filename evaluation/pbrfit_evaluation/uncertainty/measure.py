@@ -1,168 +1,165 @@
-"""Predicted deviations of one scene beside those of many refits under synthetic noise.
+"""One scene, fitted with the defaults: its posterior beside the true errors.
 
-The pictures follow the model exactly, so noise is all that is wrong with them. Materials are moved
-away from the bounds, linearly into `INSIDE`: on a bound a deviation means little.
+Shares and sums are over values: of albedo each channel of each pixel.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+import importlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import uncertainty
-from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.decompose import decompose
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import chosen_model, render
+from pbrfit.model.reflection import Model
+from pbrfit.result.result import Result
+from pbrfit.result.verdict import PARAMETERS, level_of
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.everyday.disturbances import Floats, Kind
+from pbrfit_evaluation.everyday.measure import CHANNELS
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.uncertainty.refits import with_free_lights, with_known_lights
+from pbrfit_evaluation.recipes import constant_guess
+from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, Name, made
 
 Array = NDArray[np.float64]
 
-Lights = Literal["known", "free"]
-LIGHTS: tuple[Lights, ...] = get_args(Lights)
+DEVIATION_EDGES = np.logspace(-4, 0, 13)
+"""Edges of the bins of deviations; smaller ones are in the first bin."""
 
-INSIDE = (0.15, 0.85)
+RATIO_EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, np.inf])
+"""Edges of the bins of errors in deviations."""
 
-MARGIN = 4.0
-"""Pixels that are compared: each unknown so many predicted deviations away from both bounds ..."""
-
-LARGEST = 0.05
-"""... and its predicted deviation below this."""
+EXACT = 1e-6
+"""Error that counts as none: pictures without noise in float32 leave some 1e-7, which is rounding
+and which no deviation is of."""
 
 
 @dataclass(frozen=True)
-class Task:
-    """One scene at one level of noise."""
+class Case:
+    """One scene of a condition."""
 
-    lights: Lights
-    kind: str
-    size: int
-    pictures: int
-    noise: float
-    draws: int
+    condition: Name
+    kind: Kind
     seed: int
+    size: int
+    model: Model
 
     @property
     def key(self) -> str:
-        """Unique name, fit for a file."""
-        return f"{self.lights}.{self.kind}.{self.noise:g}.{self.seed}"
+        """Name of the record."""
+        return f"{self.condition}_{self.kind}_{self.seed}"
 
 
-def work(task: Task, threads: int) -> Values:
-    """Predict, refit, compare.
+def run(case: Case, threads: int) -> Values:
+    """What the posterior of a scene says, beside what is true.
 
     Returns
     -------
-    `predicted`, `predicted_by_fit`, `found` and `bias`: (Q, 5) of albedo, roughness and metallic of
-    the pixels that were compared. Deviations predicted from the true materials, lights and noise;
-    those by `pbrfit.fit.uncertainty.estimate` for the fit of one noisy set of pictures, which knows
-    neither; standard deviations over the refits; and their mean less the ground truth.
-
-    `compared`: share of all pixels. `converged`: share of the refits (of pixels where the lights
-    are known). `on_bound`: share of the refitted values that lie on a bound. `variance`: mean over
-    refits of the residual variance over the degrees of freedom, by the true variance.
-    `albedo_scale`: largest predicted relative deviation of the scale, by that fit.
+    `maps`: by name, see `calibration`, with `guess`, the RMSE of the constant guess, and the
+    verdict. `scale`: by channel, see `scale_errors`. `seconds`: of the fit, `fit`, and of what
+    comes after it, `after`: the uncertainty and the final errors; empty where lamps were found,
+    whose fit has its uncertainty in it.
     """
-    scene = inside(task)
-    assert scene.truth is not None
-    true, lighting = scene.truth.materials, scene.truth.lighting
-    rng = np.random.default_rng(task.seed)
+    scene = made(case.condition, case.kind, case.seed, case.size, case.model, threads)
+    importlib.import_module("scipy.optimize")  # loading it is no part of a fit
+    began = time.perf_counter()
+    result = decompose(
+        scene, model=case.model, threads=threads, **CONDITIONS[case.condition].options
+    )
+    wall = time.perf_counter() - began
+    seconds = {"fit": result.seconds, "after": wall - result.seconds}
+    return {**compared(result, scene), "seconds": {} if result.lamps is not None else seconds}
 
-    def noisy() -> tuple[Objective, Array]:
-        """An objective and the ground truth as its x."""
-        images = scene.images + rng.normal(scale=task.noise, size=scene.images.shape)
-        objective = Objective(replace(scene, images=images), threads=threads)
-        x = objective.pack(true.albedo, true.roughness, true.metallic, lighting)
-        return objective, x
 
-    objective, x = noisy()
-    layout = objective.layout
-    everywhere = np.arange(layout.pixels, dtype=np.uint64)
-    at_truth = uncertainty.estimate(objective, x)
-    assert at_truth.noise is not None
-    predicted = _columns(at_truth.marginal, layout) * (task.noise / at_truth.noise)
-    values = _columns(true, layout)
-    margin = np.minimum(values, 1 - values)
-    fit = ((predicted < LARGEST) & (margin >= MARGIN * predicted)).all(axis=1)
-    chosen = everywhere[fit]
-    values = values[chosen]
+def compared(result: Result, scene: Scene) -> dict[str, Any]:
+    """`maps` and `scale` of a result with an uncertainty and a scene with ground truth."""
+    known, truth = result.uncertainty, scene.truth
+    assert known is not None
+    assert truth is not None
+    valid, guess = scene.valid, constant_guess(scene)
+    maps: dict[str, Any] = {}
+    for name in PARAMETERS:
 
-    sigma = task.noise / objective.scale
-    if task.lights == "known":
-        x[layout.maps] = with_known_lights(objective, x, everywhere, sigma).values.T.ravel()
-    else:
-        x, _, _ = with_free_lights(objective, x, sigma)
-    by_fit = uncertainty.estimate(objective, x)
+        def values(of: Materials, name: str = name) -> Array:
+            return np.asarray(getattr(of, name)[valid], np.float64).ravel()
 
-    off, converged, variances = [], [], []
-    for _ in range(task.draws):
-        objective, x = noisy()
-        sigma = task.noise / objective.scale
-        if task.lights == "known":
-            refit = with_known_lights(objective, x, chosen, sigma)
-            found, done = refit.values, float(refit.converged.mean())
-            sum_sq_residuals, unknowns = float(refit.sum_sq_residuals.sum()), refit.values.size
-            samples = _samples(layout, len(chosen))
-        else:
-            x, whole, sum_sq_residuals = with_free_lights(objective, x, sigma)
-            found = x[layout.maps].reshape(-1, layout.pixels).T[chosen]
-            done = float(whole)
-            samples, unknowns = _samples(layout, layout.pixels), layout.size
-        off.append(found - values)
-        converged.append(done)
-        variances.append(sum_sq_residuals / (samples - unknowns) / sigma**2)
-    errors = np.array(off)
-    refitted = errors + values
+        true = values(truth.materials)
+        found = calibration(
+            *(values(result.materials), true),
+            *(values(known.deviation), values(known.low), values(known.high)),
+        )
+        verdict = known.verdicts[name]
+        maps[name] = {
+            **found,
+            "guess": _rms(values(guess) - true),
+            "said": verdict.level,
+            "expected_error": verdict.expected_error,
+            "cause": verdict.cause,
+            "deserved": level_of(name, found["rmse"]),
+        }
+    albedo, true_albedo = result.materials.albedo[valid], truth.materials.albedo[valid]
+    return {"maps": maps, "scale": scale_errors(albedo, true_albedo, known.albedo_scale)}
+
+
+def calibration(found: Array, true: Array, deviation: Array, low: Array, high: Array) -> Values:
+    """Errors of the values (Q,) of a map beside what is said of them.
+
+    Returns
+    -------
+    `rmse`. `deviation`: the median. `within_1`, `within_2`: share of the errors within so many
+    deviations. `in_interval`: share of the true values within the quantiles. `on_bound`: how many
+    of the values are 0 or 1, and of how many of them the true ones are `inside` the quantiles.
+    `ratios`: counts of errors in deviations, by `RATIO_EDGES`. `reliability`: by `DEVIATION_EDGES`
+    counts, sums of squared deviations and sums of squared errors.
+    """
+    error = np.abs(found - true)
+    error[error <= EXACT] = 0.0
+    inside = (true >= low - EXACT) & (true <= high + EXACT)
+    bound = (found <= 0) | (found >= 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(error > 0, error / deviation, 0.0)
+    last = len(RATIO_EDGES) - 2
+    by_ratio = np.searchsorted(RATIO_EDGES[1:], ratios).clip(max=last)  # an edge is of the lower
+    bins = np.searchsorted(DEVIATION_EDGES[1:-1], deviation)
+
+    def sums(of: Array | None = None) -> list[float]:
+        return list(map(float, np.bincount(bins, of, len(DEVIATION_EDGES) - 1)))
+
     return {
-        "predicted": predicted[chosen].tolist(),
-        "predicted_by_fit": _columns(by_fit.marginal, layout)[chosen].tolist(),
-        "found": errors.std(axis=0, ddof=1).tolist(),
-        "bias": errors.mean(axis=0).tolist(),
-        "compared": len(chosen) / layout.pixels,
-        "converged": float(np.mean(converged)),
-        "on_bound": float(np.mean((refitted <= 0) | (refitted >= 1))),
-        "variance": float(np.mean(variances)),
-        "albedo_scale": max(by_fit.albedo_scale),
+        "rmse": _rms(error),
+        "deviation": float(np.median(deviation)),
+        "within_1": float(np.mean(ratios <= 1)),
+        "within_2": float(np.mean(ratios <= 2)),
+        "in_interval": float(np.mean(inside)),
+        "on_bound": {"count": int(bound.sum()), "inside": int(inside[bound].sum())},
+        "ratios": np.bincount(by_ratio, minlength=last + 1).tolist(),
+        "reliability": {
+            "count": sums(),
+            "deviation": sums(deviation**2),
+            "error": sums(error**2),
+        },
     }
 
 
-def _samples(layout: ParameterLayout, pixels: int) -> int:
-    """Samples of so many pixels."""
-    return layout.pictures * layout.channels * pixels
+def scale_errors(
+    found: Floats, true: Floats, deviations: Sequence[float]
+) -> dict[str, dict[str, float]]:
+    """By channel the `error` of the scale of albedos (P, 3), and its `deviation`.
+
+    The error is |ln s|, where s times the true albedo is nearest to the found one.
+    """
+    scales = (found * true).sum(axis=0) / np.square(true).sum(axis=0)
+    errors = np.abs(np.log(np.maximum(scales, np.finfo(np.float64).tiny)))
+    return {
+        channel: {"error": float(error), "deviation": float(deviation)}
+        for channel, error, deviation in zip(CHANNELS, errors, deviations, strict=True)
+    }
 
 
-def _columns(maps: Materials, layout: ParameterLayout) -> Array:
-    """(P, 5) of the valid pixels."""
-    planes = (*np.moveaxis(maps.albedo, -1, 0), maps.roughness, maps.metallic)
-    return np.stack([plane[layout.valid] for plane in planes], axis=-1)
-
-
-def inside(task: Task) -> Scene:
-    """Noise-free pictures of a scene whose materials keep away from the bounds."""
-    scene = make_scene(task.kind, size=task.size, lights=task.pictures, held_out=1, seed=task.seed)
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    low, high = INSIDE
-    true = scene.truth.materials
-    moved = Materials(
-        *(low + (high - low) * values for values in (true.albedo, true.roughness, true.metallic))
-    )
-    images = render(
-        *(moved, scene.normals, scene.truth.lighting, scene.fov),
-        model=chosen_model(None, scene.model),
-    )
-    exposure = MEAN_RADIANCE / images[:, scene.valid].mean()
-    lighting = exposure * scene.truth.lighting
-    return replace(
-        scene,
-        images=exposure * images,
-        lighting=lighting if task.lights == "known" else None,
-        truth=replace(scene.truth, materials=moved, lighting=lighting),
-    )
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
