@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import memory
+from pbrfit.fit.causes import with_causes
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
@@ -190,6 +191,20 @@ def _result(
         left_out = (*left_out, f"surroundings: {transport.why}")
     if found.lamps is None:
         left_out = (*left_out, f"lamps: {decided.why}")
+    uncertainty = found.uncertainty
+    if uncertainty is not None:
+        verdicts = with_causes(
+            uncertainty.verdicts,
+            scene,
+            discrepancy=found.discrepancy,
+            camera=found.camera,
+            transport=transport,
+            lighting=found.lighting,
+            lamps=found.lamps is not None,
+            albedo_scale=uncertainty.albedo_scale,
+            albedo=found.materials.albedo,
+        )
+        uncertainty = replace(uncertainty, verdicts=verdicts)
     result = Result(
         materials=found.materials,
         lighting=found.lighting,
@@ -210,7 +225,7 @@ def _result(
         inputs=dict(scene.inputs),
         source=scene.source,
         stages=found.stages,
-        uncertainty=found.uncertainty,
+        uncertainty=uncertainty,
         refinement=refinement,
         camera=found.camera,
         given_normals=given if refinement.refined else None,

@@ -79,7 +79,7 @@ class Discrepancy:
     @property
     def pooling(self) -> Pooling:
         """How much pixels of one material tell together."""
-        return Pooling(self.light_share, self.of_pixel / self.of_noise)
+        return Pooling(self.light_share, settings.SAMPLE_USES * self.of_pixel / self.of_noise)
 
     def in_words(self) -> str:
         """For a stage's note."""

@@ -11,10 +11,10 @@ picture, of the picture the population of all surfaces (`population`). η = σ²
 likelihoods that are too sharp for the grid. What is left of them, 1 − η, is for the fit after.
 
 **Pixels that share an error.** That of the lights is common to all, and P pixels whose variance by
-lights is φ times that by their own samples tell no more than 1/φ of them. Where what is left of the
-pictures is no noise, pixels of a segment share that too: the ratio of a pixel's variance with it to
-that without is how many say as much as one. So n is `PICTURE_PSEUDO_PIXELS` (1 + φ P) times that
-ratio (`Pooling`).
+lights is φ times that by their own samples tell no more than 1/φ of them. And pixels of a segment
+share what makes samples more uncertain than their residuals show: the ratio of these variances is
+how many say as much as one. So n is `PICTURE_PSEUDO_PIXELS` (1 + φ P) times that ratio
+(`Pooling`).
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ class Pooling:
     light_share: float = 0.0
     """φ: variance of a pixel's roughness and metallic by that of the lights, over that by its own
     samples."""
-    misfit_ratio: float = 1.0
-    """Variance of a pixel's likelihood over that by noise alone, 1 or more."""
+    tempering: float = 1.0
+    """Variance in a pixel's likelihood over that of its residuals, 1 or more."""
 
     def prior_pixels(self, pixels: int) -> float:
         """How many pixels the prior of so many counts for."""
         shared = 1 + self.light_share * pixels
-        return settings.PICTURE_PSEUDO_PIXELS * shared * self.misfit_ratio
+        return settings.PICTURE_PSEUDO_PIXELS * shared * self.tempering
 
 
 def labels_of(objective: Objective) -> Labels:

@@ -1,0 +1,124 @@
+"""Why a map is no better, and what would help: the words beside a verdict.
+
+Of what may be wrong the first that holds is named, from what leaves least hope to what is mere
+noise. None of this changes a deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit.discrepancy import Discrepancy
+from pbrfit.result.camera import Camera
+from pbrfit.result.verdict import Verdict
+from pbrfit.scene.scene import Scene
+from pbrfit.transport.decision import Transport
+
+Array = NDArray[np.float64]
+
+CLIPPED_SHARE = 0.05
+"""Share of the samples at a limit of their format from which clipping is named: highlights, which
+tell roughness and metallic, are a few percent of a picture."""
+
+ONE_SIDE = 0.9
+"""Length of the mean of the directions that light comes from, above which it comes from one side:
+all within about 25 degrees of their middle."""
+
+FEW_PICTURES = 6
+"""Pictures below which few are named: 3 samples each for 5 unknowns of a pixel, beside lights."""
+
+SCALE_PART = 0.5
+"""Part of an albedo map's squared error that the common scale makes, from which it is named."""
+
+Cause = tuple[str, str]
+"""What is wrong, and what would help."""
+
+OF_SCALE: Cause = (
+    "the pictures hardly tell the common factor of albedo and light",
+    "a patch of known albedo (--white) would help",
+)
+
+
+def with_causes(
+    verdicts: Mapping[str, Verdict],
+    scene: Scene,
+    *,
+    discrepancy: Discrepancy | None,
+    camera: Camera,
+    transport: Transport,
+    lighting: Array,
+    lamps: bool,
+    albedo_scale: tuple[float, float, float],
+    albedo: NDArray[np.floating[Any]],
+) -> dict[str, Verdict]:
+    """Verdicts with cause and remedy, where maps are not usable.
+
+    `lighting` is (N, 16, 3), `lamps` whether the pictures were fitted under lamps, `albedo` (H, W,
+    3) the map that was found.
+    """
+    of_all = list(
+        _causes(scene, discrepancy, camera, transport, None if lamps else lighting, lamps=lamps)
+    )
+    found = {}
+    for name, verdict in verdicts.items():
+        causes = of_all
+        if name == "albedo":
+            level = float(np.sqrt(np.nanmean(np.square(albedo))))
+            by_scale = (level * float(np.mean(albedo_scale))) ** 2
+            if by_scale > SCALE_PART * verdict.expected_error**2:
+                causes = [OF_SCALE, *causes]
+        cause, remedy = causes[0]
+        if verdict.level != "usable":
+            verdict = replace(verdict, cause=cause, remedy=remedy)
+        found[name] = verdict
+    return found
+
+
+def _causes(
+    scene: Scene,
+    discrepancy: Discrepancy | None,
+    camera: Camera,
+    transport: Transport,
+    lighting: Array | None,
+    *,
+    lamps: bool,
+) -> Iterator[Cause]:
+    """From the worst on; the last always holds."""
+    count = len(scene.images)
+    if (scene.normals[scene.valid] == (0.0, 0.0, 1.0)).all():
+        yield "all normals face the camera", "normals (pbrfit normals) would help"
+    if camera.contradicted:
+        yield "the pictures contradict the field of view", "the true field of view would help"
+    if lighting is not None and count > 1 and _from_one_side(lighting):
+        yield "light from one side in all pictures", "pictures lit from other sides would help"
+    if count < FEW_PICTURES:
+        yield f"only {count} picture{'s' * (count > 1)}", "pictures under other lights would help"
+    clipped = _clipped_share(scene)
+    if clipped > CLIPPED_SHARE:
+        yield (
+            f"{100 * clipped:.0f} % of the samples are clipped",
+            "shorter exposures or RAW files would help",
+        )
+    if discrepancy is not None and discrepancy.misfit**2 > discrepancy.of_noise:
+        lacks = "better normals" if lamps or transport.blocks else "a depth map or better normals"
+        yield "the model does not explain what is in the pictures", f"{lacks} would help"
+    yield "noise hides the highlights", "more pictures, or longer exposures, would help"
+
+
+def _from_one_side(lighting: Array) -> bool:
+    """Whether the direct light of all pictures (N, K, 3) comes from about one direction."""
+    directions = lighting[:, [3, 1, 2]].mean(axis=-1)  # x, y, z
+    lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
+    directions = directions / np.maximum(lengths, np.finfo(np.float64).tiny)
+    return float(np.linalg.norm(directions.mean(axis=0))) > ONE_SIDE
+
+
+def _clipped_share(scene: Scene) -> float:
+    if scene.limits is None:
+        return 0.0
+    return float(np.mean(scene.limits[:, scene.valid] > 0))
