@@ -54,6 +54,8 @@ class Discrepancy:
     """φ."""
     picture_effect: float = 1.0
     """As of `NoiseModel`."""
+    uses: float = settings.SAMPLE_USES
+    """What the same samples have told: lights, prior and pixel, and normals that were refined."""
 
     @property
     def misfit(self) -> float:
@@ -63,8 +65,8 @@ class Discrepancy:
 
     @property
     def of_noise(self) -> float:
-        """3 s²."""
-        return settings.SAMPLE_USES * self.variance * self.picture_effect
+        """The part of samples: `uses` times s²."""
+        return self.uses * self.variance * self.picture_effect
 
     @property
     def of_pixel(self) -> float:
@@ -79,7 +81,7 @@ class Discrepancy:
     @property
     def pooling(self) -> Pooling:
         """How much pixels of one material tell together."""
-        return Pooling(self.light_share, settings.SAMPLE_USES * self.of_pixel / self.of_noise)
+        return Pooling(self.light_share, self.uses * self.of_pixel / self.of_noise)
 
     def in_words(self) -> str:
         """For a stage's note."""
@@ -95,10 +97,12 @@ def find(
     picture_effect: float = 1.0,
     *,
     modes: Array | None = None,
+    refined: bool = False,
 ) -> Discrepancy:
     """From some pixels under the lights of x, each with its best materials.
 
-    `modes` are those of the lights where these are held, though not known. Where samples are no
+    `modes` are those of the lights where these are held, though not known; `refined`, whether
+    normals have been found by these pictures. Where samples are no
     more than unknowns nothing can be left of them, and they are as uncertain as they can be.
     """
     pairs = neighbours(objective.layout)
@@ -119,7 +123,8 @@ def find(
     if modes is None:
         modes = light_modes(few, part, settings.LIGHT_PIXELS_MAX, of_pixels=objective.pixels)
     share = _light_share(few, part, variance, modes)
-    return Discrepancy(variance, shared, modes, share, picture_effect)
+    uses = settings.SAMPLE_USES + refined
+    return Discrepancy(variance, shared, modes, share, picture_effect, uses)
 
 
 def neighbours(layout: ParameterLayout) -> Pixels:
@@ -163,9 +168,8 @@ def _light_share(objective: Objective, x: Array, variance: float, modes: Array) 
     everything = np.arange(objective.pixels, dtype=np.uint64)
     for_core, channels = objective.for_core(x), objective.channels
     matrices, _, _ = objective.problem.normal_equations(for_core, everything)
-    alone: Array = np.linalg.inv(
-        matrices + np.diag(prior_precision(matrices.shape[1], channels, variance))
-    )
+    precision = prior_precision(matrices.shape[1], channels, variance)
+    alone = np.asarray(np.linalg.inv(matrices + np.diag(precision)), np.float64)
     own = np.einsum("pii->pi", alone)
     moves = objective.problem.moves_with_lights(for_core, everything, alone, modes)
     return float((moves / own)[:, channels:].mean())

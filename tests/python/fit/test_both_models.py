@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Priors, Scene, decompose
-from pbrfit.fit import uncertainty
+from pbrfit.fit.light_modes import light_modes
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
@@ -142,7 +142,7 @@ def test_light_modes_are_those_of_the_model(model: Model) -> None:
     x = objective.start()
     [other] = set(MODELS) - {model}
     elsewhere = Objective(room(model, noise=0.01), model=other)
-    found = uncertainty.estimate(objective, x).deviation.roughness
+    found = light_modes(objective, x)
     assert np.isfinite(found).all()
-    of_other = uncertainty.estimate(elsewhere, x).deviation.roughness
-    assert not np.allclose(found, of_other, rtol=1e-3)
+    of_other = light_modes(elsewhere, x)
+    assert found.shape != of_other.shape or not np.allclose(found, of_other, rtol=1e-3)

@@ -14,7 +14,7 @@ from pbrfit import Objective, Priors, Result, Scene, shade
 from pbrfit.fit.coarse import Lights, judged
 from pbrfit.fit.joint import minimize
 from pbrfit.fit.pixels import fit_all
-from pbrfit.fit.priors import mixture
+from pbrfit.fit.priors import posterior
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import FittedPrior, fit_prior, surprise, with_lights
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
@@ -227,7 +227,7 @@ def test_em_finds_a_planted_mixture() -> None:
     true = np.where(rng.random(3000) < 0.3, 0.25, 0.7)
     seen = true + rng.normal(0, 0.15, true.shape)
     likelihood = np.exp(-((seen[:, None] - nodes) ** 2) / (2 * 0.15**2)).astype(np.float32)
-    found = mixture._mixture(likelihood)
+    found = posterior.mixture_of(likelihood, np.full(41, 1 / 41, np.float32), 0.0)
     assert found.sum() == pytest.approx(1, abs=1e-5)
     assert found[nodes < 0.47].sum() == pytest.approx(0.3, abs=0.04)
     assert found[np.abs(nodes - 0.25) < 0.08].sum() > 0.22
@@ -237,14 +237,14 @@ def test_em_finds_a_planted_mixture() -> None:
 def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> None:
     # What is fitted to has all its likelihood at one node, what is asked for at another.
     objective = Objective(room)
-    grid = mixture._Grid(objective, objective.start(), 1e-4)
+    grid = posterior.Grid(objective, objective.start(), 1e-4)
     nodes = np.eye(len(grid.roughness), dtype=np.float32)
 
-    def sharp(at: list[int]) -> mixture._Likelihood:
+    def sharp(at: list[int]) -> posterior.Likelihood:
         none = np.zeros(len(at), np.float32)
-        return mixture._Likelihood(nodes[at], none, none)
+        return posterior.Likelihood(nodes[at], none, none)
 
-    fitted = mixture._Distributions.of(sharp([3] * 50), np.ones(50, np.intp), grid)
+    fitted = posterior.Distributions.of(sharp([3] * 50), np.ones(50, np.intp), grid)
     found = fitted.posterior(sharp([200, 3]), np.ones(2, np.intp))
     true = [[grid.roughness[i], grid.metallic[i]] for i in (200, 3)]
     np.testing.assert_allclose(found.mean, true, rtol=1e-6)
@@ -260,7 +260,7 @@ def by_squares(objective: Objective) -> tuple[Array, Lights]:
 
 def with_prior(
     objective: Objective, x: Array, lights: Lights, *, once: bool = False
-) -> tuple[Array, GaussianPrior, FittedPrior]:
+) -> tuple[Array, GaussianPrior, posterior.Posterior, FittedPrior]:
     variance = lights.misfit.of_likelihood
     if lights.shared is not None:
         x = with_lights(objective, x, 1.0, variance, lights.shared)
@@ -274,7 +274,7 @@ def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
     objective = objective_of(room, kind)
     x, lights = by_squares(objective)
     before = x.copy()
-    found, prior, fitted = with_prior(objective, x, lights)
+    found, prior, _, fitted = with_prior(objective, x, lights)
     np.testing.assert_array_equal(x, before)
     blocks = objective.layout.roughness_metallic
     assert prior.mean.shape == prior.precision.shape == (objective.pixels, len(blocks))
@@ -297,7 +297,7 @@ def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
     np.testing.assert_allclose(twice[1].precision, 2 * once[1].precision)
     assert np.median(unsure[1].precision) < 9 * np.median(once[1].precision)
     # Held for the same pixels and lights it is the same prior.
-    again = once[2].applied(objective, once[0], lambda: False)
+    again = once[3].applied(objective, once[0], lambda: False)
     assert again is not None
     np.testing.assert_allclose(again[1].mean, once[1].mean, atol=1e-9)
     np.testing.assert_array_equal(again[1].precision, once[1].precision)
@@ -316,11 +316,11 @@ def test_data_that_the_posterior_has_count_once(room: Scene) -> None:
     objective = Objective(room)
     x, lights = by_squares(objective)
     twice = with_prior(objective, x, lights)[1]
-    found, once, _ = with_prior(objective, x, lights, once=True)
+    found, once, _, _ = with_prior(objective, x, lights, once=True)
     ratio = once.precision / twice.precision
     np.testing.assert_allclose(ratio[:, 0], ratio[:, 1])
     assert ratio.min() >= 1
-    grid = mixture._Grid(objective, found, lights.misfit.of_likelihood)
+    grid = posterior.Grid(objective, found, lights.misfit.of_likelihood)
     sharp = grid.likelihood(np.arange(objective.pixels, dtype=np.uint64)).unused
     np.testing.assert_allclose(ratio[:, 0], 1 / sharp, rtol=1e-5)
     deviation = np.abs(fitted_with(objective, found, once) - once.mean[:, 0])
@@ -366,7 +366,7 @@ def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int
 def test_squares_and_prior_together_are_lowered(room: Scene, kind: str) -> None:
     objective = objective_of(room, kind)
     x, lights = by_squares(objective)
-    x, prior, _ = with_prior(objective, x, lights)
+    x, prior, _, _ = with_prior(objective, x, lights)
     objective.penalties = [prior]
     assert lights.shared is not None
     # The objective has no prior on lights.

@@ -305,7 +305,7 @@ def _fit_held(
     """
     options = run.options
     scene = replace(scene, normals=free.layout.whole(free.normals(free_x)))
-    if free.lighting is not None and run.light_modes is None:
+    if free.lighting is not None:
         of_lights = make(scene, False)
         held_x = _held_x(free, free_x, of_lights)
         run.light_modes = light_modes(of_lights, held_x, settings.LIGHT_PIXELS_MAX)

@@ -13,7 +13,7 @@ likelihoods that are too sharp for the grid. What is left of them, 1 − η, is 
 **Pixels that share an error.** That of the lights is common to all, and P pixels whose variance by
 lights is φ times that by their own samples tell no more than 1/φ of them. And pixels of a segment
 share what makes samples more uncertain than their residuals show: the ratio of these variances is
-how many say as much as one. So n is `PICTURE_PSEUDO_PIXELS` (1 + φ P) times that ratio
+how many say as much as one. So n is `POPULATION_PIXELS` (1 + φ P) times that ratio
 (`Pooling`).
 """
 
@@ -62,7 +62,7 @@ class Pooling:
     def prior_pixels(self, pixels: int) -> float:
         """How many pixels the prior of so many counts for."""
         shared = 1 + self.light_share * pixels
-        return settings.PICTURE_PSEUDO_PIXELS * shared * self.tempering
+        return settings.POPULATION_PIXELS * shared * self.tempering
 
 
 def labels_of(objective: Objective) -> Labels:
