@@ -54,6 +54,8 @@ class Discrepancy:
     """φ."""
     picture_effect: float = 1.0
     """As of `NoiseModel`."""
+    channels: int = 3
+    """Of the pictures."""
     uses: float = settings.SAMPLE_USES
     """What the same samples have told: lights, prior and pixel, and normals that were refined."""
 
@@ -81,7 +83,8 @@ class Discrepancy:
     @property
     def pooling(self) -> Pooling:
         """How much pixels of one material tell together."""
-        return Pooling(self.light_share, self.uses * self.of_pixel / self.of_noise)
+        tempering = self.uses * self.of_pixel / self.of_noise
+        return Pooling(self.light_share, tempering, self.channels)
 
     def in_words(self) -> str:
         """For a stage's note."""
@@ -124,7 +127,7 @@ def find(
         modes = light_modes(few, part, settings.LIGHT_PIXELS_MAX, of_pixels=objective.pixels)
     share = _light_share(few, part, variance, modes)
     uses = settings.SAMPLE_USES + refined
-    return Discrepancy(variance, shared, modes, share, picture_effect, uses)
+    return Discrepancy(variance, shared, modes, share, picture_effect, objective.channels, uses)
 
 
 def neighbours(layout: ParameterLayout) -> Pixels:

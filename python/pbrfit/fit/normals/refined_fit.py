@@ -307,6 +307,8 @@ def _fit_held(
     scene = replace(scene, normals=free.layout.whole(free.normals(free_x)))
     if free.lighting is not None:
         of_lights = make(scene, False)
+        if free.sample_weights is not None:
+            of_lights = of_lights.weighed(free.sample_weights)
         held_x = _held_x(free, free_x, of_lights)
         run.light_modes = light_modes(of_lights, held_x, settings.LIGHT_PIXELS_MAX)
     if (

@@ -58,11 +58,14 @@ class Pooling:
     samples."""
     tempering: float = 1.0
     """Variance in a pixel's likelihood over that of its residuals, 1 or more."""
+    channels: int = 3
+    """Of the pictures: grey pixels tell a third, so that a prior counts for more of them."""
 
     def prior_pixels(self, pixels: int) -> float:
         """How many pixels the prior of so many counts for."""
         shared = 1 + self.light_share * pixels
-        return settings.POPULATION_PIXELS * shared * self.tempering
+        own = settings.POPULATION_PIXELS * 3 / self.channels
+        return own * shared * self.tempering
 
 
 def labels_of(objective: Objective) -> Labels:
