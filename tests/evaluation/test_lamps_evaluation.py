@@ -118,6 +118,7 @@ def test_far_lamps_are_off_by_angles_alone(room: tuple[Scene, Lamps]) -> None:
     assert lamps_off(None, true, scene) == {}
 
 
+@pytest.mark.slow
 def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
     told: dict[str, Any] = {}
     light: dict[str, Any] = {}

@@ -110,16 +110,22 @@ def degrees_of_freedom(objective: Objective) -> float:
     return max(objective.samples - objective.size, least)
 
 
-def independent_share(objective: Objective, x: Array) -> float:
-    """τ."""
+def residuals(objective: Objective, x: Array) -> Array:
+    """(P, samples), times the square roots of their weights."""
     count = objective.pixels
     everything = np.arange(count, dtype=np.uint64)
-    residuals = objective.problem.residuals(objective.for_core(x), everything)
-    of_pixels = residuals.transpose(1, 0, 2).reshape(count, -1).astype(np.float64)
+    found = objective.problem.residuals(objective.for_core(x), everything)
+    of_pixels = found.transpose(1, 0, 2).reshape(count, -1).astype(np.float64)
     weights = objective.sample_weights
     if weights is not None:
-        shares = np.sqrt(np.broadcast_to(weights, residuals.shape)).transpose(1, 0, 2)
+        shares = np.sqrt(np.broadcast_to(weights, found.shape)).transpose(1, 0, 2)
         of_pixels *= shares.reshape(count, -1)
+    return of_pixels
+
+
+def independent_share(objective: Objective, x: Array) -> float:
+    """τ."""
+    of_pixels, count = residuals(objective, x), objective.pixels
     samples = of_pixels.shape[1]
     size = np.sqrt(np.square(of_pixels).mean(axis=1))
     of_pixels /= np.maximum(size, np.finfo(np.float64).tiny)[:, None]

@@ -16,7 +16,7 @@ time, as long as something gains; and so is the gain of what is brought.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -245,8 +245,17 @@ class _Search:
         return trial
 
 
-def find_lights(few: Objective, part: Array, stop: Stop, near_rounds: int | None = None) -> None:
-    """Rounds of joint steps on some pixels, whose x changes; fewer from lights that are near."""
+def find_lights(
+    few: Objective,
+    part: Array,
+    stop: Stop,
+    near_rounds: int | None = None,
+    is_enough: Callable[[], bool] = lambda: False,
+) -> None:
+    """Rounds of joint steps on some pixels, whose x changes; fewer from lights that are near.
+
+    After the rounds with a prior on materials `is_enough` tells whether there are others.
+    """
     shared = SharedFit(LightPrior.around(few, part))
     everything = np.arange(few.pixels, dtype=np.uint64)
     for number in range(near_rounds or settings.TRANSPORT_ROUNDS):
@@ -258,6 +267,8 @@ def find_lights(few: Objective, part: Array, stop: Stop, near_rounds: int | None
         shared.lights = shared.lights.weighing(variance, variance, few.pixels)
         fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
         minimize(fit, settings.COARSE_STEPS, 1.0)
+        if number + 1 >= settings.DIELECTRIC_ROUNDS and is_enough():
+            break
 
 
 def _changed_too(before: Extents, best: Extents, others: list[Extents]) -> Iterator[Extents]:

@@ -94,7 +94,10 @@ def repainted(image: Array, kind: str) -> Array:
     return changed
 
 
-@pytest.mark.parametrize("kind", ["blue", "removed", "upside down"])
+@pytest.mark.parametrize(
+    "kind",
+    ["blue", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("removed", "upside down"))],
+)
 def test_repaints_are_found_and_told_and_the_others_stay(kind: str) -> None:
     members = list(pictures()[1:])
     members[3] = camera(repainted(view().pictures[4], kind))

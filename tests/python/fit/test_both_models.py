@@ -64,7 +64,7 @@ def test_lbfgsb_descends() -> None:
 
 def test_the_default_fit_learns_a_material_prior_and_comes_near_the_truth() -> None:
     scene = room("principled", size=32, noise=0.01)
-    result = decompose(scene, refine_normals="off")
+    result = decompose(scene, refine_normals="off", uncertainty=False)
     assert "prior material" not in " ".join(result.left_out)
     assert result.metrics["recon_rmse"] < 0.0105
     assert result.metrics["albedo_scaled_rmse"] < 0.05
@@ -104,10 +104,18 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
 def test_robust_losses_and_penalties_run() -> None:
     scene = room("principled", noise=0.01)
     weights = Priors(material=0.01, cohesion=0.01, smoothness=0.01, sparsity=1e-5)
-    result = decompose(scene, robust="huber", priors=weights, iterations=20, refine_normals="off")
+    result = decompose(
+        scene,
+        robust="huber",
+        priors=weights,
+        iterations=20,
+        refine_normals="off",
+        uncertainty=False,
+    )
     assert result.metrics["recon_rmse"] < 0.02
 
 
+@pytest.mark.slow
 def test_wrong_normals_are_refined() -> None:
     scene = room("principled", size=16, noise=0.001)
     rows, columns = np.mgrid[:16, :16] / 16 * 2 * np.pi
@@ -125,6 +133,7 @@ def test_wrong_normals_are_refined() -> None:
     assert degrees(result.normals) < 0.5 * degrees(normals)
 
 
+@pytest.mark.slow
 def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = room("principled", size=20)
     whole = decompose(scene, refine_normals="off", priors=None, uncertainty=False)

@@ -388,10 +388,12 @@ def test_squares_and_prior_together_are_lowered(room: Scene, kind: str) -> None:
 
 
 def fitted(scene: Scene, solver: Solver, **options: Any) -> Result:
-    return pbrfit.decompose(scene, solver=solver, iterations=120, refine_normals="off", **options)
+    return pbrfit.decompose(
+        scene, solver=solver, iterations=120, refine_normals="off", uncertainty=False, **options
+    )
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", ["gauss-newton", pytest.param("lbfgsb", marks=pytest.mark.slow)])
 def test_the_prior_halves_the_error_of_roughness(solver: Solver) -> None:
     scene = make_scene("room", size=32, lights=12, noise=0.01, seed=2002, held_out=4)
     without, default = fitted(scene, solver, priors=None), fitted(scene, solver)

@@ -121,7 +121,7 @@ def test_normals_are_put_right_in_known_lights(room: Scene) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_true_normals_are_kept_and_change_nothing(noise: float, seed: int) -> None:
     scene = right(16, 8, noise)
     options: dict[str, Any] = {"iterations": 60, "seed": seed}
@@ -151,7 +151,7 @@ def test_the_number_of_threads_changes_no_bit(options: dict[str, Any]) -> None:
         assert other.refinement == results[0].refinement
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "options", [{"sh_order": 2}, {"metallic": 0.5}, {"fov": 90.0}], ids=lambda made: str(*made)
 )

@@ -81,7 +81,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
             np.testing.assert_array_equal(one, other[chosen])
 
 
-@both_models
+@pytest.mark.parametrize("model", ["paper", pytest.param("principled", marks=pytest.mark.slow)])
 def test_of_a_fit_with_all_priors_and_its_uncertainty(model: Model) -> None:
     scene = make_scene("room", size=40, lights=6, held_out=1, seed=3, model=model, noise=0.01)
     priors = Priors(cohesion=1e-3, smoothness=1e-3, sparsity=1e-4, monochrome=1e-3)

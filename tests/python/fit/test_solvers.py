@@ -75,9 +75,10 @@ def test_known_lights_give_exact_materials() -> None:
     assert notes_of(result).startswith("lights known")
 
 
-def test_gauss_newton_leaves_less_than_lbfgsb() -> None:
+@pytest.mark.parametrize("size", [16, pytest.param(32, marks=pytest.mark.slow)])
+def test_gauss_newton_leaves_less_than_lbfgsb(size: int) -> None:
     """Of noise too: the paper's recipe is not at the bottom after its iterations."""
-    scene = room(noise=0.01)
+    scene = room(size=size, noise=0.01)
     by_squares, paper = (
         decompose(scene, solver=solver, priors=None, uncertainty=False)
         for solver in ("gauss-newton", "lbfgsb")
@@ -184,6 +185,7 @@ def test_what_ran_is_told(solver: Solver, tmp_path: Path) -> None:
     assert Result.load(tmp_path / "out").stages == result.stages
 
 
+@pytest.mark.slow
 def test_other_penalties_are_lowered_from_where_gauss_newton_ends() -> None:
     scene = room(2002, 16, noise=0.01)
     squares, both = (
@@ -196,7 +198,7 @@ def test_other_penalties_are_lowered_from_where_gauss_newton_ends() -> None:
     assert lowered < ended
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", ["gauss-newton", pytest.param("lbfgsb", marks=pytest.mark.slow)])
 def test_the_command_says_what_ran(
     solver: Solver, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 import pbrfit
 from pbrfit import InputError, Scene
+from pbrfit.fit import settings, transport
 from pbrfit.fit.transport import Trial
 from pbrfit.model.materials import Materials
 from pbrfit.synthetic.lights import random_lights
@@ -63,7 +64,8 @@ def error(found: pbrfit.Result, maps: Materials, name: str) -> float:
     return float(np.sqrt(np.nanmean(np.square(difference))))
 
 
-@pytest.mark.parametrize("kind", ["occlusion", pytest.param("bounce", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["occlusion", "bounce"])
 def test_pictures_among_surroundings_are_explained_by_them(room: dict[str, Any], kind: str) -> None:
     scene = scene_of(room, kind)
     found = pbrfit.decompose(scene, uncertainty=False)
@@ -75,6 +77,23 @@ def test_pictures_among_surroundings_are_explained_by_them(room: dict[str, Any],
     for name in ("albedo", "roughness"):
         assert error(found, room["maps"], name) < error(without, room["maps"], name)
     assert found.metrics["recon_rmse"] < 0.3 * without.metrics["recon_rmse"]
+
+
+def test_surroundings_are_taken_on_pictures_among_them(
+    room: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(settings, "TRANSPORT_PIXELS", 60)
+    monkeypatch.setattr(settings, "TRANSPORT_ROUNDS", 1)
+    monkeypatch.setattr(transport, "candidates", lambda _: [])
+    for kind, taken in (("occlusion", "occlusion"), (None, "none")):
+        found = pbrfit.decompose(
+            scene_of(room, kind), uncertainty=False, refine_normals="off", light="sh", iterations=5
+        )
+        assert found.transport.kind == taken
+        assert (
+            found.transport.figures["left_out_occlusion"]
+            != found.transport.figures["left_out_none"]
+        )
 
 
 @pytest.mark.slow

@@ -188,6 +188,7 @@ def test_the_sky_is_dimmed_where_things_stand() -> None:
     assert np.nanmin(ratio[floor]) < 0.8
 
 
+@pytest.mark.slow
 def test_what_surfaces_bring_makes_pictures_brighter() -> None:
     result = shaded_ball()
     light = np.zeros((16, 3))
@@ -213,7 +214,7 @@ def test_ids_too_large_for_float32_are_counted_anew() -> None:
     np.testing.assert_array_equal(storable_segments(large[:, :2]), [[1, 2]])
 
 
-@pytest.mark.parametrize("kind", ["occlusion", "bounce"])
+@pytest.mark.parametrize("kind", ["occlusion", pytest.param("bounce", marks=pytest.mark.slow)])
 def test_pieces_of_a_picture_give_the_same_light(
     kind: Kind, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -274,6 +274,7 @@ def test_inspect_says_whether_pictures_line_up(tmp_path: Path) -> None:
         assert said in done("inspect", tmp_path / name)
 
 
+@pytest.mark.slow
 def test_decompose_puts_back_what_was_shifted_unless_told_not_to() -> None:
     one = scene(lights=8)
     rolled = with_picture(one, np.roll(one.images[MOVED], 2, axis=1))
@@ -290,6 +291,7 @@ def test_decompose_puts_back_what_was_shifted_unless_told_not_to() -> None:
     assert "alignment" not in as_is.assumed
 
 
+@pytest.mark.slow
 def test_the_command_names_a_shifted_picture(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

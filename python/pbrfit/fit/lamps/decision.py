@@ -9,6 +9,14 @@ What harmonics leave of a lamp cannot be small. Of the clamped cosine, what band
 0.9 % of the energy (R. Ramamoorthi and P. Hanrahan, "On the relationship between radiance and
 irradiance", JOSA A 18, 2001), a tenth of the radiance, and the surfaces that a picture shows see
 part of it. Where harmonics leave less than `HARMONICS_LEFT_MIN`, lamps are not tried.
+
+Noise is left by any light, and does not count (`light_share`). Light is much the same on surfaces
+that face alike and are beside each other, and so is what a wrong light leaves of them. Noise of two
+pixels has nothing in common, whatever their materials take up of it: with m the mean, over such
+pairs, of the cosine of the angle between their residuals, averaged over the channels, a share of
+about m is no noise. Of the squares before averaging, which leaves a third of noise's and all of a
+lamp's shading, that is m/(3 − 2 m). Where this share is so small that lamps cannot leave less by
+`TRANSPORT_GAIN_MIN`, or that the rest is less than `HARMONICS_LEFT_MIN`, they are not tried.
 """
 
 from __future__ import annotations
@@ -18,7 +26,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import settings
+from pbrfit.fit import misfit, settings
 from pbrfit.fit.coarse import fit_level
 from pbrfit.fit.lamps.estimator import FirstShape, LampFit
 from pbrfit.fit.lamps.joint import SurfacePrior, fit_surfaces
@@ -36,6 +44,10 @@ HARMONICS_LEFT_MIN = 0.02
 """Relative root mean square that harmonics have to leave of left-out pixels before lamps are tried:
 a fifth of what they cannot show of a lamp's shading on surfaces that face all ways."""
 
+PAIRS_IN_COMMON = 1 / 3
+"""Least share of what a wrong light leaves that pairs among 400 pixels have in common: of lamps it
+was 0.35 on waves and 0.75 on a ball."""
+
 PICTURES_MIN = 3
 """With fewer, almost any lamp explains them."""
 
@@ -52,7 +64,20 @@ class Choice:
     lamps: bool
     why: str
     figures: dict[str, float] = field(default_factory=dict)
-    """`left_out_sh`, `left_out_lamps`: scores; `left_out_pixels`."""
+    """`left_out_sh`, `left_out_lamps`: scores; `left_out_pixels`; `left_out_light`: the share of
+    what harmonics leave that is no noise, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What harmonics leave of Q pixels."""
+
+    scores: Array
+    """(Q,)."""
+    places: NDArray[np.intp]
+    """(2 Q,) among all pixels of the picture; these Q are every second one."""
+    residuals: Array
+    """(Q, N, channels), samples weighed."""
 
 
 @one_blas_thread()
@@ -70,7 +95,8 @@ def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Ch
         return Choice(False, "too few pixels")
     if start is not None:
         scene = replace(scene, normals=start.normals, normals_known=True)
-    by_sh, places = _left_by_harmonics(scene, setup)
+    left_by_sh = _left_by_harmonics(scene, setup)
+    by_sh, places = left_by_sh.scores, left_by_sh.places
     shown = np.isfinite(by_sh)
     if np.count_nonzero(shown) < VALID_PIXELS_MIN // 2:
         return Choice(False, "too few pixels")  # the others are black or have no weight
@@ -83,6 +109,14 @@ def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Ch
             f"light from all around leaves only {100 * left:.2g} % of left-out pixels",
             figures,
         )
+    residuals = left_by_sh.residuals[shown]
+    if residuals.shape[-1] == 3:
+        share = light_share(residuals, _alike(scene, places[1::2][shown]))
+        figures["left_out_light"] = share
+        no_gain = share < 1 - np.exp(-settings.TRANSPORT_GAIN_MIN)
+        if no_gain or np.sqrt(share) * left < HARMONICS_LEFT_MIN:
+            told = f"light from all around leaves {100 * left:.2g} % of left-out pixels"
+            return Choice(False, f"{told}, mostly noise", figures)
     by_lamps = _left_by_lamps(scene, setup, start, places)
     shown &= np.isfinite(by_lamps)
     by_lamps = by_lamps[shown]
@@ -100,8 +134,8 @@ def choose(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> Ch
     )
 
 
-def _left_by_harmonics(scene: Scene, setup: FitSetup) -> tuple[Array, NDArray[np.intp]]:
-    """Scores (Q,) of each second place, and the places (2Q,) among all pixels of the picture."""
+def _left_by_harmonics(scene: Scene, setup: FitSetup) -> _Left:
+    """Rounds end where little enough is left: others would only leave less."""
     small, count = scene, 2 * settings.TRANSPORT_PIXELS
     if int(scene.valid.sum()) > settings.STRIDED_SUBSET_EXCESS * 4 * count:
         window = strided_window(scene.valid, count, 4 * count)
@@ -112,12 +146,49 @@ def _left_by_harmonics(scene: Scene, setup: FitSetup) -> tuple[Array, NDArray[np
     x = objective.start()
     few, other = objective.restricted(fitted), objective.restricted(left_out)
     part = few.with_best_lights(objective.part_of(x, fitted))
-    find_lights(few, part, lambda: False)
-    rest = objective.part_of(x, left_out)
-    rest[other.layout.maps.stop :] = part[few.layout.maps.stop :]
-    sum_sq = fit_level(other, rest)
     size = np.square(objective.pictures(left_out)).sum(axis=(0, 2))
-    return _scores(sum_sq, size), objective.places_in(scene, chosen)
+    rest, scores = x, np.empty(0)
+
+    def measure() -> float:
+        nonlocal rest, scores
+        rest = objective.part_of(x, left_out)
+        rest[other.layout.maps.stop :] = part[few.layout.maps.stop :]
+        scores = _scores(fit_level(other, rest), size)
+        shown = scores[np.isfinite(scores)]
+        return float(np.exp(shown.mean() / 2)) if len(shown) else np.inf
+
+    find_lights(few, part, lambda: False, is_enough=lambda: measure() < HARMONICS_LEFT_MIN)
+    if not len(scores):
+        measure()
+    residuals = misfit.residuals(other, rest).reshape(len(size), other.layout.pictures, -1)
+    return _Left(scores, objective.places_in(scene, chosen), residuals)
+
+
+def light_share(residuals: Array, alike: NDArray[np.intp]) -> float:
+    """Share of the squares of residuals (Q, N, 3) that another light could explain, at most.
+
+    By what pixels have in common with those alike, and two standard errors more.
+    """
+    means = residuals.mean(axis=-1)
+    size = np.sqrt(np.square(means).sum(axis=1, keepdims=True))
+    means = means / np.maximum(size, np.finfo(np.float64).tiny)
+    cosines = np.einsum("qn,qn->q", means, means[alike])
+    error = float(cosines.std(ddof=1)) / np.sqrt(len(cosines))
+    most = (float(cosines.mean()) + settings.TRANSPORT_ERRORS_MIN * error) / PAIRS_IN_COMMON
+    share = min(max(most, 0.0), 1.0)
+    return float(share / (3 - 2 * share))
+
+
+def _alike(scene: Scene, places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(Q,): of each place in the picture another of them, beside it and facing alike."""
+    # Here and not above: scipy would double the time of `import pbrfit`.
+    from scipy.spatial import cKDTree
+
+    height, width = scene.valid.shape
+    beside = np.stack(np.divmod(places, width), axis=-1) / (0.5 * max(height, width))
+    seen = np.concatenate([scene.normals.reshape(-1, 3)[places], beside], axis=1)
+    nearest = np.asarray(cKDTree(seen).query(seen, k=2)[1])
+    return np.where(nearest[:, 0] == np.arange(len(places)), nearest[:, 1], nearest[:, 0])
 
 
 def _left_by_lamps(
