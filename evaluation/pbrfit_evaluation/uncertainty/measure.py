@@ -69,7 +69,11 @@ def run(case: Case, threads: int) -> Values:
     importlib.import_module("scipy.optimize")  # loading it is no part of a fit
     began = time.perf_counter()
     result = decompose(
-        scene, model=case.model, threads=threads, **CONDITIONS[case.condition].options
+        scene,
+        model=case.model,
+        threads=threads,
+        refine_normals="auto",
+        **CONDITIONS[case.condition].options,
     )
     wall = time.perf_counter() - began
     seconds = {"fit": result.seconds, "after": wall - result.seconds}

@@ -172,10 +172,12 @@ def _light_share(objective: Objective, x: Array, variance: float, modes: Array) 
     for_core, channels = objective.for_core(x), objective.channels
     matrices, _, _ = objective.problem.normal_equations(for_core, everything)
     precision = prior_precision(matrices.shape[1], channels, variance)
-    alone = np.asarray(np.linalg.inv(matrices + np.diag(precision)), np.float64)
+    least = settings.RIDGE * np.einsum("pii->p", matrices)[:, None, None] + settings.RIDGE_MIN
+    matrices = matrices + np.diag(precision) + least * np.eye(matrices.shape[1])
+    alone = np.asarray(np.linalg.inv(matrices), np.float64)
     own = np.einsum("pii->pi", alone)
     moves = objective.problem.moves_with_lights(for_core, everything, alone, modes)
-    return float((moves / own)[:, channels:].mean())
+    return float(np.nan_to_num(moves / own)[:, channels:].mean())
 
 
 def prior_precision(unknowns: int, channels: int, variance: float) -> Array:

@@ -138,6 +138,8 @@ def _of_pixels(
     unknowns, v = matrices.shape[1], discrepancy.of_pixel
     rest = slice(c, unknowns)
     precision = prior_precision(unknowns, c, v)
+    least = settings.RIDGE * np.einsum("pii->p", matrices)[:, None, None] + settings.RIDGE_MIN
+    matrices = matrices + least * np.eye(unknowns)  # a pixel may weigh next to nothing
     by_albedo = np.linalg.inv(matrices[:, :c, :c] + np.diag(precision[:c]))
     slopes = -by_albedo @ matrices[:, :c, rest]
     curvature = matrices[:, rest, rest] + matrices[:, rest, :c] @ slopes
@@ -159,7 +161,8 @@ def _of_pixels(
     if posterior is not None:  # a value that is not the mean of its posterior is off by that, too
         off = values[:, rest] - posterior.mean[:, : unknowns - c]
         variance[:, rest] += np.square(off) * (1 - posterior.unused[:, None])
-    variance = np.minimum(variance, settings.SIGMA_MAX**2)
+    largest = settings.SIGMA_MAX**2
+    variance = np.clip(np.nan_to_num(variance, nan=largest, posinf=largest), 0, largest)
     half = TWO_SIDED * np.sqrt(variance)
     low, high = values - half, values + half
     if posterior is not None:
