@@ -99,6 +99,7 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     told = inside & (found.deviation.roughness <= ROUGH_MAX["roughness"])
     off = (result.roughness - true.roughness)[told] / found.deviation.roughness[told]
     # Samples are used thrice, so deviations are √3 times those by noise alone.
+    # 0.455: the median of a normal's square
     assert (
         0.5 / np.sqrt(3) < np.sqrt(np.median(off**2) / 0.455) < 2
     )  # 0.455: the median of a normal's square

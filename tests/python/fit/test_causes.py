@@ -93,7 +93,7 @@ def test_few_pictures_are_counted(scene: Scene) -> None:
 
 def test_clipping_is_named_from_a_share_on(scene: Scene) -> None:
     limits = np.zeros(scene.images.shape, np.uint8)
-    limits[:, :, :2] = AT_LEAST  # a quarter of the columns
+    limits[:4, :, :4] = AT_LEAST  # a quarter
     clipped = dataclasses.replace(scene, limits=limits)
     assert "clipped" in said(clipped)["roughness"].cause
     limits = np.zeros(scene.images.shape, np.uint8)
