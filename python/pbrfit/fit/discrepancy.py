@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.light_modes import light_modes
+from pbrfit.fit.normal_equations import ridged
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.pixels import Pixels, fit_all
@@ -105,11 +106,15 @@ def find(
     """From some pixels under the lights of x, each with its best materials.
 
     `modes` are those of the lights where these are held, though not known; `refined`, whether
-    normals have been found by these pictures. Where samples are no
-    more than unknowns nothing can be left of them, and they are as uncertain as they can be.
+    normals have been found by these pictures. Where samples are no more than unknowns nothing can
+    be left of them, and they are as uncertain as they can be.
     """
     pairs = neighbours(objective.layout)
-    pixels = np.unique(pairs) if pairs.size else evenly_spaced(objective.pixels, 1024)
+    pixels = (
+        np.unique(pairs)
+        if pairs.size
+        else evenly_spaced(objective.pixels, settings.LIGHT_PIXELS_MAX)
+    )
     pixels = pixels.astype(np.uint64)
     few, part = objective.restricted(pixels), objective.part_of(x, pixels)
     sum_sq = fit_all(few, part, starts=settings.SUBSET_STARTS)
@@ -172,9 +177,7 @@ def _light_share(objective: Objective, x: Array, variance: float, modes: Array) 
     for_core, channels = objective.for_core(x), objective.channels
     matrices, _, _ = objective.problem.normal_equations(for_core, everything)
     precision = prior_precision(matrices.shape[1], channels, variance)
-    least = settings.RIDGE * np.einsum("pii->p", matrices)[:, None, None] + settings.RIDGE_MIN
-    matrices = matrices + np.diag(precision) + least * np.eye(matrices.shape[1])
-    alone = np.asarray(np.linalg.inv(matrices), np.float64)
+    alone = np.asarray(np.linalg.inv(ridged(matrices) + np.diag(precision)), np.float64)
     own = np.einsum("pii->pi", alone)
     moves = objective.problem.moves_with_lights(for_core, everything, alone, modes)
     return float(np.nan_to_num(moves / own)[:, channels:].mean())

@@ -40,6 +40,13 @@ class Inverse:
     singular: NDArray[np.bool_]
 
 
+def ridged(matrices: Array) -> Array:
+    """Matrices (P, D, D) that can be inverted even where a pixel weighs next to nothing."""
+    trace = np.einsum("pii->p", matrices)[:, None, None]
+    least = RIDGE * trace + 1e-30  # of what is 0 altogether
+    return np.asarray(matrices + least * np.eye(matrices.shape[1]), np.float64)
+
+
 def inverse(matrices: Array, held: NDArray[np.bool_]) -> Inverse:
     """Of symmetric positive semidefinite matrices (P, D, D) without the unknowns `held` (P, D).
 

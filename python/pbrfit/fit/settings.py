@@ -611,9 +611,6 @@ SCALE_NOISE_RATIO = 2.0
 by noise, which the jackknife does not see. Of rooms of seeds 5000 to 5004 with noise of 2.5 % the
 scale is off by 2 to 9 %, all in one direction."""
 
-RIDGE, RIDGE_MIN = 1e-12, 1e-30
-"""Share of its trace, and least, that is added to a pixel's matrix before it is inverted."""
-
 LIGHT_PIXELS_MAX = 1024
 """Pixels, evenly spread, up to which all and above which so many give the covariance of the lights.
 Time and memory grow with them, the deviations hardly change."""

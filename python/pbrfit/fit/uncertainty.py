@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.discrepancy import Discrepancy, prior_precision
-from pbrfit.fit.normal_equations import WORKING_SET, chunks
+from pbrfit.fit.normal_equations import WORKING_SET, chunks, ridged
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import taken
@@ -138,8 +138,7 @@ def _of_pixels(
     unknowns, v = matrices.shape[1], discrepancy.of_pixel
     rest = slice(c, unknowns)
     precision = prior_precision(unknowns, c, v)
-    least = settings.RIDGE * np.einsum("pii->p", matrices)[:, None, None] + settings.RIDGE_MIN
-    matrices = matrices + least * np.eye(unknowns)  # a pixel may weigh next to nothing
+    matrices = ridged(matrices)
     by_albedo = np.linalg.inv(matrices[:, :c, :c] + np.diag(precision[:c]))
     slopes = -by_albedo @ matrices[:, :c, rest]
     curvature = matrices[:, rest, rest] + matrices[:, rest, :c] @ slopes
