@@ -72,6 +72,8 @@ def doubt_camera(run: Run, x: Array, lights: Lights) -> tuple[Lights, Lights | N
                 few, end = level.objective, level.objective.layout.maps.stop
                 before = run.objective.part_of(lights.x, level.pixels)
                 run.scale_by_other = scale.change(found.x[end:], before[end:], few)
+                changes = (found.x[:end] - before[:end]).reshape(-1, few.pixels)[few.channels :]
+                run.materials_by_other = np.sqrt(np.square(changes).mean(axis=1))
                 break
             if kept:
                 run.see(nuisances)
@@ -123,7 +125,13 @@ def _keeps(
 ) -> bool:
     """Whether other numbers, as unlikely as they are by their prior, are better ones."""
     samples = found.samples * found.misfit.effective_share
-    scores = [misfit.score(one.deviance, one.unknowns, samples) for one in (before, found)]
+    in_common = 0
+    if name == "fov" and not samples > found.unknowns + 1:
+        # What little is left is shared by all. Unknowns that both have cancel.
+        in_common = before.unknowns
+    scores = [
+        misfit.score(one.deviance, one.unknowns - in_common, samples) for one in (before, found)
+    ]
     scores[1] += surprise
     figures["score_given"], figures[f"score_other_{name}"] = scores
     share = math.exp(found.deviance - before.deviance)

@@ -625,6 +625,14 @@ class Objective:
             raise InputError("x: expected lights that float64 can hold in picture units")
         return materials, lighting
 
+    def lights(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N, K, C): those of x, or the known ones, in units of x."""
+        if self.lighting is None:
+            assert self._scene.lighting is not None
+            return self._reduced(self._scene.lighting)
+        shape = self.layout.pictures, self.coefficients, self.layout.light_channels
+        return np.broadcast_to(x[self.lighting].reshape(shape), (*shape[:2], self.channels))
+
     def normals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """(P, 3): the unit normals of x, in camera space; the given ones where they are known."""
         if self.tangent_offsets is None:

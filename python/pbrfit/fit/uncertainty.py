@@ -8,14 +8,20 @@ have the power η, and of the rest what their own curvature says, with albedo so
     albedo: v A_ρρ⁻¹ + K C Kᵀ            K = −A_ρρ⁻¹ A_ρv
 
 A is the Gauss–Newton matrix of the sum of squares, with the precision of a weak prior. To the
-diagonal come the moves with the lights, v_noise Σ (C Bᵀ m / v)² over their modes m, and for albedo
-what it has of the scale's deviation. Values on a bound are not held there: their deviation is what
-they may be off on the other side. docs/uncertainty.md says what was measured.
+diagonal come
+
+- the moves with the lights, v_noise Σ (C Bᵀ m / v)² over their modes m;
+- the scale's deviation σ_s: albedo goes with its inverse, and roughness and metallic move by
+  A⁻¹ Bᵀ L σ_s, because a highlight that is F₀ = 0.04 strong is a scale of its own;
+- what another field of view changes, where it contradicts the given one: both may be right.
+
+Values on a bound are not held there: their deviation is what they may be off on the other side.
+docs/uncertainty.md says what was measured.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -27,7 +33,11 @@ from pbrfit.fit.normal_equations import WORKING_SET, chunks, ridged
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import taken
-from pbrfit.fit.priors.population import LOG_ALBEDO_DEVIATION
+from pbrfit.fit.priors.population import (
+    LOG_ALBEDO_DEVIATION,
+    METALLIC_DEVIATION,
+    ROUGHNESS_DEVIATION,
+)
 from pbrfit.fit.priors.posterior import Distributions, Grid, Posterior
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
@@ -46,22 +56,28 @@ TWO_SIDED = 1.96
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The posteriors of the unknowns of pixels, (P, D) each, but for the common scale."""
+    """The posteriors of the unknowns of pixels, (P, D) each, but for the common scale.
+
+    `by_scale` (P, F): squares of what roughness and metallic move by when the scale does, per square
+    of its relative change.
+    """
 
     value: NDArray[np.floating[Any]]
     variance: NDArray[np.floating[Any]]
     low: NDArray[np.floating[Any]]
     high: NDArray[np.floating[Any]]
+    by_scale: NDArray[np.floating[Any]]
 
     @classmethod
-    def empty(cls, pixels: int, unknowns: int) -> Spread:
+    def empty(cls, pixels: int, unknowns: int, channels: int) -> Spread:
         """To be filled, in float32."""
-        return cls(*np.zeros((4, pixels, unknowns), np.float32))
+        by_scale = np.zeros((pixels, unknowns - channels), np.float32)
+        return cls(*np.zeros((4, pixels, unknowns), np.float32), by_scale)
 
     def put(self, pixels: NDArray[np.intp] | slice, other: Spread, of_other: Any = ...) -> None:
         """Give some pixels what some of another's have."""
-        for name in ("value", "variance", "low", "high"):
-            getattr(self, name)[pixels] = getattr(other, name)[of_other]
+        for one in fields(self):
+            getattr(self, one.name)[pixels] = getattr(other, one.name)[of_other]
 
 
 @one_blas_thread()
@@ -99,7 +115,7 @@ def spread(
     """Of all pixels of a fit; without a posterior that of no prior."""
     layout = objective.layout
     unknowns = layout.maps.stop // layout.pixels
-    found = Spread.empty(layout.pixels, unknowns)
+    found = Spread.empty(layout.pixels, unknowns, layout.channels)
     grid = distributions = None
     if posterior is None and not is_sharp(discrepancy):
         grid = Grid(objective, x, discrepancy.of_pixel)
@@ -160,6 +176,8 @@ def _of_pixels(
     if posterior is not None:  # a value that is not the mean of its posterior is off by that, too
         off = values[:, rest] - posterior.mean[:, : unknowns - c]
         variance[:, rest] += np.square(off) * (1 - posterior.unused[:, None])
+    if discrepancy.by_camera is not None:
+        variance[:, rest] += np.square(discrepancy.by_camera)
     largest = settings.SIGMA_MAX**2
     variance = np.clip(np.nan_to_num(variance, nan=largest, posinf=largest), 0, largest)
     half = TWO_SIDED * np.sqrt(variance)
@@ -171,7 +189,18 @@ def _of_pixels(
         variance,
         np.clip(np.minimum(low, values), 0, 1),
         np.clip(np.maximum(high, values), 0, 1),
+        _moves_with_scale(objective, x, pixels, matrices, precision),
     )
+
+
+def _moves_with_scale(
+    objective: Objective, x: Array, pixels: NDArray[np.uint64], matrices: Array, precision: Array
+) -> Array:
+    """(Q, F): squares of what roughness and metallic move by per relative change of all lights."""
+    alone = np.linalg.inv(matrices + np.diag(precision))
+    lights = np.array(objective.lights(x))[None]
+    moves = objective.problem.moves_with_lights(objective.for_core(x), pixels, alone, lights)
+    return np.asarray(moves[:, objective.channels :])
 
 
 def _covariance(posterior: Posterior, unknowns: int) -> Array:
@@ -224,9 +253,10 @@ def of_spread(
 ) -> Uncertainty:
     """The uncertainty, with the scale's in that of albedo."""
     c = layout.channels
-    by_scale = np.zeros(found.value.shape[1], np.float32)
-    by_scale[:c] = scale_deviation
-    more = np.square(found.value * by_scale)
+    largest = np.square([ROUGHNESS_DEVIATION, METALLIC_DEVIATION])[: found.by_scale.shape[1]]
+    more = np.empty_like(found.variance)
+    more[:, :c] = np.square(found.value[:, :c] * scale_deviation)
+    more[:, c:] = np.minimum(found.by_scale * np.mean(np.square(scale_deviation)), largest)
     sigma = np.minimum(np.sqrt(found.variance + more), settings.SIGMA_MAX)
     widen = sigma / np.sqrt(np.maximum(found.variance, np.finfo(np.float32).tiny))
     low = np.clip(found.value - widen * (found.value - found.low), 0, 1)

@@ -26,9 +26,9 @@ USABLE_MAX: Mapping[str, float] = dict.fromkeys(PARAMETERS, 0.1)
 """Expected error up to which a map is usable: a tenth of its range. Of a middle grey of albedo 0.2
 it is half a stop."""
 
-GUESS_DEVIATION: Mapping[str, float] = {"albedo": 0.22, "roughness": 0.25, "metallic": 0.3}
+GUESS_DEVIATION: Mapping[str, float] = {"albedo": 0.22, "roughness": 0.25, "metallic": 0.41}
 """Standard deviation of a guess that knows only what materials there are: of dielectric albedos
-and of roughness in the sets of `fit.priors.population`, and of metallic where a tenth is metal."""
+and of roughness in the sets of `fit.priors.population`, and of metallic where a fifth is metal."""
 
 ROUGH_MAX: Mapping[str, float] = {name: of / 2**0.5 for name, of in GUESS_DEVIATION.items()}
 """Expected error up to which a map is a rough guide: half of a guess's variance is gone. Above it

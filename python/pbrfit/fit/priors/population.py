@@ -2,9 +2,9 @@
 
 Roughness and metallic of public material sets, one draw each (`tools/material_population.py`; the
 sets and their licences are in docs/priors.md): fourteen sets have a roughness of 0.44 ± 0.23, of
-which 7 % is below 0.1, and 17 % of their surface is metal, more than rooms have, because some were
-chosen for it; between both is 3 %. So few sets cannot tell their mean from the middle of the range,
-which this prior has.
+which 7 % is below 0.1, and 17 % of their surface is metal; between both is 3 %. So few sets cannot
+tell their mean roughness from the middle of the range, which this prior has; and their shares are
+taken by Laplace's rule of succession, (14 share + 1) / (14 + 3) for three kinds.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.settings import METAL_SHARE
-
 ROUGHNESS_EXPONENT = 1.0
 """Density of roughness ∝ (r (1 − r)) to this power: mean 0.5, deviation 0.22, 3 % below 0.1."""
 
-MIXED_SHARE = 0.05
-"""Share of surfaces between dielectric and metal: rust, dust, edges of both within a pixel."""
+METAL_SHARE, MIXED_SHARE = 0.2, 0.08
+"""Share of surfaces of bare metal, and between dielectric and metal: rust, dust, edges of both
+within a pixel."""
 
-ROUGHNESS_DEVIATION, METALLIC_DEVIATION = 0.22, 0.3
+ROUGHNESS_DEVIATION, METALLIC_DEVIATION = 0.22, 0.41
 """Standard deviations of this prior."""
 
 LOG_ALBEDO_DEVIATION = 0.45

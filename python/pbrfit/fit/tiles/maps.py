@@ -25,7 +25,7 @@ class TiledMaps:
         self._valid = scene.valid
         if uncertain:
             unknowns = layout.maps.stop // layout.pixels
-            self.spread = uncertainty.Spread.empty(layout.pixels, unknowns)
+            self.spread = uncertainty.Spread.empty(layout.pixels, unknowns, layout.channels)
             self._number = pixel_index(layout).astype(np.int32)
 
     def put(self, tile: Tile, part: Scene, materials: Materials) -> None:
