@@ -21,7 +21,7 @@ from pbrfit.model.geometry import angles_between, positions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.result.verdict import PARAMETERS, ROUGH_MAX, USABLE_MAX, Verdict, level_of
+from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, Verdict, deserved
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday.disturbances import NOISE
 from pbrfit_evaluation.report.plots import draw
@@ -217,7 +217,7 @@ def test_a_result_is_compared_with_the_truth(clean: Scene) -> None:
     rough, metal = of["maps"]["roughness"], of["maps"]["metallic"]
     assert rough["rmse"] == pytest.approx(0.15)
     assert (rough["within_1"], rough["within_2"]) == (0, 1)
-    assert rough["deserved"] == level_of("roughness", 0.15) != "usable"
+    assert rough["deserved"] == deserved("roughness", 0.15) != "usable"
     assert (metal["rmse"], metal["deserved"]) == (0, "usable")
     assert metal["guess"] == pytest.approx(np.sqrt(np.mean(true.metallic**2)))
     for error in of["scale"].values():
@@ -249,7 +249,7 @@ def record(
         "cause": "",
     }
     maps = {
-        name: {**one, "said": said or level_of(name, rmse), "deserved": level_of(name, rmse)}
+        name: {**one, "said": said or deserved(name, rmse), "deserved": deserved(name, rmse)}
         for name in PARAMETERS
     }
     scales = {name: {"error": scale, "deviation": 0.01} for name in ("red", "green", "blue")}
@@ -314,14 +314,14 @@ def test_one_map_that_is_off_fails_its_row() -> None:
 
 
 def test_usable_maps_have_to_be() -> None:
-    wrong, right = record(rmse=2 * USABLE_MAX["albedo"], said="usable"), record()
+    wrong, right = record(rmse=2 * USABLE_ERROR["albedo"], said="usable"), record()
     enough = math.ceil(USABLE_RIGHT / (1 - USABLE_RIGHT) - 1e-9)
     assert not missed(wrong, *[right] * enough)
     assert missed(wrong, *[right] * (enough - 1)) == [f"{HELD} “usable” and right"]
 
 
 def test_maps_not_determined_should_not_be_good() -> None:
-    well = record(rmse=min(ROUGH_MAX.values()), said="not determined")
+    well = record(rmse=min(ROUGH_ERROR.values()), said="not determined")
     badly = record(rmse=0.29)
     enough = math.ceil((1 - UNDETERMINED_WRONG) / UNDETERMINED_WRONG - 1e-9)
     assert not missed(well, *[badly] * enough)

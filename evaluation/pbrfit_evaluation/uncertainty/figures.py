@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit.result.verdict import LEVELS, PARAMETERS, ROUGH_MAX, USABLE_MAX
+from pbrfit.result.verdict import (
+    LEVELS,
+    PARAMETERS,
+    ROUGH_ERROR,
+    ROUGH_MAX,
+    USABLE_ERROR,
+    USABLE_MAX,
+)
 from pbrfit_evaluation.everyday.measure import CHANNELS
 from pbrfit_evaluation.suite import (
     Column,
@@ -355,8 +362,8 @@ def _expected(results: Of) -> Plot:
                     for key in ("expected_error", "rmse")
                 )
                 series.append(Series(group, x, y, look=look))
-        limits = (USABLE_MAX[name], ROUGH_MAX[name])
-        marks = [Mark(limit, axis=axis) for limit in limits for axis in ("x", "y")]
+        marks = [Mark(limit[name], axis="x") for limit in (USABLE_MAX, ROUGH_MAX)]
+        marks += [Mark(limit[name], axis="y") for limit in (USABLE_ERROR, ROUGH_ERROR)]
         panels.append(
             Panel(
                 *("points", series, "RMSE expected", "RMSE"),
@@ -368,9 +375,9 @@ def _expected(results: Of) -> Plot:
             )
         )
     caption = (
-        "A point a scene. Lines: errors up to which a map is usable, and up to which it is a rough "
-        "guide; right verdicts are in the squares along the diagonal. What is below "
-        f"{LEAST_ERROR:g} is drawn there."
+        "A point a scene. Lines: errors up to which a map is usable, or a rough guide, and "
+        "expected ones up to which it is called so; right verdicts are in the squares along the "
+        f"diagonal. What is below {LEAST_ERROR:g} is drawn there."
     )
     return Plot("verdicts", caption, panels, columns=len(PARAMETERS), size=(3.3, 2.9))
 

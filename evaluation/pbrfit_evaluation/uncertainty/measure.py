@@ -18,7 +18,7 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.result.result import Result
-from pbrfit.result.verdict import PARAMETERS, level_of
+from pbrfit.result.verdict import PARAMETERS, deserved
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday.disturbances import Floats, Kind
 from pbrfit_evaluation.everyday.measure import CHANNELS
@@ -104,7 +104,7 @@ def compared(result: Result, scene: Scene) -> dict[str, Any]:
             "said": verdict.level,
             "expected_error": verdict.expected_error,
             "cause": verdict.cause,
-            "deserved": level_of(name, found["rmse"]),
+            "deserved": deserved(name, found["rmse"]),
         }
     albedo, true_albedo = result.materials.albedo[valid], truth.materials.albedo[valid]
     return {"maps": maps, "scale": scale_errors(albedo, true_albedo, known.albedo_scale)}

@@ -134,7 +134,7 @@ def find(
     if modes is None:
         modes = light_modes(few, part, settings.LIGHT_PIXELS_MAX, of_pixels=objective.pixels)
     share = _light_share(few, part, variance, modes)
-    uses = settings.SAMPLE_USES + refined
+    uses = settings.SAMPLE_USES + 2 * refined
     return Discrepancy(variance, shared, modes, share, picture_effect, objective.channels, uses)
 
 

@@ -58,8 +58,8 @@ TWO_SIDED = 1.96
 class Spread:
     """The posteriors of the unknowns of pixels, (P, D) each, but for the common scale.
 
-    `by_scale` (P, F): squares of what roughness and metallic move by when the scale does, per square
-    of its relative change.
+    `by_scale` (P, F): squares of what roughness and metallic move by when the scale does, per
+    square of its relative change.
     """
 
     value: NDArray[np.floating[Any]]

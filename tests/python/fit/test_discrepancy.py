@@ -87,8 +87,8 @@ def test_surfaces_are_mostly_dielectric_and_seldom_mirrors() -> None:
     roughness, metallic = (of.ravel() for of in np.meshgrid(np.linspace(0.03, 1, 33), [0, 0.5, 1]))
     found = population(roughness, metallic)
     assert found.sum() == pytest.approx(1, rel=1e-5)
-    assert found[metallic == 0].sum() == pytest.approx(0.85, abs=1e-5)
-    assert found[metallic == 1].sum() == pytest.approx(settings.METAL_SHARE, abs=1e-5)
+    assert found[metallic == 0].sum() == pytest.approx(0.72, abs=1e-5)
+    assert found[metallic == 1].sum() == pytest.approx(0.2, abs=1e-5)
     assert found[roughness < 0.1].sum() < 0.05
     assert (found * roughness).sum() == pytest.approx(0.5, abs=0.02)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Result, Scene, decompose
-from pbrfit.fit import memory, misfit, settings
+from pbrfit.fit import camera, memory, misfit, settings
 from pbrfit.fit.coarse import Lights
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
@@ -193,6 +194,22 @@ def test_a_camera_has_to_take_most_of_the_misfit(
     found = decompose(replace(room(90.0), fov=60.0), refine_normals="off", **FAST)
     assert found.camera is not None
     assert found.camera.contradicted == contradicted
+
+
+@pytest.mark.parametrize(("left", "kept"), [(0.01, True), (0.4, True), (0.6, False)])
+def test_little_that_all_samples_share_is_no_reason_to_keep_a_camera(
+    left: float, kept: bool
+) -> None:
+    """Samples that say less than there are unknowns, with either camera: the residual tells."""
+
+    def lights(deviance: float, unknowns: float) -> Lights:
+        shared = Misfit(1.0, 100.0, 1.0)
+        return Lights(
+            np.zeros(0), shared, False, None, samples=10_000, unknowns=unknowns, deviance=deviance
+        )
+
+    given, other = lights(-10.0, 1000), lights(-10.0 + math.log(left), 1001)
+    assert camera._keeps(given, other, "fov", 0.0, {}) == kept
 
 
 def test_unknown_stays_unknown_on_the_way_through_a_folder(tmp_path: Path) -> None:

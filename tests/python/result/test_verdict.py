@@ -55,6 +55,16 @@ def test_levels_change_at_their_thresholds(name: str) -> None:
             assert (of_pixels == LEVELS.index(level)).all()
 
 
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_errors_may_be_off_by_the_margin(name: str) -> None:
+    """On the safe side of a threshold: never usable, nor not determined, by a hair's breadth."""
+    usable, rough = USABLE_MAX[name], ROUGH_MAX[name]
+    assert verdict.deserved(name, 0.999 * verdict.MARGIN * usable) == "usable"
+    assert verdict.deserved(name, 1.001 * verdict.MARGIN * usable) == "rough guide"
+    assert verdict.deserved(name, 0.999 * rough / verdict.MARGIN) == "rough guide"
+    assert verdict.deserved(name, 1.001 * rough / verdict.MARGIN) == "not determined"
+
+
 def test_pixels_outside_the_mask_have_no_level_and_no_error() -> None:
     deviation = deviating(0.05)
     for values in (deviation.albedo, deviation.roughness, deviation.metallic):
