@@ -125,7 +125,7 @@ def _keeps(
 ) -> bool:
     """Whether other numbers, as unlikely as they are by their prior, are better ones."""
     samples = found.samples * found.misfit.effective_share
-    in_common = 0
+    in_common = 0.0
     if name == "fov" and not samples > found.unknowns + 1:
         # What little is left is shared by all. Unknowns that both have cancel.
         in_common = before.unknowns

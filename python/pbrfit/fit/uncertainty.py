@@ -72,7 +72,8 @@ class Spread:
     def empty(cls, pixels: int, unknowns: int, channels: int) -> Spread:
         """To be filled, in float32."""
         by_scale = np.zeros((pixels, unknowns - channels), np.float32)
-        return cls(*np.zeros((4, pixels, unknowns), np.float32), by_scale)
+        value, variance, low, high = np.zeros((4, pixels, unknowns), np.float32)
+        return cls(value, variance, low, high, by_scale)
 
     def put(self, pixels: NDArray[np.intp] | slice, other: Spread, of_other: Any = ...) -> None:
         """Give some pixels what some of another's have."""
@@ -197,7 +198,7 @@ def _moves_with_scale(
     objective: Objective, x: Array, pixels: NDArray[np.uint64], matrices: Array, precision: Array
 ) -> Array:
     """(Q, F): squares of what roughness and metallic move by per relative change of all lights."""
-    alone = np.linalg.inv(matrices + np.diag(precision))
+    alone = np.asarray(np.linalg.inv(matrices + np.diag(precision)), np.float64)
     lights = np.array(objective.lights(x))[None]
     moves = objective.problem.moves_with_lights(objective.for_core(x), pixels, alone, lights)
     return np.asarray(moves[:, objective.channels :])
