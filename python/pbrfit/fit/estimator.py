@@ -10,7 +10,7 @@
    together with the lights by as many pixels, evenly spread over the segments.
    Where pictures are so few that lights are ambiguous, both come from two starts, and the
    likelier stay.
-3. **Scale** (`scale`): lights get the scale that the marginal likelihood says.
+3. **Scale** (`scale`): lights, and so their scale, without what the prior has of the same data.
 4. **All pixels**: each by itself under these lights, from the grid and around its prior; without
    one, joint steps of all pixels and lights follow.
 
@@ -224,7 +224,7 @@ def _with_prior(run: Run, candidates: tuple[Lights, ...], notes: list[str]) -> L
 
 
 def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
-    """Lights with the scale that the marginal likelihood says."""
+    """Lights with their scale and its deviation."""
     assert lights.shared is not None
     strength, variance = run.options.priors.material, lights.misfit.of_likelihood
     objective = reweighted(run, run.objective, lights.x)
