@@ -25,8 +25,8 @@ which albedo's own determinant does not change with t. The scale of lights is th
 irradiance, a ∝ A_l² L with the band factors A_l of a diffuse surface. A fit without a prior has t
 as an error.
 
-Such a bias goes with how few samples a pixel has, and Laplace's method has errors of its own, so the
-step is taken where samples are few (`takes_step`).
+Such a bias goes with how few samples a pixel has, and Laplace's method has errors of its own, so
+the step is taken where samples are few (`takes_step`).
 
 **Deviation.** Noise that is independent gives the variance s² C. What residuals share, and segments
 whose material was not found, show as groups b of pixels that pull the scale further apart. From the
