@@ -10,6 +10,9 @@ have the power η, and of the rest what their own curvature says, with albedo so
 A is the Gauss–Newton matrix of the sum of squares, with the precision of a weak prior. To the
 diagonal come
 
+- of albedo what the model does not have: shade that surfaces cast is much the same in all pictures,
+  and albedo takes it up whole, so that σ of misfit over the mean radiance is its relative error (of
+  the mean albedo where a pixel has less: what is dark may be so by shade);
 - the moves with the lights, v_noise Σ (C Bᵀ m / v)² over their modes m;
 - the scale's deviation σ_s: albedo goes with its inverse, and roughness and metallic move by
   A⁻¹ Bᵀ L σ_s, because a highlight that is F₀ = 0.04 strong is a scale of its own;
@@ -171,6 +174,9 @@ def _of_pixels(
     whole[:, rest, :c] = whole[:, :c, rest].transpose(0, 2, 1)
     whole[:, :c, :c] = v * by_albedo + whole[:, :c, rest] @ slopes.transpose(0, 2, 1)
     variance = np.einsum("pii->pi", whole).copy()
+    mean = x[objective.albedo].reshape(c, -1).mean(axis=1)
+    shade = np.maximum(values[:, :c], mean) * (discrepancy.misfit / settings.MEAN_RADIANCE)
+    variance[:, :c] += np.square(shade)
     if len(discrepancy.modes):
         moves = problem.moves_with_lights(for_core, pixels, whole / v, discrepancy.modes)
         variance += discrepancy.of_noise * moves
