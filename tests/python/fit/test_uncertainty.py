@@ -18,7 +18,7 @@ from pbrfit.fit import discrepancy, light_modes, light_spectrum, normal_equation
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.population import LOG_ALBEDO_DEVIATION
-from pbrfit.fit.settings import SAMPLE_USES, SIGMA_MAX
+from pbrfit.fit.settings import MEAN_RADIANCE, SAMPLE_USES, SIGMA_MAX
 from pbrfit.fit.uncertainty import scale_deviation
 from pbrfit.io.images import read_channels, write_exr
 from pbrfit.result.uncertainty import Uncertainty, layer_names
@@ -288,6 +288,23 @@ def test_another_field_of_view_is_in_deviations() -> None:
     before, after = (uncertainty.spread(objective, x, of, None).variance for of in (alone, beside))
     expected = before + np.square([0, 0, 0, 0.1, 0.2])
     np.testing.assert_allclose(after, np.minimum(expected, SIGMA_MAX**2), rtol=1e-5)
+
+
+def test_shade_is_in_the_deviation_of_albedo_however_many_pictures() -> None:
+    """Of two samples as uncertain, by noise or by what the model has not, only noise averages."""
+    _, objective, x = scene_and_x()
+    modes = np.zeros((0, objective.layout.pictures, objective.layout.coefficients, 3))
+    shaded = Discrepancy(1e-5, 1e-4, modes, 0.0)
+    noisy = Discrepancy(shaded.of_pixel / SAMPLE_USES, 0.0, modes, 0.0)
+    assert noisy.of_pixel == pytest.approx(shaded.of_pixel)
+    before, after = (uncertainty.spread(objective, x, of, None).variance for of in (noisy, shaded))
+    albedo = x[objective.albedo].reshape(3, -1).T
+    expected = np.square(np.maximum(albedo, albedo.mean(axis=0)) * shaded.misfit / MEAN_RADIANCE)
+    np.testing.assert_allclose(
+        after[:, :3], np.minimum(before[:, :3] + expected, SIGMA_MAX**2), rtol=1e-4
+    )
+    np.testing.assert_allclose(after[:, 3:], before[:, 3:], rtol=1e-4)
+    assert (expected > 1e-6).all()
 
 
 def test_the_scale_is_in_the_deviation_of_albedo() -> None:
