@@ -116,6 +116,7 @@ def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
     assert np.array_equal(scene.normals, truth.normals) == (row.normals == "true")
 
 
+@pytest.mark.slow
 def test_work_scores_every_recipe_of_its_row() -> None:
     found = {key: measure.work(Task(key, 1001, 16, 4, 2), 1) for key in
              ("base", "sh2", "normals-refined", "regularized")}  # fmt: skip

@@ -117,6 +117,7 @@ def test_integrated_depth_has_the_normals_and_does_not_know_jumps(exact: Scene) 
     assert facts["normals_off"] < 8
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("stand_ins")
 def test_a_room_is_measured_and_pictured() -> None:
     found = measure.run(Case("shadows", "without", 2003, SIZE, 4, picture=True), 1)

@@ -105,6 +105,7 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     )  # 0.455: the median of a normal's square
 
 
+@pytest.mark.slow
 def test_robust_losses_and_penalties_run() -> None:
     scene = room("principled", noise=0.01)
     weights = Priors(material=0.01, cohesion=0.01, smoothness=0.01, sparsity=1e-5)

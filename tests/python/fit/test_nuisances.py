@@ -185,6 +185,7 @@ def test_a_given_field_of_view_is_contradicted_where_pictures_do(
     assert not [record for record in caplog.records if "field of view" in record.message]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("most", "contradicted"), [(0.0, False), (1.0, True)])
 def test_a_camera_has_to_take_most_of_the_misfit(
     most: float, contradicted: bool, monkeypatch: pytest.MonkeyPatch
@@ -308,6 +309,7 @@ def test_a_tone_curve_of_clipped_pictures_is_undone_too() -> None:
     assert found.camera.correction.numbers[0] == pytest.approx(-0.1, abs=0.04)
 
 
+@pytest.mark.slow
 def test_a_tone_curve_is_fitted_where_it_is_asked_for_and_not_where_none_is_wanted() -> None:
     scene = room(size=24)
     stages = {

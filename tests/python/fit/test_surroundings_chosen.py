@@ -79,6 +79,7 @@ def test_pictures_among_surroundings_are_explained_by_them(room: dict[str, Any],
     assert found.metrics["recon_rmse"] < 0.3 * without.metrics["recon_rmse"]
 
 
+@pytest.mark.slow
 def test_surroundings_are_taken_on_pictures_among_them(
     room: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -132,6 +132,7 @@ def test_band_weights_between_the_nodes_are_off_by_less_than_5e_6() -> None:
         assert np.abs(found - true[:, band]).max() < 5e-6, band
 
 
+@pytest.mark.slow
 def test_noise_takes_less_than_14_bytes_a_pixel_and_a_room_less_than_2() -> None:
     noise = maps.packed(maps.of_result(made(200, 300), 1024))
     assert len(noise) / (200 * 300) < 14
