@@ -178,6 +178,7 @@ def test_auto_spoils_nothing() -> None:
     assert [verdict.holds for verdict in figures.verdicts(results(two), None)] == [False]
 
 
+@pytest.mark.slow
 def test_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -91,6 +91,7 @@ def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> 
     assert scenes[0][1] == scenes[1][1]
 
 
+@pytest.mark.slow
 def test_recipes_hold_normals_unless_told_and_the_papers_always() -> None:
     scene = make_scene("room", size=8, lights=4, held_out=1, seed=3)
     asked = {

@@ -40,6 +40,7 @@ def complaint(*arguments: Argument) -> str:
     return found.err.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_the_scene_that_it_makes_can_be_decomposed_as_it_says(made: Path) -> None:
     said = {line[:12].strip(): line[12:] for line in done(*command(made, "--fov", 60)).splitlines()}
     assert said["pictures"] == "4 of 4 generated and the photograph"

@@ -159,6 +159,7 @@ def test_equal_weights_are_no_weights(value: float, shape: tuple[int, ...], solv
     assert without_priors(a) == without_priors(b) == []
 
 
+@pytest.mark.slow
 def test_only_ratios_of_weights_matter() -> None:
     a, b = (
         pbrfit.decompose(
@@ -169,6 +170,7 @@ def test_only_ratios_of_weights_matter() -> None:
     assert_same_bits(a, b)
 
 
+@pytest.mark.slow
 def test_samples_of_weight_zero_are_not_looked_at() -> None:
     scene = in_color()
     weights = some_weights()

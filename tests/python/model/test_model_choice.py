@@ -307,6 +307,7 @@ def test_a_result_of_another_model_is_not_resumed(
     assert Result.load(out).model == "principled"
 
 
+@pytest.mark.slow
 def test_in_a_batch_only_the_scene_with_a_result_of_another_model_fails(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -673,6 +673,7 @@ def test_pictures_are_enlarged_by_key_and_closed_again(
     assert visited.troubles == []
 
 
+@pytest.mark.slow
 def test_surroundings_are_drawn_with_their_scores(tmp_path: Path, page: Page) -> None:
     assert 'id="surroundings"' not in page.content
     scores = {"left_out_none": -4.0, "left_out_occlusion": -6.0, "left_out_pixels": 400.0}

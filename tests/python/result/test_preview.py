@@ -64,6 +64,7 @@ def test_the_run_time_does_not_show() -> None:
     np.testing.assert_array_equal(preview(slower, scene), preview(result, scene))
 
 
+@pytest.mark.slow
 def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() -> None:
     scene = part(24, 24)
     weights = np.ones((2, 24, 24))

@@ -57,6 +57,7 @@ def test_samples_are_albedo_times_strength_times_cosine() -> None:
     assert np.isnan(start.albedo[~scene.mask]).all()
 
 
+@pytest.mark.slow
 def test_a_ball_of_several_albedos_under_unknown_lamps() -> None:
     scene = ball(around(9, 40, 10), strengths=np.linspace(0.9, 1.1, 9), size=56)
     start = found(scene)
@@ -65,6 +66,7 @@ def test_a_ball_of_several_albedos_under_unknown_lamps() -> None:
     assert start.undetermined == ()
 
 
+@pytest.mark.slow
 def test_the_surface_bulged_the_other_way_is_told_by_the_outline() -> None:
     scene = ball(-around(9, 40, 10) * [1, 1, -1], size=56)
     assert scene.error(found(scene).normals) < 1.0
@@ -97,6 +99,7 @@ def test_perspective_tells_a_relief_from_the_one_bulged_the_other_way() -> None:
     assert start.undetermined == ()
 
 
+@pytest.mark.slow
 def test_given_normals_settle_what_pictures_do_not() -> None:
     directions = around(9, 40, 10) - np.array([0.0, 0.3, 0.0])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
