@@ -94,12 +94,7 @@ class Scale:
 
 
 def find(
-    objective: Objective,
-    x: Array,
-    strength: float,
-    variance: float,
-    shared: SharedFit,
-    stop: Stop,
+    objective: Objective, x: Array, strength: float, variance: float, shared: SharedFit, stop: Stop
 ) -> tuple[Array, Scale] | None:
     """X with lights that some pixels find with a prior without data, from those with the prior.
 
@@ -119,9 +114,12 @@ def find(
     minimize(fit, settings.SCALE_STEPS, settings.GAIN_MIN)
     if stop():
         return None
-    curve = _Curve.of(fit, variance, slopes=takes_step(objective))
-    step = np.clip(curve.step, -settings.SCALE_STEP_MAX, settings.SCALE_STEP_MAX)
-    part[few.layout.lighting] += as_in_x(step @ curve.directions, few.layout)
+    with_step, of_step = takes_step(objective), ""
+    curve = _Curve.of(fit, variance, slopes=with_step)
+    if with_step:
+        step = np.clip(curve.step, -settings.SCALE_STEP_MAX, settings.SCALE_STEP_MAX)
+        part[few.layout.lighting] += as_in_x(step @ curve.directions, few.layout)
+        of_step = f", of it {_percent(step)} by the marginal likelihood"
     moved = change(part[few.layout.maps.stop :], before, few)
     by_group = curve.variances(groupings(objective.layout, pixels, prior.cluster))
     variances = by_group + (moved / 2) ** 2
@@ -129,8 +127,8 @@ def find(
     x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
     deviation = np.sqrt(variances)
     note = (
-        f"{few.pixels} pixels; lights {_percent(moved)}, of it {_percent(step)} by the marginal "
-        f"likelihood; standard deviation {_percent(deviation, '')}"
+        f"{few.pixels} pixels; lights {_percent(moved)}{of_step}; "
+        f"standard deviation {_percent(deviation, '')}"
     )
     said = "by the highlights of dielectrics, with the material prior"
     return x, Scale(deviation, said, note)

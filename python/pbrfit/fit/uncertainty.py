@@ -125,6 +125,8 @@ def spread(
         grid = Grid(objective, x, discrepancy.of_pixel)
         distributions = Distributions.flat(grid)
     labels = np.zeros(layout.pixels, np.intp)
+    mean_albedo = x[objective.albedo].reshape(layout.channels, -1).mean(axis=1)
+    lights = np.ascontiguousarray(objective.lights(x))
     bytes_each = max(8 * 4 * unknowns**2, PIECES_MIN * WORKING_SET // layout.pixels)
 
     def fill(chunk: slice) -> None:
@@ -134,7 +136,7 @@ def spread(
             own = posterior.part(chunk)
         elif grid is not None and distributions is not None:
             own = distributions.posterior(grid.of_piece(pixels), labels[chunk])
-        found.put(chunk, _of_pixels(objective, x, discrepancy, own, pixels))
+        found.put(chunk, _of_pixels(objective, x, discrepancy, own, pixels, mean_albedo, lights))
 
     in_pieces(objective.threads, fill, chunks(layout.pixels, bytes_each))
     return found
@@ -151,6 +153,8 @@ def _of_pixels(
     discrepancy: Discrepancy,
     posterior: Posterior | None,
     pixels: NDArray[np.uint64],
+    mean_albedo: Array,
+    lights: Array,
 ) -> Spread:
     problem, for_core, c = objective.problem, objective.for_core(x), objective.channels
     matrices, _, _ = problem.normal_equations(for_core, pixels)
@@ -173,9 +177,9 @@ def _of_pixels(
     whole[:, :c, rest] = slopes @ of_rest
     whole[:, rest, :c] = whole[:, :c, rest].transpose(0, 2, 1)
     whole[:, :c, :c] = v * by_albedo + whole[:, :c, rest] @ slopes.transpose(0, 2, 1)
+    alone = np.asarray(np.linalg.inv(matrices + np.diag(precision)), np.float64)
     variance = np.einsum("pii->pi", whole).copy()
-    mean = x[objective.albedo].reshape(c, -1).mean(axis=1)
-    shade = np.maximum(values[:, :c], mean) * (discrepancy.misfit / settings.MEAN_RADIANCE)
+    shade = np.maximum(values[:, :c], mean_albedo) * (discrepancy.misfit / settings.MEAN_RADIANCE)
     variance[:, :c] += np.square(shade)
     if len(discrepancy.modes):
         moves = problem.moves_with_lights(for_core, pixels, whole / v, discrepancy.modes)
@@ -196,18 +200,8 @@ def _of_pixels(
         variance,
         np.clip(np.minimum(low, values), 0, 1),
         np.clip(np.maximum(high, values), 0, 1),
-        _moves_with_scale(objective, x, pixels, matrices, precision),
+        problem.moves_with_lights(for_core, pixels, alone, lights[None])[:, rest],
     )
-
-
-def _moves_with_scale(
-    objective: Objective, x: Array, pixels: NDArray[np.uint64], matrices: Array, precision: Array
-) -> Array:
-    """(Q, F): squares of what roughness and metallic move by per relative change of all lights."""
-    alone = np.asarray(np.linalg.inv(matrices + np.diag(precision)), np.float64)
-    lights = np.array(objective.lights(x))[None]
-    moves = objective.problem.moves_with_lights(objective.for_core(x), pixels, alone, lights)
-    return np.asarray(moves[:, objective.channels :])
 
 
 def _covariance(posterior: Posterior, unknowns: int) -> Array:
@@ -258,7 +252,7 @@ def of_spread(
     *,
     noise: float | None,
 ) -> Uncertainty:
-    """The uncertainty, with the scale's in that of albedo."""
+    """The uncertainty, with the scale's in it."""
     c = layout.channels
     largest = np.square([ROUGHNESS_DEVIATION, METALLIC_DEVIATION])[: found.by_scale.shape[1]]
     more = np.empty_like(found.variance)
