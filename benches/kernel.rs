@@ -447,6 +447,7 @@ fn directional(c: &mut Criterion) {
             .map(|i| DirectionalLight {
                 direction: DVec3::new(wave(i, 0.7) - 0.5, wave(i, 1.3) - 0.5, 0.5).normalize(),
                 color: [1.0; 3],
+                extent: 0.0,
             })
             .collect();
         group.throughput(Throughput::Elements((256 * 256 * lights.len()) as u64));

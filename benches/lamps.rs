@@ -51,6 +51,7 @@ impl Example {
             views: &self.views,
             materials: &self.materials,
             directions: &self.directions,
+            extents: &[],
             model,
         }
     }

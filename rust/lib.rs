@@ -23,10 +23,12 @@
 //! | [`pixel`] | pixels one by one, the lights known: samples, grid, Levenberg–Marquardt |
 //! | [`schur`] | pixels and lights together: Gauss–Newton Hessians and the Schur complement |
 //! | [`lamps`] | direct light of lamps with its derivatives, and pixels one by one under known lamps |
+//! | [`environment`] | panoramas, blurred, as light of the full models |
 //! | [`image_file`] | picture files; it uses `runtime` alone |
 //! | `python` | the extension module, the one place that names pyo3 and numpy |
 
 pub mod block;
+pub mod environment;
 pub mod image_file;
 pub mod lamps;
 pub mod pixel;

@@ -28,11 +28,10 @@ sys.path[:0] = [
 from test_export_blender import difference, diffuse  # noqa: E402
 
 from blender_card import Rendering, in_blender, lopsided_lights, relief  # noqa: E402
-from pbrfit import Result, relight  # noqa: E402
+from pbrfit import Environment, Result, relight  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
 from pbrfit.export.view_mesh import Geometry  # noqa: E402
 from pbrfit.io import images  # noqa: E402
-from pbrfit.model import panorama  # noqa: E402
 from pbrfit.result.differences import blue_to_yellow  # noqa: E402
 from pbrfit.result.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
 from pbrfit.synthetic import make_scene  # noqa: E402
@@ -127,9 +126,9 @@ def compared(
 
 def photographed(folder: Path, result: Result, file: Path, samples: int) -> None:
     """The same for a photographed panorama: whole, and as the SH light that we make of it."""
-    pixels = panorama.read(file)
-    for name, window in (("its SH light", "nonnegative"), ("itself", "none")):
-        light = panorama.windowed(panorama.project(pixels), window)
+    environment = Environment.read(file)
+    light = environment.harmonics
+    for name in ("its SH light", "itself"):
         of = replace(result, lighting=light[None], pictures=("hdri",))
         exported = export_result(of, folder / name, format="gltf")
         used = folder / name / "lights" / exported.panoramas[0].file if name != "itself" else file
@@ -140,7 +139,7 @@ def photographed(folder: Path, result: Result, file: Path, samples: int) -> None
             (width, height),
             [Rendering("as imported", used, samples=samples)],
         )
-        ours = relight(of, light)
+        ours = relight(of, environment if name == "itself" else light)
         found = blender.pictures["as imported"]
         tell("wall", "card", f"under {file.stem}, {name}", found, ours, of)
 

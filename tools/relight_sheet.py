@@ -1,7 +1,6 @@
 """The picture of docs/relight.md: a result relit, above its true materials under the same lights.
 
-python tools/relight_sheet.py DEMO PANORAMA OUT.png, with what `pbrfit demo DEMO` and
-`pbrfit.model.panorama` wrote or read.
+python tools/relight_sheet.py DEMO PANORAMA OUT.png, with what `pbrfit demo DEMO` wrote.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import DirectionalLight, Result, Scene, relight
+from pbrfit import DirectionalLight, Environment, Result, Scene, relight
 from pbrfit.io import display, images
-from pbrfit.model import panorama
+from pbrfit.result.metrics import white_of
 from pbrfit.result.sheet import Panel, Row, sheet
 
 SCALE = 2
@@ -28,23 +27,24 @@ def main() -> None:
     truth = Scene.load(demo / "scene").truth
     assert truth is not None
     true = dataclasses.replace(found, materials=truth.materials)
-    pixels = panorama.read(sky)
-    lights: dict[str, NDArray[np.float64] | DirectionalLight] = {
+    environment = Environment.read(sky)
+    lights: dict[str, NDArray[np.float64] | DirectionalLight | Environment] = {
         "--sh, of light_00": found.lighting[0],
-        "--env": panorama.project(pixels),
-        "--env --rotate 180": panorama.project(pixels, 180),
+        "--env": environment,
+        "--env --rotate 180": environment.turned(180),
         "--light -40,30": DirectionalLight(-40, 30),
         "--light 100,10": DirectionalLight(100, 10),
     }
     rows: list[Row] = [[], []]
     for name, light in lights.items():
         expected, relit = (relight(result, light) for result in (true, found))
+        exposure = -np.log2(white_of(expected))
         error = np.sqrt(np.mean((relit - expected) ** 2) / np.mean(expected**2))
         print(f"{name}: RMSE / RMS {error:.3f}")
         for row, caption, picture in zip(
             rows, (name, "true materials"), (relit, expected), strict=True
         ):
-            row.append(Panel(caption, _enlarged(display.encoded(picture))))
+            row.append(Panel(caption, _enlarged(display.encoded(picture, exposure, "neutral"))))
     images.write_png(out, sheet(rows), "srgb")
 
 

@@ -7,22 +7,25 @@ if TYPE_CHECKING:
     from pbrfit._core import InputError
     from pbrfit.fit.decompose import Progress, decompose
     from pbrfit.fit.objective import Objective
+    from pbrfit.model.environment import Environment
     from pbrfit.model.geometry import view_directions
     from pbrfit.model.materials import Materials
     from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
     from pbrfit.result.data import Status
     from pbrfit.result.options import FitOptions, Priors
-    from pbrfit.result.relighting import DirectionalLight, relight
+    from pbrfit.result.relighting import DirectionalLight, PointLight, relight
     from pbrfit.result.result import Result
     from pbrfit.scene.arrays import Truth
     from pbrfit.scene.scene import Scene
 
 __all__ = [
     "DirectionalLight",
+    "Environment",
     "FitOptions",
     "InputError",
     "Materials",
     "Objective",
+    "PointLight",
     "Priors",
     "Progress",
     "Result",
@@ -43,12 +46,13 @@ _MODULES = {
     "_core": ("InputError",),
     "fit.decompose": ("Progress", "decompose"),
     "fit.objective": ("Objective",),
+    "model.environment": ("Environment",),
     "model.geometry": ("view_directions",),
     "model.materials": ("Materials",),
     "model.reflection": ("ggx_band_weights", "render", "sh_basis", "shade", "shade_vjp"),
     "result.data": ("Status",),
     "result.options": ("FitOptions", "Priors"),
-    "result.relighting": ("DirectionalLight", "relight"),
+    "result.relighting": ("DirectionalLight", "PointLight", "relight"),
     "result.result": ("Result",),
     "scene.arrays": ("Truth",),
     "scene.scene": ("Scene",),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Environment",
     "Groups",
     "InputError",
     "KeptSystem",
@@ -22,6 +23,7 @@ __all__ = [
     "encode_png",
     "end_when_told",
     "finished",
+    "environment_lobes",
     "fit_under_lamps",
     "ggx_band_weights",
     "hold_end",
@@ -91,6 +93,7 @@ def render_directional(
     colors: NDArray[np.float64],
     threads: int,
     model: str = "paper",
+    extents: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]: ...
 def lamp_radiance(
     normals: NDArray[np.float64],
@@ -101,8 +104,36 @@ def lamp_radiance(
     directions: NDArray[np.float64],
     threads: int,
     model: str = "paper",
+    extents: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Radiance π f_r (n·l) (P, K, 3) under unit light of the lamps at directions (P, K, 3)."""
+    """Radiance π f_r (n·l) (P, K, 3) under unit light of the lamps at directions (P, K, 3).
+
+    Extents (P K,) are angular radii, radians; None = points.
+    """
+
+def environment_lobes(model: str) -> NDArray[np.float32]:
+    """Angle, level, a and b of each lobe, by roughness and √n·v: (R, X, K, 4)."""
+
+@final
+class Environment:
+    """A panorama (H, 2H, 3) as light, blurred by round lobes."""
+
+    def __new__(cls, pixels: NDArray[np.float32], threads: int) -> Environment: ...
+    def levels(self) -> list[NDArray[np.float32]]:
+        """The panorama by growing blur, and its two hemispheres: (rows, columns, 3) each."""
+
+    def radiance(
+        self,
+        normals: NDArray[np.float64],
+        views: NDArray[np.float64],
+        albedo: NDArray[np.float64],
+        roughness: NDArray[np.float64],
+        metallic: NDArray[np.float64],
+        turn: float,
+        threads: int,
+        model: str,
+    ) -> NDArray[np.float64]:
+        """Radiance (P, 3) of pixels under the light turned by so many radians."""
 
 def lamp_slopes(
     normals: NDArray[np.float64],

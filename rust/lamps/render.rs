@@ -26,6 +26,21 @@ pub struct DirectionalLight {
     /// Radiance, linear Rec.709, of a white diffuse surface without Fresnel loss that faces the
     /// light: its irradiance over π.
     pub color: [f64; 3],
+    /// Angular radius of the disk that it is, radians; 0 = a point.
+    pub extent: f64,
+}
+
+/// Largest angular radius of a lamp, radians: beyond, it is no lamp but a sky, for panoramas.
+pub const LARGEST_EXTENT: f64 = std::f64::consts::FRAC_PI_4;
+
+fn check_extents(extents: &[f64]) -> Result<()> {
+    match extents
+        .iter()
+        .find(|&&e| !(0.0..=LARGEST_EXTENT).contains(&e))
+    {
+        None => Ok(()),
+        Some(found) => Err(Error::argument("extents", "0 to π/4 radians", found)),
+    }
 }
 
 /// Radiance of every pixel under every light: (light, pixel, channel).
@@ -47,6 +62,7 @@ pub fn render_directional(
     for light in lights {
         check::unit_vectors("directions", &[light.direction])?;
         check::moderate("colors", &light.color, LARGEST_COLOR)?;
+        check_extents(&[light.extent])?;
     }
     pictures(lights.len(), pixels, PIECE, threads, |first, parts| {
         let count = parts.first().map_or(0, |part| part.len() / 3);
@@ -54,7 +70,7 @@ pub fn render_directional(
             let p = first + i;
             let surface = Surface::new(model, normals[p], views[p], &materials[p]);
             for (light, part) in lights.iter().zip(parts.iter_mut()) {
-                let unit = surface.reflected(light.direction);
+                let unit = surface.reflected(light.direction, light.extent);
                 for c in 0..3 {
                     part[3 * i + c] = unit[c] * light.color[c];
                 }
@@ -74,6 +90,8 @@ pub struct Lamplit<'a> {
     pub materials: &'a [Material],
     /// Unit vectors from the surface to the lamps: (pixel, lamp).
     pub directions: &'a [DVec3],
+    /// Angular radii of the lamps, radians, (pixel, lamp); empty = points.
+    pub extents: &'a [f64],
     /// What makes radiance of materials.
     pub model: Model,
 }
@@ -88,6 +106,10 @@ impl Lamplit<'_> {
         check::unit_vectors("normals", self.normals)?;
         check::unit_vectors("views", self.views)?;
         check::unit_vectors("directions", self.directions)?;
+        if !self.extents.is_empty() {
+            check::length("extents", self.directions.len(), self.extents.len())?;
+            check_extents(self.extents)?;
+        }
         Ok(lamps)
     }
 }
@@ -118,9 +140,10 @@ pub fn lamp_radiance(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
         for (p, radiance) in (piece * PIECE..).zip(of_pixels) {
             let [normal, view] = [pixels.normals[p], pixels.views[p]];
             let surface = Surface::new(pixels.model, normal, view, &pixels.materials[p]);
-            let directions = &pixels.directions[p * lamps..][..lamps];
-            for (radiance, &direction) in radiance.iter_mut().zip(directions) {
-                *radiance = surface.reflected(direction);
+            for (k, radiance) in radiance.iter_mut().enumerate() {
+                let at = p * lamps + k;
+                let extent = pixels.extents.get(at).copied().unwrap_or(0.0);
+                *radiance = surface.reflected(pixels.directions[at], extent);
             }
         }
     });

@@ -76,10 +76,15 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Radiance under unit light from `light`, a unit vector from the surface.
+    /// Radiance under unit light from `light`, a unit vector from the surface, of a lamp that is a
+    /// disk of the angular radius `extent`, radians.
+    ///
+    /// A disk is seen by a lobe as a lamp without extent by a wider one, of α² + ρ²/4: near its
+    /// middle GGX is a Gaussian of variance α²/4 an axis of h, a disk has ρ²/4 of l, a quarter of
+    /// that of h. The cosine n·l is [`mean_cosine`].
     #[inline]
-    pub fn reflected(&self, light: DVec3) -> [f64; 3] {
-        let n_dot_l = self.normal.dot(light);
+    pub fn reflected(&self, light: DVec3, extent: f64) -> [f64; 3] {
+        let n_dot_l = mean_cosine(self.normal.dot(light), extent);
         let bisector = self.view + light;
         // From straight behind there is no half vector. Below the smallest normal number lengths lose
         // their digits, and quotients of masking overflow.
@@ -88,8 +93,12 @@ impl<'a> Surface<'a> {
         }
         let half = bisector.normalize();
         let cosine = self.view.dot(half).clamp(0.0, 1.0);
+        let alpha = match extent {
+            0.0 => self.alpha,
+            _ => self.alpha.hypot(0.5 * extent).min(1.0),
+        };
         let grazing = schlick(cosine);
-        let distribution = distribution(self.normal, half, self.alpha);
+        let distribution = distribution(self.normal, half, alpha);
         let n_dot_v = self.n_dot_v;
         match &self.kind {
             Kind::Paper(masking_v) => {
@@ -124,6 +133,27 @@ impl<'a> Surface<'a> {
             }
         }
     }
+}
+
+/// Mean over a disk of the angular radius ρ of max(0, n·l), `cosine` being that of its middle.
+///
+/// Across the horizon n·l changes by s = ρ sin θ to either side of the middle, and a part
+/// 2 √(1−t²)/π of the disk is t s away, −1 ≤ t ≤ 1, so that with x = cosine/s
+///
+/// ```text
+/// s ∫ max(0, x + t) 2 √(1−t²)/π dt = s (x/2 + (x² √(1−x²) + x asin x)/π + 2 (1−x²)^{3/2}/(3π))
+/// ```
+///
+/// where |x| < 1, and max(0, cosine) elsewhere.
+#[inline]
+pub fn mean_cosine(cosine: f64, extent: f64) -> f64 {
+    let reach = extent * (1.0 - cosine * cosine).max(0.0).sqrt();
+    if cosine.abs() >= reach {
+        return cosine;
+    }
+    let x = cosine / reach;
+    let root = (1.0 - x * x).sqrt();
+    reach * (0.5 * x + (x * x * root + x * x.asin() + 2.0 / 3.0 * root * root * root) / PI)
 }
 
 /// See [`Kind::Principled`].

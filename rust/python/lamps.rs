@@ -26,7 +26,7 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 #[pyfunction]
-#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, colors, threads, model = "paper"))]
+#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, colors, threads, model = "paper", extents = None))]
 #[expect(clippy::too_many_arguments)]
 fn render_directional<'py>(
     py: Python<'py>,
@@ -39,6 +39,7 @@ fn render_directional<'py>(
     colors: &Bound<'py, PyAny>,
     threads: usize,
     model: &str,
+    extents: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let model = model.parse()?;
     let pixels = Pixels::new(
@@ -54,9 +55,14 @@ fn render_directional<'py>(
     shape("colors", &[directions.len(), 3], colors.shape())?;
     not_too_many("directions", directions.len(), pixels.count())?;
     let colors = try_copied("colors", &colors)?;
-    let lights = directions.iter().zip(colors.as_chunks::<3>().0);
-    let lights: Vec<DirectionalLight> = lights
-        .map(|(&direction, &color)| DirectionalLight { direction, color })
+    let extents = given_extents(extents, directions.len())?;
+    let lights: Vec<DirectionalLight> = (directions.iter().zip(colors.as_chunks::<3>().0))
+        .enumerate()
+        .map(|(i, (&direction, &color))| DirectionalLight {
+            direction,
+            color,
+            extent: extents.get(i).copied().unwrap_or(0.0),
+        })
         .collect();
     let Pixels {
         normals,
@@ -69,8 +75,18 @@ fn render_directional<'py>(
     Ok(array3(images, [lights.len(), pixels.count(), 3]).into_pyarray(py))
 }
 
+/// Angular radii of lamps; none are points.
+fn given_extents(extents: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<f64>> {
+    let Some(extents) = extents else {
+        return Ok(Vec::new());
+    };
+    let extents = array::<f64, Ix1>("extents", extents)?;
+    shape("extents", &[count], extents.shape())?;
+    Ok(try_copied("extents", &extents)?)
+}
+
 #[pyfunction]
-#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, threads, model = "paper"))]
+#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, threads, model = "paper", extents = None))]
 #[expect(clippy::too_many_arguments)]
 fn lamp_radiance<'py>(
     py: Python<'py>,
@@ -82,6 +98,7 @@ fn lamp_radiance<'py>(
     directions: &Bound<'py, PyAny>,
     threads: usize,
     model: &str,
+    extents: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let model = model.parse()?;
     let pixels = Pixels::new(
@@ -92,11 +109,13 @@ fn lamp_radiance<'py>(
         metallic,
     )?;
     let (lamps, directions) = lamp_vectors("directions", directions, pixels.count())?;
+    let extents = given_extents(extents, directions.len())?;
     let lamplit = Lamplit {
         normals: &pixels.normals,
         views: &pixels.views,
         materials: &pixels.materials,
         directions: &directions,
+        extents: &extents,
         model,
     };
     let radiance = py.detach(|| radiance_of_pixels(lamplit, threads))?;
@@ -138,6 +157,7 @@ fn lamp_slopes<'py>(
         views: &pixels.views,
         materials: &pixels.materials,
         directions: &directions,
+        extents: &[],
         model,
     };
     let slopes = py.detach(|| slopes_of_pixels(lamplit, threads))?;

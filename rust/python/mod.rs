@@ -6,6 +6,7 @@
 
 mod arrays;
 mod ending;
+mod environment;
 mod image_file;
 mod images;
 mod lamps;
@@ -21,6 +22,7 @@ use pyo3::create_exception;
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
+use crate::environment::lobes;
 use crate::reflectance::{band_table, lobe_table};
 use crate::runtime::Error;
 
@@ -62,12 +64,14 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     // thread makes the table would wait for it for ever.
     LazyLock::force(&band_table::TABLE);
     lobe_table::prepare();
+    lobes::prepare();
     // Numpy's functions are looked up when first used, where a Ctrl-C would become a panic.
     module.py().import("numpy")?;
     PyArray1::<f64>::zeros(module.py(), 0, false);
     module.add("InputError", module.py().get_type::<InputError>())?;
     model::register(module)?;
     lamps::register(module)?;
+    environment::register(module)?;
     problem::register(module)?;
     surroundings::register(module)?;
     penalties::register(module)?;

@@ -456,6 +456,7 @@ impl Example {
             views: &self.views,
             materials: &self.materials,
             directions: &self.directions,
+            extents: &[],
             model,
         }
     }
@@ -473,6 +474,7 @@ fn pixels_under_lamps_are_the_same_by_any_way_and_number_of_threads() {
         let light = DirectionalLight {
             direction: example.directions[LAMPS * 7 + 3],
             color: [1.0; 3],
+            extent: 0.0,
         };
         let rendered = render_directional(
             &example.normals,

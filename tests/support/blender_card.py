@@ -121,4 +121,4 @@ def lopsided_lights() -> NDArray[np.float64]:
     random = np.random.default_rng(5)
     lights = random.normal(size=(3, 16, 3))
     lights[:, 0] = 2.0
-    return np.stack([panorama.windowed(light, "nonnegative") for light in lights])
+    return np.stack([panorama.nonnegative(light) for light in lights])

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.commands.arguments import add_flags, choice, number, numbers, value
-from pbrfit.model import panorama
-from pbrfit.model.lamps import Lamps
+from pbrfit.commands.arguments import add_flags, number, numbers, value
+from pbrfit.model.environment import Environment
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.panorama import Window
-from pbrfit.result.relighting import DirectionalLight, LampLight, turned
+from pbrfit.result.relighting import SOFTEST, DirectionalLight, Light, PointLight, turned
 from pbrfit.result.result import Result
 
 NAMES_SHOWN = 32
 """Names of pictures that a message lists."""
 
-
-Light = NDArray[np.float64] | DirectionalLight | Lamps | LampLight
-"""SH light (16, 3), a hard one, or lamps with or without SH light."""
 
 Facts = list[tuple[str, str]]
 """Topics, and a sentence on each."""
@@ -38,8 +31,7 @@ def add_light(parser: argparse.ArgumentParser) -> None:
         env=value(
             "PANORAMA",
             Path,
-            "equirectangular picture, .hdr or .exr: its centre looks along -Z, into the scene; "
-            "projected to SH light",
+            "equirectangular picture, .hdr or .exr: its centre looks along -Z, into the scene",
         ),
         light=value(
             "AZIMUTH,ELEVATION",
@@ -63,14 +55,17 @@ def add_light(parser: argparse.ArgumentParser) -> None:
             "with --env, --sh, --picture: turn the light about +Y, from the viewer to the right "
             "(default: 0)",
         ),
-        window=choice(
-            Window, "with --env: damp what rings about lamps after the projection (default: none)"
-        ),
         color=value(
             "R,G,B",
             numbers(3, "R,G,B"),
             "with --light, --lamp: radiance of a white matt surface that faces it, of --lamp at "
             "the middle of what is seen (default: 1,1,1)",
+        ),
+        softness=value(
+            "SIZE",
+            number,
+            f"with --light: angular radius of the lamp in degrees, 0 to {SOFTEST:g} (the sun: "
+            "0.27); with --lamp: its radius in the depth's unit (default: 0, a point)",
         ),
         picture=value(
             "NAME", str, "with --sh: whose light of the file; alone: that of a picture of RESULT"
@@ -87,16 +82,20 @@ def choose_light(options: argparse.Namespace, result: Result) -> tuple[Light, Fa
     """
     if options.light is not None:
         azimuth, elevation = options.light
-        light = DirectionalLight(azimuth, elevation, options.color or (1.0, 1.0, 1.0))
-        color = ", ".join(f"{channel:g}" for channel in light.color)
-        fact = f"hard, from azimuth {azimuth:g}, elevation {elevation:g}, color {color}"
+        color, softness = options.color or (1.0, 1.0, 1.0), options.softness or 0.0
+        light = DirectionalLight(azimuth, elevation, color, softness)
+        shown = ", ".join(f"{channel:g}" for channel in light.color)
+        kind = f"a disk of {softness:g} degrees," if softness else "hard,"
+        fact = f"{kind} from azimuth {azimuth:g}, elevation {elevation:g}, color {shown}"
         return light, [("light", fact)]
     if options.lamp is not None:
         return _near(options, result)
     degrees = options.rotate or 0.0
     turn = f", turned by {degrees:g} degrees" if degrees else ""
     if options.env is not None:
-        return _projected(options, degrees, turn)
+        panorama = Environment.read(options.env, degrees)
+        height, width = panorama.pixels.shape[:2]
+        return panorama, [("light", f"{options.env}, a panorama of {width} × {height}{turn}")]
     file = options.result / "lighting.json" if options.sh is None else options.sh
     lighting = Lighting.load(file)
     name = _whose(lighting.pictures, options, file)
@@ -112,55 +111,23 @@ def choose_light(options: argparse.Namespace, result: Result) -> tuple[Light, Fa
     return own, [("light", fact)]
 
 
-def _near(options: argparse.Namespace, result: Result) -> tuple[Lamps, Facts]:
+def _near(options: argparse.Namespace, result: Result) -> tuple[PointLight, Facts]:
     """A lamp at a place, as bright at the middle of what is seen as the colour says."""
     middle = result.middle
     if middle is None:
         raise InputError(
             f"{options.result}: expected a result with depth for --lamp, found one without"
         )
-    color = np.array(options.color or (1.0, 1.0, 1.0))
-    if (color < 0).any():
-        raise InputError(f"color: expected three finite numbers, 0 or more, found {options.color}")
-    place = np.array(options.lamp)
-    distance = float(np.linalg.norm(place - middle))
-    lamps = Lamps(np.zeros(1, np.intp), place[None], np.ones(1, bool), (color * distance**2)[None])
+    color = options.color or (1.0, 1.0, 1.0)
+    distance = float(np.linalg.norm(np.array(options.lamp) - middle))
+    at_one = DirectionalLight(0, 0, color).color
+    red, green, blue = (channel * distance**2 for channel in at_one)
+    lamp = PointLight(options.lamp, (red, green, blue), options.softness or 0.0)
     said = ", ".join(f"{one:g}" for one in options.lamp)
     where = ", ".join(f"{one:.3g}" for one in middle)
     fact = f"near, at {said}, which is {distance:.3g} from the middle of what is seen, {where}"
-    return lamps, [("light", fact), ("", f"color {', '.join(f'{one:g}' for one in color)} there")]
-
-
-def _projected(options: argparse.Namespace, degrees: float, turn: str) -> tuple[Light, Facts]:
-    """SH light of a panorama."""
-    pixels = panorama.read(options.env)
-    plain = panorama.project(pixels, degrees)
-    lost = panorama.lost_energy(pixels, plain)
-    window: Window = options.window or "none"
-    light = panorama.windowed(plain, window)
-    facts = [
-        ("light", f"{options.env}, projected to SH light up to l = 3{turn}"),
-        (
-            "projection",
-            f"loses {100 * lost:.1f} % of the light's energy, all that is sharper: matt surfaces "
-            "hardly miss it, highlights do"
-            + (" (for a sun or a lamp try --light)" if lost > 0.5 else ""),
-        ),
-    ]
-    least = panorama.darkest(light)
-    mean = float(light[0].mean()) / math.sqrt(4 * math.pi)
-    if window != "none":
-        facts.append(("window", f"{window}, which blurs the light: its least radiance {least:.3g}"))
-    if least < -1e-6 * mean:
-        cures = "nonnegative ends" if window == "lanczos" else "lanczos lessens, nonnegative ends"
-        facts.append(
-            (
-                "ringing",
-                f"the projected light falls to {least:.3g}, its mean is {mean:.3g}: shiny surfaces "
-                f"may get black spots, which --window {cures}",
-            )
-        )
-    return light, facts
+    size = f", radius {lamp.radius:g}" if lamp.radius else ""
+    return lamp, [("light", fact), ("", f"color {', '.join(f'{c:g}' for c in color)} there{size}")]
 
 
 def _whose(pictures: tuple[str, ...], options: argparse.Namespace, file: Path) -> str:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.light_options import Light, add_light, choose_light
+from pbrfit.commands.light_options import add_light, choose_light
 from pbrfit.io import relit_files
 from pbrfit.io.display import ToneMap
 from pbrfit.io.output import check_free, check_free_file, new_file, new_folder
 from pbrfit.io.relit_files import Radiance, Range, Screen
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS
-from pbrfit.result.relighting import relight, turned
+from pbrfit.result.metrics import white_of
+from pbrfit.result.relighting import Light, PointLight, relight, turned
 from pbrfit.result.result import Result
 
 FPS = 12.0
@@ -24,8 +26,12 @@ FPS = 12.0
 UNSEEN_SHARE_MAX = 0.98
 """Share of pixels that are nearly black or clipped above which another exposure is suggested."""
 
-EXPOSURE_MAX = 100.0
-"""Largest exposure in stops, in both directions."""
+LARGEST_EXPOSURE = 100.0
+"""Stops, in both directions."""
+
+SAMPLED_FRAMES = 4
+"""Frames of a turntable, evenly spread, that its exposure is chosen by: what is behind in one of
+them is in front in another."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -70,11 +76,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             f"with --turntable and an animation: frames a second, 1 to 50 (default: {FPS:g})",
         ),
         exposure=cli.value(
-            "EV", cli.number, "of files for a screen, in stops: radiance times 2^EV (default: 0)"
+            "EV",
+            cli.number,
+            "of files for a screen, in stops: radiance times 2^EV (default: by itself, so that the "
+            "brightest 2 %% of the picture are above white)",
         ),
         tone_map=cli.choice(
             ToneMap,
-            "of files for a screen: neutral compresses highlights that none clips (default: none)",
+            "of files for a screen: neutral keeps colours and compresses highlights, none clips them "
+            "(default: neutral)",
         ),
     )
     cli.add_threads(parser)
@@ -96,7 +106,10 @@ def run(options: argparse.Namespace) -> int:
     light, said = choose_light(options, result)
     if options.turntable is not None and _is_near(light):
         raise InputError("--turntable: expected light from far away, found a near lamp")
-    screen = Screen(options.exposure or 0.0, options.tone_map or "none")
+    exposure = options.exposure
+    if exposure is None and _for_screen(options, kind):
+        exposure = _chosen_exposure(result, light, options)
+    screen = Screen(exposure or 0.0, options.tone_map or "neutral")
     radiance = Range()
     with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
 
@@ -154,7 +167,7 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
             given & {"env", "sh"} or own,
             "goes with --env, --sh or --picture; give --light another azimuth instead",
         ),
-        ("window", "env" in given, "goes with --env"),
+        ("softness", given & {"light", "lamp"}, "goes with --light or --lamp"),
         ("color", given & {"light", "lamp"}, "goes with --light or --lamp"),
         ("picture", "sh" in given or own, "goes with --sh, or alone"),
         ("format", folder, "goes with --turntable and a folder as --out"),
@@ -173,9 +186,9 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
                 f"{' (--format png)' if folder else ''}, found EXR: it holds linear radiance, and "
                 "what it is shown with is left to who shows it"
             )
-    if "exposure" in given and not abs(options.exposure) <= EXPOSURE_MAX:
+    if "exposure" in given and not abs(options.exposure) <= LARGEST_EXPOSURE:
         raise InputError(
-            f"--exposure: expected -{EXPOSURE_MAX:g} to {EXPOSURE_MAX:g} stops, found "
+            f"--exposure: expected -{LARGEST_EXPOSURE:g} to {LARGEST_EXPOSURE:g} stops, found "
             f"{options.exposure:g}"
         )
     if "fps" in given and not 1 <= options.fps <= 50:
@@ -210,6 +223,17 @@ def _frames(result: Result, light: Light, options: argparse.Namespace) -> Iterat
         yield relight(result, light_there, options.threads, shadows=shadows)
 
 
+def _chosen_exposure(result: Result, light: Light, options: argparse.Namespace) -> float:
+    """Stops, in tenths, that bring the white of the brightest frame to 1."""
+    count = options.turntable or 1
+    steps = sorted({i * count // SAMPLED_FRAMES for i in range(SAMPLED_FRAMES)})
+    lights = (turned(light, 360 * k / count) if k else light for k in steps)
+    shadows = not options.no_shadows
+    whites = [white_of(relight(result, one, options.threads, shadows=shadows)) for one in lights]
+    stops = round(0.0 - math.log2(max(whites)), 1)
+    return min(max(stops, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
+
+
 def _write(
     options: argparse.Namespace, kind: str, frames: Iterator[Radiance], screen: Screen
 ) -> None:
@@ -242,6 +266,8 @@ def _frame_name(k: int, options: argparse.Namespace) -> str:
 def _is_near(light: Light) -> bool:
     """Whether it is a lamp near the surface."""
     lamps = light[0] if isinstance(light, tuple) else light
+    if isinstance(lamps, PointLight):
+        return True
     return isinstance(lamps, Lamps) and bool(lamps.near.any())
 
 
@@ -271,9 +297,10 @@ def _facts_of_output(
     colors = "256 colours a frame" if kind == ".gif" else "8 bits"
     yield "written", f"{what}, sRGB, {colors}{alpha}"
     clipped, black = screen.share(screen.clipped), screen.share(screen.black)
+    chosen = " (by itself)" if options.exposure is None else ""
     yield (
         "shown",
-        f"exposure {screen.exposure:g} EV, tone map {screen.tone_map}; "
+        f"exposure {screen.exposure:g} EV{chosen}, tone map {screen.tone_map}; "
         f"{100 * clipped:.1f} % of the pixels are clipped, {100 * black:.1f} % nearly black",
     )
     if clipped + black > UNSEEN_SHARE_MAX:
@@ -281,5 +308,5 @@ def _facts_of_output(
         if exposure is None:
             yield "hint", "no light reaches the surfaces that the camera sees"
         else:
-            exposure = min(max(exposure, -EXPOSURE_MAX), EXPOSURE_MAX)
+            exposure = min(max(exposure, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
             yield "hint", f"little can be seen; try --exposure {exposure:g}"

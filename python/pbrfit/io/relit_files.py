@@ -92,7 +92,7 @@ class Screen:
     """Encodes radiance for a screen, and keeps account of what that cost."""
 
     exposure: float = 0.0
-    tone_map: ToneMap = "none"
+    tone_map: ToneMap = "neutral"
     """As for `display.encoded`."""
     clipped: int = 0
     black: int = 0

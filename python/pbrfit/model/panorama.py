@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,9 +26,6 @@ from pbrfit.model.lighting import BAND_OF, rotated
 from pbrfit.model.reflection import sh_basis
 
 log = logging.getLogger("pbrfit")
-
-Window = Literal["none", "lanczos", "nonnegative"]
-"""What is done against ringing; see `windowed`."""
 
 CHUNK = 1 << 18
 """Pixels whose basis is held at once: 32 MiB of it."""
@@ -156,29 +152,6 @@ def radiance(coefficients: ArrayLike, height: int) -> NDArray[np.float64]:
     return np.asarray(sh_basis(directions(height, 2 * height)) @ np.asarray(coefficients))
 
 
-def windowed(coefficients: ArrayLike, window: Window) -> NDArray[np.float64]:
-    """SH light (16, 3) with less ringing: higher bands are damped, the mean light stays.
-
-    A lamp cut off at l = 3 is surrounded by rings, negative ones among them. Raises InputError if
-    `window` is another.
-
-    Parameters
-    ----------
-    window
-        ``lanczos`` multiplies band l by sin(πl/4)/(πl/4). ``nonnegative`` divides it by
-        1 + λ l² (l+1)², with the smallest λ that leaves no direction and no channel negative.
-
-    Notes
-    -----
-    P.-P. Sloan, "Stupid Spherical Harmonics (SH) Tricks", 2008, has both; the second comes of
-    penalising the square of the Laplacian.
-    """
-    light = np.asarray(coefficients, dtype=np.float64)
-    if window not in WINDOWS:
-        raise InputError(f"window: expected one of {', '.join(WINDOWS)}, found {window!r}")
-    return WINDOWS[window](light)
-
-
 def darkest(coefficients: ArrayLike) -> float:
     """Smallest radiance of an SH light over all directions and channels; below 0 it rings."""
     return float(radiance(coefficients, DARKEST_HEIGHT).min())
@@ -188,11 +161,16 @@ DARKEST_HEIGHT = 64
 """Rows of the panorama that negative light is looked for in; l = 3 has no detail finer than 20."""
 
 
-def _lanczos(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(light * np.sinc(BAND_OF / 4)[:, None])
+def nonnegative(coefficients: ArrayLike) -> NDArray[np.float64]:
+    """SH light (16, 3) damped until it is nowhere negative; the mean light stays.
 
+    A lamp cut off at l = 3 is surrounded by rings, negative ones among them. Band l is divided by
+    1 + λ l² (l+1)², with the smallest λ that leaves no direction and no channel negative.
 
-def _nonnegative(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    Source: P.-P. Sloan, "Stupid Spherical Harmonics (SH) Tricks", 2008; the factors come of
+    penalising the square of the Laplacian.
+    """
+    light = np.asarray(coefficients, dtype=np.float64)
     bands = (BAND_OF * (BAND_OF + 1.0)) ** 2
 
     def damped(strength: float) -> NDArray[np.float64]:
@@ -207,13 +185,6 @@ def _nonnegative(light: NDArray[np.float64]) -> NDArray[np.float64]:
         middle = (low + high) / 2
         low, high = (low, middle) if darkest(damped(10**middle)) >= 0 else (middle, high)
     return damped(10**high)
-
-
-WINDOWS: dict[Window, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
-    "none": lambda light: light,
-    "lanczos": _lanczos,
-    "nonnegative": _nonnegative,
-}
 
 
 def _rows(height: int, width: int, rows: slice) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_array
+from pbrfit.model.environment import Environment
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -264,6 +265,7 @@ def render_directional(
     threads: int = 0,
     *,
     model: Model = DEFAULT_MODEL,
+    extents: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
     """Radiance of a view under light from single directions, with the full reflection model.
 
@@ -278,6 +280,9 @@ def render_directional(
         (3,) or (N, 3) unit vectors from the surface to the lights.
     colors
         (3,) or (N, 3), linear Rec.709.
+    extents
+        () or (N,): angular radii of the lights as disks, radians, up to π/4; None = points. Of a
+        disk the highlight is that of a wider lobe, and surfaces darken softly at the terminator.
     materials, normals, fov, threads, model
         As for `render`.
 
@@ -297,6 +302,7 @@ def render_directional(
     of_lights = _array("colors", colors, to_lights.shape)
     if of_lights.ndim > to_lights.ndim:
         raise InputError(f"colors: expected shape {to_lights.shape}, found {of_lights.shape}")
+    radii = None if extents is None else _array("extents", extents, ()).reshape(-1)
     view = _View.of_maps(materials, normals, fov)
     images = view.pictures(
         _core.render_directional(
@@ -305,9 +311,44 @@ def render_directional(
             of_lights.reshape(-1, 3),
             whole_number("threads", threads),
             model,
+            radii,
         )
     )
     return images[0] if to_lights.ndim == 1 else images
+
+
+def render_environment(
+    materials: Materials,
+    normals: ArrayLike,
+    environment: Environment,
+    fov: float,
+    threads: int = 0,
+    *,
+    model: Model = DEFAULT_MODEL,
+) -> NDArray[np.float64]:
+    """Radiance of a view under a panorama, with the full reflection model.
+
+    What `render_directional` gives under every pixel of the panorama, by a sum of a few blurred
+    look-ups (docs/relight.md#panoramas has the errors). Never negative. Nothing casts a shadow.
+
+    Parameters
+    ----------
+    materials, normals, fov, threads, model
+        As for `render`.
+
+    Returns
+    -------
+    (H, W, 3) float64, linear Rec.709.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit together or a value is out of range.
+    """
+    model = checked_model(model)
+    view = _View.of_maps(materials, normals, fov)
+    radiance = environment.radiance(view.pixels, whole_number("threads", threads), model)
+    return view.pictures(radiance[None])[0]
 
 
 def render_lamps(
@@ -321,6 +362,7 @@ def render_lamps(
     *,
     model: Model = DEFAULT_MODEL,
     visibility: ArrayLike | None = None,
+    radius: float = 0.0,
 ) -> NDArray[np.float64]:
     """Radiance of a view under the lamps of each picture, and ambient light.
 
@@ -338,6 +380,9 @@ def render_lamps(
         Pixels without are NaN in pictures of near lamps.
     visibility
         (K, H, W), 0 to 1: how much of each of the K lamps reaches each pixel; None = all.
+    radius
+        Of near lamps, as spheres, in the unit of the depth. From nearer than √2 radii they are seen
+        as from there.
     materials, normals, fov, threads, model
         As for `render`.
 
@@ -379,7 +424,7 @@ def render_lamps(
             raise InputError("lamps: expected depth for near lamps, found none")
         points = positions(_array("depth", depth, shape), fov).reshape(-1, 3)[view.of]
     for k, picture in enumerate(lamps.pictures.tolist()):
-        radiance = view.under_lamp(lamps.only(k), points, threads, model)
+        radiance = view.under_lamp(lamps.only(k), points, threads, model, radius)
         if reaching is not None:
             radiance *= reaching[k][:, None]
         found[picture] += radiance
@@ -422,7 +467,9 @@ class _View:
         r, m = (numbers.reshape(-1)[of] for numbers in (roughness, metallic))
         return cls(height, width, (n, v, rho, r, m), of)
 
-    def under_lamp(self, lamp: Lamps, points: Array | None, threads: int, model: Model) -> Array:
+    def under_lamp(
+        self, lamp: Lamps, points: Array | None, threads: int, model: Model, radius: float = 0.0
+    ) -> Array:
         """(P, 3) radiance of the pixels under one lamp; NaN where a near one needs their points."""
         if not lamp.near[0]:
             one = _core.render_directional(*self.pixels, lamp.places, lamp.colors, threads, model)
@@ -432,7 +479,11 @@ class _View:
         directions, strengths = lamp.at(points[known])
         found = np.full((len(points), 3), np.nan)
         n, v, rho, r, m = (np.ascontiguousarray(values[known]) for values in self.pixels)
-        unit = _core.lamp_radiance(n, v, rho, r, m, directions, threads, model)[:, 0]
+        extents = None
+        if radius > 0:
+            distances = np.linalg.norm(lamp.places - points[known], axis=-1)
+            extents = np.arcsin(np.minimum(radius / np.maximum(distances, 1e-300), np.sqrt(0.5)))
+        unit = _core.lamp_radiance(n, v, rho, r, m, directions, threads, model, extents)[:, 0]
         found[known] = unit * strengths * lamp.colors
         return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -202,6 +202,41 @@ class ResultData:
             self.materials, self.normals, functions, self.transport, model=self.model
         )
         return pictures.astype(np.float32)
+
+    @lazy
+    def open_share(self) -> NDArray[np.float32] | None:
+        """(16, H, W): what white matt surfaces show among the surroundings, by SH function.
+
+        Over the same without any it is the share of a light that reaches them. NaN outside the
+        mask; None where surroundings do nothing.
+        """
+        if self.scenery is None:
+            return None
+        functions = np.repeat(np.eye(16)[..., None], 3, axis=-1)
+        transport = replace(self.transport, kind="occlusion")
+        pictures = self.scenery.render(
+            self.white, self.normals, functions, transport, model="principled"
+        )
+        return pictures[..., 0].astype(np.float32)
+
+    @lazy
+    def reflected_pictures(self) -> NDArray[np.float32] | None:
+        """(16, H, W, 3): what surfaces send each other of each SH function; None if nothing."""
+        if self.scenery is None or self.transport.kind != "bounce":
+            return None
+        functions = np.repeat(np.eye(16)[..., None], 3, axis=-1)
+        transport = replace(self.transport, kind="occlusion")
+        direct = self.scenery.render(
+            self.materials, self.normals, functions, transport, model=self.model
+        )
+        assert self.basis_pictures is not None
+        return self.basis_pictures - direct.astype(np.float32)
+
+    @property
+    def white(self) -> Materials:
+        """White matt surfaces in the place of the result's; NaN outside the mask."""
+        inside = np.where(self.mask, 1.0, np.nan)
+        return Materials(np.repeat(inside[..., None], 3, axis=-1), inside, 0.0 * inside)
 
     @property
     def middle(self) -> NDArray[np.float64] | None:

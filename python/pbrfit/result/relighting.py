@@ -1,11 +1,11 @@
-"""A result under other light, SH light or lamps, and under that of its pictures."""
+"""A result under other light, SH light, lamps or a panorama, and under that of its pictures."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
 from pbrfit.model import lighting
+from pbrfit.model.environment import Environment
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import (
     Model,
@@ -20,6 +21,7 @@ from pbrfit.model.reflection import (
     checked_model,
     render,
     render_directional,
+    render_environment,
     render_lamps,
 )
 
@@ -29,6 +31,10 @@ if TYPE_CHECKING:
 
 LampLight = tuple[Lamps, NDArray[np.float64]]
 """Lamps of one picture, and the ambient light (16, 3) beside them."""
+
+
+SOFTEST = 45.0
+"""Largest angular radius of a lamp, degrees: beyond, it is a sky, which a panorama holds."""
 
 
 @dataclass(frozen=True)
@@ -43,28 +49,29 @@ class DirectionalLight:
     color
         Radiance of a white diffuse surface that faces the light, linear Rec.709, 0 or more: its
         irradiance over π.
+    softness
+        Angular radius of the lamp, a disk, in degrees, 0 to 45: 0 is a point, the sun has 0.27.
 
     Raises
     ------
     InputError
-        If a number is not finite or a colour is below 0.
+        If a number is not finite, a colour is below 0 or the softness is out of range.
     """
 
     azimuth: float
     elevation: float
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    softness: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("azimuth", "elevation"):
             object.__setattr__(self, name, _degrees(name, getattr(self, name)))
-        expected = "three finite numbers, 0 or more"
-        try:
-            color = tuple(real_number("color", channel, expected) for channel in self.color)
-        except TypeError:
-            color = ()
-        if len(color) != 3 or not all(0 <= channel < math.inf for channel in color):
-            raise InputError(f"color: expected {expected}, found {of_what(self.color)}")
-        object.__setattr__(self, "color", color)
+        object.__setattr__(self, "color", _color(self.color))
+        expected = f"0 to {SOFTEST:g} degrees"
+        softness = real_number("softness", self.softness, expected)
+        if not 0 <= softness <= SOFTEST:
+            raise InputError(f"softness: expected {expected}, found {of_what(self.softness)}")
+        object.__setattr__(self, "softness", softness)
 
     @property
     def direction(self) -> NDArray[np.float64]:
@@ -81,9 +88,56 @@ class DirectionalLight:
         return dataclasses.replace(self, azimuth=self.azimuth + _degrees("degrees", degrees))
 
 
+@dataclass(frozen=True)
+class PointLight:
+    """A lamp near the surface, for results with depth.
+
+    Attributes
+    ----------
+    position
+        (x, y, z) in camera space, in the unit of the depth: the camera is at 0, and what it sees
+        has z below 0.
+    color
+        Radiance of a white diffuse surface that faces the lamp at the distance 1, linear Rec.709,
+        0 or more.
+    radius
+        Of the lamp, a sphere, in the unit of the depth: the larger, the softer. 0 = a point.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or a colour or the radius is below 0.
+    """
+
+    position: tuple[float, float, float]
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        position = three_numbers("position", self.position, "three finite numbers")
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "color", _color(self.color))
+        expected = "a finite number, 0 or more"
+        radius = real_number("radius", self.radius, expected)
+        if not 0 <= radius < math.inf:
+            raise InputError(f"radius: expected {expected}, found {of_what(self.radius)}")
+        object.__setattr__(self, "radius", radius)
+
+    @property
+    def lamps(self) -> Lamps:
+        """The lamp as that of one picture."""
+        place, color = np.array([self.position]), np.array([self.color])
+        return Lamps(np.zeros(1, np.intp), place, np.ones(1, bool), color)
+
+
+Light = NDArray[np.float64] | DirectionalLight | PointLight | Environment | Lamps | LampLight
+"""SH light (16, 3) or (N, 16, 3), lamps far or near, a panorama, or lamps of a picture with or
+without SH light beside them."""
+
+
 def relight(
     result: ResultData,
-    light: ArrayLike | DirectionalLight | Lamps | LampLight,
+    light: ArrayLike | Light,
     threads: int = 0,
     *,
     model: Model | None = None,
@@ -92,19 +146,19 @@ def relight(
     """Radiance of the recovered surfaces under other light.
 
     SH light goes through the model that the materials were fitted with (docs/model.md), and gives
-    with the result's own lights the reconstructions of its pictures. A `DirectionalLight` and
-    `Lamps` go through the model's full reflection, because their highlights are beyond what SH
-    light holds. Where the fit decided for surroundings (`Result.transport`), they block light; and
-    SH light is reflected between surfaces if the pictures told that. What surfaces reflect of lamps
-    is left out. Elsewhere nothing casts a shadow.
+    with the result's own lights the reconstructions of its pictures. All others go through the
+    model's full reflection, because their highlights are beyond what SH light holds: a
+    `DirectionalLight`, a `PointLight`, an `Environment`, `Lamps`. Where the fit decided for surroundings (`Result.transport`), they block light; and
+    SH light and panoramas are reflected between surfaces if the pictures told that. What surfaces
+    reflect of lamps is left out. Elsewhere nothing casts a shadow.
 
     Parameters
     ----------
     result
         What `decompose` found.
     light
-        SH light (16, 3), or (N, 16, 3) for N pictures, linear Rec.709; or a `DirectionalLight`; or
-        `Lamps` of one picture, alone or in a tuple with ambient SH light (16, 3). `own_light` has
+        SH light (16, 3), or (N, 16, 3) for N pictures, linear Rec.709; or a `DirectionalLight`,
+        `PointLight` or `Environment`; or `Lamps` of one picture, alone or in a tuple with ambient SH light (16, 3). `own_light` has
         that of a picture.
     threads
         0 = one for each processor; the result does not depend on it.
@@ -132,10 +186,15 @@ def relight(
         picture = render_directional(
             *(result.materials, result.normals, light.direction, light.color, result.fov, threads),
             model=result.model,
+            extents=math.radians(light.softness),
         )
         if scenery is not None:
             picture[result.mask] *= scenery.open_to(light.direction)[:, None]
         return picture
+    if isinstance(light, Environment):
+        return _under_panorama(result, light, threads, shadows=scenery is not None)
+    if isinstance(light, PointLight):
+        return _under_lamps(result, light.lamps, None, threads, scenery, light.radius)
     if isinstance(light, Lamps):
         return _under_lamps(result, light, None, threads, scenery)
     if isinstance(light, tuple) and len(light) == 2 and isinstance(light[0], Lamps):
@@ -163,6 +222,7 @@ def _under_lamps(
     ambient: ArrayLike | None,
     threads: int,
     scenery: Scenery | None,
+    radius: float = 0.0,
 ) -> NDArray[np.float64]:
     """A picture under lamps and SH light."""
     lamps.check_pictures(1)
@@ -185,10 +245,35 @@ def _under_lamps(
         threads,
         model=result.model,
         visibility=visibility,
+        radius=radius,
     )
     if scenery is not None and sky.any():
         picture += _among_surroundings(result, sky)
     return np.asarray(picture)
+
+
+def _under_panorama(
+    result: ResultData, light: Environment, threads: int, *, shadows: bool
+) -> NDArray[np.float64]:
+    """A picture under a panorama; surroundings dim it as they dim matt surfaces.
+
+    The share of the light that reaches a white matt surface, under the panorama as harmonics, is
+    taken for all of the reflection: surroundings are known as harmonics, which hold no sharper
+    shadow.
+    """
+    given = (result.materials, result.normals)
+    picture = render_environment(*given, light, result.fov, threads, model=result.model)
+    if not shadows:
+        return picture
+    assert result.open_share is not None
+    harmonics = light.harmonics
+    reached = np.einsum("kc,khw->hwc", harmonics, result.open_share)
+    whole = render(result.white, result.normals, harmonics, result.fov, threads, model="principled")
+    picture *= np.clip(reached / np.maximum(whole, np.finfo(np.float64).tiny), 0.0, 1.0)
+    if result.reflected_pictures is not None:
+        brought = np.einsum("kc,khwc->hwc", harmonics, result.reflected_pictures)
+        picture += np.maximum(brought, 0.0)
+    return picture
 
 
 def _among_surroundings(result: ResultData, light: ArrayLike) -> NDArray[np.float64]:
@@ -209,18 +294,22 @@ def turned(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]: .
 @overload
 def turned(light: DirectionalLight, degrees: float) -> DirectionalLight: ...
 @overload
+def turned(light: Environment, degrees: float) -> Environment: ...
+@overload
+def turned(light: PointLight, degrees: float) -> PointLight: ...
+@overload
 def turned(light: Lamps, degrees: float) -> Lamps: ...
 @overload
 def turned(light: LampLight, degrees: float) -> LampLight: ...
-def turned(
-    light: NDArray[np.float64] | DirectionalLight | Lamps | LampLight, degrees: float
-) -> NDArray[np.float64] | DirectionalLight | Lamps | LampLight:
+def turned(light: Light, degrees: float) -> Light:
     """Light as `relight` takes it, turned about +Y from +Z towards +X.
 
     Raises InputError if lamps are near: that would move them, and nobody knows about which point.
     """
-    if isinstance(light, DirectionalLight):
+    if isinstance(light, (DirectionalLight, Environment)):
         return light.turned(degrees)
+    if isinstance(light, PointLight):
+        light = light.lamps
     if isinstance(light, tuple):
         return turned(light[0], degrees), lighting.rotated(light[1], degrees)
     if isinstance(light, Lamps):
@@ -232,6 +321,25 @@ def turned(
         places = np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
         return dataclasses.replace(light, places=places)
     return lighting.rotated(light, degrees)
+
+
+def three_numbers(name: str, given: Any, expected: str) -> tuple[float, float, float]:
+    """Finite ones; InputError otherwise."""
+    try:
+        numbers = tuple(real_number(name, number, expected) for number in given)
+    except TypeError:
+        numbers = ()
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{name}: expected {expected}, found {of_what(given)}")
+    return numbers
+
+
+def _color(given: Any) -> tuple[float, float, float]:
+    expected = "three finite numbers, 0 or more"
+    color = three_numbers("color", given, expected)
+    if min(color) < 0:
+        raise InputError(f"color: expected {expected}, found {of_what(given)}")
+    return color
 
 
 def _degrees(name: str, value: float) -> float:

@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
 from command_runs import Ran, done, ran, refused
-from pbrfit import DirectionalLight, Result, relight
+from pbrfit import DirectionalLight, Environment, Result, relight
 from pbrfit.commands.arguments import with_signed_values
 from pbrfit.io import display, images
 from pbrfit.io.relit_files import ANIMATIONS, write_animation
-from pbrfit.model import panorama
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting, rotated
-from pbrfit.model.panorama import WINDOWS
 from pbrfit.result.relighting import rendered_picture
 from relit import ball, fitted, shaded_ball, side_lit
 from scene_files import Argument, run, write_exr, write_folder, write_hdr
@@ -135,15 +133,16 @@ def test_a_panorama_turned(folders: Path, pano: Path, tmp_path: Path) -> None:
 
 
 def test_the_command_lights_as_the_library_does(room: Path, pano: Path, tmp_path: Path) -> None:
-    result, light = Result.load(room), panorama.project(sky())
+    result, light = Result.load(room), Environment(sky())
     one, hdr = tmp_path / "one.json", tmp_path / "pano.hdr"
     Lighting(("one",), result.lighting[:1]).save(one)
     write_hdr(hdr, sky())
     named = ("--sh", room / "lighting.json", "--picture", "light_01")
     arguments: tuple[Argument, ...]
+    expected: Any
     for arguments, expected, error in (
-        *((("--env", pano, "--window", w), panorama.windowed(light, w), 1e-6) for w in WINDOWS),
-        (("--env", pano, "--rotate", "-90"), panorama.project(sky(), -90), 1e-6),
+        (("--env", pano), light, 1e-6),
+        (("--env", pano, "--rotate", "-90"), Environment(sky(), -90), 1e-6),
         (("--env", hdr), light, 1e-2),
         (named, result.lighting[1], 1e-7),
         ((*named, "--rotate", 90), rotated(result.lighting[1], 90), 1e-7),
@@ -157,27 +156,41 @@ def test_the_command_lights_as_the_library_does(room: Path, pano: Path, tmp_path
         np.testing.assert_allclose(found, radiance, rtol=0, atol=error * np.abs(radiance).max())
 
 
-def test_what_a_projection_loses_is_said(room: Path, pano: Path, tmp_path: Path) -> None:
-    def facts_of(environment: Path, *more: str) -> dict[str, str]:
-        out = ("--out", tmp_path / "out.png", "--overwrite")
-        return said(done("relight", room, "--env", environment, *out, *more))
+def test_a_panorama_is_said_by_its_size(room: Path, pano: Path, tmp_path: Path) -> None:
+    facts = said(done("relight", room, "--env", pano, "--out", tmp_path / "out.png"))
+    assert facts["light"] == f"{pano}, a panorama of 32 × 16"
 
-    facts, projected = facts_of(pano), panorama.project(sky())
-    lost = 100 * panorama.lost_energy(sky(), projected)
-    assert lost > 50
-    assert facts["projection"].startswith(f"loses {lost:.1f} % of the light's energy")
-    assert "highlights do" in facts["projection"]
-    assert "--light" in facts["projection"]
-    assert f"the projected light falls to {panorama.darkest(projected):.3g}," in facts["ringing"]
-    assert "--window lanczos lessens, nonnegative ends" in facts["ringing"]
-    facts = facts_of(pano, "--window", "nonnegative")
-    assert "ringing" not in facts
-    assert facts["window"].startswith("nonnegative, which blurs the light: its least radiance ")
-    write_exr(tmp_path / "even.exr", np.ones((8, 16, 3)))
-    facts = facts_of(tmp_path / "even.exr")
-    assert facts["projection"].startswith("loses 0.0 %")
-    assert "--light" not in facts["projection"]
-    assert "ringing" not in facts
+
+def test_exposure_and_tone_curve_by_themselves(room: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.png"
+    facts = said(done("relight", room, "--light", "20,30", "--color", "9,9,9", "--out", out))
+    radiance = relight(Result.load(room), DirectionalLight(20, 30, (9, 9, 9)))
+    exposure = round(-np.log2(np.percentile(radiance, 98)), 1)
+    assert facts["shown"].startswith(f"exposure {exposure:g} EV (by itself), tone map neutral; ")
+    shown = np.rint(255 * display.encoded(radiance, exposure, "neutral"))
+    with Image.open(out) as picture:
+        np.testing.assert_array_equal(np.asarray(picture), shown)
+
+
+def test_a_turntable_s_exposure_is_that_of_its_brightest_quarter(
+    folders: Path, pano: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out.webp"
+    facts = said(done("relight", folders / "ball", "--env", pano, "--turntable", 8, "--out", out))
+    result = Result.load(folders / "ball")
+    light = Environment.read(pano)
+    whites = [np.nanpercentile(relight(result, light.turned(90 * k)), 98) for k in range(4)]
+    exposure = round(-np.log2(max(whites)), 1)
+    assert facts["shown"].startswith(f"exposure {exposure:g} EV (by itself)")
+
+
+def test_a_soft_lamp(room: Path, tmp_path: Path) -> None:
+    out = tmp_path / "soft.exr"
+    lamp = ("--light", "30,40", "--softness", 12)
+    facts = said(done("relight", room, *lamp, "--out", out))
+    assert facts["light"] == "a disk of 12 degrees, from azimuth 30, elevation 40, color 1, 1, 1"
+    expected = relight(Result.load(room), DirectionalLight(30, 40, softness=12))
+    np.testing.assert_array_equal(exr(out), expected.astype(np.float32))
 
 
 @pytest.mark.parametrize(
@@ -464,7 +477,7 @@ def test_what_is_read_is_not_overwritten(room: Path, pano: Path) -> None:
         ("out.exr", ("--turntable", 2), "a folder (no suffix), .gif, .webp or .png (animated)"),
         ("out.png", ("--turntable", 0), "expected 1 or more, found 0"),
         ("out.png", ("--rotate", 90), "--rotate: goes with --env, --sh or --picture"),
-        ("out.png", ("--window", "lanczos"), "--window: goes with --env"),
+        ("out.png", ("--softness", 50), "softness: expected 0 to 45 degrees, found 50"),
         ("out.png", ("--picture", "a"), "--picture: goes with --sh"),
         ("out.png", ("--format", "png"), "--format: goes with --turntable and a folder"),
         ("out.png", ("--fps", 5), "--fps: goes with --turntable and .gif, .webp or .png"),
@@ -541,6 +554,7 @@ def test_a_near_lamp_is_as_bright_as_asked_at_the_middle(deep: Path, tmp_path: P
     [
         (("--lamp", "0,0"), "expected X,Y,Z, finite numbers, found '0,0'"),
         (("--lamp", "0,0,0"), "expected a result with depth for --lamp, found one without"),
+        (("--picture", "a", "--softness", 1), "--softness: goes with --light or --lamp"),
         (("--lamp", "0,0,0", "--rotate", 3), "--rotate: goes with --env, --sh or --picture"),
         (("--lamp", "0,0,0", "--light", "0,0"), "not allowed with argument"),
         (("--picture", "d"), "expected a light of d (--picture), found a, b, c"),

@@ -13,7 +13,6 @@ from pbrfit import InputError, sh_basis
 from pbrfit.io import images
 from pbrfit.model import panorama
 from pbrfit.model.lighting import rotated
-from pbrfit.model.panorama import WINDOWS, Window
 
 AXES = [
     ((0.5, 0.5), (0, 0, -1)),
@@ -106,17 +105,11 @@ def test_lost_energy_of_extreme_light() -> None:
     assert panorama.lost_energy(0 * sun, np.zeros((16, 3))) == 0
 
 
-@pytest.mark.parametrize("window", WINDOWS)
-def test_windows_keep_the_mean_light(window: Window) -> None:
-    given_light = panorama.project(lamp((0.6, 0.48, 0.64)))
-    np.testing.assert_array_equal(panorama.windowed(given_light, window)[0], given_light[0])
-
-
-def test_windows_against_ringing() -> None:
+def test_damping_against_ringing() -> None:
     rings = panorama.project(lamp((0.6, 0.48, 0.64)))
     assert panorama.darkest(rings) < -0.05
-    assert panorama.darkest(panorama.windowed(rings, "lanczos")) > panorama.darkest(rings)
-    mended = panorama.windowed(rings, "nonnegative")
+    mended = panorama.nonnegative(rings)
+    np.testing.assert_array_equal(mended[0], rings[0])  # the mean light
     # No stronger than it has to be: somewhere there is no light left.
     assert 0 <= panorama.darkest(mended) < 1e-6
     assert np.linalg.norm(mended[1:4]) > 0.5 * np.linalg.norm(rings[1:4])
@@ -125,13 +118,8 @@ def test_windows_against_ringing() -> None:
 def test_a_light_that_does_not_ring_is_left_alone() -> None:
     soft = np.zeros((16, 3))
     soft[0], soft[2] = 1.0, 0.1
-    np.testing.assert_array_equal(panorama.windowed(soft, "nonnegative"), soft)
-    np.testing.assert_array_equal(panorama.windowed(0 * soft, "nonnegative"), 0 * soft)
-
-
-def test_an_unknown_window() -> None:
-    with pytest.raises(InputError, match="window: expected one of none, lanczos, nonnegative"):
-        panorama.windowed(light(), "hann")  # type: ignore[arg-type]
+    np.testing.assert_array_equal(panorama.nonnegative(soft), soft)
+    np.testing.assert_array_equal(panorama.nonnegative(0 * soft), 0 * soft)
 
 
 def one_negative_channel() -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 import pbrfit
-from pbrfit import DirectionalLight, InputError, Result, relight
+from pbrfit import DirectionalLight, Environment, InputError, PointLight, Result, relight
 from pbrfit.model import panorama
 from pbrfit.result.relighting import turned
-from relit import ball, fitted, side_lit
+from relit import ball, fitted, shaded_ball, side_lit
 
 Array = NDArray[np.floating[Any]]
 
@@ -96,7 +95,8 @@ def test_a_light_lights_the_surfaces_that_face_it(
 def test_a_spot_in_a_panorama_lights_its_side(
     sphere: Result, column: float, row: float, side: str
 ) -> None:
-    assert side_lit(relight(sphere, panorama.project(spot(column, row)))) == side
+    for light in (panorama.project(spot(column, row)), Environment(spot(column, row))):
+        assert side_lit(relight(sphere, light)) == side
 
 
 def test_turning_by_90_sends_what_is_behind_the_scene_to_the_left(sphere: Result) -> None:
@@ -169,22 +169,38 @@ def test_lights_of_another_shape_are_refused(sphere: Result) -> None:
         relight(sphere, np.zeros((9, 3)))
 
 
+def test_a_soft_lamp_lets_light_go_out_softly(sphere: Result) -> None:
+    hard, soft = (relight(sphere, DirectionalLight(60, 0, softness=size)) for size in (0, 20))
+    dark = np.nan_to_num(hard).max(axis=-1) == 0
+    assert np.nan_to_num(soft)[dark & sphere.mask].max() > 0
+    assert np.nanmax(soft) < np.nanmax(hard)
+
+
 @pytest.mark.parametrize(
-    ("name", "lost", "least", "least_lanczos"),
-    [("forest_slope_1k", 75.3, -0.72, 0.01), ("kloppenheim_05_1k", 100.0, -2.57, -0.29)],
+    ("arguments", "message"),
+    [
+        (((0, 0),), "position: expected three finite numbers, found"),
+        (((0, 0, np.nan),), "position: expected three finite numbers"),
+        (((0, 0, 1), (1, -1, 1)), "color: expected three finite numbers, 0 or more"),
+        (((0, 0, 1), (1, 1, 1), -1), "radius: expected a finite number, 0 or more, found -1"),
+    ],
 )
-def test_what_sh_light_loses_is_as_documented(
-    shared_data: Path, name: str, lost: float, least: float, least_lanczos: float
-) -> None:
-    pixels = panorama.read(shared_data / "hdri" / f"{name}.hdr")
-    light = panorama.project(pixels)
-    mean = light[0].mean() / math.sqrt(4 * math.pi)
-    assert 100 * panorama.lost_energy(pixels, light) == pytest.approx(lost, abs=0.05)
-    leasts: dict[panorama.Window, float] = {
-        "none": least,
-        "lanczos": least_lanczos,
-        "nonnegative": 0.0,
-    }
-    for window, expected in leasts.items():
-        found = panorama.darkest(panorama.windowed(light, window)) / mean
-        assert found == pytest.approx(expected, abs=0.006)
+def test_unusable_near_lamps_are_refused(arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PointLight(*arguments)
+
+
+@pytest.mark.parametrize("softness", [-1, 46, math.nan, "soft"])
+def test_softness_is_an_angle(softness: Any) -> None:
+    with pytest.raises(InputError, match="softness: expected 0 to 45 degrees"):
+        DirectionalLight(0, 0, softness=softness)
+
+
+def test_surroundings_dim_a_panorama_and_never_make_it_negative() -> None:
+    result = shaded_ball()
+    light = Environment(spot(0.2, 0.3) + 0.05)
+    shaded, whole = (relight(result, light, shadows=shadows) for shadows in (True, False))
+    inside = result.mask
+    assert (shaded[inside] <= whole[inside] + 1e-12).all()
+    assert shaded[inside].min() >= 0
+    assert shaded[inside].mean() < 0.95 * whole[inside].mean()
