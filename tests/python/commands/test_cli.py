@@ -439,7 +439,7 @@ def test_alone_it_shows_its_help() -> None:
 
 COMMANDS = (
     *("decompose", "relight", "report", "export", "inspect", "normals", "depth", "lights"),
-    *("segments", "synth", "check-gradients", "evaluate", "demo"),
+    *("segments", "synth", "check-gradients", "evaluate", "demo", "completion"),
 )
 
 
