@@ -19,8 +19,11 @@ from pbrfit.result.verdict import MARKS, in_short
 SIDE = 176
 """Longer side of a map in pixels: four of them stand side by side in a notebook."""
 
-# Letters have the notebook's own colour, on its own paper, dark or light.
 STYLE = "font:13px/1.5 system-ui,sans-serif;color:inherit;background:none"
+"""Letters have the notebook's own colour, on its own paper, dark or light."""
+
+PICTURE = "width:100%;image-rendering:pixelated;outline:1px solid #8886"
+"""An edge that shows on both, around black maps on dark paper."""
 
 
 def html(result: ResultData) -> str:
@@ -50,7 +53,7 @@ def html(result: ResultData) -> str:
             caption = f'<span style="color:{color}">{mark.sign}</span> {said}'
         figures.append(
             f'<figure style="margin:0;width:{SIDE}px"><img alt="{escape(name)}" '
-            f'src="{_inline(values)}" style="width:100%;image-rendering:pixelated">'
+            f'src="{_inline(values)}" style="{PICTURE}">'
             f"<figcaption>{caption}</figcaption></figure>"
         )
     steps = "".join(f"<li>{escape(step)}</li>" for step in next_steps(result))

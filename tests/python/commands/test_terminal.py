@@ -165,7 +165,7 @@ def test_scenes_share_a_table_and_a_single_one_has_its_own(tmp_path: Path) -> No
     alone = ("decompose", tmp_path / "scenes" / "one", "--out", tmp_path / "alone")
     own = done(*alone, "--iterations", 1)
     assert re.search("\n[●◐○] albedo: ", own)
-    assert "next: the fit was stopped after 1 iterations: more of them (--iterations)" in own
+    assert "next: the fit was stopped after 1 iteration: more of them (--iterations)" in own
 
 
 def test_progress_in_a_pipe_is_a_line_now_and_then(
@@ -179,9 +179,7 @@ def test_progress_in_a_pipe_is_a_line_now_and_then(
     now = progress.LINE_EVERY
     bar.set_postfix_str("2 at work")
     bar.update()
-    assert capsys.readouterr().err == (
-        "pbrfit: scenes: 1 of 40 scenes, 5 s, about 3 min left, 2 at work\n"
-    )
+    assert capsys.readouterr().err == ("pbrfit: 1 of 40 scenes, 5 s, about 3 min left, 2 at work\n")
     now = 1.9 * progress.LINE_EVERY
     bar.update()
     assert capsys.readouterr().err == ""
@@ -190,7 +188,7 @@ def test_progress_in_a_pipe_is_a_line_now_and_then(
         bar.update(37)
     assert (
         capsys.readouterr().err
-        == "pbrfit: scenes: 40 of 40 scenes, 2 h 02 min, about 0 s left, 2 at work\n"
+        == "pbrfit: 40 of 40 scenes, 2 h 02 min, about 0 s left, 2 at work\n"
     )
     with progress.progress_bar(500, quiet=False, name="kitchen") as bar:
         now += progress.LINE_EVERY
