@@ -154,7 +154,7 @@ def test_scenes_share_a_table_and_a_single_one_has_its_own(tmp_path: Path) -> No
     assert [line.split()[:2] for line in said[1:3]] == [["one", "done"], ["two", "done"]]
     assert re.fullmatch(r"2 scenes in [0-9.]+ s: 2 done, \d with a usable map", said[-1])
     assert len(said) == 5
-    assert done(*fit, "--overwrite", "--quiet") == ""
+    assert done(*fit, "--resume", "--quiet") == ""
     (tmp_path / "scenes" / "two" / "normals.exr").write_bytes(b"")
     found = ran(*fit, "--resume")
     assert found.code == 1
