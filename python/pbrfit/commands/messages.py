@@ -8,6 +8,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+OPTIONS = ("fov", "iterations", "time_limit", "white")
+"""Options that the library speaks of, as Python names them."""
+
 
 @contextmanager
 def unread_is_no_failure() -> Iterator[None]:
@@ -43,10 +46,11 @@ def message_of(error: Exception) -> str:
 def in_flags(message: str) -> str:
     """What the library says of its options, in the words of the command line.
 
-    "option fov" and "overwrite=True" become flags.
+    "option fov" and "overwrite=True" become flags. Others than `OPTIONS` stay, such as those in
+    the names of files.
     """
-    message = re.sub(r"\b(overwrite|resume)=True\b", r"--\1", message)
+    message = re.sub(r"\boverwrite=True\b", "--overwrite", message)
     message = re.sub(r"\bcode_range=\((\d+), (\d+)\)", r"--code-range \1,\2", message)
     return re.sub(
-        r"\boption ([a-z]+(_[a-z]+)*)\b", lambda m: f"--{m[1].replace('_', '-')}", message
+        rf"\boption ({'|'.join(OPTIONS)})\b", lambda m: f"--{m[1].replace('_', '-')}", message
     )

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+import pbrfit
 from command_runs import done, ran
 from pbrfit.commands import progress, terminal
-from pbrfit.commands.messages import complain, in_flags
+from pbrfit.commands.completion import known_commands
+from pbrfit.commands.messages import OPTIONS, complain, in_flags
 from pbrfit.commands.scene_display import Row, batch_table
 from pbrfit.commands.terminal import CUBE, verdict_lines
 from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
@@ -105,9 +107,9 @@ def test_long_steps_are_wrapped_in_a_terminal_alone(monkeypatch: pytest.MonkeyPa
     ("said", "in_words"),
     [
         ("overwrite=True replaces it", "--overwrite replaces it"),
-        ("(option known_lights) would", "(--known-lights) would"),
+        ("more (option time_limit) would", "more (--time-limit) would"),
         ("code_range=(0, 255) keeps them", "--code-range 0,255 keeps them"),
-        ("an option that is none, x_overwrite=True", "an --that is none, x_overwrite=True"),
+        ("an option that is none, x_overwrite=True", "an option that is none, x_overwrite=True"),
     ],
 )
 def test_python_is_said_in_flags(
@@ -116,6 +118,18 @@ def test_python_is_said_in_flags(
     assert in_flags(said) == in_words
     complain(said)
     assert capsys.readouterr().err == f"pbrfit: {in_words}\n"
+
+
+def test_options_that_the_library_speaks_of_are_flags() -> None:
+    known = {one.name: one for one in known_commands()}["decompose"].options
+    assert {f"--{name.replace('_', '-')}" for name in OPTIONS} <= set(known)
+    said = {
+        name
+        for path in (Path(pbrfit.__path__[0]) / "result", Path(pbrfit.__path__[0]) / "fit")
+        for file in path.rglob("*.py")
+        for name in re.findall(r"\(option ([a-z_]+)\)", file.read_text("utf-8"))
+    }
+    assert said <= set(OPTIONS)
 
 
 ROWS = [
