@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from unittest import mock
 
+from pbrfit.commands import progress
 from scene_files import Argument, run
 
 
@@ -20,9 +23,10 @@ class Ran:
 
 
 def ran(*arguments: Argument) -> Ran:
-    """Run a command and keep what it says."""
+    """Run a command and keep what it says, without the lines that tell that it takes long."""
     out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
+    never = mock.patch.object(progress, "LINE_EVERY", math.inf)  # however busy the machine is
+    with never, redirect_stdout(out), redirect_stderr(err):
         code = run(*arguments)
     return Ran(code, out.getvalue(), err.getvalue())
 
