@@ -22,9 +22,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser,
         format=cli.choice(
             Format,
-            "this one alone; ply: a cloud of points, needs depth; lp: directions of the lamps; "
-            "ptm: a polynomial texture map for RTI viewers (default: those of the preset, else "
-            "gltf, exr and png)",
+            "this one alone; mtlx: MaterialX, with its PNG files; ply: a cloud of points, needs "
+            "depth; lp: directions of the lamps; ptm: a polynomial texture map for RTI viewers "
+            "(default: those of the preset, else gltf, exr, png and mtlx)",
         ),
         preset=cli.choice(
             PresetName,
