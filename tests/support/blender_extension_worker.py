@@ -19,7 +19,6 @@ FOLDER = Path(sys.argv[1])
 os.environ["BLENDER_USER_RESOURCES"] = str(FOLDER / "user")  # nothing of the user's is touched
 
 import bpy  # noqa: E402
-import addon_utils  # type: ignore[import-not-found]  # noqa: E402, I001 - bpy brings it
 import numpy as np  # noqa: E402
 
 sys.path.append(str(Path(__file__).parents[2] / "evaluation" / "pbrfit_evaluation" / "cycles"))
@@ -60,7 +59,7 @@ def main() -> None:
             scene.render.filepath = str(FOLDER / f"{of['name']}.png")
             bpy.ops.render.render(write_still=True)
     [module] = enabled
-    addon_utils.disable(module)
+    bpy.ops.preferences.addon_disable(module=module)
     facts["gone"] = not hasattr(bpy.types, "IMPORT_SCENE_OT_pbrfit")
     (FOLDER / "facts.json").write_text(json.dumps(facts), encoding="utf-8")
 

@@ -96,6 +96,7 @@ def export_result(
     normals: NormalConvention | None = None,
     bits: Bits | None = None,
     geometry: Geometry | None = None,
+    height: bool = True,
     overwrite: bool = False,
 ) -> Exported:
     """Write a result for other tools: a new folder, whole or not at all.
@@ -107,8 +108,9 @@ def export_result(
     path
         The folder.
     format
-        "gltf", "exr", "png", "mtlx" (with its PNG files), "ply", "lp" or "ptm" alone. None: those of the preset; without one,
-        all but "ply", which needs depth, and "ptm"; and "lp" wherever each picture has one lamp.
+        "gltf", "exr", "png", "mtlx" (with its PNG files), "ply", "lp" or "ptm" alone. None: those
+        of the preset; without one, all but "ply", which needs depth, and "ptm"; and "lp" wherever
+        each picture has one lamp.
     preset
         Textures as "blender", "unreal" or "unity" expects them: names, channels, normals. None: a
         file a map.
@@ -121,6 +123,9 @@ def export_result(
     geometry
         Of `material.glb`: "card" (None is the same), or "facets", a rectangle a pixel for path
         tracers, which light no card by what lies behind its plane.
+    height
+        Whether PNG and EXR have a height map. Of most results that is integrated from the normals,
+        which takes a quarter of a minute for a megapixel.
     overwrite
         Replace an earlier export.
 
@@ -144,7 +149,8 @@ def export_result(
         uncertain=result.uncertainty is not None,
     )
     maps = Maps.of(result)
-    displacement = Displacement.of(result) if {"exr", "png"} & {*planned.formats} else None
+    wanted = height and {"exr", "png"} & {*planned.formats}
+    displacement = Displacement.of(result) if wanted else None
     files: list[ExportedFile] = []
     with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
         if "gltf" in planned.formats:

@@ -42,10 +42,12 @@ class Displacement:
     @classmethod
     def of(cls, result: Result) -> Displacement | None:
         """Of a result; None where it is flat."""
-        if result.height is None:
+        if result.height is not None:
+            found = np.asarray(result.height, np.float64) / result.mask.shape[1]
+        elif result.mask.size > 1:
             found = _integrated(result)
         else:
-            found = np.asarray(result.height, np.float64) / result.mask.shape[1]
+            return None
         known = np.isfinite(found)
         if not known.any() or np.ptp(found[known]) < FLAT:
             return None

@@ -60,8 +60,8 @@ def mtlx(planned: Plan) -> str:
         convert = ET.SubElement(graph, "convert", name="opacity_color", type="color3")
         ET.SubElement(convert, "input", name="in", type="float", nodename="opacity_file")
         outputs.append(("opacity_color", "color3", "opacity_color"))
-    for name, kind, node in outputs:
-        ET.SubElement(graph, "output", name=f"{name}_out", type=kind, nodename=node)
+    for output, of, node in outputs:
+        ET.SubElement(graph, "output", name=f"{output}_out", type=of, nodename=node)
 
     surface = ET.SubElement(document, "standard_surface", name="surface", type="surfaceshader")
     _input(surface, "base", "float", "1")
@@ -78,8 +78,8 @@ def mtlx(planned: Plan) -> str:
         _connected(surface, "opacity", "color3", "opacity_color")
         _connected(gltf, "alpha", "float", "opacity")
         _input(gltf, "alpha_mode", "integer", "1")  # cut off
-    for name, shader in (("pbrfit", "surface"), ("pbrfit_gltf", "gltf_surface")):
-        material = ET.SubElement(document, "surfacematerial", name=name, type="material")
+    for title, shader in (("pbrfit", "surface"), ("pbrfit_gltf", "gltf_surface")):
+        material = ET.SubElement(document, "surfacematerial", name=title, type="material")
         ET.SubElement(
             material, "input", name="surfaceshader", type="surfaceshader", nodename=shader
         )

@@ -35,6 +35,9 @@ MANIFEST = "export.json"
 FOLDER = "pbrfit_folder"
 """Custom property of a scene: the export that was imported into it."""
 
+LAW = "law of the fit"
+"""Name of the node that has 0 for Principled and 1 for the paper's law."""
+
 WORLD_TURN = -90.0
 """Degrees about Blender's Z between the panoramas of pbrfit and those of Blender."""
 
@@ -88,7 +91,8 @@ class Export:
         """Files of the recovered lights by picture, in order."""
         with (self.folder / "lights" / "panoramas.csv").open(encoding="utf-8", newline="") as table:
             return {
-                row["picture"]: self.folder / "lights" / row["file"] for row in csv.DictReader(table)
+                row["picture"]: self.folder / "lights" / row["file"]
+                for row in csv.DictReader(table)
             }
 
 
@@ -141,9 +145,9 @@ def set_up_render(scene: Any, *, as_relit: bool) -> None:
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
     cycles.blur_glossy = 0
     cycles.light_sampling_threshold = 0
-    if as_relit:
-        cycles.use_denoising = False
-        cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = 0
+    cycles.use_denoising = not as_relit
+    cycles.max_bounces = 0 if as_relit else 12
+    cycles.diffuse_bounces = cycles.glossy_bounces = 0 if as_relit else 4
 
 
 # The surface
@@ -212,10 +216,11 @@ def relief_mesh(normals: Array, mask: NDArray[np.bool_], height: Array, fov: flo
     return mesh
 
 
-def add_surface(collection: Any, export: Export, geometry: str, *, as_relit: bool) -> Any:
+def add_surface(
+    collection: Any, export: Export, geometry: str, *, as_relit: bool
+) -> tuple[int, int]:
     """The surface with its material; (height, width) of the picture."""
     normal_map = export.needed("normal")
-    base_color = export.needed("base_color", "sRGB")
     opacity = export.map("mask")
     width, height = normal_map.size
     mask = np.ones((height, width), bool) if opacity is None else samples(opacity)[..., 0] > 0.5
@@ -223,46 +228,41 @@ def add_surface(collection: Any, export: Export, geometry: str, *, as_relit: boo
     if export.green_down:
         normals[..., 1] *= -1
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    on_card = geometry == "CARD"
     if geometry == "FACETS":
         mesh = facet_mesh(normals, mask, export.fov)
-    elif geometry == "RELIEF":
-        if export.displacement is None:
-            raise ValueError(f"{export.folder}: expected a height map for a relief, found none")
+    elif on_card:
+        mesh = card_mesh(height, width)
+    elif export.displacement is None:
+        raise ValueError(f"{export.folder}: expected a height map for a relief, found none")
+    else:
         low, high = export.displacement["low"], export.displacement["high"]
         shares = samples(export.needed("displacement"))[..., 0]
         mesh = relief_mesh(normals, mask, low + (high - low) * shares, export.fov)
-    else:
-        mesh = card_mesh(height, width)
-    on_card = geometry == "CARD"
-    interpolation = "Closest" if geometry == "FACETS" else "Linear"
-    material = bpy.data.materials.new("pbrfit")
-    material.use_nodes = True
-    tree = material.node_tree
-    [shader] = [node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"]
 
-    def texture(image: Any, row: int) -> Any:
-        node = tree.nodes.new("ShaderNodeTexImage")
-        node.image, node.interpolation, node.extension = image, interpolation, "EXTEND"
-        node.location = (-700, 400 - 300 * row)
-        return node.outputs["Color"]
-
-    color = texture(base_color, 0)
-    tree.links.new(color, shader.inputs["Base Color"])
-    for row, name in enumerate(("metallic", "roughness"), start=1):
-        tree.links.new(texture(export.needed(name), row), shader.inputs[name.capitalize()])
+    nodes = Nodes("pbrfit", "Closest" if geometry == "FACETS" else "Linear")
+    maps = {
+        "Base Color": nodes.texture(export.needed("base_color", "sRGB")),
+        "Metallic": nodes.texture(export.needed("metallic")),
+        "Roughness": nodes.texture(export.needed("roughness")),
+    }
     if on_card:
-        node = tree.nodes.new("ShaderNodeNormalMap")
-        node.location = (-300, -500)
-        bump = texture(normal_map, 3)
+        color = nodes.texture(normal_map)
         if export.green_down:
-            bump = flipped_green(tree, bump)
-        tree.links.new(bump, node.inputs["Color"])
-        tree.links.new(node.outputs["Normal"], shader.inputs["Normal"])
-        if opacity is not None:
-            cut = texture(opacity, 4)
-            cut.node.interpolation = "Closest"
-            tree.links.new(cut, shader.inputs["Alpha"])
-    mesh.materials.append(material)
+            red, green, blue = nodes.add("SeparateColor", color).outputs
+            green = nodes.math("SUBTRACT", 1, green)
+            color = nodes.add("CombineColor", red, green, blue).outputs[0]
+        maps["Normal"] = nodes.add("NormalMap", 1, color).outputs[0]
+    surface = nodes.add("BsdfPrincipled", **maps).outputs[0]
+    if export.model == "paper":
+        both = nodes.add("MixShader", 0, surface, paper_law(nodes, *maps.values()))
+        both.name = both.label = LAW
+        surface = both.outputs[0]
+    if on_card and opacity is not None:
+        nothing = nodes.add("BsdfTransparent").outputs[0]
+        surface = nodes.add("MixShader", nodes.texture(opacity), nothing, surface).outputs[0]
+    nodes.add("OutputMaterial", surface)
+    mesh.materials.append(nodes.material)
     found = bpy.data.objects.new(mesh.name, mesh)
     if as_relit:
         found.visible_diffuse = found.visible_glossy = found.visible_shadow = False
@@ -270,22 +270,90 @@ def add_surface(collection: Any, export: Export, geometry: str, *, as_relit: boo
     return height, width
 
 
-def flipped_green(tree: Any, color: Any) -> Any:
-    """A normal map whose green points down, with green up."""
-    apart = tree.nodes.new("ShaderNodeSeparateColor")
-    again = tree.nodes.new("ShaderNodeCombineColor")
-    turn = tree.nodes.new("ShaderNodeMath")
-    turn.operation = "SUBTRACT"
-    turn.inputs[0].default_value = 1
-    for source, target in (
-        (color, apart.inputs[0]),
-        (apart.outputs[1], turn.inputs[1]),
-        (apart.outputs[0], again.inputs[0]),
-        (turn.outputs[0], again.inputs[1]),
-        (apart.outputs[2], again.inputs[2]),
-    ):
-        tree.links.new(source, target)
-    return again.outputs[0]
+class Nodes:
+    """A material's nodes, made and linked in one step, each to the right of the last."""
+
+    def __init__(self, name: str, interpolation: str) -> None:
+        self.material = bpy.data.materials.new(name)
+        self.material.use_nodes = True
+        self.tree = self.material.node_tree
+        self.tree.nodes.clear()
+        self.interpolation = interpolation
+
+    def add(self, kind: str, *inputs: Any, **by_name: Any) -> Any:
+        """A node; an input is another's output, a constant, or None for what it has."""
+        node = self.tree.nodes.new(f"ShaderNode{kind}")
+        node.location = (170 * len(self.tree.nodes), -40 * (len(self.tree.nodes) % 9))
+        for key, value in [*enumerate(inputs), *by_name.items()]:
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, node.inputs[key])
+            elif value is not None:
+                node.inputs[key].default_value = value
+        return node
+
+    def texture(self, image: Any) -> Any:
+        """Colour of an image."""
+        node = self.add("TexImage")
+        node.image, node.interpolation, node.extension = image, self.interpolation, "EXTEND"
+        return node.outputs["Color"]
+
+    def math(self, operation: str, a: Any, b: Any = None) -> Any:
+        """Result of arithmetic on numbers."""
+        node = self.add("Math", a, b)
+        node.operation = operation
+        return node.outputs[0]
+
+    def vectors(self, operation: str, a: Any, b: Any = None, *, scale: Any = None) -> Any:
+        """Result of arithmetic on vectors or colours."""
+        node = self.add("VectorMath", a, b, None, scale)
+        node.operation = operation
+        return node.outputs["Value" if operation == "DOT_PRODUCT" else "Vector"]
+
+
+def paper_law(
+    nodes: Nodes, base_color: Any, metallic: Any, roughness: Any, normal: Any = None
+) -> Any:
+    """A surface near the paper's reflection law, pbrfit's model "paper"; Principled has another.
+
+    With F by Schlick at n·v, F0 = 0.04 (1 − m) + m ρ, and k = r⁴/2:
+
+        diffuse   (1 − F)(1 − m) ρ
+        glossy    F · n·v / (n·v (1 − k) + k) / (1 + r⁴)        under even light
+
+    which are the law's own. Its lobe is round about the mirror direction, where that of GGX becomes
+    longer towards the horizon; the GGX lobe of roughness r (n·v)^(1/3) is the nearest under lights
+    as they are in pictures, about.
+    """
+    geometry = nodes.add("NewGeometry").outputs
+    facing = nodes.vectors("DOT_PRODUCT", geometry["Incoming"], normal or geometry["Normal"])
+    facing = nodes.math("MINIMUM", nodes.math("MAXIMUM", facing, 1e-4), 1)
+    r4 = nodes.math("POWER", roughness, 4)
+    k = nodes.math("MULTIPLY", r4, 0.5)
+    below = nodes.math("ADD", nodes.math("MULTIPLY", facing, nodes.math("SUBTRACT", 1, k)), k)
+    below = nodes.math("MULTIPLY", below, nodes.math("ADD", r4, 1))
+    strength = nodes.math("DIVIDE", facing, below)
+
+    matt = nodes.math("SUBTRACT", 1, metallic)
+    matt_color = nodes.vectors("SCALE", base_color, scale=matt)
+    f0 = nodes.vectors("SCALE", base_color, scale=metallic)
+    f0 = nodes.vectors("ADD", f0, nodes.vectors("SCALE", (0.04, 0.04, 0.04), scale=matt))
+    schlick = nodes.math("POWER", nodes.math("SUBTRACT", 1, facing), 5)
+    rest = nodes.vectors("SUBTRACT", (1, 1, 1), f0)
+    rest = nodes.vectors("SCALE", rest, scale=nodes.math("SUBTRACT", 1, schlick))  # 1 − F
+    color = nodes.vectors("MULTIPLY", matt_color, rest)
+    surface = nodes.add("BsdfDiffuse", color, Normal=normal).outputs[0]
+
+    fresnel = nodes.vectors("SUBTRACT", (1, 1, 1), rest)
+    shares = nodes.add("SeparateXYZ", nodes.vectors("SCALE", fresnel, scale=strength)).outputs
+    narrowed = nodes.math("MULTIPLY", roughness, nodes.math("POWER", facing, 1 / 3))
+    for channel, share in enumerate(shares):
+        # A lobe a channel: the colour of one would enter the light from facet to facet.
+        pure = [float(channel == c) for c in range(3)]
+        lobe = nodes.add("BsdfAnisotropic", (*pure, 1), narrowed, Normal=normal)
+        lobe.distribution = "MULTI_GGX"
+        part = nodes.add("MixShader", share, None, lobe.outputs[0]).outputs[0]
+        surface = nodes.add("AddShader", surface, part).outputs[0]
+    return surface
 
 
 # The light
@@ -327,6 +395,15 @@ def set_sun(scene: Any, azimuth: float, elevation: float) -> None:
     scene.collection.objects.link(found)
 
 
+def set_law(scene: Any, own: bool) -> None:
+    """Switch materials that have both between Principled and the law of the fit."""
+    for thing in scene.objects:
+        for slot in thing.material_slots:
+            node = slot.material.node_tree.nodes.get(LAW) if slot.material else None
+            if node is not None:
+                node.inputs[0].default_value = float(own)
+
+
 def lights_known(self: Any, context: Any, _typed: str) -> list[str]:
     """Pictures whose lights can be chosen."""
     try:
@@ -357,8 +434,17 @@ class LightOptions:
     )
     elevation: FloatProperty(name="Elevation", description="Degrees above the view", default=35)
 
+    own_law: BoolProperty(
+        name="Law of the fit",
+        description="Results of the paper's model, under recovered light: nodes near its "
+        "reflection law instead of Principled",
+        default=True,
+    )
+
     def set_light(self, scene: Any, export: Export) -> None:
         """Put the chosen light into the scene; suns of earlier choices go."""
+        # The paper's closed form is for SH light alone.
+        set_law(scene, self.own_law and not self.sun and not self.panorama)
         for thing in [one for one in scene.objects if one.name.startswith("pbrfit sun")]:
             bpy.data.objects.remove(thing)
         if self.sun:
@@ -380,18 +466,22 @@ class LightOptions:
 
 
 class ImportResult(bpy.types.Operator, ImportHelper, LightOptions):
-    """Import materials, camera and light that pbrfit recovered"""
+    """File ▸ Import ▸ pbrfit result."""
 
+    bl_description = "Import materials, camera and light that pbrfit recovered"
     bl_idname = "import_scene.pbrfit"
     bl_label = "Import pbrfit result"
-    bl_options = {"REGISTER", "UNDO", "PRESET"}
+    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012
     filename_ext = ".json"
     filter_glob: StringProperty(default=MANIFEST, options={"HIDDEN"})
     geometry: EnumProperty(
         name="Geometry",
         items=(
-            ("FACETS", "Facets", "A rectangle a pixel, turned to its normal: as relit, from the "
-             "camera's view alone"),
+            (
+                "FACETS",
+                "Facets",
+                "A rectangle a pixel, turned to its normal: as relit, from the camera's view alone",
+            ),
             ("CARD", "Card", "One rectangle with a normal map; steep normals get too little light"),
             ("RELIEF", "Relief", "The surface at the height that the normals integrate to"),
         ),
@@ -411,27 +501,28 @@ class ImportResult(bpy.types.Operator, ImportHelper, LightOptions):
             size = add_surface(collection, export, self.geometry, as_relit=self.as_relit)
             add_camera(scene, collection, export.fov, *size)
             set_up_render(scene, as_relit=self.as_relit)
+            scene.collection.children.link(collection)
             self.set_light(scene, export)
         except (OSError, RuntimeError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        scene.collection.children.link(collection)
         scene[FOLDER] = str(export.folder)
         if export.model != "principled":
             self.report(
                 {"WARNING"},
-                f"fitted with the model {export.model}: Blender's materials reflect by another "
-                "law. `pbrfit decompose --model principled` has Blender's",
+                f"fitted with the model {export.model}, which Blender's materials are only near: "
+                "`pbrfit decompose --model principled` has Blender's own law",
             )
         return {"FINISHED"}
 
 
 class SetLight(bpy.types.Operator, LightOptions):
-    """Light an imported pbrfit result by another of its lights, a panorama or a sun"""
+    """The light of an imported result."""
 
+    bl_description = "Light the result by another of its lights, a panorama or a sun"
     bl_idname = "world.pbrfit_light"
     bl_label = "pbrfit light"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     @classmethod
     def poll(cls, context: Any) -> bool:
