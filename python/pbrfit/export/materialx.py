@@ -17,7 +17,7 @@ from pbrfit.export.presets import Plan
 HOLDS = "MaterialX: standard_surface and gltf_pbr with the maps of png/"
 
 VERSION = "1.38"
-"""Of the specification: the first with `gltf_pbr`."""
+"""Version of the specification: the first with `gltf_pbr`."""
 
 Kind = Literal["color3", "float", "vector3"]
 
