@@ -22,9 +22,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser,
         format=cli.choice(
             Format,
-            "this one alone; ply: a cloud of points, needs depth; lp: directions of the lamps; "
-            "ptm: a polynomial texture map for RTI viewers (default: those of the preset, else "
-            "gltf, exr and png)",
+            "this one alone; mtlx: MaterialX, with its PNG files; ply: a cloud of points, needs "
+            "depth; lp: directions of the lamps; ptm: a polynomial texture map for RTI viewers "
+            "(default: those of the preset, else gltf, exr, png and mtlx)",
         ),
         preset=cli.choice(
             PresetName,
@@ -46,6 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             "of glTF: a card with a normal texture, or a rectangle a pixel, turned to its normal, "
             "for path tracers (default: card)",
         ),
+        no_height=cli.switch("no height map, which for large pictures takes the longest"),
     )
     cli.add_quiet(parser)
 
@@ -59,7 +60,8 @@ def run(options: argparse.Namespace) -> int:
     check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
     names = ("format", "preset", "normals", "bits", "geometry", "overwrite")
     asked = {name: getattr(options, name) for name in names}
-    exported = export_result(Result.load(options.result), options.out, **asked)
+    result = Result.load(options.result)
+    exported = export_result(result, options.out, height=not options.no_height, **asked)
     if not options.quiet:
         with cli.unread_is_no_failure():
             _print_files(exported, options.out)

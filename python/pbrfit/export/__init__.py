@@ -3,6 +3,8 @@
 `export_result` writes a folder:
 
     material.glb      glTF 2.0: the maps on a card, and the camera that sees it as the pictures do
+    material.mtlx     MaterialX: materials that read png/
+    blender_extension.zip  with the preset "blender": imports the folder in Blender
     exr/              materials.exr with all layers; a file a texture
     png/              a file a texture
     points.ply        where it is asked for: a point a pixel, of results with depth
@@ -22,11 +24,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from pbrfit.export import blender
 from pbrfit.export.displacement import Displacement
 from pbrfit.export.gltf import glb
 from pbrfit.export.lights import FILES as LIGHT_FILES
 from pbrfit.export.lights import LightPanorama, write_lights
 from pbrfit.export.maps import Bits, Maps, NormalConvention
+from pbrfit.export.materialx import HOLDS as MATERIALX_HOLDS
+from pbrfit.export.materialx import mtlx
 from pbrfit.export.points import HOLDS as POINTS_HOLD
 from pbrfit.export.points import ply
 from pbrfit.export.presets import Format, Plan, PresetName, plan
@@ -91,6 +96,7 @@ def export_result(
     normals: NormalConvention | None = None,
     bits: Bits | None = None,
     geometry: Geometry | None = None,
+    height: bool = True,
     overwrite: bool = False,
 ) -> Exported:
     """Write a result for other tools: a new folder, whole or not at all.
@@ -102,8 +108,9 @@ def export_result(
     path
         The folder.
     format
-        "gltf", "exr", "png", "ply", "lp" or "ptm" alone. None: those of the preset; without one,
-        all but "ply", which needs depth, and "ptm"; and "lp" wherever each picture has one lamp.
+        "gltf", "exr", "png", "mtlx" (with its PNG files), "ply", "lp" or "ptm" alone. None: those
+        of the preset; without one, all but "ply", which needs depth, and "ptm"; and "lp" wherever
+        each picture has one lamp.
     preset
         Textures as "blender", "unreal" or "unity" expects them: names, channels, normals. None: a
         file a map.
@@ -116,6 +123,9 @@ def export_result(
     geometry
         Of `material.glb`: "card" (None is the same), or "facets", a rectangle a pixel for path
         tracers, which light no card by what lies behind its plane.
+    height
+        Whether PNG and EXR have a height map. Of most results that is integrated from the normals,
+        which takes a quarter of a minute for a megapixel.
     overwrite
         Replace an earlier export.
 
@@ -138,7 +148,9 @@ def export_result(
         masked=not result.mask.all(),
         uncertain=result.uncertainty is not None,
     )
-    maps, displacement = Maps.of(result), Displacement.of(result)
+    maps = Maps.of(result)
+    wanted = height and {"exr", "png"} & {*planned.formats}
+    displacement = Displacement.of(result) if wanted else None
     files: list[ExportedFile] = []
     with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
         if "gltf" in planned.formats:
@@ -147,6 +159,13 @@ def export_result(
             files += _write_exr(folder, maps, planned, result, displacement)
         if "png" in planned.formats:
             files += _write_png(folder, maps, planned, displacement)
+        if "mtlx" in planned.formats:
+            (folder / "material.mtlx").write_text(mtlx(planned), encoding="utf-8")
+            colors = "base color sRGB, all else linear"
+            files.append(_file(folder, "material.mtlx", MATERIALX_HOLDS, colors))
+        if preset == "blender" and "png" in planned.formats:
+            (folder / blender.ZIP_FILE).write_bytes(blender.extension())
+            files.append(_file(folder, blender.ZIP_FILE, blender.ZIP_HOLDS, "none"))
         if "ply" in planned.formats:
             (folder / "points.ply").write_bytes(ply(result))
             colors = "albedo sRGB, all else linear"
@@ -195,7 +214,7 @@ def _write_exr(
     if displacement is not None:
         path = f"exr/{planned.displacement}.exr"
         images.write_exr(folder / path, {"Y": displacement.height})
-        yield _file(folder, path, "height towards the viewer in pixels", _DATA)
+        yield _file(folder, path, "height towards the viewer in picture widths", _DATA)
 
 
 def _write_png(
@@ -213,7 +232,9 @@ def _write_png(
         bits, path = planned.bits or 16, f"png/{planned.displacement}.png"
         images.write_png(folder / path, displacement.integers(bits), "linear")
         low, high = displacement.low, displacement.high
-        holds = f"height towards the viewer, from {low:.6g} (0) to {high:.6g} pixels (white)"
+        holds = (
+            f"height towards the viewer, from {low:.6g} (0) to {high:.6g} picture widths (white)"
+        )
         yield _file(folder, path, holds, f"data, linear; {bits} bits")
 
 
@@ -264,6 +285,7 @@ def _write_manifest(
     content: dict[str, Any] = {
         "version": version("pbrfit"),
         "fov": result.fov,
+        "model": result.model,
         "normal_maps": planned.normals,
         "files": [
             {"path": of.path, "holds": of.holds, "color_space": of.color_space} for of in files

@@ -1,7 +1,19 @@
-"""The height of a result as a texture: pixels in EXR, a share of a stated range in PNG."""
+"""The height of a surface as a texture: picture widths in EXR, a share of a stated range in PNG.
+
+The height is that which the fit found, else that which the normals integrate to
+(`scene.integration`), with the depth where there is one. It is the distance out of the card of
+`view_mesh` to the viewer, along the axis of the camera: a pixel of depth z lies on its ray at
+
+    h = (z_m − z) / w,      w = 2 z_m tan(fov/2), orthographic w = 2,
+
+z_m the median depth, at which the picture is w wide. So h and the camera of `view_mesh` are the
+shape, but for its size; where the camera is orthographic, or the relief low beside its distance,
+that is a card displaced along its normal.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +23,10 @@ from numpy.typing import NDArray
 from pbrfit.export.maps import Bits
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.result import Result
+from pbrfit.scene.integration import depth_from_normals
+
+FLAT = 1e-6
+"""Picture widths between lowest and highest below which there is nothing to displace."""
 
 
 @dataclass(frozen=True)
@@ -18,34 +34,46 @@ class Displacement:
     """Height towards the viewer; where it is unknown, that of the nearest pixel."""
 
     height: NDArray[np.float64]
-    """(H, W), pixels."""
+    """(H, W), picture widths."""
     low: float
     high: float
     """The lowest and the highest, which integer files have as 0 and as their largest code."""
 
     @classmethod
     def of(cls, result: Result) -> Displacement | None:
-        """Of a result; None where it has no height."""
-        if result.height is None:
+        """Of a result; None where it is flat."""
+        if result.height is not None:
+            found = np.asarray(result.height, np.float64) / result.mask.shape[1]
+        elif result.mask.size > 1:
+            found = _integrated(result)
+        else:
             return None
-        known = np.isfinite(result.height)
-        if not known.any():
+        known = np.isfinite(found)
+        if not known.any() or np.ptp(found[known]) < FLAT:
             return None
-        height = np.asarray(result.height, np.float64)[nearest_inside(known)]
+        height = found[nearest_inside(known)]
         return cls(height, float(height.min()), float(height.max()))
 
     def integers(self, bits: Bits) -> NDArray[Any]:
         """(H, W, 1) uint8 or uint16."""
         largest = (1 << bits) - 1
-        shares = (self.height - self.low) / ((self.high - self.low) or 1.0)
+        shares = (self.height - self.low) / (self.high - self.low)
         codes = np.floor(shares * largest + 0.5)[..., None]
         return codes.astype(np.uint8 if bits == 8 else np.uint16)
 
     def as_json(self) -> dict[str, Any]:
         """What `export.json` holds under `displacement`."""
-        return {
-            "unit": "pixels",
-            "width": self.height.shape[1],
-            "low": self.low,
-            "high": self.high,
-        }
+        return {"unit": "picture widths", "low": self.low, "high": self.high}
+
+
+def _integrated(result: Result) -> NDArray[np.float64]:
+    """(H, W): picture widths; NaN outside the mask."""
+    depth = None if result.depth is None else np.where(result.mask, result.depth, np.nan)
+    if depth is not None and not np.isfinite(depth).any():
+        depth = None
+    found = depth_from_normals(
+        result.normals, result.fov, result.mask, result.segments, depth
+    ).astype(np.float64)
+    middle = float(np.nanmedian(found))
+    width = 2.0 if result.fov == 0 else 2 * middle * math.tan(math.radians(result.fov) / 2)
+    return (middle - found) / width

@@ -17,7 +17,7 @@ from pbrfit.export.maps import (
 )
 from pbrfit.export.view_mesh import Geometry
 
-Format = Literal["gltf", "exr", "png", "ply", "lp", "ptm"]
+Format = Literal["gltf", "exr", "png", "mtlx", "ply", "lp", "ptm"]
 PresetName = Literal["blender", "unreal", "unity"]
 
 
@@ -54,7 +54,7 @@ _DEVIATIONS = (
     Texture("metallic_deviation", ("deviation of metallic",)),
 )
 
-PLAIN = Preset(("gltf", "exr", "png"), "opengl", _SEPARATE, _MASK, deviations=_DEVIATIONS)
+PLAIN = Preset(("gltf", "exr", "png", "mtlx"), "opengl", _SEPARATE, _MASK, deviations=_DEVIATIONS)
 """Without a preset: all formats, a map a file."""
 
 PRESETS: dict[PresetName, Preset] = {
@@ -138,9 +138,9 @@ def plan(
         if value is not None and value not in known:
             expected = ", ".join(map(str, known))
             raise InputError(f"{name}: expected one of {expected}, found {value!r}")
-    if format == "gltf" and preset is not None:
+    if format in ("gltf", "mtlx") and preset is not None:
         raise InputError(
-            f"preset: expected none with format gltf, which packs textures in one way, "
+            f"preset: expected none with format {format}, which packs textures in one way, "
             f"found {preset}"
         )
     if format == "gltf" and normals == "directx":
@@ -152,7 +152,9 @@ def plan(
             if value is not None:
                 raise InputError(f"{name}: expected none with format {format}, found {value}")
     chosen = PLAIN if preset is None else PRESETS[preset]
-    formats = (format,) if format else chosen.formats
+    formats: tuple[Format, ...] = (format,) if format else chosen.formats
+    if format == "mtlx":
+        formats = ("png", "mtlx")  # it is about files
     if geometry is not None and "gltf" not in formats:
         raise InputError(
             f"geometry: expected none where no glTF is written but {' and '.join(formats)}, "

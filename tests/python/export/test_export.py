@@ -41,7 +41,11 @@ from pbrfit.synthetic import make_scene
 HEIGHT, WIDTH = 10, 12
 MAPS = ["base_color", "mask", "metallic", "normal_opengl", "roughness"]
 ALL_MAPS = sorted(
-    [*MAPS, *(f"{name}_deviation" for name in ("base_color", "roughness", "metallic"))]
+    [
+        *MAPS,
+        "displacement",
+        *(f"{name}_deviation" for name in ("base_color", "roughness", "metallic")),
+    ]
 )
 GEOMETRIES: tuple[Geometry, ...] = ("card", "facets")
 LIGHTS = ["coefficients.csv", "lighting.json", "panoramas.csv", "three.json"]
@@ -175,6 +179,7 @@ def test_everything_without_options(result: Result, tmp_path: Path) -> None:
         *sorted([*(f"exr/{name}.exr" for name in ALL_MAPS), "exr/materials.exr"]),
         *sorted([*(f"lights/{name}" for name in LIGHTS), *(f"lights/{x}.exr" for x in "abç")]),
         "material.glb",
+        "material.mtlx",
         *(f"png/{name}.png" for name in ALL_MAPS),
     ]
     told = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))
@@ -250,7 +255,8 @@ def test_presets_pack_maps_into_channels(
     export_result(result, tmp_path / "out", preset=preset, bits=bits)
     folder, inside = tmp_path / "out" / "png", result.mask
     colors = {"unreal": ["T_BaseColor", "T_OpacityMask"], "unity": ["BaseMap"]}[preset]
-    assert names(folder) == sorted(f"{name}.png" for name in (*colors, *PACKED[preset]))
+    height = {"unreal": "T_Displacement", "unity": "HeightMap"}[preset]
+    assert names(folder) == sorted(f"{name}.png" for name in (*colors, height, *PACKED[preset]))
     for name, channels in PACKED[preset].items():
         packed = png(folder / f"{name}.png")
         assert b"sRGB" not in chunks((folder / f"{name}.png").read_bytes())
@@ -270,9 +276,10 @@ def test_blender_gets_the_card_and_a_16_bit_file_a_map(result: Result, tmp_path:
     export_result(result, tmp_path / "out", preset="blender")
     found = names(tmp_path / "out")
     assert [name for name in found if not name.startswith("lights")] == [
+        "blender_extension.zip",
         "export.json",
         "material.glb",
-        *(f"png/{name}.png" for name in MAPS),
+        *(f"png/{name}.png" for name in sorted([*MAPS, "displacement"])),
     ]
     for name in ("base_color", "roughness", "metallic", "normal_opengl"):
         assert png(tmp_path / "out" / "png" / f"{name}.png").dtype == np.uint16
@@ -748,6 +755,7 @@ def test_export_prints_what_it_wrote(folder: Path, tmp_path: Path) -> None:
     ("options", "message"),
     [
         ({"format": "gltf", "preset": "unreal"}, "preset: expected none with format gltf"),
+        ({"format": "mtlx", "preset": "blender"}, "preset: expected none with format mtlx"),
         ({"format": "gltf", "normals": "directx"}, "normals: expected opengl, the convention"),
         ({"format": "exr", "bits": 8}, "bits: expected none with format exr"),
         ({"preset": "unity", "geometry": "facets"}, "geometry: expected none where no glTF"),
