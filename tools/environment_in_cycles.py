@@ -2,8 +2,8 @@
 
     python tools/environment_in_cycles.py PANORAMA... [--samples 1024] [--side 64] [--figure FILE]
 
-Needs the environment of `make cycles-env`. Differences are RMSE over RMS radiance, up to 80 degrees from
-the middle of the sphere, of the principled model, without light between surfaces.
+Needs the environment of `make cycles-env`. Differences are RMSE over RMS radiance, up to 80 degrees
+from the middle of the sphere, of the principled model, without light between surfaces.
 """
 
 from __future__ import annotations

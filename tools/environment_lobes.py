@@ -12,18 +12,20 @@ x = n·v, in the frame with z = n and the mirror direction (√(1−x²), 0, x),
 is fitted by sums of such lobes in the plane of incidence, both with the same lobes,
 
     a(l) ≈ Σ_k a_k K(l, d_k; λ_k)    b(l) ≈ Σ_k b_k K(l, d_k; λ_k)    d_k = (sin φ_k, 0, cos φ_k)
-    K(l, d; j + f) = (1−f) K_j(l·d) + f K_{j+1}(l·d)      K_j(c) = e^{(c−1)/σ_j²} / (2π σ_j² (1−e^{−2/σ_j²}))
+    K(l, d; j + f) = (1−f) K_j(l·d) + f K_{j+1}(l·d)
+    K_j(c) = e^{(c−1)/σ_j²} / (2π σ_j² (1−e^{−2/σ_j²}))
 
-with a_k, b_k ≥ 0, so that the radiance of a surface is Σ_k (A a_k + B b_k) times the panorama at d_k
-and blur λ_k, and never negative. Several lobes follow the long tail of GGX and its stretching at grazing
-angles, which one round lobe (the usual split sum) does not.
+with a_k, b_k ≥ 0, so that the radiance of a surface is Σ_k (A a_k + B b_k) times the panorama at
+d_k and blur λ_k, and never negative. The last two lobes are hemispheres about the normal, which the
+horizon cuts. Several lobes follow the long tail of GGX and its stretching at grazing angles, which
+one round lobe (the usual split sum) does not.
 
-Least squares in the mean over directions, together with the ten harmonics up to l = 3, for F0 = 1 and
-F0 = 0.04, each by its own norm; Σ a_k and Σ b_k are then scaled to the integrals of a and b. Fits
+Least squares in the mean over directions, together with the ten harmonics up to l = 3, for F0 = 1
+and F0 = 0.04, each by its own norm; Σ a_k and Σ b_k are then scaled to the integrals of a and b. Fits
 start from a neighbour's, and are held to it weakly, so that tables may be interpolated.
 
-The file is little-endian: 8 bytes "PBRENVL1"; uint32 models, cells by r and by x (nodes less one), lobes; then
-float32 [model][r][x][lobe][φ − mirror's, λ, a, b]. Nodes: r = i/cells, x = (j/cells)².
+The file is little-endian: 8 bytes "PBRENVL1"; uint32 models, cells by r and by x (nodes less one),
+lobes; then float32 [model][r][x][lobe][φ − mirror's, λ, a, b]. Nodes: r = i/cells, x = (j/cells)².
 """
 
 from __future__ import annotations
@@ -83,7 +85,8 @@ class Nodes:
     """Directions about the mirror direction, y ≥ 0, and the solid angle that each stands for."""
 
     def __init__(self, nv: float, alpha: float) -> None:
-        # Polar angle from the mirror: evenly in log(1 + γ/γ0), with γ0 of the lobe's or the blur's width.
+        # Polar angle from the mirror: evenly in log(1 + γ/γ0), with γ0 of the lobe's or the blur's
+        # width.
         narrow = 0.35 * np.hypot(alpha, SHARPEST) * max(nv, 0.15)
         u = (np.arange(POLAR) + 0.5) / POLAR
         top = np.log1p(np.pi / narrow)
@@ -113,7 +116,7 @@ def harmonics(d: Array) -> Array:
 
 
 def target(model: str, r: float, nv: float, l: Array) -> tuple[Array, Array]:
-    """a and b at directions."""
+    """A and b at directions."""
     alpha = r**2
     v = np.array([-np.sqrt(max(1 - nv**2, 0.0)), 0.0, nv])
     h = l + v

@@ -3,8 +3,9 @@
     python blender_environment.py FOLDER JOB
 
 JOB is JSON: `side`, `samples`, `panoramas` (paths by name) and `surfaces` ([albedo, roughness,
-metallic] by name). FOLDER/PANORAMA-SURFACE.npy is written, (side, side, 3). A camera in Blender looks along −Z
-with +Y up, so its space is ours. Of pbrfit-evaluation only the worker is imported, as a file.
+metallic] by name). FOLDER/PANORAMA-SURFACE.npy is written, (side, side, 3). A camera in Blender
+looks along −Z with +Y up, so its space is ours. Of pbrfit-evaluation only the worker is imported,
+as a file.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ),
         tone_map=cli.choice(
             ToneMap,
-            "of files for a screen: neutral keeps colours and compresses highlights, none clips them "
+            "of files for a screen: neutral keeps colours and compresses highlights, none clips "
             "(default: neutral)",
         ),
     )

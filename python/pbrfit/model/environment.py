@@ -1,8 +1,8 @@
 """A panorama as light, with all of its detail: windows and lamps show in polished metal.
 
-The panorama is kept blurred by round lobes of many widths, and the reflection of each pixel is a sum of
-a few of them, with weights that are never negative (docs/relight.md#panoramas). SH light, beside it,
-is what is recovered of pictures: it ends at l = 3.
+The panorama is kept blurred by round lobes of many widths, and the reflection of each pixel is a
+sum of a few of them, with weights that are never negative (docs/relight.md#panoramas). SH light,
+beside it, is what is recovered of pictures: it ends at l = 3.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ import dataclasses
 import math
 import os
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError

@@ -140,7 +140,7 @@ def test_levels_blur_by_doubling_widths_and_keep_the_light() -> None:
         # A von Mises-Fisher lobe has the mean 1 − cos of σ², where it is narrow.
         width = 2**j * 4 * np.pi / 1024
         mean = (level[..., 0] * apart * weights).sum() / (level[..., 0] * weights).sum()
-        if 1 <= width / (2 * np.pi / 128) and width < 0.5:
+        if width / (2 * np.pi / 128) >= 1 and width < 0.5:
             assert mean == pytest.approx(width**2, rel=0.1)
     for hemisphere, at_centre in ((matt, whole / np.pi), (even, whole / (np.pi * 1.8))):
         directions = panorama.directions(*hemisphere.shape[:2])
