@@ -21,8 +21,8 @@ horizon cuts. Several lobes follow the long tail of GGX and its stretching at gr
 one round lobe (the usual split sum) does not.
 
 Least squares in the mean over directions, together with the ten harmonics up to l = 3, for F0 = 1
-and F0 = 0.04, each by its own norm; Σ a_k and Σ b_k are then scaled to the integrals of a and b. Fits
-start from a neighbour's, and are held to it weakly, so that tables may be interpolated.
+and F0 = 0.04, each by its own norm; Σ a_k and Σ b_k are then scaled to the integrals of a and b.
+Fits start from a neighbour's, and are held to it weakly, so that tables may be interpolated.
 
 The file is little-endian: 8 bytes "PBRENVL1"; uint32 models, cells by r and by x (nodes less one),
 lobes; then float32 [model][r][x][lobe][φ − mirror's, λ, a, b]. Nodes: r = i/cells, x = (j/cells)².
@@ -179,7 +179,6 @@ class Fit:
         weights = nodes.weights
         y = harmonics(nodes.l)
         self.energy = np.array([(a * weights).sum(), (b * weights).sum()])
-        # What is seen is at least as blurred as σ_0; the panorama itself is.
         root = np.sqrt(weights)
         self.moments = MOMENTS * (weights[:, None] * y)
         self.root = root

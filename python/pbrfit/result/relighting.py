@@ -1,406 +1,351 @@
-"""Makes rust/environment/environment_lobes.bin: BRDF lobes as sums of round, blurred ones.
-
-    python tools/environment_lobes.py            fit, write the table, print its errors
-    python tools/environment_lobes.py --check    the table as it is: its errors
-
-Needs numpy and pbrfit. A panorama is kept blurred by von Mises-Fisher lobes of widths σ_j = 2^j σ_0
-(`rust/environment/blurred.rs`). Here the mirror-like part of each reflection model, with
-x = n·v, in the frame with z = n and the mirror direction (√(1−x²), 0, x),
-
-    a(l) = D V n·l (1 − (1−v·h)⁵)        b(l) = D V n·l (1−v·h)⁵
-
-is fitted by sums of such lobes in the plane of incidence, both with the same lobes,
-
-    a(l) ≈ Σ_k a_k K(l, d_k; λ_k)    b(l) ≈ Σ_k b_k K(l, d_k; λ_k)    d_k = (sin φ_k, 0, cos φ_k)
-    K(l, d; j + f) = (1−f) K_j(l·d) + f K_{j+1}(l·d)
-    K_j(c) = e^{(c−1)/σ_j²} / (2π σ_j² (1−e^{−2/σ_j²}))
-
-with a_k, b_k ≥ 0, so that the radiance of a surface is Σ_k (A a_k + B b_k) times the panorama at
-d_k and blur λ_k, and never negative. The last two lobes are hemispheres about the normal, which the
-horizon cuts. Several lobes follow the long tail of GGX and its stretching at grazing angles, which
-one round lobe (the usual split sum) does not.
-
-Least squares in the mean over directions, together with the ten harmonics up to l = 3, for F0 = 1
-and F0 = 0.04, each by its own norm; Σ a_k and Σ b_k are then scaled to the integrals of a and b.
-Fits start from a neighbour's, and are held to it weakly, so that tables may be interpolated.
-
-The file is little-endian: 8 bytes "PBRENVL1"; uint32 models, cells by r and by x (nodes less one),
-lobes; then float32 [model][r][x][lobe][φ − mirror's, λ, a, b]. Nodes: r = i/cells, x = (j/cells)².
-"""
+"""A result under other light, SH light, lamps or a panorama, and under that of its pictures."""
 
 from __future__ import annotations
 
-import argparse
-import struct
-import sys
-from pathlib import Path
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from pbrfit._core import InputError
+from pbrfit.io.checks import of_what, real_number
+from pbrfit.model import lighting
+from pbrfit.model.environment import Environment
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.reflection import (
+    Model,
+    checked_lighting,
+    checked_model,
+    render,
+    render_directional,
+    render_environment,
+    render_lamps,
+)
 
-ROOT = Path(__file__).resolve().parent.parent
-TABLE = ROOT / "rust" / "environment" / "environment_lobes.bin"
+if TYPE_CHECKING:
+    from pbrfit.result.data import ResultData
+    from pbrfit.transport.scenery import Scenery
 
-MAGIC = b"PBRENVL1"
-HEADER = struct.Struct("<8s4I")
-MODELS = ("paper", "principled")
-
-LOBES = 8
-"""With two at the end that the horizon cuts."""
-HORIZON = 0.2
-"""n·l up to which the even hemisphere grows."""
-CELLS_R, CELLS_X = 20, 20
-LEVELS = 8
-SHARPEST = 2 * np.pi / 1024 * 2
-"""σ_0: two texels of the sharpest panorama, radians."""
-LEAST_ROUGHNESS = 0.06
-"""Smoother lobes are sharper than σ_0 by far, and are fitted as this one."""
-LEAST_COSINE = 1e-3
-MOMENTS = 2.0
-"""Weight of the harmonics beside the density."""
-NEIGHBOUR = 0.04
-"""Weight of staying where the neighbour is, in units of a parameter."""
-STEPS = 60
-POLAR, AZIMUTHS = 48, 20
-SWEEPS = 4
-"""Times that every node is fitted anew, held to the mean of its neighbours."""
-SEEDS = 12
+LampLight = tuple[Lamps, NDArray[np.float64]]
+"""Lamps of one picture, and the ambient light (16, 3) beside them."""
 
 
-def geometry_term(model: str, alpha: float, nv: float, nl: Array) -> Array:
-    """V: masking of both sides over 4 n·l n·v."""
-    if model == "paper":
-        k = alpha**2 / 2
-        g = 1 / ((nv * (1 - k) + k) * (nl * (1 - k) + k))
-        return g / 4
-    e = alpha**2
-    return 0.5 / np.maximum(
-        nl * np.sqrt(nv**2 * (1 - e) + e) + nv * np.sqrt(nl**2 * (1 - e) + e), 1e-12
+SOFTEST = 45.0
+"""Largest angular radius of a lamp, degrees: beyond, it is a sky, which a panorama holds."""
+
+
+@dataclass(frozen=True)
+class DirectionalLight:
+    """Light from one direction, infinitely far away, such as the sun's.
+
+    Attributes
+    ----------
+    azimuth, elevation
+        Where the light comes from, in degrees: azimuth 0 is +Z, where the viewer is, and 90 is +X,
+        to the right; elevation 90 is +Y, up.
+    color
+        Radiance of a white diffuse surface that faces the light, linear Rec.709, 0 or more: its
+        irradiance over π.
+    softness
+        Angular radius of the lamp, a disk, in degrees, 0 to 45: 0 is a point, the sun has 0.27.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, a colour is below 0 or the softness is out of range.
+    """
+
+    azimuth: float
+    elevation: float
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    softness: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("azimuth", "elevation"):
+            object.__setattr__(self, name, _degrees(name, getattr(self, name)))
+        object.__setattr__(self, "color", _color(self.color))
+        expected = f"0 to {SOFTEST:g} degrees"
+        softness = real_number("softness", self.softness, expected)
+        if not 0 <= softness <= SOFTEST:
+            raise InputError(f"softness: expected {expected}, found {of_what(self.softness)}")
+        object.__setattr__(self, "softness", softness)
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """(3,) unit vector in camera space from the surface to the light."""
+        # In whole turns first: sines of huge angles would be taken after rounding.
+        azimuth, elevation = (
+            math.radians(math.remainder(angle, 360)) for angle in (self.azimuth, self.elevation)
+        )
+        level = math.cos(elevation)
+        return np.array([math.sin(azimuth) * level, math.sin(elevation), math.cos(azimuth) * level])
+
+    def turned(self, degrees: float) -> DirectionalLight:
+        """The light turned about +Y: so much is added to its azimuth."""
+        return dataclasses.replace(self, azimuth=self.azimuth + _degrees("degrees", degrees))
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """A lamp near the surface, for results with depth.
+
+    Attributes
+    ----------
+    position
+        (x, y, z) in camera space, in the unit of the depth: the camera is at 0, and what it sees
+        has z below 0.
+    color
+        Radiance of a white diffuse surface that faces the lamp at the distance 1, linear Rec.709,
+        0 or more.
+    radius
+        Of the lamp, a sphere, in the unit of the depth: the larger, the softer. 0 = a point.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or a colour or the radius is below 0.
+    """
+
+    position: tuple[float, float, float]
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        position = three_numbers("position", self.position, "three finite numbers")
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "color", _color(self.color))
+        expected = "a finite number, 0 or more"
+        radius = real_number("radius", self.radius, expected)
+        if not 0 <= radius < math.inf:
+            raise InputError(f"radius: expected {expected}, found {of_what(self.radius)}")
+        object.__setattr__(self, "radius", radius)
+
+    @property
+    def lamps(self) -> Lamps:
+        """The lamp as that of one picture."""
+        place, color = np.array([self.position]), np.array([self.color])
+        return Lamps(np.zeros(1, np.intp), place, np.ones(1, bool), color)
+
+
+Light = NDArray[np.float64] | DirectionalLight | PointLight | Environment | Lamps | LampLight
+"""SH light (16, 3) or (N, 16, 3), lamps far or near, a panorama, or lamps of a picture with or
+without SH light beside them."""
+
+
+def relight(
+    result: ResultData,
+    light: ArrayLike | Light,
+    threads: int = 0,
+    *,
+    model: Model | None = None,
+    shadows: bool = True,
+) -> NDArray[np.float64]:
+    """Radiance of the recovered surfaces under other light.
+
+    SH light goes through the model that the materials were fitted with (docs/model.md), and gives
+    with the result's own lights the reconstructions of its pictures. All others go through the
+    model's full reflection, because their highlights are beyond what SH light holds: a
+    `DirectionalLight`, a `PointLight`, an `Environment`, `Lamps`. Where the fit decided for
+    surroundings (`Result.transport`), they block light; and SH light and panoramas are reflected
+    between surfaces if the pictures told that. What surfaces reflect of lamps is left out.
+    Elsewhere nothing casts a shadow.
+
+    Parameters
+    ----------
+    result
+        What `decompose` found.
+    light
+        SH light (16, 3), or (N, 16, 3) for N pictures, linear Rec.709; or a `DirectionalLight`,
+        `PointLight` or `Environment`; or `Lamps` of one picture, alone or in a tuple with ambient
+        SH light (16, 3). `own_light` has that of a picture.
+    threads
+        0 = one for each processor; the result does not depend on it.
+    model
+        Which model the result is expected to be of; None = whichever it is.
+    shadows
+        Whether surroundings do to light what the fit decided; without any it makes no difference.
+
+    Returns
+    -------
+    (H, W, 3) or (N, H, W, 3) float64, linear Rec.709; NaN outside the mask.
+
+    Raises
+    ------
+    InputError
+        If the light has another shape or numbers that are not finite, or the result is of another
+        model, or has no depth and a lamp is near.
+    """
+    if model is not None and checked_model(model) != result.model:
+        raise InputError(
+            f"model: expected {result.model}, with which the result was fitted, found {model}"
+        )
+    scenery = result.scenery if shadows else None
+    if isinstance(light, DirectionalLight):
+        picture = render_directional(
+            *(result.materials, result.normals, light.direction, light.color, result.fov, threads),
+            model=result.model,
+            extents=math.radians(light.softness),
+        )
+        if scenery is not None:
+            picture[result.mask] *= scenery.open_to(light.direction)[:, None]
+        return picture
+    if isinstance(light, Environment):
+        return _under_panorama(result, light, threads, shadows=scenery is not None)
+    if isinstance(light, PointLight):
+        return _under_lamps(result, light.lamps, None, threads, scenery, light.radius)
+    if isinstance(light, Lamps):
+        return _under_lamps(result, light, None, threads, scenery)
+    if isinstance(light, tuple) and len(light) == 2 and isinstance(light[0], Lamps):
+        return _under_lamps(result, light[0], light[1], threads, scenery)
+    if scenery is not None:
+        return _among_surroundings(result, light)
+    return render(result.materials, result.normals, light, result.fov, threads, model=result.model)
+
+
+def own_light(result: ResultData, i: int) -> NDArray[np.float64] | LampLight:
+    """The light that was found of picture i: SH light, or where there are lamps those with it."""
+    if result.lamps is None:
+        return np.asarray(result.lighting[i])
+    return result.lamps.of_pictures([i]), result.lighting[i]
+
+
+def rendered_picture(result: ResultData, i: int, threads: int = 0) -> NDArray[np.float64]:
+    """Reconstruction of picture i: (H, W, 3), linear Rec.709; NaN outside the mask."""
+    return relight(result, own_light(result, i), threads)
+
+
+def _under_lamps(
+    result: ResultData,
+    lamps: Lamps,
+    ambient: ArrayLike | None,
+    threads: int,
+    scenery: Scenery | None,
+    radius: float = 0.0,
+) -> NDArray[np.float64]:
+    """A picture under lamps and SH light."""
+    lamps.check_pictures(1)
+    sky = np.zeros((16, 3)) if ambient is None else checked_lighting(ambient)
+    if sky.ndim != 2 or not np.isfinite(sky).all():
+        raise InputError(f"ambient: expected finite (16, 3), found {of_what(sky)}")
+    visibility = None
+    if scenery is not None:
+        visibility = np.ones((len(lamps), *result.mask.shape))
+        for k, (place, near) in enumerate(zip(lamps.places, lamps.near, strict=True)):
+            is_open = scenery.open_to_place if near else scenery.open_to
+            visibility[k, result.mask] = is_open(place)
+    [picture] = render_lamps(
+        result.materials,
+        result.normals,
+        lamps,
+        (sky if scenery is None else np.zeros((16, 3)))[None],
+        result.fov,
+        result.depth,
+        threads,
+        model=result.model,
+        visibility=visibility,
+        radius=radius,
     )
+    if scenery is not None and sky.any():
+        picture += _among_surroundings(result, sky)
+    return np.asarray(picture)
 
 
-class Nodes:
-    """Directions about the mirror direction, y ≥ 0, and the solid angle that each stands for."""
+def _under_panorama(
+    result: ResultData, light: Environment, threads: int, *, shadows: bool
+) -> NDArray[np.float64]:
+    """A picture under a panorama; surroundings dim it as they dim matt surfaces.
 
-    def __init__(self, nv: float, alpha: float) -> None:
-        # Polar angle from the mirror: evenly in log(1 + γ/γ0), with γ0 of the lobe's or the blur's
-        # width.
-        narrow = 0.35 * np.hypot(alpha, SHARPEST) * max(nv, 0.15)
-        u = (np.arange(POLAR) + 0.5) / POLAR
-        top = np.log1p(np.pi / narrow)
-        gamma = narrow * np.expm1(u * top)
-        d_gamma = (gamma + narrow) * top / POLAR
-        psi = (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS * np.pi
-        g, p = (one.ravel() for one in np.meshgrid(gamma, psi, indexing="ij"))
-        d = np.repeat(d_gamma, AZIMUTHS)
-        self.weights = 2 * np.sin(g) * d * (np.pi / AZIMUTHS)
-        s = np.sqrt(max(1 - nv**2, 0.0))
-        mirror = np.array([s, 0.0, nv])
-        across = np.array([nv, 0.0, -s])
-        self.l = (
-            np.cos(g)[:, None] * mirror
-            + (np.sin(g) * np.cos(p))[:, None] * across
-            + (np.sin(g) * np.sin(p))[:, None] * np.array([0.0, 1.0, 0.0])
-        )
-
-
-def harmonics(d: Array) -> Array:
-    """(..., 10) the real harmonics up to l = 3 that are even in y."""
-    from pbrfit.model.reflection import sh_basis
-
-    return sh_basis(d / np.linalg.norm(d, axis=-1, keepdims=True))[
-        ..., [0, 2, 3, 6, 7, 8, 12, 13, 14, 15]
-    ]
+    The share of the light that reaches a white matt surface, under the panorama as harmonics, is
+    taken for all of the reflection: surroundings are known as harmonics, which hold no sharper
+    shadow.
+    """
+    given = (result.materials, result.normals)
+    picture = render_environment(*given, light, result.fov, threads, model=result.model)
+    if not shadows:
+        return picture
+    assert result.open_share is not None
+    harmonics = light.harmonics
+    reached = np.einsum("kc,khw->hwc", harmonics, result.open_share)
+    whole = render(result.white, result.normals, harmonics, result.fov, threads, model="principled")
+    picture *= np.clip(reached / np.maximum(whole, np.finfo(np.float64).tiny), 0.0, 1.0)
+    if result.reflected_pictures is not None:
+        brought = np.einsum("kc,khwc->hwc", harmonics, result.reflected_pictures)
+        picture += np.maximum(brought, 0.0)
+    return picture
 
 
-def target(model: str, r: float, nv: float, l: Array) -> tuple[Array, Array]:
-    """A and b at directions."""
-    alpha = r**2
-    v = np.array([-np.sqrt(max(1 - nv**2, 0.0)), 0.0, nv])
-    h = l + v
-    h /= np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
-    nh, vh = h[:, 2], np.clip(h @ v, 0, 1)
-    nl = l[:, 2]
-    dd = alpha**2 / (np.pi * ((nh**2) * (alpha**2 - 1) + 1) ** 2)
-    whole = np.where(nl > 0, dd * geometry_term(model, alpha, nv, np.maximum(nl, 0)) * nl, 0)
-    schlick = (1 - vh) ** 5
-    return whole * (1 - schlick), whole * schlick
-
-
-def kernels(cosine: Array) -> Array:
-    """(..., LEVELS) K_j at cosines."""
-    s2 = (SHARPEST * 2.0 ** np.arange(LEVELS)) ** 2
-    return np.exp((cosine[..., None] - 1) / s2) / (2 * np.pi * s2 * -np.expm1(-2 / s2))
-
-
-def clamped(cosine: Array) -> Array:
-    """The two lobes that end at the horizon, by n·l: an even hemisphere, and the matt lobe."""
-    up = np.maximum(cosine, 0)
-    return np.stack([np.minimum(up / HORIZON, 1) / (np.pi * (2 - HORIZON)), up / np.pi])
-
-
-def of_lobes(parameters: Array, mirror: float, l: Array) -> tuple[Array, Array, Array]:
-    """K of each lobe at directions, and its slopes by φ and by λ: (lobe, node)."""
-    phi = mirror + parameters[:, 0]
-    level = np.clip(parameters[:, 1], 0, LEVELS - 1 - 1e-9)
-    j = level.astype(int)
-    f = level - j
-    s2 = (SHARPEST * 2.0 ** np.arange(LEVELS)) ** 2
-    cosine = np.sin(phi)[:, None] * l[:, 0] + np.cos(phi)[:, None] * l[:, 2]
-    turned = np.cos(phi)[:, None] * l[:, 0] - np.sin(phi)[:, None] * l[:, 2]
-
-    def k(j: NDArray[np.intp]) -> Array:
-        return (
-            np.exp((cosine - 1) / s2[j, None])
-            / (2 * np.pi * s2[j] * -np.expm1(-2 / s2[j]))[:, None]
-        )
-
-    low, high = k(j), k(j + 1)
-    value = (1 - f)[:, None] * low + f[:, None] * high
-    by_phi = turned * ((1 - f)[:, None] * low / s2[j, None] + f[:, None] * high / s2[j + 1, None])
-    by_level = high - low
-    # The last two end at the horizon, and stand still.
-    value[-2:] = clamped(l[:, 2])
-    by_phi[-2:] = by_level[-2:] = 0
-    return value, by_phi, by_level
-
-
-class Fit:
-    """One node of the table."""
-
-    def __init__(self, model: str, r: float, nv: float) -> None:
-        r, nv = max(r, LEAST_ROUGHNESS), max(nv, LEAST_COSINE)
-        nodes = Nodes(nv, r * r)
-        self.mirror = np.arccos(nv)
-        self.l = nodes.l
-        a, b = target(model, r, nv, nodes.l)
-        weights = nodes.weights
-        y = harmonics(nodes.l)
-        self.energy = np.array([(a * weights).sum(), (b * weights).sum()])
-        root = np.sqrt(weights)
-        self.moments = MOMENTS * (weights[:, None] * y)
-        self.root = root
-        self.mixes = []
-        for f0 in (1.0, 0.04):
-            mix = (f0, 1.0)
-            t = mix[0] * a + mix[1] * b
-            norm = np.sqrt((weights * t * t).sum())
-            total = (weights * t).sum()
-            data = np.concatenate([root * t / norm, self.moments.T @ t / total])
-            self.mixes.append((mix, norm, total, data))
-
-    def residual(self, p: Array) -> tuple[Array, Array]:
-        """Residuals and their slopes."""
-        value, by_phi, by_level = of_lobes(p, self.mirror, self.l)
-        count = len(p)
-        residuals, slopes = [], []
-        lifted = [(self.root * x, x @ self.moments) for x in (value, by_phi, by_level)]
-        for mix, norm, total, data in self.mixes:
-            w = mix[0] * p[:, 2] ** 2 + mix[1] * p[:, 3] ** 2
-            columns = [np.concatenate([x / norm, m / total], axis=1) for x, m in lifted]
-            residuals.append(w @ columns[0] - data)
-            block = np.empty((len(data), count, 4))
-            block[:, :, 0] = (w[:, None] * columns[1]).T
-            block[:, :, 1] = (w[:, None] * columns[2]).T
-            block[:, :, 2] = (2 * mix[0] * p[:, 2, None] * columns[0]).T
-            block[:, :, 3] = (2 * mix[1] * p[:, 3, None] * columns[0]).T
-            slopes.append(block.reshape(len(data), -1))
-        return np.concatenate(residuals), np.concatenate(slopes)
-
-    def solve(self, start: Array, scale: Array, neighbour: float) -> tuple[Array, float]:
-        """Levenberg-Marquardt from a start, held to it weakly."""
-        p, damping = start.copy(), 1e-2
-        hold = neighbour / scale.ravel()
-
-        def cost(p: Array) -> tuple[float, Array, Array]:
-            residuals, slopes = self.residual(p)
-            held = hold * (p - start).ravel()
-            return float(residuals @ residuals + held @ held), residuals, slopes
-
-        value, residuals, slopes = cost(p)
-        for _ in range(STEPS):
-            normal = slopes.T @ slopes + np.diag(hold**2)
-            gradient = slopes.T @ residuals + hold**2 * (p - start).ravel()
-            step = np.linalg.solve(normal + damping * np.diag(1e-9 + np.diag(normal)), -gradient)
-            q = p + step.reshape(p.shape)
-            q[:, 1] = np.clip(q[:, 1], 0, LEVELS - 1 - 1e-6)
-            q[:, 0] = np.clip(q[:, 0], -np.pi / 2, 0.6)
-            new = cost(q)
-            if new[0] < value:
-                gain = value - new[0]
-                p, (value, residuals, slopes), damping = q, new, damping / 4
-                if gain < 1e-6 * value:
-                    break
-            else:
-                damping *= 6
-                if damping > 1e6:
-                    break
-        return p, value
-
-    def errors(self, p: Array) -> tuple[float, float]:
-        """Relative L2 error of the density for F0 = 1 and 0.04."""
-        value, _, _ = of_lobes(p, self.mirror, self.l)
-        found = []
-        for mix, norm, _, data in self.mixes:
-            w = mix[0] * p[:, 2] ** 2 + mix[1] * p[:, 3] ** 2
-            found.append(
-                float(np.linalg.norm(self.root * (w @ value) / norm - data[: len(self.root)]))
-            )
-        return found[0], found[1]
-
-
-def first(r: float, fit: Fit, lobes: int) -> Array:
-    """A start: lobes in a row about the mirror direction, narrow and wide."""
-    alpha = max(r, LEAST_ROUGHNESS) ** 2
-    p = np.empty((lobes, 4))
-    width = max(alpha, SHARPEST)
-    p[:, 0] = -width * np.linspace(-0.3, 0.6, lobes)
-    p[:, 1] = np.clip(np.log2(width * np.geomspace(0.4, 3, lobes) / SHARPEST), 0.2, LEVELS - 1.2)
-    p[:, 2] = np.sqrt(fit.energy[0] / lobes)
-    p[:, 3] = np.sqrt(fit.energy[1] / lobes) + 1e-4
-    return p
-
-
-def nodes() -> tuple[Array, Array]:
-    """Roughness and n·v of the table's nodes."""
-    return np.arange(CELLS_R + 1) / CELLS_R, (np.arange(CELLS_X + 1) / CELLS_X) ** 2
-
-
-def scales(r: float, fit: Fit, lobes: int) -> Array:
-    """Units of the parameters that neighbours are held by."""
-    unit = np.ones((lobes, 4))
-    unit[:, 0] = max(r * r, SHARPEST)
-    unit[:, 2:] = np.sqrt(max(fit.energy.sum(), 1e-3))
-    return unit
-
-
-def solved(model: str) -> Array:
-    """Parameters [r][x][lobe][4] of a model."""
-    of_r, of_x = nodes()
-    fits = [[Fit(model, r, x) for x in of_x] for r in of_r]
-    table = np.zeros((len(of_r), len(of_x), LOBES, 4))
-    cost = np.full(table.shape[:2], np.inf)
-
-    def improve(i: int, j: int, start: Array, neighbour: float) -> None:
-        fit = fits[i][j]
-        found, value = fit.solve(start, scales(of_r[i], fit, LOBES), neighbour)
-        if value < cost[i, j] or neighbour > 0:
-            table[i, j], cost[i, j] = found, value
-
-    # One node from many starts, then its row by x, then all others by r.
-    middle, column = round(0.35 * CELLS_R), round(0.75 * CELLS_X)
-    rng = np.random.default_rng(0)
-    for _ in range(SEEDS):
-        fit = fits[middle][column]
-        start = first(of_r[middle], fit, LOBES)
-        start += (
-            0.3
-            * rng.standard_normal(start.shape)
-            * scales(of_r[middle], fit, LOBES)
-            * [1, 1, 0.3, 0.3]
-        )
-        improve(middle, column, start, 0.0)
-    print(model, "seed", fits[middle][column].errors(table[middle, column]), flush=True)
-    for way in (1, -1):
-        for j in range(column + way, (CELLS_X + 1 if way > 0 else -1), way):
-            improve(middle, j, table[middle, j - way], NEIGHBOUR)
-        for j in range(len(of_x)):
-            for i in range(middle + way, (CELLS_R + 1 if way > 0 else -1), way):
-                improve(i, j, moved(table[i - way, j], of_r[i - way], of_r[i]), NEIGHBOUR)
-    for sweep in range(SWEEPS):
-        for i in range(len(of_r)):
-            for j in range(len(of_x)):
-                about = [(i + a, j + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-                near = [
-                    moved(table[a, b], of_r[a], of_r[i])
-                    for a, b in about
-                    if 0 <= a < len(of_r) and 0 <= b < len(of_x)
-                ]
-                improve(i, j, np.mean(near, axis=0), NEIGHBOUR)
-        found = np.array(
-            [
-                [f.errors(t) for f, t in zip(*row, strict=True)]
-                for row in zip(fits, table, strict=True)
-            ]
-        )
-        seen = found[3:, 9:, 0]
-        print(
-            model,
-            "sweep",
-            sweep,
-            "median, 90 %, worst of F0 = 1:",
-            np.percentile(seen, [50, 90, 100]).round(3),
-            flush=True,
-        )
-    table[..., 2:] **= 2
-    # No energy is lost or made.
-    for i, row in enumerate(fits):
-        for j, fit in enumerate(row):
-            table[i, j, :, 2:] *= fit.energy / np.maximum(table[i, j, :, 2:].sum(axis=0), 1e-12)
-    return table
-
-
-def moved(p: Array, r: float, to: float) -> Array:
-    """A node's parameters for another roughness: angles grow with alpha."""
-    found = p.copy()
-    found[:, 0] *= (max(to, LEAST_ROUGHNESS) / max(r, LEAST_ROUGHNESS)) ** 2 if to < r else 1.0
-    shift = 2 * np.log2(max(to, LEAST_ROUGHNESS) / max(r, LEAST_ROUGHNESS))
-    found[:, 1] = np.clip(p[:, 1] + np.clip(shift, -0.6, 0.6), 0.0, LEVELS - 1 - 1e-6)
+def _among_surroundings(result: ResultData, light: ArrayLike) -> NDArray[np.float64]:
+    """Pictures under SH light by those under each SH function."""
+    lights = checked_lighting(light)
+    if not np.isfinite(lights).all():
+        raise InputError("lighting: expected finite numbers, found NaN or infinity")
+    pictures = result.basis_pictures
+    assert pictures is not None
+    found = np.empty((*lights.shape[:-2], *result.mask.shape, 3))
+    for index in np.ndindex(lights.shape[:-2]):
+        np.einsum("kc,khwc->hwc", lights[index], pictures, out=found[index])
     return found
 
 
-def interpolated(table: Array, r: float, x: float) -> Array:
-    """Parameters [lobe][4] anywhere."""
-    u, t = r * (table.shape[0] - 1), np.sqrt(x) * (table.shape[1] - 1)
-    i, j = min(int(u), table.shape[0] - 2), min(int(t), table.shape[1] - 2)
-    f, g = u - i, t - j
-    return (1 - f) * ((1 - g) * table[i, j] + g * table[i, j + 1]) + f * (
-        (1 - g) * table[i + 1, j] + g * table[i + 1, j + 1]
-    )
+@overload
+def turned(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]: ...
+@overload
+def turned(light: DirectionalLight, degrees: float) -> DirectionalLight: ...
+@overload
+def turned(light: Environment, degrees: float) -> Environment: ...
+@overload
+def turned(light: PointLight, degrees: float) -> PointLight: ...
+@overload
+def turned(light: Lamps, degrees: float) -> Lamps: ...
+@overload
+def turned(light: LampLight, degrees: float) -> LampLight: ...
+def turned(light: Light, degrees: float) -> Light:
+    """Light as `relight` takes it, turned about +Y from +Z towards +X.
+
+    Raises InputError if lamps are near: that would move them, and nobody knows about which point.
+    """
+    if isinstance(light, (DirectionalLight, Environment)):
+        return light.turned(degrees)
+    if isinstance(light, PointLight):
+        light = light.lamps
+    if isinstance(light, tuple):
+        return turned(light[0], degrees), lighting.rotated(light[1], degrees)
+    if isinstance(light, Lamps):
+        if light.near.any():
+            raise InputError("lamps: expected far ones to be turned, found near ones")
+        angle = math.radians(math.remainder(_degrees("degrees", degrees), 360))
+        x, y, z = light.places.T
+        cosine, sine = math.cos(angle), math.sin(angle)
+        places = np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
+        return dataclasses.replace(light, places=places)
+    return lighting.rotated(light, degrees)
 
 
-def report(tables: Array) -> None:
-    """Errors at nodes and between them."""
-    for model, table in zip(MODELS, tables, strict=True):
-        print(f"{model}: relative L2 error of the lobe, F0 = 1 / 0.04")
-        cosines = (0.97, 0.8, 0.6, 0.4, 0.25, 0.12)
-        print("| r | " + " | ".join(f"n·v {x:g}" for x in cosines) + " |")
-        print("|---" * (len(cosines) + 1) + "|")
-        for r in (0.12, 0.22, 0.33, 0.47, 0.62, 0.78, 0.97):
-            cells = []
-            for x in cosines:
-                fit = Fit(model, r, x)
-                p = interpolated(table, r, x)
-                p[:, 2:] = np.sqrt(p[:, 2:])
-                cells.append("{:.3f} / {:.3f}".format(*fit.errors(p)))
-            print(f"| {r:g} | " + " | ".join(cells) + " |", flush=True)
+def three_numbers(name: str, given: Any, expected: str) -> tuple[float, float, float]:
+    """Finite ones; InputError otherwise."""
+    try:
+        numbers = tuple(real_number(name, number, expected) for number in given)
+    except TypeError:
+        numbers = ()
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{name}: expected {expected}, found {of_what(given)}")
+    return numbers
 
 
-def main() -> None:
-    """Fit and write, or check."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--check", action="store_true")
-    if parser.parse_args().check:
-        content = TABLE.read_bytes()
-        _, *shape = HEADER.unpack_from(content)
-        models, r, x, lobes = shape
-        tables = (
-            np.frombuffer(content, "<f4", offset=HEADER.size)
-            .reshape(models, r + 1, x + 1, lobes, 4)
-            .astype(float)
-        )
-    else:
-        tables = np.array([solved(model) for model in MODELS])
-        TABLE.write_bytes(
-            HEADER.pack(MAGIC, len(MODELS), CELLS_R, CELLS_X, LOBES)
-            + tables.astype("<f4").tobytes()
-        )
-    report(tables)
+def _color(given: Any) -> tuple[float, float, float]:
+    expected = "three finite numbers, 0 or more"
+    color = three_numbers("color", given, expected)
+    if min(color) < 0:
+        raise InputError(f"color: expected {expected}, found {of_what(given)}")
+    return color
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _degrees(name: str, value: float) -> float:
+    expected = "a finite number of degrees"
+    degrees = real_number(name, value, expected)
+    if not math.isfinite(degrees):
+        raise InputError(f"{name}: expected {expected}, found {value!r}")
+    return degrees
