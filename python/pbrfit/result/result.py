@@ -29,7 +29,6 @@ from pbrfit.io.json_files import (
 from pbrfit.io.output import digest, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
-from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
@@ -39,7 +38,7 @@ from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
-from pbrfit.result.relighting import DirectionalLight, LampLight, relight
+from pbrfit.result.relighting import Light, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.arrays import Source
 from pbrfit.scene.folder import is_scene
@@ -164,7 +163,7 @@ class Result(ResultData):
 
     def relight(
         self,
-        light: ArrayLike | DirectionalLight | Lamps | LampLight,
+        light: ArrayLike | Light,
         threads: int = 0,
         *,
         shadows: bool = True,
