@@ -172,7 +172,7 @@ def quads(name: str, corners: Array, texture: Array, faces: NDArray[np.integer[A
 def set_normals(mesh: Any, normals: Array) -> None:
     """Give the vertices normals (V, 3) in camera space."""
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
-    mesh.normals_split_custom_set_from_vertices(in_blender(normals).tolist())
+    mesh.normals_split_custom_set_from_vertices(in_blender(normals))
 
 
 def facet_mesh(normals: Array, mask: NDArray[np.bool_], fov: float) -> Any:
