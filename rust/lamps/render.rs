@@ -70,7 +70,7 @@ pub fn render_directional(
             let p = first + i;
             let surface = Surface::new(model, normals[p], views[p], &materials[p]);
             for (light, part) in lights.iter().zip(parts.iter_mut()) {
-                let unit = surface.reflected(light.direction, light.extent);
+                let unit = surface.reflected_of_disk(light.direction, light.extent);
                 for c in 0..3 {
                     part[3 * i + c] = unit[c] * light.color[c];
                 }
@@ -143,7 +143,7 @@ pub fn lamp_radiance(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
             for (k, radiance) in radiance.iter_mut().enumerate() {
                 let at = p * lamps + k;
                 let extent = pixels.extents.get(at).copied().unwrap_or(0.0);
-                *radiance = surface.reflected(pixels.directions[at], extent);
+                *radiance = surface.reflected_of_disk(pixels.directions[at], extent);
             }
         }
     });

@@ -11,6 +11,11 @@ use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
 use crate::reflectance::principled::{self, Mixer, Parts};
 
+/// Small disks that a large one is made of.
+const PARTS: usize = 16;
+/// π (3 − √5), radians: points at its multiples are never in line.
+const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
+
 /// Radiance of one pixel under unit light from a direction: π f_r (n·l) by channel.
 ///
 /// Light of irradiance π on a surface that faces it is L(l') = π δ(l'−l), so that the paper's eq. 1
@@ -77,11 +82,32 @@ impl<'a> Surface<'a> {
     }
 
     /// Radiance under unit light from `light`, a unit vector from the surface, of a lamp that is a
-    /// disk of the angular radius `extent`, radians.
+    /// disk of the angular radius `extent`, radians: the mean of [`PARTS`] smaller ones.
+    pub fn reflected_of_disk(&self, light: DVec3, extent: f64) -> [f64; 3] {
+        if extent == 0.0 {
+            return self.reflected(light, 0.0);
+        }
+        let (across, up) = light.any_orthonormal_pair();
+        let mut sum = [0.0; 3];
+        for k in 0..PARTS {
+            // A spiral fills the disk evenly.
+            let part = (k as f64 + 0.5) / PARTS as f64;
+            let (radius, turn) = (extent * part.sqrt(), k as f64 * GOLDEN_ANGLE);
+            let aside = turn.cos() * across + turn.sin() * up;
+            let direction = radius.cos() * light + radius.sin() * aside;
+            let unit = self.reflected(direction, extent / (PARTS as f64).sqrt());
+            for c in 0..3 {
+                sum[c] += unit[c] / PARTS as f64;
+            }
+        }
+        sum
+    }
+
+    /// The same of a small disk at once.
     ///
-    /// A disk is seen by a lobe as a lamp without extent by a wider one, of α² + ρ²/4: near its
-    /// middle GGX is a Gaussian of variance α²/4 an axis of h, a disk has ρ²/4 of l, a quarter of
-    /// that of h. The cosine n·l is [`mean_cosine`].
+    /// It is seen by a lobe as a lamp without extent by a wider one, of α² + ρ²/4: near its middle
+    /// GGX is a Gaussian of variance α²/4 an axis of h, a disk has ρ²/4 of l, a quarter of that of
+    /// h. The cosine n·l is [`mean_cosine`].
     #[inline]
     pub fn reflected(&self, light: DVec3, extent: f64) -> [f64; 3] {
         let n_dot_l = mean_cosine(self.normal.dot(light), extent);

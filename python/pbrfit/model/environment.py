@@ -13,7 +13,7 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
@@ -21,6 +21,16 @@ from pbrfit.io.checks import of_what, real_array, real_number
 from pbrfit.io.color import ColorSpace
 from pbrfit.lazy import lazy
 from pbrfit.model import panorama
+from pbrfit.model.lighting import rotated
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import (
+    DEFAULT_MODEL,
+    Array,
+    Model,
+    View,
+    checked_model,
+    whole_number,
+)
 
 LEAST_ROWS = 2
 """Rows of a panorama: with one there is no up and down."""
@@ -80,6 +90,7 @@ class Environment:
 
     def turned(self, degrees: float) -> Environment:
         """The light turned further about +Y; what is made of its pixels is kept."""
+        _ = self.blurred  # which both then share
         further = dataclasses.replace(self, rotate=self.rotate + degrees)
         vars(further).update(
             {k: v for k, v in vars(self).items() if k in ("blurred", "_projected")}
@@ -92,20 +103,52 @@ class Environment:
         return _core.Environment(self.pixels, 0)
 
     @lazy
-    def _projected(self) -> NDArray[np.float64]:
+    def _projected(self) -> Array:
         return panorama.nonnegative(panorama.project(self.pixels))
 
     @property
-    def harmonics(self) -> NDArray[np.float64]:
+    def harmonics(self) -> Array:
         """(16, 3): the nearest SH light, damped until it is nowhere negative."""
-        return panorama.rotated(self._projected, self.rotate)
+        return rotated(self._projected, self.rotate)
 
-    def radiance(
-        self, pixels: tuple[NDArray[np.float64], ...], threads: int, model: str
-    ) -> NDArray[np.float64]:
+    def _radiance(self, pixels: tuple[Array, ...], threads: int, model: Model) -> Array:
         """(P, 3) of normals, views, albedo, roughness and metallic, flat arrays of P pixels."""
         normals, views, albedo, roughness, metallic = pixels
         turn = math.radians(math.remainder(self.rotate, 360))
         return self.blurred.radiance(
-            normals, views, albedo, roughness, metallic, turn, threads, model
+            *(normals, views, albedo, roughness, metallic), turn, threads, model
         )
+
+
+def render_environment(
+    materials: Materials,
+    normals: ArrayLike,
+    environment: Environment,
+    fov: float,
+    threads: int = 0,
+    *,
+    model: Model = DEFAULT_MODEL,
+) -> Array:
+    """Radiance of a view under a panorama, with the full reflection model.
+
+    What `render_directional` gives under every pixel of the panorama, by a sum of a few blurred
+    look-ups (docs/relight.md#panoramas has the errors). Never negative. Nothing casts a shadow.
+
+    Parameters
+    ----------
+    materials, normals, fov, threads, model
+        As for `render`.
+
+    Returns
+    -------
+    (H, W, 3) float64, linear Rec.709.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit together or a value is out of range.
+    """
+    model = checked_model(model)
+    view = View.of_maps(materials, normals, fov)
+    radiance = environment._radiance(view.pixels, whole_number("threads", threads), model)
+    return view.pictures(radiance[None])[0]

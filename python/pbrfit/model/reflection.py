@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_array
-from pbrfit.model.environment import Environment
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -222,7 +221,7 @@ def render(
     """
     model = checked_model(model)
     light = checked_lighting(lighting)
-    view = _View.of_maps(materials, normals, fov)
+    view = View.of_maps(materials, normals, fov)
     images = view.pictures(
         _core.render(
             *view.pixels, light.reshape(-1, 16, 3), whole_number("threads", threads), model
@@ -252,7 +251,7 @@ def render_rows(
     part = Materials(materials.albedo[rows], materials.roughness[rows], materials.metallic[rows])
     height, width = materials.roughness.shape
     views = view_directions(height, width, fov, rows)
-    view = _View.of_maps(part, normals[rows], fov, views)
+    view = View.of_maps(part, normals[rows], fov, views)
     return view.pictures(_core.render(*view.pixels, lighting, threads, model))
 
 
@@ -303,7 +302,7 @@ def render_directional(
     if of_lights.ndim > to_lights.ndim:
         raise InputError(f"colors: expected shape {to_lights.shape}, found {of_lights.shape}")
     radii = None if extents is None else _array("extents", extents, ()).reshape(-1)
-    view = _View.of_maps(materials, normals, fov)
+    view = View.of_maps(materials, normals, fov)
     images = view.pictures(
         _core.render_directional(
             *view.pixels,
@@ -315,40 +314,6 @@ def render_directional(
         )
     )
     return images[0] if to_lights.ndim == 1 else images
-
-
-def render_environment(
-    materials: Materials,
-    normals: ArrayLike,
-    environment: Environment,
-    fov: float,
-    threads: int = 0,
-    *,
-    model: Model = DEFAULT_MODEL,
-) -> NDArray[np.float64]:
-    """Radiance of a view under a panorama, with the full reflection model.
-
-    What `render_directional` gives under every pixel of the panorama, by a sum of a few blurred
-    look-ups (docs/relight.md#panoramas has the errors). Never negative. Nothing casts a shadow.
-
-    Parameters
-    ----------
-    materials, normals, fov, threads, model
-        As for `render`.
-
-    Returns
-    -------
-    (H, W, 3) float64, linear Rec.709.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit together or a value is out of range.
-    """
-    model = checked_model(model)
-    view = _View.of_maps(materials, normals, fov)
-    radiance = environment.radiance(view.pixels, whole_number("threads", threads), model)
-    return view.pictures(radiance[None])[0]
 
 
 def render_lamps(
@@ -399,7 +364,7 @@ def render_lamps(
     model, threads = checked_model(model), whole_number("threads", threads)
     if not lamps.colored:
         raise InputError("lamps: expected known colors, found NaN")
-    view = _View.of_maps(materials, normals, fov)
+    view = View.of_maps(materials, normals, fov)
     count = int(lamps.pictures[-1]) + 1 if len(lamps) else 0
     if ambient is None:
         found = np.zeros((count, len(view.pixels[0]), 3))
@@ -432,7 +397,7 @@ def render_lamps(
 
 
 @dataclass(frozen=True, eq=False)
-class _View:
+class View:
     """The pixels of a view that are rendered, and their places in the picture."""
 
     height: int
@@ -445,7 +410,7 @@ class _View:
     @classmethod
     def of_maps(
         cls, materials: Materials, normals: ArrayLike, fov: float, views: Array | None = None
-    ) -> _View:
+    ) -> View:
         """Leave out the pixels that are NaN or infinite in any map.
 
         `views` (H, W, 3) are for a part of a larger picture; None = the maps are all of it.

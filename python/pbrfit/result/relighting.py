@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
 from pbrfit.model import lighting
-from pbrfit.model.environment import Environment
+from pbrfit.model.environment import Environment, render_environment
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import (
     Model,
@@ -21,7 +21,6 @@ from pbrfit.model.reflection import (
     checked_model,
     render,
     render_directional,
-    render_environment,
     render_lamps,
 )
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from pbrfit import Environment, InputError, Materials, _core
 from pbrfit.model import panorama
-from pbrfit.model.reflection import MODELS, Model, render_directional, render_environment
+from pbrfit.model.environment import render_environment
+from pbrfit.model.reflection import MODELS, Model, render_directional
 
 Array = NDArray[np.floating[Any]]
 
@@ -82,15 +83,16 @@ def test_a_grey_panorama_is_reflected_as_a_furnace_has_it(model: Model) -> None:
         found = render_environment(materials, normals, even, 0.0, model=model)
         if model == "principled":
             np.testing.assert_allclose(found[np.isfinite(found)], 2.0, rtol=3e-3)
-        expected = summed(np.full((64, 128, 3), 2.0), (1.0, *surface[1:]), model)
-        assert off(found, expected) < (0.01 if surface[2] or model == "principled" else 0.06)
+        if surface[1] >= 0.5:  # a lobe that pixels of three degrees sample
+            expected = summed(np.full((64, 128, 3), 2.0), (1.0, *surface[1:]), model)
+            assert off(found, expected) < 0.01
 
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_reflections_of_lamps_are_those_of_all_pixels(name: str) -> None:
     pixels = lamps()
     found = render_environment(*sphere(*SURFACES[name]), Environment(pixels), 0, model="principled")
-    assert off(found, summed(pixels, SURFACES[name], "principled")) < 0.05
+    assert off(found, summed(pixels, SURFACES[name], "principled")) < 0.06
 
 
 @pytest.mark.slow
@@ -199,7 +201,7 @@ def test_radiance_beyond_numbers_is_refused(wrong: float) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize(("degrees", "most"), [(4.0, 0.03), (12.0, 0.06), (25.0, 0.12)])
+@pytest.mark.parametrize(("degrees", "most"), [(4.0, 0.02), (12.0, 0.04), (25.0, 0.06)])
 @pytest.mark.parametrize("surface", ["matt", "glossy plastic", "metal, r = 0.5", "metal, r = 0.35"])
 def test_a_soft_lamp_is_the_mean_over_its_disk(
     model: Model, degrees: float, most: float, surface: str
