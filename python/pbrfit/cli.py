@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import io
 import logging
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,15 +15,21 @@ from typing import Any, NoReturn
 
 from pbrfit.commands import add_commands
 from pbrfit.commands.arguments import (
+    DONE,
     INTERRUPTED,
     UNUSABLE,
     complain,
     message_of,
     with_signed_values,
 )
+from pbrfit.commands.messages import in_flags
 
 PRINTED_AT_ONCE = ("-h", "--help", "--version")
 """What needs neither a command nor the core, whose start takes longer than all the rest."""
+
+ALIKE = 0.7
+"""Likeness of two names, as `difflib` has it from 0 to 1, from which on one may be a misspelling
+of the other: of eight letters two may be wrong."""
 
 
 def run() -> NoReturn:
@@ -42,6 +50,9 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
     given = sys.argv[1:] if arguments is None else arguments
+    if not given:
+        _parser().print_help()
+        return DONE
     options = _parser().parse_args(with_signed_values(given))
     from pbrfit import ending
     from pbrfit._core import InputError, last_word
@@ -77,7 +88,7 @@ class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that complains in one line and takes no shortened flags.
+    """Parser that complains in one line, with what was meant, and takes no shortened flags.
 
     `complete` adds its options when it is first asked to parse: those of one command of many.
     """
@@ -92,10 +103,39 @@ class _Parser(argparse.ArgumentParser):
         if self._complete is not None:
             complete, self._complete = self._complete, None
             complete(self)
+        self._check_options(sys.argv[1:] if args is None else args)
         return super().parse_known_args(args, namespace)
 
+    def _check_options(self, arguments: Sequence[str]) -> None:
+        """Complain of an unknown option before anything that it may have led to.
+
+        A misspelt `--out` is told as that, and not as an `--out` that is missing.
+        """
+        known = self._option_string_actions
+        for argument in arguments:
+            name = argument.partition("=")[0]
+            if argument == "--" or (self._subparsers is not None and name[:1] != "-"):
+                return  # what follows are values, or belongs to a command
+            if name[:1] == "-" and name not in known and not re.match(r"-$|-\.?\d|.* ", name):
+                meant = _meant(f"--{name.lstrip('-')}", list(known))
+                self.error(f"unrecognized option {name}{meant}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            choices = [str(choice) for choice in action.choices]
+            meant = _meant(str(value), choices) or f" (choose from {', '.join(choices)})"
+            raise argparse.ArgumentError(action, f"invalid choice: {value!r}{meant}")
+
     def error(self, message: str) -> NoReturn:
-        self.exit(UNUSABLE, f"{self.prog}: {message}; see {self.prog} --help\n")
+        end = " " if message.endswith("?") else "; "
+        self.exit(UNUSABLE, f"{self.prog}: {message}{end}see {self.prog} --help\n")
+
+
+def _meant(found: str, known: Sequence[str]) -> str:
+    """Say which of the known names may have been meant; empty where none is like it."""
+    longer = [name for name in known if name.startswith(found)]
+    close = longer or difflib.get_close_matches(found, known, n=1, cutoff=ALIKE)
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -112,10 +152,17 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+class _InFlags(logging.Formatter):
+    """What the library says of its options, in flags."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return in_flags(super().format(record))
+
+
 @contextmanager
 def _logging_to_stderr(*, quiet: bool) -> Iterator[None]:
     handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("pbrfit: %(levelname)s: %(message)s"))
+    handler.setFormatter(_InFlags("pbrfit: %(levelname)s: %(message)s"))
     handler.setLevel(logging.ERROR if quiet else logging.WARNING)
     logger = logging.getLogger("pbrfit")
     logger.addHandler(handler)

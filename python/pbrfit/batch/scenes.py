@@ -13,7 +13,6 @@ from pbrfit._core import InputError
 from pbrfit.batch.settings import Reading
 from pbrfit.result.options import FitOptions
 from pbrfit.result.verdict import Verdict, verdicts_of
-from pbrfit.result.verdict import lines as of_verdicts
 
 if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
@@ -70,7 +69,10 @@ class SceneOutcome:
     """Memory of the process at its highest meanwhile; None where the system does not tell, and of
     results that were kept."""
     table: str = ""
-    """The result in words and figures, lines for people."""
+    """The result in words and figures, lines for people, but for the verdicts."""
+    steps: tuple[str, ...] = ()
+    """What would make it better, as `result.advice` says; of a result that was kept what its
+    verdicts say."""
 
 
 def decompose_scene(
@@ -85,6 +87,7 @@ def decompose_scene(
     from pbrfit.batch.unchanged import check_model, kept
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
+    from pbrfit.result import advice
     from pbrfit.result.result import CONTAINS
     from pbrfit.scene.registration import aligned
 
@@ -103,9 +106,8 @@ def decompose_scene(
                 iterations=int(content["iterations"]),
                 metrics=dict(content["metrics"]),
                 verdicts=verdicts,
-                table="\n".join(
-                    [f"{task.output}: kept, nothing has changed", *of_verdicts(verdicts)]
-                ),
+                table=f"{task.output}: kept, nothing has changed",
+                steps=advice.of_verdicts(verdicts),
             )
     fresh = process_memory.forget_peak()
     # The folder is opened first: no right to write should show before the work, not after it.
@@ -132,6 +134,7 @@ def decompose_scene(
         verdicts={} if result.uncertainty is None else result.uncertainty.verdicts,
         peak_bytes=None if peak is None else 1024 * peak,
         table="\n".join(table(result, scene, task.output)),
+        steps=advice.next_steps(result),
     )
 
 
@@ -190,11 +193,8 @@ def table(result: Result, scene: Scene, output: Path) -> list[str]:
     for name, key in rows:
         if key in result.metrics:
             known = key in result.history.columns
-            at_start = _error(result.history[key][0]) if known else ""
-            lines.append(f"{name:<22}{at_start:>10}{_error(result.metrics[key]):>10}")
-    if result.uncertainty is not None:
-        heading = f"\n{'map':<11}{'verdict':<16}expected error"
-        lines += [heading, *of_verdicts(result.uncertainty.verdicts)]
+            at_start = rmse_in_words(result.history[key][0]) if known else ""
+            lines.append(f"{name:<22}{at_start:>10}{rmse_in_words(result.metrics[key]):>10}")
     lines.append(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
     if result.depth is not None:
         lines.append(f"surroundings ({result.options.transport}): {_surroundings(result)}")
@@ -208,6 +208,6 @@ def _surroundings(result: Result) -> str:
     return result.assumed.get("surroundings", f"none: {result.transport.why}")
 
 
-def _error(value: float) -> str:
-    """Four decimals, or what there is where these would all be 0."""
+def rmse_in_words(value: float) -> str:
+    """An error with four decimals, or what there is where these would all be 0."""
     return f"{value:.4f}" if value >= 5e-5 or value == 0 else f"{value:.1e}"

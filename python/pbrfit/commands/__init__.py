@@ -26,6 +26,7 @@ SUMMARIES = {
     "check-gradients": "compare the gradient with finite differences",
     "evaluate": "measure this package and write a report",
     "demo": "make a synthetic scene, decompose it, relight it, report",
+    "completion": "print a script by which your shell completes all of these",
 }
 
 
@@ -33,11 +34,12 @@ def add_commands(commands: Subcommands) -> None:
     """Add them all, each without its options."""
     for name, summary in SUMMARIES.items():
         description = f"{summary[0].upper()}{summary[1:]}."
-        complete = partial(_add_options, name)
+        complete = partial(add_options_of, name)
         commands.add_parser(name, help=summary, description=description, complete=complete)
 
 
-def _add_options(name: str, parser: argparse.ArgumentParser) -> None:
+def add_options_of(name: str, parser: argparse.ArgumentParser) -> None:
+    """Import a command and add its options."""
     command = import_module(f"{__name__}.{name.replace('-', '_')}")
     command.add_options(parser)
     if hasattr(command, "run"):  # suites of `evaluate` have functions of their own

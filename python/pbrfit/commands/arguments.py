@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import re
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, get_args
+
+from pbrfit.commands.messages import complain as complain
+from pbrfit.commands.messages import message_of as message_of
+from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
+from pbrfit.commands.progress import progress_bar as progress_bar
 
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
@@ -165,54 +167,3 @@ def _finite(*texts: str) -> tuple[float, ...]:
     except ValueError:
         return ()
     return values if all(map(math.isfinite, values)) else ()
-
-
-def progress_bar(
-    total: int,
-    *,
-    quiet: bool,
-    unit: str = "it",
-    name: str | None = None,
-    leave: bool = True,
-    smoothing: float = 0.3,
-) -> Any:
-    """Make a `tqdm` bar on stderr; none where that is no terminal, or `quiet` is asked for."""
-    from tqdm import tqdm
-
-    return tqdm(
-        total=total,
-        desc=name,
-        unit=unit,
-        leave=leave,
-        smoothing=smoothing,
-        disable=True if quiet else None,  # None: only where stderr is a terminal
-        dynamic_ncols=True,
-    )
-
-
-@contextmanager
-def unread_is_no_failure() -> Iterator[None]:
-    """For telling about an output that is there, whether or not anybody can read about it."""
-    try:
-        yield
-        sys.stdout.flush()
-    except OSError:
-        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def complain(message: str) -> None:
-    """Say what is wrong, in one line on stderr; where nobody can be told, work goes on."""
-    if sys.stderr is None:
-        return  # it was closed by whoever called
-    try:
-        print(f"pbrfit: {message}", file=sys.stderr, flush=True)
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # as above
-
-
-def message_of(error: Exception) -> str:
-    """One line that names the file."""
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split())

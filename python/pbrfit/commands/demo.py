@@ -15,11 +15,13 @@ from pbrfit.commands.fit_options import (
     fit_options,
 )
 from pbrfit.commands.synth import add_synthetic, make_scene
+from pbrfit.commands.terminal import verdict_lines
 from pbrfit.fit.decompose import decompose
 from pbrfit.io.output import new_folder
 from pbrfit.io.relit_files import Screen, write_animation, write_png
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.report import write_report
+from pbrfit.result.advice import next_steps
 from pbrfit.result.drawing import plot_history
 from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.result import Result
@@ -56,7 +58,13 @@ def run(options: argparse.Namespace) -> int:
         _relight(result, folder, options.threads)
         write_report(result, folder / "report.html", scene)
     if not options.quiet:
-        print("\n".join(table(result, scene, options.out / "result")))
+        verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
+        lines = [
+            *table(result, scene, options.out / "result"),
+            "",
+            *verdict_lines(verdicts, next_steps(result)),
+        ]
+        print("\n".join(lines))
         print(
             f"\n{options.out / 'report.html'}: all of it, to be opened in a browser\n"
             f"{options.out / 'relit.png'}: under a lamp that is in none of the pictures; "

@@ -1,15 +1,37 @@
-"""What `pbrfit decompose` tells while scenes end: a bar, tables or JSON lines, and what failed."""
+"""What `pbrfit decompose` tells: how scenes go on, one table in the end or JSON lines, what failed.
+
+A single scene has a table of its own, with verdicts; of several each has a row.
+"""
 
 from __future__ import annotations
 
 import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
-from pbrfit.batch.scenes import SceneOutcome, SceneTask
-from pbrfit.commands.arguments import complain, progress_bar, unread_is_no_failure
-from pbrfit.result.verdict import nothing_usable
+from pbrfit.batch.scenes import SceneOutcome, SceneTask, rmse_in_words
+from pbrfit.commands.messages import complain, in_flags, unread_is_no_failure
+from pbrfit.commands.progress import progress_bar
+from pbrfit.commands.terminal import DIM, columns_of, marked, painted, verdict_lines
+from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
+
+
+@dataclass(frozen=True)
+class Row:
+    """A scene in the table of a batch."""
+
+    name: str
+    status: str
+    residual: str
+    levels: tuple[Level | None, ...]
+    """Of the maps; None where there is no verdict."""
+    seconds: float
 
 
 class SceneDisplay:
@@ -18,9 +40,9 @@ class SceneDisplay:
     Parameters
     ----------
     scenes
-        How many there are; a single one has no bar.
+        How many there are; a single one has no bar, and a table of its own.
     quiet
-        No bar and no table.
+        No bar, no lines of progress and no table.
     as_json
         A line of JSON a scene on stdout, instead of the table.
     strict
@@ -31,6 +53,8 @@ class SceneDisplay:
         self._scenes, self._quiet, self._as_json = scenes, quiet, as_json
         self._strict = strict
         self._bar: Any = None
+        self._rows: list[Row] = []
+        self._began = time.perf_counter()
         self.ended = 0
         self.failed: list[SceneTask] = []
         self.unusable: list[SceneTask] = []
@@ -65,8 +89,13 @@ class SceneDisplay:
             with unread_is_no_failure():
                 if self._as_json:
                     print(_as_json(task, attempt), flush=True)
-                elif outcome is not None and not self._quiet:
-                    print(outcome.table)
+                elif self._quiet:
+                    pass
+                elif self._scenes > 1:
+                    self._rows.append(_row(task, attempt))
+                elif outcome is not None:
+                    lines = verdict_lines(outcome.verdicts, outcome.steps)
+                    print("\n".join([outcome.table, *(["", *lines] if lines else [])]))
         if self._bar is not None:
             kept = outcome is not None and outcome.status == "kept"
             if kept and not self._bar.disable:
@@ -79,7 +108,11 @@ class SceneDisplay:
             self._bar.set_postfix_str(f"{running} at work")
 
     def summary(self) -> None:
-        """Say what failed, and which scenes have no usable map."""
+        """Print the table of several scenes; say what failed, and what has no usable map."""
+        if self._rows:
+            seconds = time.perf_counter() - self._began
+            with unread_is_no_failure():
+                print("\n".join(batch_table(self._rows, seconds)))
         if self.unusable:
             names = ", ".join(str(task.scene) for task in self.unusable)
             complain(f"{len(self.unusable)} of {self._scenes} scenes have no usable map: {names}")
@@ -100,7 +133,7 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
         "scene": str(task.scene),
         "output": str(task.output),
         "status": "failed" if outcome is None else outcome.status,
-        "error": attempt.error,
+        "error": None if attempt.error is None else in_flags(attempt.error),
         "seconds": round(attempt.seconds, 3),
         "peak_bytes": None if outcome is None else outcome.peak_bytes,
         "stop_reason": None if outcome is None else outcome.stop_reason,
@@ -111,3 +144,52 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
         else {name: one.as_json() for name, one in outcome.verdicts.items()},
     }
     return json.dumps(line)
+
+
+def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
+    """Lines about several scenes in the order of their names, and how many there were of what.
+
+    Verdicts are told by their first words where a line would not fit into the terminal.
+    """
+    of_name = max(len("scene"), *(len(row.name) for row in rows))
+
+    def line(name: str, status: str, residual: str, levels: Sequence[str], last: str) -> str:
+        return f"{name:<{of_name}}  {status:<6}  {residual:>8}  {'  '.join(levels)}  {last:>7}"
+
+    def head(width: int) -> str:
+        maps = [f"{name:<{2 + width}}" for name in PARAMETERS]
+        return line("scene", "status", "residual", maps, "seconds")
+
+    words: dict[Level, str] = {level: level for level in LEVELS}
+    of_level, columns = max(map(len, LEVELS)), columns_of(sys.stdout)
+    if columns is not None and len(head(of_level)) > columns:
+        words = {level: level.split()[0] for level in LEVELS}
+        of_level = max(map(len, PARAMETERS)) - 2
+    lines = [painted(head(of_level), DIM, sys.stdout)]
+    for row in sorted(rows, key=lambda one: one.name):
+        levels = [_cell(level, of_level, words) for level in row.levels]
+        lines.append(line(row.name, row.status, row.residual, levels, f"{row.seconds:.1f}"))
+    counts = Counter(row.status for row in rows)
+    parts = [
+        f"{counts[status]} {status}" for status in ("done", "kept", "failed") if counts[status]
+    ]
+    usable = sum("usable" in row.levels for row in rows)
+    parts.append(f"{usable} with a usable map")
+    return [*lines, f"\n{len(rows)} scenes in {seconds:.1f} s: {', '.join(parts)}"]
+
+
+def _cell(level: Level | None, width: int, words: Mapping[Level, str]) -> str:
+    if level is None:
+        return " " * (2 + width)
+    return " ".join(marked(level, sys.stdout, f"{words[level]:<{width}}"))
+
+
+def _row(task: SceneTask, attempt: Attempt[SceneOutcome]) -> Row:
+    outcome = attempt.value
+    if outcome is None:
+        return Row(task.name, "failed", "", (None,) * len(PARAMETERS), attempt.seconds)
+    levels = tuple(
+        outcome.verdicts[name].level if name in outcome.verdicts else None for name in PARAMETERS
+    )
+    residual = rmse_in_words(outcome.metrics["recon_rmse"])
+    return Row(task.name, outcome.status, residual, levels, attempt.seconds)

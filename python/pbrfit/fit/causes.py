@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.result.camera import Camera
+from pbrfit.result.light_sides import main_directions, one_side
 from pbrfit.result.verdict import Verdict
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
@@ -24,10 +25,6 @@ Array = NDArray[np.float64]
 CLIPPED_SHARE = 0.05
 """Share of the samples at a limit of their format from which clipping is named: highlights, which
 tell roughness and metallic, are a few percent of a picture."""
-
-ONE_SIDE = 0.9
-"""Length of the mean of the directions that light comes from, above which it comes from one side:
-all within about 25 degrees of their middle."""
 
 FEW_PICTURES = 6
 """Pictures below which few are named: 3 samples each for 5 unknowns of a pixel, beside lights."""
@@ -40,7 +37,7 @@ Cause = tuple[str, str]
 
 OF_SCALE: Cause = (
     "the pictures hardly tell the common factor of albedo and light",
-    "a patch of known albedo (--white) would help",
+    "a patch of known albedo (option white) would help",
 )
 
 
@@ -94,8 +91,13 @@ def _causes(
         yield "all normals face the camera", "normals (pbrfit normals) would help"
     if camera.contradicted:
         yield "the pictures contradict the field of view", "the true field of view would help"
-    if lighting is not None and count > 1 and _from_one_side(lighting):
-        yield "light from one side in all pictures", "pictures lit from other sides would help"
+    if lighting is not None and count > 1:
+        sides = one_side(main_directions(lighting))
+        if sides is not None:
+            yield (
+                f"light from one side, {sides[0]}, in all pictures",
+                f"pictures lit from {sides[1]} would help",
+            )
     if count < FEW_PICTURES:
         yield f"only {count} picture{'s' * (count > 1)}", "pictures under other lights would help"
     clipped = _clipped_share(scene)
@@ -108,14 +110,6 @@ def _causes(
         lacks = "better normals" if lamps or transport.blocks else "a depth map or better normals"
         yield "the model does not explain what is in the pictures", f"{lacks} would help"
     yield "noise hides the highlights", "more pictures, or longer exposures, would help"
-
-
-def _from_one_side(lighting: Array) -> bool:
-    """Whether the direct light of all pictures (N, K, 3) comes from about one direction."""
-    directions = lighting[:, [3, 1, 2]].mean(axis=-1)  # x, y, z
-    lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
-    directions = directions / np.maximum(lengths, np.finfo(np.float64).tiny)
-    return float(np.linalg.norm(directions.mean(axis=0))) > ONE_SIDE
 
 
 def _clipped_share(scene: Scene) -> float:

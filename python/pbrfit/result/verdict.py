@@ -55,12 +55,14 @@ class Mark:
     """Share of the disc, from the left."""
     color: tuple[float, float, float]
     """sRGB in [0, 1], told apart by all common colour vision."""
+    sign: str
+    """The disc as a letter, for text."""
 
 
 MARKS: Mapping[Level, Mark] = {
-    "usable": Mark(1.0, (0.0, 0.45, 0.70)),
-    "rough guide": Mark(0.5, (0.90, 0.62, 0.0)),
-    "not determined": Mark(0.0, (0.84, 0.37, 0.0)),
+    "usable": Mark(1.0, (0.0, 0.45, 0.70), "●"),
+    "rough guide": Mark(0.5, (0.90, 0.62, 0.0), "◐"),
+    "not determined": Mark(0.0, (0.84, 0.37, 0.0), "○"),
 }
 """Colours of Okabe and Ito; vermillion is also that of pixels which are not determined."""
 
@@ -166,11 +168,9 @@ def verdicts_of(summary: Any) -> dict[str, Verdict]:
     return {name: Verdict.from_json(found[name]) for name in PARAMETERS}
 
 
-def lines(verdicts: Mapping[str, Verdict]) -> list[str]:
-    """A line a map, for terminals."""
-    return [
-        f"{name:<11}{one.level:<16}{one.error_in_words}{one.why}" for name, one in verdicts.items()
-    ]
+def in_short(name: str, verdict: Verdict) -> str:
+    """What a map is good for, without the reasons: "albedo: usable, expected error ± 0.03"."""
+    return f"{name}: {verdict.level}, expected error {verdict.error_in_words}"
 
 
 def thresholds() -> str:

@@ -432,9 +432,14 @@ def test_version_as_a_module() -> None:
     assert (found.stdout, found.stderr) == (f"pbrfit {version('pbrfit')}\n", "")
 
 
+def test_alone_it_shows_its_help() -> None:
+    assert ran() == ran("--help")
+    assert ran().out.startswith("usage: pbrfit")
+
+
 COMMANDS = (
     *("decompose", "relight", "report", "export", "inspect", "normals", "depth", "lights"),
-    *("segments", "synth", "check-gradients", "evaluate", "demo"),
+    *("segments", "synth", "check-gradients", "evaluate", "demo", "completion"),
 )
 
 
@@ -456,12 +461,18 @@ def test_help_names_defaults_once(command: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("", "pbrfit: the following arguments are required: COMMAND"),
-        ("fit x", "invalid choice: 'fit'"),
+        ("fit x", "invalid choice: 'fit' (choose from decompose, "),
+        ("decompos x", "invalid choice: 'decompos'; did you mean decompose? see"),
+        ("--versoin", "pbrfit: unrecognized option --versoin; did you mean --version? see"),
         ("decompose", "the following arguments are required: SCENE, --out"),
         ("decompose s --out o --solver adam", "--solver: invalid choice: 'adam'"),
+        ("decompose s --out o --solver gaus-newton", "; did you mean gauss-newton? see"),
+        # Said before anything that it leads to, such as a missing --out.
+        ("decompose s --ot o", "pbrfit decompose: unrecognized option --ot; did you mean --out?"),
+        ("decompose s -out o", "unrecognized option -out; did you mean --out?"),
+        ("decompose s --out o --frobnicate", "unrecognized option --frobnicate; see"),
         ("decompose s --out o --iterations many", "--iterations: invalid int value: 'many'"),
-        ("decompose s --out o --iter 3", "unrecognized arguments: --iter 3"),
+        ("decompose s --out o --iter 3", "option --iter; did you mean --iterations? see"),
         ("decompose s --out o --robust l1", "--robust: invalid choice: 'l1'"),
         ("decompose s --out o --exposures no", "--exposures: invalid choice: 'no'"),
         ("decompose s --out o --sh-order 1", "--sh-order: invalid choice: 1"),

@@ -74,7 +74,9 @@ def test_flat_normals_are_named(scene: Scene) -> None:
 def test_light_from_one_side_is_named(scene: Scene) -> None:
     light = np.zeros((8, 16, 3))
     light[:, 0], light[:, 3] = 1, 0.8
-    assert "one side" in said(scene, lighting=light)["roughness"].cause
+    found = said(scene, lighting=light)["roughness"]
+    assert found.cause == "light from one side, the right, in all pictures"
+    assert found.remedy == "pictures lit from the left would help"
     assert "one side" not in said(scene)["roughness"].cause
     assert "one side" not in said(scene, lighting=light, lamps=True)["roughness"].cause
 
@@ -104,7 +106,7 @@ def test_clipping_is_named_from_a_share_on(scene: Scene) -> None:
 def test_the_scale_is_named_beside_albedo_alone(scene: Scene) -> None:
     found = said(scene, albedo_scale=(0.4, 0.4, 0.4))
     assert "factor" in found["albedo"].cause
-    assert "--white" in found["albedo"].remedy
+    assert "option white" in found["albedo"].remedy
     assert "factor" not in found["roughness"].cause
     assert "factor" not in said(scene, albedo_scale=(0.1, 0.1, 0.1))["albedo"].cause
 

@@ -1,0 +1,52 @@
+"""Lines on stderr, and what to do where nobody can read."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def unread_is_no_failure() -> Iterator[None]:
+    """For telling about an output that is there, whether or not anybody can read about it."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:
+        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def complain(message: str) -> None:
+    """Say what is wrong, in one line on stderr; where nobody can be told, work goes on.
+
+    What the library says of its options is said in flags.
+    """
+    if sys.stderr is None:
+        return  # it was closed by whoever called
+    try:
+        print(f"pbrfit: {in_flags(message)}", file=sys.stderr, flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # as above
+
+
+def message_of(error: Exception) -> str:
+    """One line that names the file."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+def in_flags(message: str) -> str:
+    """What the library says of its options, in the words of the command line.
+
+    "option fov" and "overwrite=True" become flags.
+    """
+    message = re.sub(r"\b(overwrite|resume)=True\b", r"--\1", message)
+    message = re.sub(r"\bcode_range=\((\d+), (\d+)\)", r"--code-range \1,\2", message)
+    return re.sub(
+        r"\boption ([a-z]+(_[a-z]+)*)\b", lambda m: f"--{m[1].replace('_', '-')}", message
+    )

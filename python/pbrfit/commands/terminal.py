@@ -1,0 +1,82 @@
+"""What is printed for people: colours where a terminal shows them, verdicts, tables."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TextIO
+
+from pbrfit.commands.messages import in_flags
+from pbrfit.result.verdict import MARKS, Level, Verdict
+
+ASCII_SIGNS: Mapping[Level, str] = {"usable": "+", "rough guide": "~", "not determined": "-"}
+"""What stands for the discs where a terminal has no such letters."""
+
+COLORS: Mapping[Level, int] = {"usable": 32, "rough guide": 136, "not determined": 166}
+"""Indices into a terminal's 256 colours: blue, amber and vermillion as in `MARKS`, but each with a
+contrast of 3 or more on black and on white."""
+
+DIM = "2"
+
+LEADS = ("next:", "also:")
+"""Before the first step and before others."""
+
+
+def has_colors(stream: TextIO) -> bool:
+    """Whether it is a terminal that shows colours, and nobody asked for none (no-color.org)."""
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return False
+    return stream.isatty()
+
+
+def verdict_lines(
+    verdicts: Mapping[str, Verdict], steps: Sequence[str], stream: TextIO | None = None
+) -> list[str]:
+    """A line a map, with a disc, and what to do next; none without verdicts.
+
+    Lines are coloured, and long ones wrapped, where `stream` (None = stdout) is a terminal.
+    """
+    stream = stream or sys.stdout
+    lines = []
+    width = max((len(name) for name in verdicts), default=0) + 1
+    longest = max(map(len, MARKS))
+    for name, one in verdicts.items():
+        sign, level = marked(one.level, stream, f"{one.level:<{longest}}")
+        lines.append(f"{sign} {f'{name}:':<{width}} {level}  expected error {one.error_in_words}")
+    for i, step in enumerate(steps):
+        lead = LEADS[min(i, 1)]
+        said = in_flags(step)
+        columns = columns_of(stream)
+        if columns is not None:
+            parts = textwrap.wrap(said, max(columns - len(lead) - 2, 30))
+            said = f"\n{' ' * len(lead)} ".join(parts)
+        lines.append(f"{painted(lead, DIM, stream)} {said}")
+    return lines
+
+
+def marked(level: Level, stream: TextIO, text: str) -> tuple[str, str]:
+    """The disc of a level and a text, both in its colour."""
+    code = f"38;5;{COLORS[level]}"
+    return painted(_sign(level, stream), code, stream), painted(text, code, stream)
+
+
+def columns_of(stream: TextIO) -> int | None:
+    """Letters in a line of a terminal; None where it is none, and lines may have any length."""
+    return shutil.get_terminal_size().columns if stream.isatty() else None
+
+
+def painted(text: str, code: str, stream: TextIO) -> str:
+    """A text in the colour of a code, where `stream` has colours."""
+    return f"\x1b[{code}m{text}\x1b[0m" if has_colors(stream) else text
+
+
+def _sign(level: Level, stream: TextIO) -> str:
+    sign = MARKS[level].sign
+    try:
+        sign.encode(stream.encoding or "utf-8")
+    except UnicodeEncodeError:
+        return ASCII_SIGNS[level]
+    return sign

@@ -1,0 +1,225 @@
+"""What people see: verdicts and tables in a terminal and in a pipe, and how work goes on."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from command_runs import done, ran
+from pbrfit.commands import progress, terminal
+from pbrfit.commands.messages import complain, in_flags
+from pbrfit.commands.scene_display import Row, batch_table
+from pbrfit.commands.terminal import COLORS, verdict_lines
+from pbrfit.result.verdict import LEVELS, MARKS, Verdict
+from scene_files import write_folder
+
+VERDICTS = {
+    "albedo": Verdict("usable", 0.031),
+    "roughness": Verdict("rough guide", 0.12, "noise", "more pictures would help"),
+    "metallic": Verdict("not determined", 0.31),
+}
+STEPS = ("noise: more pictures would help roughness", "it is a guess: another (option fov) would")
+
+
+class Stream(io.StringIO):
+    """A stream that may be a terminal, of an encoding."""
+
+    def __init__(self, *, terminal: bool, encoding: str = "utf-8") -> None:
+        super().__init__()
+        self._terminal, self._encoding = terminal, encoding
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._encoding
+
+    def isatty(self) -> bool:
+        return self._terminal
+
+
+@pytest.fixture(autouse=True)
+def colors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+def test_three_lines_and_what_to_do_next() -> None:
+    assert verdict_lines(VERDICTS, STEPS, Stream(terminal=False)) == [
+        "● albedo:    usable          expected error ± 0.03",
+        "◐ roughness: rough guide     expected error ± 0.12",
+        "○ metallic:  not determined  expected error ± 0.31",
+        "next: noise: more pictures would help roughness",
+        "also: it is a guess: another (--fov) would",
+    ]
+    assert verdict_lines({}, (), Stream(terminal=False)) == []
+
+
+def test_colors_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = verdict_lines(VERDICTS, STEPS, Stream(terminal=False))
+    colored = verdict_lines(VERDICTS, STEPS, Stream(terminal=True))
+    assert "\x1b[38;5;32m●\x1b[0m" in colored[0]
+    assert [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in colored] == plain
+    for name, value in (("NO_COLOR", "1"), ("TERM", "dumb")):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, value)
+            assert verdict_lines(VERDICTS, STEPS, Stream(terminal=True)) == plain
+    monkeypatch.setenv("NO_COLOR", "")  # which asks for nothing (no-color.org)
+    assert verdict_lines(VERDICTS, STEPS, Stream(terminal=True)) == colored
+
+
+def test_levels_differ_without_colors_and_without_the_discs() -> None:
+    for encoding in ("utf-8", "ascii"):
+        lines = verdict_lines(VERDICTS, (), Stream(terminal=False, encoding=encoding))
+        assert len({line[0] for line in lines}) == len(LEVELS)
+        assert all(line[0].encode(encoding) for line in lines)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_colors_are_seen_on_black_and_on_white(level: str) -> None:
+    red, green, blue = (
+        (0, 95, 135, 175, 215, 255)[(COLORS[level] - 16) // step % 6] / 255  # type: ignore[index]
+        for step in (36, 6, 1)
+    )
+    channels = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (red, green, blue)
+    ]
+    luminance = 0.2126 * channels[0] + 0.7152 * channels[1] + 0.0722 * channels[2]
+    assert (luminance + 0.05) / 0.05 >= 3
+    assert 1.05 / (luminance + 0.05) >= 3
+    # The same hue as in pictures: the same channels are strong.
+    of_mark = MARKS[level].color  # type: ignore[index]
+    assert max(range(3), key=(red, green, blue).__getitem__) == max(
+        range(3), key=of_mark.__getitem__
+    )
+
+
+def test_long_steps_are_wrapped_in_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "40")
+    step = "one word after another " * 4
+    [line] = verdict_lines({}, (step,), Stream(terminal=True))
+    assert all(len(part) < 40 for part in line.split("\n"))
+    assert {part[:6] for part in line.split("\n")[1:]} == {" " * 6}
+    [line] = verdict_lines({}, (step,), Stream(terminal=False))
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("said", "in_words"),
+    [
+        ("overwrite=True replaces it", "--overwrite replaces it"),
+        ("(option known_lights) would", "(--known-lights) would"),
+        ("code_range=(0, 255) keeps them", "--code-range 0,255 keeps them"),
+        ("an option that is none, x_overwrite=True", "an --that is none, x_overwrite=True"),
+    ],
+)
+def test_python_is_said_in_flags(
+    said: str, in_words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert in_flags(said) == in_words
+    complain(said)
+    assert capsys.readouterr().err == f"pbrfit: {in_words}\n"
+
+
+ROWS = [
+    Row("room", "done", "0.0262", ("usable", "rough guide", "not determined"), 9.14),
+    Row("hall", "kept", "1.1e-08", (None, None, None), 0.0),
+    Row("attic", "failed", "", (None, None, None), 0.4),
+]
+
+
+def test_a_batch_is_one_table() -> None:
+    assert batch_table(ROWS, 9.6) == [
+        "scene  status  residual  albedo            roughness         metallic          seconds",
+        "attic  failed            " + " " * 54 + "    0.4",
+        "hall   kept     1.1e-08  " + " " * 54 + "    0.0",
+        "room   done      0.0262  ● usable          ◐ rough guide     ○ not determined      9.1",
+        "\n3 scenes in 9.6 s: 1 done, 1 kept, 1 failed, 1 with a usable map",
+    ]
+
+
+def test_the_table_fits_into_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setattr("sys.stdout", Stream(terminal=True))
+    head, *_, room, _ = batch_table(ROWS, 9.6)
+    assert max(len(head), len(room)) <= 80
+    assert re.split(" +", room) == re.split(" ", "room done 0.0262 ● usable ◐ rough ○ not 9.1")
+    assert [room.index(sign) for sign in "●◐○"] == [
+        head.index(name) for name in ("albedo", "roughness", "metallic")
+    ]
+
+
+def test_scenes_share_a_table_and_a_single_one_has_its_own(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write_folder(tmp_path / "scenes" / name)
+    fit = ("decompose", tmp_path / "scenes", "--out", tmp_path / "out", "--iterations", 1)
+    said = done(*fit).splitlines()
+    assert [line.split()[:2] for line in said[1:3]] == [["one", "done"], ["two", "done"]]
+    assert re.fullmatch(r"2 scenes in [0-9.]+ s: 2 done, \d with a usable map", said[-1])
+    assert len(said) == 5
+    assert done(*fit, "--overwrite", "--quiet") == ""
+    (tmp_path / "scenes" / "two" / "normals.exr").write_bytes(b"")
+    found = ran(*fit, "--resume")
+    assert found.code == 1
+    assert [line.split()[:2] for line in found.out.splitlines()[1:3]] == [
+        ["one", "kept"],
+        ["two", "failed"],
+    ]
+    alone = ("decompose", tmp_path / "scenes" / "one", "--out", tmp_path / "alone")
+    own = done(*alone, "--iterations", 1)
+    assert re.search("\n[●◐○] albedo: ", own)
+    assert "next: the fit was stopped after 1 iterations: more of them (--iterations)" in own
+
+
+def test_progress_in_a_pipe_is_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    bar = progress.progress_bar(40, quiet=False, unit="scene", name="scenes")
+    bar.update()
+    assert capsys.readouterr().err == ""  # what is quick needs no words
+    now = progress.LINE_EVERY
+    bar.set_postfix_str("2 at work")
+    bar.update()
+    assert capsys.readouterr().err == (
+        "pbrfit: scenes: 1 of 40 scenes, 5 s, about 3 min left, 2 at work\n"
+    )
+    now = 1.9 * progress.LINE_EVERY
+    bar.update()
+    assert capsys.readouterr().err == ""
+    now = 7300.0
+    with bar.external_write_mode():
+        bar.update(37)
+    assert (
+        capsys.readouterr().err
+        == "pbrfit: scenes: 40 of 40 scenes, 2 h 02 min, about 0 s left, 2 at work\n"
+    )
+    with progress.progress_bar(500, quiet=False, name="kitchen") as bar:
+        now += progress.LINE_EVERY
+        bar.update(3)  # at most 500; how many it takes nobody knows
+        assert capsys.readouterr().err == "pbrfit: kitchen: 3 iterations, 5 s\n"
+
+
+def test_a_terminal_has_a_bar_and_quiet_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = Stream(terminal=True)
+    monkeypatch.setattr("sys.stderr", stream)
+    with progress.progress_bar(4, quiet=False, name="scenes") as bar:
+        bar.update(2)
+    assert "scenes: " in stream.getvalue()
+    assert "2/4" in stream.getvalue()
+    for is_terminal in (True, False):
+        stream = Stream(terminal=is_terminal)
+        monkeypatch.setattr("sys.stderr", stream)
+        monkeypatch.setattr(progress, "LINE_EVERY", 0.0)
+        with progress.progress_bar(4, quiet=True) as bar:
+            bar.update(2)
+        assert stream.getvalue() == ""
+
+
+def test_a_terminal_is_told_from_a_pipe() -> None:
+    assert terminal.columns_of(Stream(terminal=True)) == 80
+    assert terminal.columns_of(Stream(terminal=False)) is None
