@@ -29,8 +29,12 @@ def read(path: Path) -> NotebookNode:
 def executed(notebook: NotebookNode) -> NotebookNode:
     """Run all cells, in a folder that is thrown away; raises if one fails."""
     with tempfile.TemporaryDirectory() as folder:
-        client = NotebookClient(notebook, timeout=TIME_LIMIT, resources={"metadata": {"path": folder}})
-        return client.execute()
+        return NotebookClient(
+            notebook,
+            timeout=TIME_LIMIT,
+            extra_arguments=["--log-level=ERROR"],
+            resources={"metadata": {"path": folder}},
+        ).execute()
 
 
 def page_of(notebook: NotebookNode, pictures: str = "") -> tuple[str, dict[str, bytes]]:
