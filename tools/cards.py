@@ -63,16 +63,17 @@ def white_of(picture: Pixels) -> float:
     return metrics.white_of(picture)
 
 
-def card(panels: Sequence[Captioned]) -> Image.Image:
-    """Panels of one height side by side, captions below."""
-    height = panels[0][1].height
-    width = sum(picture.width for _, picture in panels) + GAP * (len(panels) + 1)
-    canvas = Image.new("RGB", (width, height + CAPTION + GAP), GROUND)
-    at = GAP
-    for caption, picture in panels:
-        canvas.paste(picture, (at, GAP))
-        write(canvas, caption, (at + picture.width / 2, GAP + height + CAPTION / 2))
-        at += picture.width + GAP
+def card(rows: Sequence[Sequence[Captioned]]) -> Image.Image:
+    """Rows of panels of one size, captions below."""
+    wide, high = rows[0][0][1].size
+    line = high + CAPTION + GAP
+    width = max(map(len, rows)) * (wide + GAP) + GAP
+    canvas = Image.new("RGB", (width, len(rows) * line), GROUND)
+    for y, row in enumerate(rows):
+        for x, (caption, picture) in enumerate(row):
+            left, top = GAP + x * (wide + GAP), GAP + y * line
+            canvas.paste(picture, (left, top))
+            write(canvas, caption, (left + wide / 2, top + high + CAPTION / 2))
     return canvas
 
 

@@ -32,11 +32,11 @@ OUT = ROOT / "out" / "gallery"
 THUMBNAILS = ROOT / "docs" / "images" / "gallery"
 PAGE = ROOT / "docs" / "gallery.md"
 
-HEIGHT = 200
+HEIGHT = 220
 """Of a panel of a thumbnail, in pixels."""
 
-LAMP = (-50.0, 35.0)
-"""Azimuth and elevation of the lamp of the last panel: none of the pictures has it."""
+LAMPS = {"lamp on the left": (-60.0, 30.0), "lamp on the right": (60.0, 30.0)}
+"""Azimuth and elevation of lamps of our own, which none of the pictures has."""
 
 VISIONT3LAB = "[visiont3lab/photometric_stereo](https://github.com/visiont3lab/photometric_stereo)"
 BUNNY = "[yasumat/RobustPhotometricStereo](https://github.com/yasumat/RobustPhotometricStereo)"
@@ -126,9 +126,8 @@ ENTRIES = (
         "bunny",
         "Matt bunny",
         "bunny_lambert_noshadow_12",
-        "One albedo, twelve lamps within 17 degrees of each other. The maps look better than they "
-        "are: shading that all pictures share may be in the albedo "
-        "([what the maps look like](real-pictures.md#what-the-maps-look-like)).",
+        "Twelve lamps within 17 degrees of each other. A failure that the verdicts do not see: the "
+        "pictures' colour went to the lights, and the albedo is nearly white.",
         f"Pictures: {BUNNY}, GPL-3.0.",
         passed_on=False,
     ),
@@ -136,7 +135,8 @@ ENTRIES = (
         "glossy-bunny",
         "Glossy bunny",
         "bunny_specular_25",
-        "Highlights a few pixels wide, up to 77 times the mean radiance, and cast shadows.",
+        "Small highlights of up to 77 times the mean radiance, and cast shadows. Another failure "
+        "that the verdicts do not see: patches become mirrors.",
         f"Pictures: {BUNNY}, GPL-3.0.",
         passed_on=False,
     ),
@@ -159,7 +159,7 @@ repository. To make them, with the sets in a folder:
 
 ![The figure's maps, and the lamp going round](images/moving-lamp.webp)
 
-*What the first entry below recovered, relit: `python tools/moving_lamp.py`.*
+*The first entry below, under a lamp that none of its pictures has: `python tools/moving_lamp.py`.*
 """
 
 
@@ -204,20 +204,19 @@ def pbrfit(*arguments: object) -> None:
 
 
 def thumbnail(entry: Entry, scene_folder: Path, result_folder: Path) -> None:
-    """A picture, the same rendered again, maps, and the surface under a lamp of our own."""
+    """A picture, the same rendered again and under lamps of our own; below them the maps."""
     result = Result.load(result_folder)
     picture = Scene.load(scene_folder, max_size=entry.max_size).images[0]
     white = cards.white_of(picture)
-    lamp = relight(result, DirectionalLight(*LAMP))
-    panels = [
-        ("a picture", cards.radiance(picture, white)),
-        ("rendered again", cards.radiance(rendered_picture(result, 0), white)),
-    ]
-    rows = [(name, cards.shown(values, result.mask, height=HEIGHT)) for name, values in panels]
-    rows += cards.maps_of(result, height=HEIGHT)
-    last = cards.radiance(lamp, cards.white_of(lamp))
-    rows.append(("another lamp", cards.shown(last, result.mask, height=HEIGHT)))
-    sheet = cards.card(rows)
+    views = {
+        "a picture": cards.radiance(picture, white),
+        "rendered again": cards.radiance(rendered_picture(result, 0), white),
+    }
+    for name, direction in LAMPS.items():
+        relit = relight(result, DirectionalLight(*direction))
+        views[name] = cards.radiance(relit, cards.white_of(relit))
+    above = [(name, cards.shown(one, result.mask, height=HEIGHT)) for name, one in views.items()]
+    sheet = cards.card([above, cards.maps_of(result, height=HEIGHT)])
     cards.save(sheet, OUT / f"{entry.name}.webp")
     if entry.passed_on:
         cards.save(sheet, THUMBNAILS / f"{entry.name}.webp")
@@ -244,8 +243,11 @@ def section(entry: Entry) -> str:
     if result.uncertainty is None:
         lines += ["No verdict.", ""]
     else:
+        alike: dict[tuple[str, str], list[str]] = {}
         for name, one in result.uncertainty.verdicts.items():
-            lines.append(filled(f"- {name}: **{one.level}**, {one.error_in_words}{one.why}"))
+            alike.setdefault((one.level, one.why), []).append(f"{name} ({one.error_in_words})")
+        for (level, why), maps in alike.items():
+            lines.append(filled(f"- {', '.join(maps)}: **{level}**{why}"))
         lines.append("")
     said = shlex.join(command(entry, entry.source, "out"))
     lines += ["```sh", f"pbrfit {said}", "```", ""]

@@ -49,7 +49,7 @@ NAMES = {
 }
 """Public names by what they are for. One that stands nowhere here goes to the last."""
 
-LINK = re.compile(r"(?<=\]\()(?P<path>[^)#:\s]+)(?P<anchor>#[^)\s]*)?(?=\))")
+LINK = re.compile(r"\[(?P<text>[^][]*)\]\((?P<path>[^)#:\s]+)(?P<anchor>#[^)\s]*)?\)")
 CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.DOTALL | re.MULTILINE)
 LIVE = re.compile(r"<!-- live: (?P<name>[\w-]+) -->")
 NOT_LIVE = re.compile(r"<!-- not live -->.*?<!-- /not live -->", re.DOTALL)
@@ -97,12 +97,25 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     def turned(link: re.Match[str]) -> str:
         wanted = posixpath.normpath(posixpath.join(posixpath.dirname(origin), link["path"]))
         uri = site_uri(wanted)
-        if uri is None or files.get_file_from_path(uri) is None:
+        found = None if uri is None else files.get_file_from_path(uri)
+        if uri is None or found is None:
             return link[0]  # MkDocs says what is wrong with it
-        return posixpath.relpath(uri, posixpath.dirname(here) or ".") + (link["anchor"] or "")
+        text = link["text"]
+        if text in (link["path"], posixpath.basename(link["path"]), wanted):
+            text = title_of(found)
+        target = posixpath.relpath(uri, posixpath.dirname(here) or ".") + (link["anchor"] or "")
+        return f"[{text}]({target})"
 
     text = LINK.sub(turned, CODE.sub(keep, markdown))
     return re.sub("\0(\\d+)\0", lambda number: kept[int(number[1])], text)
+
+
+def title_of(file: File) -> str:
+    """What a page is called, where a link names its file: its heading up to a colon."""
+    heading = (
+        re.match(r"# ([^:\n]+)", file.content_string) if file.is_documentation_page() else None
+    )
+    return heading[1] if heading else file.name
 
 
 def site_uri(path: str) -> str | None:
