@@ -4,6 +4,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
+    """Of the installed distribution."""
+
     from pbrfit._core import InputError
     from pbrfit.fit.decompose import Progress, decompose
     from pbrfit.fit.objective import Objective
@@ -58,6 +61,11 @@ starts without the fit."""
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version  # takes longer to import than all of this
+
+        globals()[name] = version("pbrfit")
+        return globals()[name]
     for module, names in _MODULES.items():
         if name in names:
             value = globals()[name] = getattr(import_module(f"pbrfit.{module}"), name)
@@ -66,4 +74,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, "__version__"})

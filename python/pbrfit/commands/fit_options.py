@@ -9,6 +9,7 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from pbrfit.commands import arguments as cli
+from pbrfit.fit.bar import shown_on
 from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions, Priors, prior_names
 
 if TYPE_CHECKING:
@@ -104,24 +105,7 @@ def prior_weight(text: str) -> tuple[str, float]:
 def fit_bar(
     iterations: int, name: str, *, quiet: bool, within: bool = False
 ) -> Iterator[Callable[[Progress], None]]:
-    """Show how a fit goes on, on a line that goes away where it is `within` another one's.
-
-    A large picture's lights take iterations; after that tiles are counted, which tell how much time
-    is left.
-    """
-    with cli.progress_bar(iterations, quiet=quiet, name=name, leave=not within) as bar:
-
-        def show(progress: Progress) -> None:
-            bar.set_postfix_str(f"recon {progress.recon_rmse:.2e}", refresh=False)
-            done = progress.iteration
-            if progress.tiles is not None:
-                done, of = progress.tiles
-                if done == 0:
-                    bar.unit = "tile"
-                    bar.reset(of)
-            bar.update(done - bar.n)
-
+    """Show how a fit goes on, on a line that goes away where it is `within` another one's."""
+    bar = cli.progress_bar(iterations, quiet=quiet, name=name, leave=not within)
+    with bar, shown_on(bar) as show:
         yield show
-        # Most fits need fewer iterations than they may do: then the bar was all of them.
-        bar.total = bar.n
-        bar.refresh()

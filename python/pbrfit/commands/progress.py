@@ -92,19 +92,17 @@ class ProgressLines:
         if now - self._told < LINE_EVERY:
             return
         self._told = now
-        parts = [f"{self.n} of {self.total} {_several(self.unit)}", _duration(now - self._began)]
+        units, elapsed = f"{self.unit}s", now - self._began
+        parts = [f"{self.n} of {self.total} {units}", _duration(elapsed)]
         if self.unit == "it":  # so many at most; the time left is not known
-            parts[0] = f"{self.n} iterations"
+            parts[0] = f"{self.n} iteration{'s' * (self.n != 1)}"
         elif self.n > self.initial:
-            each = (now - self._began) / (self.n - self.initial)
-            parts.append(f"about {_duration(each * (self.total - self.n))} left")
+            left = elapsed / (self.n - self.initial) * (self.total - self.n)
+            parts.append(f"about {_duration(left)} left")
         if self._postfix:
             parts.append(self._postfix)
-        complain(f"{self._name}: {', '.join(parts)}" if self._name else ", ".join(parts))
-
-
-def _several(unit: str) -> str:
-    return f"{unit}s"
+        said = ", ".join(parts)
+        complain(said if self._name in (None, units) else f"{self._name}: {said}")
 
 
 def _duration(seconds: float) -> str:

@@ -15,9 +15,8 @@ from pbrfit.result.verdict import MARKS, Level, Verdict
 ASCII_SIGNS: Mapping[Level, str] = {"usable": "+", "rough guide": "~", "not determined": "-"}
 """What stands for the discs where a terminal has no such letters."""
 
-COLORS: Mapping[Level, int] = {"usable": 32, "rough guide": 136, "not determined": 166}
-"""Indices into a terminal's 256 colours: blue, amber and vermillion as in `MARKS`, but each with a
-contrast of 3 or more on black and on white."""
+CUBE = (0, 95, 135, 175, 215, 255)
+"""Codes that a channel of a terminal's 216 colours has, of 255."""
 
 DIM = "2"
 
@@ -59,7 +58,8 @@ def verdict_lines(
 
 def marked(level: Level, stream: TextIO, text: str) -> tuple[str, str]:
     """The disc of a level and a text, both in its colour."""
-    code = f"38;5;{COLORS[level]}"
+    red, green, blue = map(CUBE.index, MARKS[level].ink)
+    code = f"38;5;{16 + 36 * red + 6 * green + blue}"
     return painted(_sign(level, stream), code, stream), painted(text, code, stream)
 
 

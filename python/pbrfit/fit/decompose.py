@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import memory
+from pbrfit.fit.bar import notebook_bar
 from pbrfit.fit.causes import with_causes
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
@@ -60,12 +62,12 @@ Start = Materials | tuple[Materials, NDArray[Any]] | Result | None
 
 
 def decompose(
-    scene: Scene,
+    scene: Scene | str | Path,
     options: FitOptions | None = None,
     *,
     start: Start = None,
     threads: int = 0,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], None] | bool | None = None,
     **overrides: Any,
 ) -> Result:
     """Recover materials and lights from the pictures of one view.
@@ -73,7 +75,8 @@ def decompose(
     Parameters
     ----------
     scene
-        Pictures, normals and what else is known. With `scene.lighting` only materials are fitted.
+        Pictures, normals and what else is known, or the path of a scene folder, which
+        `Scene.load` reads. With `scene.lighting` only materials are fitted.
     options
         What is fitted and how; None = the defaults. `FitOptions` has each.
     start
@@ -84,7 +87,7 @@ def decompose(
         0 = one for each processor. The result does not depend on it, to the last bit.
     progress
         Called at the start, after each iteration, after each step on a subset of the pixels and
-        after each tile.
+        after each tile. True = a bar by `tqdm.auto`, in notebooks too; False or None = nothing.
     **overrides
         Single options by name, in place of those in `options`: `solver="lbfgsb"`.
 
@@ -95,12 +98,16 @@ def decompose(
 
     Raises
     ------
-    InputError
-        If an option or the scene cannot be used, or `start` is a result of another model.
+    InputError, OSError
+        If an option or the scene cannot be used or read, or `start` is a result of another model.
     TypeError
         If there is no option of a name.
     """
     options = _overridden(options, overrides)
+    if progress is True:
+        with notebook_bar(options.iterations) as show:
+            return decompose(scene, options, start=start, threads=threads, progress=show)
+    scene = _read(scene)
     model = chosen_model(options.model, scene.model)
     threads = whole_number("threads", threads)
     start = _to_start_from(start, model)
@@ -125,7 +132,7 @@ def decompose(
     setup = FitSetup(
         options=replace(options, model=model, white=white),
         threads=threads,
-        progress=progress,
+        progress=progress or None,
         began=began,
         normals_hindrance=hindered,
     )
@@ -240,6 +247,17 @@ def _result(
         *(found.status, found.iterations, found.seconds, found.reason),
     )
     return result
+
+
+def _read(scene: Scene | str | Path) -> Scene:
+    """The scene itself, or what a path leads to."""
+    if isinstance(scene, (str, Path)):
+        return Scene.load(scene)
+    if not isinstance(scene, Scene):
+        raise InputError(
+            f"scene: expected a Scene or the path of a scene folder, found {type(scene).__name__}"
+        )
+    return scene
 
 
 def _overridden(options: FitOptions | None, overrides: dict[str, Any]) -> FitOptions:

@@ -185,7 +185,7 @@ def check_free_file(path: Path, *, overwrite: bool) -> None:
     if not overwrite and (path.exists() or path.is_symlink()):
         raise FileExistsError(
             f"{path}: expected a file that does not exist yet, found one; "
-            "--overwrite (overwrite=True) replaces it"
+            "overwrite=True replaces it"
         )
 
 
@@ -201,7 +201,7 @@ def check_free(path: Path, *, overwrite: bool, contains: Collection[str] = ()) -
         if not overwrite:
             raise FileExistsError(
                 f"{path}: expected a folder that does not exist yet, found one; "
-                "--overwrite (overwrite=True) replaces it"
+                "overwrite=True replaces it"
             )
         missing = [name for name in contains if not (path / name).exists()]
         if missing and any(path.iterdir()):

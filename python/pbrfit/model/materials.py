@@ -33,6 +33,10 @@ class Materials:
     roughness: NDArray[np.floating[Any]]
     metallic: NDArray[np.floating[Any]]
 
+    def __repr__(self) -> str:
+        """In a line, without the maps."""
+        return f"Materials({self.roughness.shape[1]} × {self.roughness.shape[0]})"
+
 
 def write_materials(
     path: Path,

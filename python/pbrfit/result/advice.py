@@ -67,9 +67,10 @@ def _unfinished(result: ResultData) -> Iterator[str]:
             "would help all maps"
         )
     if result.status is Status.ITERATION_LIMIT:
+        done = result.history.iterations
         yield (
-            f"the fit was stopped after {result.history.iterations} iterations: more of them "
-            "(option iterations) would help all maps"
+            f"the fit was stopped after {done} iteration{'s' * (done != 1)}: more of them (option "
+            "iterations) would help all maps"
         )
 
 

@@ -173,6 +173,20 @@ class ResultData:
         if self.height is not None and self.height.shape != self.mask.shape:
             raise InputError(f"height: expected {self.mask.shape}, found {self.height.shape}")
 
+    def __repr__(self) -> str:
+        """In a line: of what it is, how the fit ended, verdicts; and no arrays."""
+        height, width = self.mask.shape
+        parts = [
+            f"{len(self.pictures)} pictures of {width} × {height}",
+            f"model {self.model}",
+            str(self.status),
+        ]
+        if "recon_rmse" in self.metrics:
+            parts.append(f"residual {self.metrics['recon_rmse']:.3g}")
+        if self.uncertainty is not None:
+            parts += [f"{name} {one.level}" for name, one in self.uncertainty.verdicts.items()]
+        return f"{type(self).__name__}({', '.join(parts)})"
+
     @lazy
     def scenery(self) -> Scenery | None:
         """Surroundings as the fit had them, built when first asked for; None where they do nothing.

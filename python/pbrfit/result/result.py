@@ -6,10 +6,10 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
@@ -29,6 +29,7 @@ from pbrfit.io.json_files import (
 from pbrfit.io.output import digest, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
@@ -38,6 +39,7 @@ from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
+from pbrfit.result.relighting import DirectionalLight, LampLight, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.arrays import Source
 from pbrfit.scene.folder import is_scene
@@ -45,6 +47,9 @@ from pbrfit.scene.height import HEIGHT_FILE, write_height
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
+
+if TYPE_CHECKING:
+    from pbrfit.export import Exported
 
 CONTAINS = ("result.json", "materials.exr")
 """Files by which a folder is known for a result."""
@@ -60,6 +65,10 @@ class Result(ResultData):
         self, path: str | Path, *, scene: Scene | None = None, overwrite: bool = False
     ) -> None:
         """Write a result folder (docs/formats.md), whole or not at all.
+
+        Maps are rounded to float32, relatively by 6·10⁻⁸ at most, because an EXR file holds no
+        more; `load` gives them back as float64 of these values. Lights, lamps and other numbers
+        keep all digits of float64. A result that was loaded is saved as the same bits again.
 
         Parameters
         ----------
@@ -131,9 +140,47 @@ class Result(ResultData):
         # What no UTF-8 can hold, of a path to the scene, becomes what JSON escapes it by.
         write_json(folder / "result.json", content, errors="backslashreplace")
 
+    def report(
+        self,
+        path: str | Path,
+        scene: Scene | str | Path | None = None,
+        *,
+        overwrite: bool = False,
+    ) -> None:
+        """Write a page about it, one .html file; as `pbrfit.report.write_report`, which see."""
+        from pbrfit.report import write_report
+
+        write_report(self, path, scene, overwrite=overwrite)
+
+    def export(self, path: str | Path, **options: Any) -> Exported:
+        """Write it for other tools, into a new folder.
+
+        `options` are those of `pbrfit.export.export_result`, which see: `format`, `preset`,
+        `overwrite` and others.
+        """
+        from pbrfit.export import export_result
+
+        return export_result(self, path, **options)
+
+    def relight(
+        self,
+        light: ArrayLike | DirectionalLight | Lamps | LampLight,
+        threads: int = 0,
+        *,
+        shadows: bool = True,
+    ) -> NDArray[np.float64]:
+        """(H, W, 3): radiance under other light; as `pbrfit.relight`, which see."""
+        return relight(self, light, threads, shadows=shadows)
+
+    def _repr_html_(self) -> str:
+        """Maps and verdicts, for notebooks."""
+        from pbrfit.result.notebook import html
+
+        return html(self)
+
     @classmethod
     def load(cls, path: str | Path) -> Result:
-        """Read a result folder.
+        """Read a result folder; its maps have the float32 values that `save` wrote, as float64.
 
         Raises
         ------

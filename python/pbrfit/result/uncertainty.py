@@ -43,6 +43,10 @@ class Uncertainty:
     verdicts: Mapping[str, Verdict]
     """By name of the map."""
 
+    def __repr__(self) -> str:
+        """In a line: the verdicts, and no maps."""
+        return f"Uncertainty({', '.join(f'{n} {one.level}' for n, one in self.verdicts.items())})"
+
     def summary(self) -> dict[str, Any]:
         """What is no map, and the maps in a few numbers, for result.json."""
         valid = np.isfinite(self.deviation.roughness)

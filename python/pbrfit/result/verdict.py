@@ -57,12 +57,15 @@ class Mark:
     """sRGB in [0, 1], told apart by all common colour vision."""
     sign: str
     """The disc as a letter, for text."""
+    ink: tuple[int, int, int]
+    """Much the same colour for letters: 8-bit sRGB with a contrast of 3 or more both on black and
+    on white, and one of the 216 that terminals have."""
 
 
 MARKS: Mapping[Level, Mark] = {
-    "usable": Mark(1.0, (0.0, 0.45, 0.70), "●"),
-    "rough guide": Mark(0.5, (0.90, 0.62, 0.0), "◐"),
-    "not determined": Mark(0.0, (0.84, 0.37, 0.0), "○"),
+    "usable": Mark(1.0, (0.0, 0.45, 0.70), "●", (0, 135, 215)),
+    "rough guide": Mark(0.5, (0.90, 0.62, 0.0), "◐", (175, 135, 0)),
+    "not determined": Mark(0.0, (0.84, 0.37, 0.0), "○", (215, 95, 0)),
 }
 """Colours of Okabe and Ito; vermillion is also that of pixels which are not determined."""
 

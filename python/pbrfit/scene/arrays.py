@@ -92,7 +92,9 @@ class SceneArrays:
     Attributes
     ----------
     images
-        (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit.
+        (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit. Negative values,
+        which noise around black and other primaries lead to, are fitted as they are, because a mean
+        without them would be too bright; `assumed` says how many there are.
     normals
         (H, W, 3), camera space (X right, Y up, Z towards the viewer); normalised here, NaN outside
         the mask. None = unknown, of three pictures or more: it reads (0, 0, 1) everywhere, and
@@ -227,6 +229,9 @@ class SceneArrays:
                 assumed = {**assumed, "exposure": limits_in_words(limits, counted)}
         if limits is not None:
             _check_some_are_ordinary(limits, counted, names)
+        assumed = {topic: said for topic, said in assumed.items() if topic != "negative"}
+        if said := _negative_in_words(images, counted):
+            assumed["negative"] = said
         valid = _valid(mask, weights, limits, (height, width))
         if self.truth is not None:
             _check_truth(self.truth, n, height, width)
@@ -266,6 +271,19 @@ class SceneArrays:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        """In a line: what there is, and no arrays."""
+        parts = [
+            f"{len(self.images)} pictures of {self.width} × {self.height}",
+            f"fov {self.fov:g}°{'' if self.fov_known else ', to be fitted'}",
+            "normals" if self.normals_known else "no normals",
+        ]
+        if not self.all_valid:
+            parts.append(f"{np.count_nonzero(self.valid)} of {self.valid.size} pixels valid")
+        known = ("depth", "segments", "lighting", "lamps", "weights", "truth")
+        parts += [f"{name} known" for name in known if getattr(self, name) is not None]
+        return f"{type(self).__name__}({', '.join(parts)})"
 
     @property
     def height(self) -> int:
@@ -505,6 +523,23 @@ def limits_in_words(limits: NDArray[np.uint8], counted: Counted) -> str:
         if count
     ]
     return f"of the values {', '.join(shares)}: they only bound the radiance"
+
+
+def _negative_in_words(images: NDArray[np.floating[Any]], counted: Counted) -> str:
+    """Which share of the values of counted samples is below 0; empty where none is."""
+    below, total, lowest = 0, 0, 0.0
+    for i, image in enumerate(images):
+        negative = image < 0
+        if counted is not None:
+            negative &= counted[i][..., None]
+        total += image.size if counted is None else 3 * int(np.count_nonzero(counted[i]))
+        if negative.any():
+            below += int(np.count_nonzero(negative))
+            lowest = min(lowest, float(image[negative].min()))
+    if not below:
+        return ""
+    share = f"{100 * below / total:.2g} %" if below / total >= 1e-4 else f"{below}"
+    return f"{share} of the values are below 0, down to {lowest:.2g}: fitted as they are"
 
 
 def _valid(

@@ -45,7 +45,7 @@ def check_normals_can_be_added(folder: Path, *, overwrite: bool, height: bool = 
             kinds = {WEIGHT_FILE: "weights", HEIGHT_FILE: "height"}
             what = kinds.get(path.name, "normals")
             raise FileExistsError(
-                f"{path}: expected no {what} yet, found some; --overwrite replaces normals and "
+                f"{path}: expected no {what} yet, found some; overwrite=True replaces normals and "
                 "weights"
             )
 
@@ -131,7 +131,7 @@ def check_no_depth(folder: Path, *, overwrite: bool) -> None:
     for path in (folder / name for name in DEPTH_FILES):
         if path.exists() and not overwrite:
             raise FileExistsError(
-                f"{path}: expected no depth yet, found some; --overwrite replaces"
+                f"{path}: expected no depth yet, found some; overwrite=True replaces"
             )
 
 
@@ -159,7 +159,7 @@ def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
     if path is None or (overwrite and path.name == LAMP_FILES[0]):
         return
     remedy = (
-        "--overwrite replaces"
+        "overwrite=True replaces"
         if path.name == LAMP_FILES[0]
         else f"it is read as it is; move it away to write {LAMP_FILES[0]}"
     )
@@ -184,4 +184,6 @@ def check_no_segments(folder: Path, *, overwrite: bool) -> None:
     """Raise FileExistsError if the folder has segments and `overwrite` is False."""
     path = folder / scene_folder.SEGMENT_FILE
     if path.exists() and not overwrite:
-        raise FileExistsError(f"{path}: expected no segments yet, found some; --overwrite replaces")
+        raise FileExistsError(
+            f"{path}: expected no segments yet, found some; overwrite=True replaces"
+        )

@@ -221,9 +221,11 @@ def decided_fov(
         fov = geometry.fov_from_focal_length(focal_length, size[0], size[1])
         return fov, f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
     log.warning(
-        "%s: field of view unknown, fitted from %g degrees on (--fov sets it)", folder, FIRST_FOV
+        "%s: field of view unknown, fitted from %g degrees on (option fov sets it)",
+        folder,
+        FIRST_FOV,
     )
-    return None, f"{FIRST_FOV:g} degrees: neither --fov, scene.toml nor EXIF says"
+    return None, f"{FIRST_FOV:g} degrees: neither fov, scene.toml nor EXIF says"
 
 
 def _fov(path: Path, content: dict[str, Any]) -> float | None:

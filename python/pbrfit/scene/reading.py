@@ -375,7 +375,7 @@ def _limits(
             low, high = code_range or images.CODE_RANGE
             raise InputError(
                 f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
-                "found all clipped or dark; --code-range 0,255 keeps them"
+                "found all clipped or dark; code_range=(0, 255) keeps them"
             )
     bounds = any(limits[mask].any() for limits in read.limits)
     integers = [noise is not None for noise in read.noise]

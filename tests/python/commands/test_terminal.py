@@ -12,8 +12,8 @@ from command_runs import done, ran
 from pbrfit.commands import progress, terminal
 from pbrfit.commands.messages import complain, in_flags
 from pbrfit.commands.scene_display import Row, batch_table
-from pbrfit.commands.terminal import COLORS, verdict_lines
-from pbrfit.result.verdict import LEVELS, MARKS, Verdict
+from pbrfit.commands.terminal import CUBE, verdict_lines
+from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
 from scene_files import write_folder
 
 VERDICTS = {
@@ -78,22 +78,16 @@ def test_levels_differ_without_colors_and_without_the_discs() -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_colors_are_seen_on_black_and_on_white(level: str) -> None:
-    red, green, blue = (
-        (0, 95, 135, 175, 215, 255)[(COLORS[level] - 16) // step % 6] / 255  # type: ignore[index]
-        for step in (36, 6, 1)
-    )
-    channels = [
-        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (red, green, blue)
-    ]
-    luminance = 0.2126 * channels[0] + 0.7152 * channels[1] + 0.0722 * channels[2]
+def test_colors_are_seen_on_black_and_on_white(level: Level) -> None:
+    ink = MARKS[level].ink
+    assert set(ink) <= set(CUBE)
+    shares = [code / 255 for code in ink]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares]
+    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
     assert (luminance + 0.05) / 0.05 >= 3
     assert 1.05 / (luminance + 0.05) >= 3
-    # The same hue as in pictures: the same channels are strong.
-    of_mark = MARKS[level].color  # type: ignore[index]
-    assert max(range(3), key=(red, green, blue).__getitem__) == max(
-        range(3), key=of_mark.__getitem__
-    )
+    # The same hue as in pictures: the same channel is the strongest.
+    assert ink.index(max(ink)) == MARKS[level].color.index(max(MARKS[level].color))
 
 
 def test_long_steps_are_wrapped_in_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,7 +154,7 @@ def test_scenes_share_a_table_and_a_single_one_has_its_own(tmp_path: Path) -> No
     assert [line.split()[:2] for line in said[1:3]] == [["one", "done"], ["two", "done"]]
     assert re.fullmatch(r"2 scenes in [0-9.]+ s: 2 done, \d with a usable map", said[-1])
     assert len(said) == 5
-    assert done(*fit, "--overwrite", "--quiet") == ""
+    assert done(*fit, "--resume", "--quiet") == ""
     (tmp_path / "scenes" / "two" / "normals.exr").write_bytes(b"")
     found = ran(*fit, "--resume")
     assert found.code == 1
@@ -171,7 +165,7 @@ def test_scenes_share_a_table_and_a_single_one_has_its_own(tmp_path: Path) -> No
     alone = ("decompose", tmp_path / "scenes" / "one", "--out", tmp_path / "alone")
     own = done(*alone, "--iterations", 1)
     assert re.search("\n[●◐○] albedo: ", own)
-    assert "next: the fit was stopped after 1 iterations: more of them (--iterations)" in own
+    assert "next: the fit was stopped after 1 iteration: more of them (--iterations)" in own
 
 
 def test_progress_in_a_pipe_is_a_line_now_and_then(
@@ -185,9 +179,7 @@ def test_progress_in_a_pipe_is_a_line_now_and_then(
     now = progress.LINE_EVERY
     bar.set_postfix_str("2 at work")
     bar.update()
-    assert capsys.readouterr().err == (
-        "pbrfit: scenes: 1 of 40 scenes, 5 s, about 3 min left, 2 at work\n"
-    )
+    assert capsys.readouterr().err == ("pbrfit: 1 of 40 scenes, 5 s, about 3 min left, 2 at work\n")
     now = 1.9 * progress.LINE_EVERY
     bar.update()
     assert capsys.readouterr().err == ""
@@ -196,7 +188,7 @@ def test_progress_in_a_pipe_is_a_line_now_and_then(
         bar.update(37)
     assert (
         capsys.readouterr().err
-        == "pbrfit: scenes: 40 of 40 scenes, 2 h 02 min, about 0 s left, 2 at work\n"
+        == "pbrfit: 40 of 40 scenes, 2 h 02 min, about 0 s left, 2 at work\n"
     )
     with progress.progress_bar(500, quiet=False, name="kitchen") as bar:
         now += progress.LINE_EVERY

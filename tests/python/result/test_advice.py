@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pbrfit.fit.decompose import decompose
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result import advice
 from pbrfit.result.advice import next_steps
@@ -132,6 +133,18 @@ def test_sides_without_light(good: Result) -> None:
         "metallic"
     )
     assert next_steps(replace(good, lighting=one)) == ()  # all is usable: it was enough
+
+
+def test_lamps_count_for_sides_as_other_light_does(good: Result) -> None:
+    bad = uncertainty(good, {"albedo": 0.01, "roughness": 0.3, "metallic": 0.01})
+    left = np.tile([-0.6, 0.0, 0.8], (4, 1))
+    lamps = Lamps(pictures=np.arange(4), places=left, colors=np.ones((4, 3)))
+    dark = np.zeros_like(good.lighting)
+    [step] = next_steps(replace(good, uncertainty=bad, lighting=dark, lamps=lamps))
+    assert step == (
+        "light from one side, the left, in all pictures: pictures lit from the right would help "
+        "roughness"
+    )
 
 
 @pytest.mark.parametrize(("black", "told"), [(6, False), (7, True)])

@@ -198,7 +198,7 @@ def test_a_result_from_before_the_options_were_added_is_read(
 
 def test_saving_needs_a_free_name_or_overwrite(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
-    with pytest.raises(FileExistsError, match="--overwrite"):
+    with pytest.raises(FileExistsError, match="overwrite=True"):
         result.save(tmp_path / "out")
     (tmp_path / "out" / "result.json").write_text("old")
     result.save(tmp_path / "out", overwrite=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pbrfit import InputError, Materials, Scene, Truth
+from pbrfit import InputError, Materials, Objective, Scene, Truth
 from pbrfit.synthetic import make_scene
 
 H, W, N = 3, 4, 2
@@ -282,3 +282,30 @@ def test_normals_that_are_all_equal_are_used_with_a_warning(
     one[0, 0] = True  # a single pixel has a single normal
     scene(normals=normals, mask=one)
     assert not caplog.records
+
+
+def test_negative_values_are_fitted_as_they_are_and_counted() -> None:
+    made = make_scene("room", size=8, lights=4, held_out=1)
+    images = np.array(made.images)
+    assert "negative" not in Scene(images=images, normals=made.normals).assumed
+    images[0, 0, :4] = -0.5
+    mask = np.ones((8, 8), bool)
+    mask[0, 3] = False
+    weights = np.ones((4, 8, 8))
+    weights[0, 0, 2] = 0
+    whole = Scene(images=images, normals=made.normals)
+    assert whole.assumed["negative"] == (  # 12 of 768
+        "1.6 % of the values are below 0, down to -0.5: fitted as they are"
+    )
+    masked = Scene(images=images, normals=made.normals, mask=mask)
+    assert masked.assumed["negative"].startswith("1.2 % of the values")  # 9 of 756
+    weighted = Scene(images=images, normals=made.normals, weights=weights)
+    assert weighted.assumed["negative"].startswith("1.2 % of the values")  # 9 of 765
+    # A note goes away with what it is about.
+    mask[0] = False
+    assert "negative" not in dataclasses.replace(whole, mask=mask).assumed
+    # They count in the loss: black instead of them is another scene.
+    clipped = Scene(images=np.maximum(images, 0), normals=made.normals)
+    x = Objective(clipped).start()
+    losses = [Objective(one).value_and_grad(x)[0] for one in (whole, clipped)]
+    assert losses[0] > losses[1]

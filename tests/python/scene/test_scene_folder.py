@@ -110,7 +110,7 @@ def test_fov_of_flag_then_scene_toml_then_exif_then_60(
     assert focal.assumed["fov"] == "80.72 degrees, from EXIF (18 mm equivalent)"
     assert default.fov == 60.0
     assert [one.fov_known for one in (asked, stated, focal, default)] == [True, True, True, False]
-    assert "neither --fov, scene.toml nor EXIF" in default.assumed["fov"]
+    assert "neither fov, scene.toml nor EXIF" in default.assumed["fov"]
     [record] = caplog.records
     assert (
         f"{tmp_path / 'other'}: field of view unknown, fitted from 60 degrees on" in record.message
@@ -238,7 +238,7 @@ def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
     write_codes(folder, codes)
     message = (
         f"{room().names[1]}.png: expected some pixel of the mask with codes from 1 to 250 of 255, "
-        "found all clipped or dark; --code-range 0,255 keeps them"
+        "found all clipped or dark; code_range=\\(0, 255\\) keeps them"
     )
     with pytest.raises(InputError, match=message):
         Scene.load(folder)

@@ -1,0 +1,239 @@
+"""What notebooks and prompts show: short names, maps, verdicts, and a call for each next thing."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import pbrfit
+from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
+from pbrfit.result.advice import next_steps
+from pbrfit.result.notebook import SIDE
+from pbrfit.result.verdict import MARKS, Verdict, in_short
+from pbrfit.synthetic import make_scene
+from scene_files import write_folder
+
+VERDICTS = {
+    "albedo": Verdict("usable", 0.031),
+    "roughness": Verdict("rough guide", 0.12, "<b>few</b> & dim lights", "more would help"),
+    "metallic": Verdict("not determined", 0.31),
+}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    mask = np.ones((8, 12), bool)
+    mask[:, :2] = False
+    made = make_scene("room", size=12, lights=4, held_out=1, noise=0.01)
+    return Scene(images=made.images[:, :8], normals=made.normals[:8], fov=50, mask=mask)
+
+
+@pytest.fixture(scope="module")
+def result(scene: Scene) -> Result:
+    found = decompose(scene, iterations=2, refine_normals="off")
+    assert found.uncertainty is not None
+    return replace(found, uncertainty=replace(found.uncertainty, verdicts=VERDICTS))
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert pbrfit.__version__ == version("pbrfit")
+    assert "__version__" in dir(pbrfit)
+
+
+def test_names_are_short_and_hold_no_arrays(scene: Scene, result: Result) -> None:
+    assert repr(scene) == ("Scene(4 pictures of 12 × 8, fov 50°, normals, 80 of 96 pixels valid)")
+    assert repr(result) == (
+        "Result(4 pictures of 12 × 8, model paper, iteration_limit, residual "
+        f"{result.metrics['recon_rmse']:.3g}, albedo usable, roughness rough guide, "
+        "metallic not determined)"
+    )
+    assert repr(result.materials) == "Materials(12 × 8)"
+    assert repr(result.uncertainty) == (
+        "Uncertainty(albedo usable, roughness rough guide, metallic not determined)"
+    )
+    unknown = Scene(images=scene.images, segments=np.zeros((8, 12), int))
+    assert repr(unknown) == (
+        "Scene(4 pictures of 12 × 8, fov 60°, to be fitted, no normals, segments known)"
+    )
+
+
+class Reader(HTMLParser):
+    """Tags, texts and pictures of a piece of HTML."""
+
+    def __init__(self, content: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.texts: list[str] = []
+        self.images: list[dict[str, str | None]] = []
+        self.styles: list[str] = []
+        self.feed(content)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.styles.append(found.get("style") or "")
+        if tag == "img":
+            self.images.append(found)
+        else:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+def test_a_notebook_shows_maps_and_verdicts(result: Result) -> None:
+    page = Reader(result._repr_html_())
+    assert page.open == []
+    assert [image["alt"] for image in page.images] == [
+        *("albedo", "roughness", "metallic", "normals")
+    ]
+    text = "".join(page.texts)
+    for name, one in VERDICTS.items():
+        assert f"{MARKS[one.level].sign} {in_short(name, one)}" in text
+    assert all(step in text for step in next_steps(result))  # escaped, and so read as it is
+    assert "<b>" not in result._repr_html_()
+    without = replace(result, uncertainty=None)._repr_html_()
+    assert "expected error" not in without
+
+
+def test_maps_are_small_pictures_that_are_clear_outside_the_mask(result: Result) -> None:
+    image = Reader(result._repr_html_()).images[1]
+    kind, _, data = str(image["src"]).partition(",")
+    assert kind == "data:image/png;base64"
+    codes = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
+    assert codes.shape == (8, 12, 4)
+    assert not codes[:, :2, 3].any()
+    assert (codes[:, 2:, 3] == 255).all()
+    expected = np.rint(255 * result.roughness[:, 2:])
+    np.testing.assert_array_equal(codes[:, 2:, 0], expected)
+
+
+def test_large_maps_are_reduced(result: Result) -> None:
+    def large(values: Any) -> Any:
+        return np.repeat(np.repeat(values, 50, axis=0), 50, axis=1)
+
+    materials = replace(
+        result.materials,
+        albedo=large(result.albedo),
+        roughness=large(result.roughness),
+        metallic=large(result.metallic),
+    )
+    big = replace(
+        result,
+        materials=materials,
+        normals=large(result.normals),
+        mask=large(result.mask),
+        uncertainty=None,
+    )
+    content = big._repr_html_()
+    for image in Reader(content).images:
+        data = str(image["src"]).partition(",")[2]
+        assert max(Image.open(io.BytesIO(base64.b64decode(data))).size) == SIDE
+    assert len(content) < 200_000
+
+
+def test_it_is_read_on_dark_and_on_light_paper(result: Result) -> None:
+    """Letters and paper are the notebook's; marks are told on both (test_terminal)."""
+    styles = ";".join(Reader(result._repr_html_()).styles)
+    assert "background:none" in styles
+    colors = set(re.findall(r"(?<![-\w])color:([^;]+)", styles))
+    assert colors == {
+        "inherit",
+        *(f"rgb({r},{g},{b})" for r, g, b in (m.ink for m in MARKS.values())),
+    }
+
+
+def test_a_path_is_as_good_as_a_scene(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene")
+    options: dict[str, Any] = {"iterations": 1, "refine_normals": "off"}
+    expected = decompose(Scene.load(folder), **options)
+    for path in (folder, str(folder)):
+        found = decompose(path, **options)
+        np.testing.assert_array_equal(found.albedo, expected.albedo)
+        assert found.source == expected.source
+    with pytest.raises(FileNotFoundError, match="none: expected a scene folder"):
+        decompose(tmp_path / "none")
+    with pytest.raises(InputError, match="scene: expected a Scene or the path of a scene folder"):
+        decompose(5)  # type: ignore[arg-type]
+
+
+def test_progress_by_a_bar(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
+    options: dict[str, Any] = {"iterations": 2, "refine_normals": "off"}
+    shown = decompose(scene, progress=True, **options)
+    assert re.search(r"fit: .*\d+/\d+.*recon", capsys.readouterr().err)
+    quiet = decompose(scene, progress=False, **options)
+    assert capsys.readouterr().err == ""
+    np.testing.assert_array_equal(shown.albedo, quiet.albedo)
+
+
+def test_what_comes_next_is_one_call(result: Result, tmp_path: Path) -> None:
+    result.report(tmp_path / "page.html")
+    assert "<html" in (tmp_path / "page.html").read_text("utf-8")
+    exported = result.export(tmp_path / "textures", format="png")
+    assert (tmp_path / "textures" / "export.json").exists()
+    assert {"png/roughness.png"} <= {file.path for file in exported.files}
+    light = DirectionalLight(-40, 30)
+    np.testing.assert_array_equal(result.relight(light), relight(result, light))
+    np.testing.assert_array_equal(
+        result.relight(result.lighting[0]), relight(result, result.lighting[0])
+    )
+
+
+def test_refusals_speak_python(result: Result, tmp_path: Path) -> None:
+    for write in (result.save, result.report, result.export):
+        path = tmp_path / f"{write.__name__}.html"
+        if write == result.report:
+            path.touch()
+        else:
+            path.mkdir()
+        with pytest.raises(FileExistsError, match=r"; overwrite=True replaces it$") as refused:
+            write(path)
+        assert "--" not in str(refused.value)
+    result.save(tmp_path / "save.html", overwrite=True)
+
+
+def test_maps_are_stored_as_float32_and_numbers_as_float64(result: Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    loaded = Result.load(tmp_path / "out")
+    for name in ("albedo", "roughness", "metallic", "normals"):
+        values, again = getattr(result, name), getattr(loaded, name)
+        assert values.dtype == again.dtype == np.float64
+        np.testing.assert_array_equal(again, values.astype(np.float32).astype(np.float64))
+        inside = np.isfinite(values)
+        error = np.abs(again[inside] - values[inside])
+        assert (error <= 2.0**-24 * np.abs(values[inside])).all()
+    assert (loaded.albedo[result.mask] != result.albedo[result.mask]).any()
+    np.testing.assert_array_equal(loaded.lighting, result.lighting)
+    assert loaded.metrics == result.metrics
+    loaded.save(tmp_path / "again")
+    for name in ("materials.exr", "lighting.json", "history.csv"):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+
+
+def test_importing_stays_light_and_a_fit_imports_no_bar() -> None:
+    program = (
+        "import pbrfit, sys\n"
+        "first = [m for m in ('numpy', 'tqdm', 'PIL') if m in sys.modules]\n"
+        "pbrfit.decompose, pbrfit.Result\n"
+        "print(first, [m for m in ('tqdm', 'matplotlib', 'PIL', 'pbrfit.report', 'pbrfit.export') "
+        "if m in sys.modules])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert run.stdout == "[] []\n"
