@@ -14,12 +14,16 @@
 # make test-reliability: batches killed a hundred times and gone on with, told to end at random times,
 #   on full disks, without rights, beside another batch (half an hour; Linux, as root all of it)
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles
+# make site: the documentation as pages in out/site, in .venv-site; the notebooks are executed for it
+# make gallery DATA=DIR: fits of public sets of pictures with their live pages, which make site takes
+#   up; half an hour
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PEERS := .venv-peers
 CYCLES := .venv-cycles
+SITE := .venv-site
 ACQUIRE := .venv-acquire
 FUZZ := .venv-fuzz
 CLUSTER := .venv-cluster
@@ -28,6 +32,9 @@ CYCLES_NEEDS := evaluation/pbrfit_evaluation/cycles/requirements.txt
 SOURCES := Cargo.toml Cargo.lock pyproject.toml $(shell find rust -name '*.rs')
 PYTHON_SOURCES := $(shell find python evaluation -name '*.py')
 DEMO ?= out/demo
+NOTEBOOKS := $(wildcard docs/notebooks/*.ipynb)
+# of gallery: the folder of the public sets
+DATA ?= $(PBRFIT_DATA)
 # of bench-peers: threads of every peer, and what else `python -m peers --help` lists
 THREADS ?= 2
 PEERS_OPTIONS ?=
@@ -45,7 +52,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dis
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env wheel clean
+.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env site gallery wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -113,11 +120,22 @@ bench-peers: $(PEERS)/installed
 
 cycles-env: $(CYCLES)/installed
 
+site: $(SITE)/installed $(NOTEBOOKS:docs/%.ipynb=out/%.md)
+	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --quiet
+	@echo "out/site/index.html"
+
+out/notebooks/%.md: docs/notebooks/%.ipynb tools/notebook_page.py $(PYTHON_SOURCES) $(SOURCES) | $(SITE)/installed
+	$(SITE)/bin/python tools/notebook_page.py $< --out out/notebooks
+
+gallery: $(SITE)/installed
+	@test -n "$(DATA)" || { echo "gallery: where are the public sets? set DATA=..."; exit 1; }
+	$(SITE)/bin/python tools/gallery.py $(DATA)
+
 wheel: $(VENV)/tools
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(CLUSTER) $(FUZZ) target dist out
+	rm -rf $(VENV) $(PEERS) $(CYCLES) $(ACQUIRE) $(CLUSTER) $(FUZZ) $(SITE) target dist out
 
 $(VENV)/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "pbrfit needs Python 3.11 or later; set PYTHON=...")'
@@ -131,7 +149,7 @@ $(VENV)/installed: $(SOURCES) | $(VENV)/bin/pip
 
 # The package too, with everything that tests need.
 $(VENV)/tools: $(SOURCES) | $(VENV)/bin/pip
-	$(BIN)/pip install --quiet --editable '.[test,lint]' --editable evaluation
+	$(BIN)/pip install --quiet --editable '.[test,lint,notebooks]' --editable evaluation
 	touch $(VENV)/installed $@
 
 # Peers one by one: what cannot be installed is left out, with a message here and in the results.
@@ -163,6 +181,11 @@ target/fuzz/built: $(SOURCES) $(wildcard tests/fuzz/rust/Cargo.* tests/fuzz/rust
 $(CLUSTER)/installed: $(SOURCES)
 	test -d $(CLUSTER) || $(PYTHON) -m venv $(CLUSTER)
 	$(CLUSTER)/bin/pip install --quiet --editable '.[test,cluster]' --editable evaluation
+	touch $@
+
+$(SITE)/installed: $(SOURCES)
+	test -d $(SITE) || $(PYTHON) -m venv $(SITE)
+	$(SITE)/bin/pip install --quiet --editable '.[docs]' --editable evaluation
 	touch $@
 
 $(CYCLES)/installed: $(CYCLES_NEEDS)

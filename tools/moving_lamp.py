@@ -1,0 +1,121 @@
+"""A loop and a still of a result under a lamp that moves, beside a picture and the maps.
+
+python tools/moving_lamp.py [RESULT] [--scene SCENE] [--out NAME]
+
+writes NAME.webp and NAME.png, docs/images/moving-lamp by default. RESULT is a result folder; by
+default that of the figure under lamps, which `tools/gallery.py` fits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import cards
+import numpy as np
+from PIL import Image, ImageDraw
+
+from pbrfit import DirectionalLight, Result, Scene, relight
+
+ROOT = Path(__file__).resolve().parents[1]
+
+FRAMES = 48
+MILLISECONDS = 70
+"""Of a frame."""
+
+HEIGHT = 460
+"""Of the relit picture, in pixels; maps are half as high."""
+
+SWEEP = (70.0, 25.0, 22.0)
+"""The lamp goes round an ellipse: degrees to each side, mean elevation, degrees up and down."""
+
+STILL = 5
+"""Frame of the still."""
+
+BULB = 9
+"""Radius of the lamp in the dial, in pixels."""
+
+
+def main() -> None:
+    """Write both."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    default = ROOT / "out" / "gallery" / "results" / "figure-lamps"
+    parser.add_argument("result", metavar="RESULT", nargs="?", type=Path, default=default)
+    parser.add_argument(
+        "--scene", type=Path, default=ROOT / "out" / "gallery" / "scenes" / "visiont3lab_shrek"
+    )
+    parser.add_argument("--picture", type=int, default=0, help="which picture is shown")
+    out = ROOT / "docs" / "images" / "moving-lamp"
+    parser.add_argument("--out", type=Path, default=out, help="both files, without suffix")
+    options = parser.parse_args()
+    result = Result.load(options.result)
+    picture = Scene.load(options.scene, max_size=max(result.mask.shape)).images[options.picture]
+    lights = [lamp(2 * math.pi * i / FRAMES) for i in range(FRAMES)]
+    relit = [relight(result, light) for light in lights]
+    white = float(np.median([cards.white_of(one) for one in relit]))
+    half = (HEIGHT - cards.GAP - cards.CAPTION) // 2
+    maps = dict(cards.maps_of(result, height=half))
+    given = cards.shown(cards.radiance(picture, cards.white_of(picture)), result.mask, height=half)
+    grid = [[("a picture", given), ("albedo", maps["albedo"])]]
+    grid += [[(name, maps[name]) for name in ("roughness", "normals")]]
+    frames = []
+    for light, linear in zip(lights, relit, strict=True):
+        surface = cards.shown(cards.radiance(linear, white), result.mask, height=HEIGHT)
+        frames.append(frame(surface, light, grid))
+    frames[0].save(
+        options.out.with_suffix(".webp"),
+        save_all=True,
+        append_images=frames[1:],
+        duration=MILLISECONDS,
+        loop=0,
+        quality=80,
+        method=4,
+    )
+    frames[STILL].save(options.out.with_suffix(".png"), optimize=True)
+
+
+def lamp(phase: float) -> DirectionalLight:
+    """The lamp at a phase of its way round."""
+    aside, middle, up = SWEEP
+    return DirectionalLight(-aside * math.cos(phase), middle + up * math.sin(phase))
+
+
+def frame(
+    surface: Image.Image, light: DirectionalLight, grid: list[list[cards.Captioned]]
+) -> Image.Image:
+    """The relit surface with the lamp's dial, and two rows of small pictures to its right."""
+    wide = grid[0][0][1].width
+    width = surface.width + 2 * wide + 4 * cards.GAP
+    canvas = Image.new("RGB", (width, HEIGHT + cards.CAPTION + cards.GAP), cards.GROUND)
+    canvas.paste(surface, (cards.GAP, cards.GAP))
+    dial(canvas, light)
+    foot = cards.GAP + HEIGHT + cards.CAPTION / 2
+    cards.write(canvas, "under a lamp of your own", (cards.GAP + surface.width / 2, foot))
+    top = cards.GAP
+    for row in grid:
+        at = surface.width + 2 * cards.GAP
+        for caption, picture in row:
+            canvas.paste(picture, (at, top))
+            middle = (at + wide / 2, top + picture.height + cards.CAPTION / 2)
+            cards.write(canvas, caption, middle)
+            at += wide + cards.GAP
+        top += row[0][1].height + cards.CAPTION + cards.GAP
+    return canvas
+
+
+def dial(canvas: Image.Image, light: DirectionalLight) -> None:
+    """A hemisphere seen from the camera, in the corner, and the lamp on it."""
+    radius = 38
+    x, y = cards.GAP + radius + 4, cards.GAP + radius + 4
+    draw = ImageDraw.Draw(canvas)
+    draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=(90, 92, 96), width=2)
+    right, up, _ = light.direction
+    at = (x + radius * right, y - radius * up)
+    for grown, color in ((BULB, (120, 84, 36)), (BULB - 3, (255, 214, 140))):
+        box = (at[0] - grown, at[1] - grown, at[0] + grown, at[1] + grown)
+        draw.ellipse(box, fill=color)
+
+
+if __name__ == "__main__":
+    main()
