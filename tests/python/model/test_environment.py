@@ -142,8 +142,9 @@ def test_levels_blur_by_doubling_widths_and_keep_the_light() -> None:
         # A von Mises-Fisher lobe has the mean 1 − cos of σ², where it is narrow.
         width = 2**j * 4 * np.pi / 1024
         mean = (level[..., 0] * apart * weights).sum() / (level[..., 0] * weights).sum()
-        if width / (2 * np.pi / 128) >= 1 and width < 0.5:
-            assert mean == pytest.approx(width**2, rel=0.1)
+        texel = 2 * np.pi / 128  # of what is given, linear between centres
+        if texel <= width < 0.5:
+            assert mean == pytest.approx(width**2 + texel**2 / 6, rel=0.1)
     for hemisphere, at_centre in ((matt, whole / np.pi), (even, whole / (np.pi * 1.8))):
         directions = panorama.directions(*hemisphere.shape[:2])
         facing = hemisphere[..., 0][directions @ centre > 0.995].mean()
