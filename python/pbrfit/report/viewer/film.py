@@ -1,0 +1,75 @@
+"""The pictures along the bottom of the view: small files of the inputs, or of how they were lit."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from pbrfit.io.display import encoded
+from pbrfit.report import budget
+from pbrfit.report.html import png_address
+from pbrfit.report.raster import picture_png, reduced
+from pbrfit.report.viewer.lights import Lighting, exposure_of
+from pbrfit.result import metrics
+from pbrfit.scene.scene import Scene
+
+SIDES = (1024, 768, 512, 384, 256, 128)
+"""Longer sides that inputs may have, in pixels."""
+
+QUALITY = 85
+"""JPEG quality, at which neighbours in a photograph differ by less than its noise."""
+
+THUMB_SIDE = 96
+"""Longer side of a reconstruction, which stands for a picture that is not there."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A picture that can be chosen."""
+
+    address: str
+    """The picture itself, for `src`."""
+    exposure: float
+    """Stops that it is shown with."""
+    original: bool
+    """Whether it is the input, to be compared with."""
+
+
+def of_scene(scene: Scene, limit: float) -> list[Tile]:
+    """The inputs, as large as fits into `limit` bytes."""
+    sides = budget.sides_for(max(scene.valid.shape), SIDES)
+    # One picture out of the middle tells how large all will be.
+    middle = len(scene.images) // 2
+    best = budget.largest_that_fits(
+        lambda side: _input(scene, middle, side),
+        lambda tile: len(tile.address) * len(scene.images),
+        sides,
+        limit,
+    )
+    return [_input(scene, i, best.side) for i in range(len(scene.images))]
+
+
+def of_lights(lighting: Lighting) -> list[Tile]:
+    """How the maps look under each light, where the inputs are not there."""
+    tiles = []
+    for i in range(len(lighting.result.pictures)):
+        radiance = lighting.picture(i)
+        exposure = exposure_of(radiance)
+        shown = encoded(reduced(radiance, THUMB_SIDE), exposure, "neutral")
+        tiles.append(Tile(png_address(picture_png(shown)), exposure, original=False))
+    return tiles
+
+
+def _input(scene: Scene, i: int, side: int) -> Tile:
+    image, white = metrics.showable(scene.images[i], scene.valid, scene.channel_weights(i))
+    exposure = round(0.0 - float(np.log2(white)), 1)
+    shown = encoded(np.nan_to_num(reduced(image, side)), exposure, "neutral")
+    codes = np.rint(255 * shown).astype(np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY)
+    content = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return Tile(f"data:image/jpeg;base64,{content}", exposure, original=True)
