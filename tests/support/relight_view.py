@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from browser import Visit, visit
-from pbrfit import Result, decompose, relight
+from pbrfit import DirectionalLight, Result, decompose, relight
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model.materials import Materials
+from pbrfit.report.html import document
 from pbrfit.report.viewer import fragment, maps
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import random_lights
@@ -25,12 +26,8 @@ from pbrfit.synthetic.lights import random_lights
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1"><title>view</title></head>
-<body>
-{}</body></html>
-"""
+PAGE = document("view", "{}").replace("{}", "\0").replace("{", "{{").replace("}", "}}").replace("\0", "{}")
+"""A page to be filled with a fragment by `format`."""
 
 READY = '.relight-view[data-state="ready"]'
 
@@ -87,7 +84,7 @@ def made(
 
 def expected(
     result: Result,
-    light: NDArray[np.float64],
+    light: NDArray[np.float64] | DirectionalLight | Sequence[NDArray[np.float64] | DirectionalLight],
     *,
     exposure: float = 0.0,
     tone_map: ToneMap = "none",
@@ -95,7 +92,11 @@ def expected(
     roughness: float = 0.0,
     metallic: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """(H, W, 4) uint8 sRGB of the result, at the view's size; transparent outside the mask."""
+    """(H, W, 4) uint8 sRGB of the result, at the view's size; transparent outside the mask.
+
+    Several lights add up. `exposure` is in all.
+    """
+    several = light if isinstance(light, (list, tuple)) else [light]
     small = maps.of_result(result, max_side)
     finish = Materials(
         small.materials.albedo,
@@ -103,7 +104,8 @@ def expected(
         np.clip(small.materials.metallic + metallic, 0, 1),
     )
     shown = dataclasses.replace(result, materials=finish, normals=small.normals, mask=small.mask)
-    return coded(encoded(relight(shown, light), exposure, tone_map), small.mask)
+    radiance = np.sum([relight(shown, one) for one in several], axis=0)
+    return coded(encoded(radiance, exposure, tone_map), small.mask)
 
 
 def coded(display: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -157,6 +159,21 @@ class View:
             }"""
         )
         return pixels_of_png(base64.b64decode(code))
+
+    def automatic(self) -> float:
+        """Stops that the view adds to those of its slider."""
+        return float(
+            self.page.evaluate(
+                "(({ view }) => view.exposure() - view.state.exposure)"
+                "(document.querySelector('.relight-view'))"
+            )
+        )
+
+    def choose(self, light: str) -> None:
+        """Choose a light in the filmstrip; "" is the lamp."""
+        self.page.locator("input[type=radio][name=light]").evaluate_all(
+            "(inputs, light) => inputs.find(({ value }) => value === light).click()", light
+        )
 
     def control(self, name: str) -> Locator:
         """A slider or menu."""

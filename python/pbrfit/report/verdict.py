@@ -63,7 +63,7 @@ def chips(result: Result) -> str:
         return ""
     return "".join(
         f'<details class="verdict {CLASSES[one.level]}" name="verdict"><summary><i></i>'
-        f"{escape(name)}: <b>{escape(one.level)}</b></summary>"
+        f"<span>{escape(name)}:</span> <b>{escape(one.level)}</b></summary>"
         f"<div>{_reason(name, one)}</div></details>"
         for name, one in result.uncertainty.verdicts.items()
     )

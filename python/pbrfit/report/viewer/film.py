@@ -20,8 +20,11 @@ from pbrfit.scene.scene import Scene
 SIDES = (1024, 768, 512, 384, 256, 128)
 """Longer sides that inputs may have, in pixels."""
 
-QUALITY = 85
-"""JPEG quality, at which neighbours in a photograph differ by less than its noise."""
+QUALITY = 90
+"""JPEG quality of inputs, at which a block's border is not seen; colours have all their pixels."""
+
+LOSSLESS_SIDE = 256
+"""Longer side of a picture up to which it is a PNG, whose pixels may be looked at."""
 
 THUMB_SIDE = 96
 """Longer side of a reconstruction, which stands for a picture that is not there."""
@@ -68,8 +71,10 @@ def _input(scene: Scene, i: int, side: int) -> Tile:
     image, white = metrics.showable(scene.images[i], scene.valid, scene.channel_weights(i))
     exposure = round(0.0 - float(np.log2(white)), 1)
     shown = encoded(np.nan_to_num(reduced(image, side)), exposure, "neutral")
+    if max(shown.shape) <= LOSSLESS_SIDE:
+        return Tile(png_address(picture_png(shown)), exposure, original=True)
     codes = np.rint(255 * shown).astype(np.uint8)
     buffer = io.BytesIO()
-    Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY)
+    Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
     content = base64.b64encode(buffer.getvalue()).decode("ascii")
     return Tile(f"data:image/jpeg;base64,{content}", exposure, original=True)

@@ -39,11 +39,12 @@ vec3 multiplied(vec3 f0, Energy e) {
   return 1.0 + average * e.mean / (1.0 - average * (1.0 - e.mean)) * (1.0 - reflected) / reflected;
 }
 
-// Factors of the matt part (kd), of a dielectric's lobe and of a metal's.
-struct Parts { vec3 body; float plastic; vec3 metal; };
+// Factors of the matt part (kd), of a dielectric's lobe and of a metal's. κ makes up for Schlick's F of
+// a dielectric, and belongs to its lobe where that has it: not under lamps.
+struct Parts { vec3 body; float dielectric, kappa; vec3 metal; };
 
 Parts partsOf(Surface s, Energy e) {
-  float gloss = e.kappa * multiplied(vec3(0.04), e).x;
-  return Parts((1.0 - s.metallic) * (1.0 - gloss * (0.04 * e.base + e.grazing)) / PI * s.albedo,
-      (1.0 - s.metallic) * gloss, s.metallic * multiplied(s.albedo, e));
+  float again = multiplied(vec3(0.04), e).x, rest = 1.0 - s.metallic;
+  return Parts(rest * (1.0 - e.kappa * again * (0.04 * e.base + e.grazing)) / PI * s.albedo,
+      rest * again, e.kappa, s.metallic * multiplied(s.albedo, e));
 }

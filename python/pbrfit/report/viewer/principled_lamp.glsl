@@ -26,7 +26,7 @@ vec3 reflected_lamps(Surface s) {
     float lobe = distribution(s.normal, bisector, alpha) * 0.5 * cosine
         / (cosine * ofView + facing * slanted(cosine, alpha));
     vec3 metal = parts.metal * (s.albedo + (1.0 - s.albedo) * fifth(1.0 - seen));
-    sum += lampColors[i] * (PI * cosine * parts.body + lobe * (parts.plastic * glass(seen) + metal));
+    sum += lampColors[i] * (PI * cosine * parts.body + lobe * (parts.dielectric * glass(seen) + metal));
   }
   return sum;
 }

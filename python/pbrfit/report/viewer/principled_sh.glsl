@@ -76,6 +76,7 @@ vec3 reflected_sh(Surface s) {
       + f.a47.y * g5 + f.a47.z * g6 + f.a47.w * g7 + f.a89_b01.x * g8 + f.a89_b01.y * g9;
   vec3 b = f.a89_b01.z * g0 + f.a89_b01.w * g1 + f.b25.x * g2 + f.b25.y * g3 + f.b25.z * g4
       + f.b25.w * g5 + f.b69.x * g6 + f.b69.y * g7 + f.b69.z * g8 + f.b69.w * g9;
-  return parts.body * diffuse + (0.04 * parts.plastic + parts.metal * s.albedo) * a
-      + (parts.plastic + parts.metal) * b;
+  float plastic = parts.kappa * parts.dielectric;
+  return parts.body * diffuse + (0.04 * plastic + parts.metal * s.albedo) * a
+      + (plastic + parts.metal) * b;
 }

@@ -3,7 +3,7 @@
 const MOST_ZOOM = 32;
 const WHEEL_ZOOM = 0.0015; // per pixel that a wheel scrolls, as a natural logarithm
 const KEY_ZOOM = 1.25;
-const PIXELS_SEEN = 4; // screen pixels to one of the maps from which on they have edges
+const PIXELS_SEEN = 8; // screen pixels to one of the maps from which on, zoomed in, they have edges
 
 /** Place and size of the picture; `changed` is called when they change. */
 class Stage {
@@ -41,7 +41,8 @@ class Stage {
     style.width = `${fit * width}px`;
     style.height = `${fit * height}px`;
     style.transform = `translate(${at[0]}px, ${at[1]}px) scale(${this.zoom})`;
-    this.sheet.classList.toggle("relight-pixels", this.data.tiny || this.scale >= PIXELS_SEEN);
+    this.sheet.classList.toggle("relight-pixels", this.data.tiny
+      || (this.zoom > 1 && this.scale >= PIXELS_SEEN));
     this.changed();
   }
 

@@ -30,6 +30,14 @@ function wrapped(degrees) {
   return Math.abs(degrees) > 180 ? degrees - 360 * Math.round(degrees / 360) : degrees;
 }
 
+/** Scroll the bar that a label is in until all of it is seen; never the page. */
+function bring(label) {
+  const bar = label.parentElement;
+  const [left, right] = [label.offsetLeft - 48, label.offsetLeft + label.offsetWidth + 48];
+  if (left < bar.scrollLeft) bar.scrollLeft = left;
+  else if (right > bar.scrollLeft + bar.clientWidth) bar.scrollLeft = right - bar.clientWidth;
+}
+
 class View {
   constructor(root, data, picture) {
     Object.assign(this, { root, data, picture });
@@ -178,7 +186,10 @@ class View {
     const { elements } = this.form;
     for (const name of ["light", "view"]) {
       for (const input of root.querySelectorAll(`input[name=${name}]`)) {
-        input.checked = input.value === state[name];
+        const checked = input.value === state[name];
+        // A bar that is too narrow for all brings what was chosen into sight.
+        if (checked && !input.checked) bring(input.parentElement);
+        input.checked = checked;
       }
     }
     for (const name of ["window", "tone", "picture"]) elements[name].value = state[name];
@@ -231,17 +242,14 @@ class View {
       return;
     }
     const focused = legend.contains(document.activeElement);
-    const scale = document.createElement("i");
-    scale.className = "relight-scale";
-    const low = document.createElement("span");
-    low.textContent = "± 0.001";
-    const high = document.createElement("span");
-    high.textContent = "± 1";
+    const part = (tag, look, text) => Object.assign(document.createElement(tag),
+      { className: look, textContent: text });
     const menu = document.createElement("select");
     menu.name = "of";
     menu.setAttribute("aria-label", "Uncertainty of");
     menu.append(...CHOICES.of.map((name) => new Option(name, name, false, name === of)));
-    legend.replaceChildren(menu, low, scale, high);
+    legend.replaceChildren(menu, part("span", "", "± 0.001"), part("i", "relight-scale", ""),
+      part("span", "", "± 1"), part("i", "relight-poor", ""), part("span", "", "not determined"));
     if (focused) menu.focus();
   }
 
@@ -303,9 +311,6 @@ class View {
     this.say("");
     const compared = this.state.picture && this.originals.has(name) ? { picture: name } : {};
     this.change({ light: name, ...compared });
-    const tile = [...this.root.querySelectorAll("input[name=light]")]
-      .find(({ value }) => value === name);
-    tile?.closest("label").scrollIntoView({ block: "nearest", inline: "nearest" });
   }
 
   compare() {
