@@ -19,7 +19,9 @@ from pbrfit import DirectionalLight, Result, decompose, relight
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import document
-from pbrfit.report.viewer import fragment, maps
+from pbrfit.report.viewer import film, fragment, maps
+from pbrfit.report.viewer.film import Tile
+from pbrfit.report.viewer.lights import Lighting
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import random_lights
 
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 
 PAGE = document("view", "{}").replace("{}", "\0").replace("{", "{{").replace("}", "}}").replace("\0", "{}")
 """A page to be filled with a fragment by `format`."""
+
+Light = NDArray[np.float64] | DirectionalLight | tuple[Any, ...]
+"""As `relight` takes it."""
 
 READY = '.relight-view[data-state="ready"]'
 
@@ -51,11 +56,12 @@ def made(
     mask: NDArray[np.bool_] | None = None,
     grey: bool = False,
     binary: bool = False,
+    roughness: tuple[float, float] = (0.0, 1.0),
     seed: int = 0,
 ) -> Result:
     """A result of random materials, normals all over the sphere and two random lights.
 
-    `binary`: roughness and metallic are 0 or 1.
+    `binary`: roughness and metallic are 0 or 1; else `roughness` is in a range.
     """
     rng = np.random.default_rng(seed)
     mask = np.ones((height, width), bool) if mask is None else mask
@@ -63,6 +69,7 @@ def made(
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     albedo = rng.random((height, width, 3))
     finish = rng.random((2, height, width))
+    finish[0] = roughness[0] + (roughness[1] - roughness[0]) * finish[0]
     lighting = random_lights(2, rng)
     if binary:
         finish = np.rint(finish)
@@ -84,7 +91,7 @@ def made(
 
 def expected(
     result: Result,
-    light: NDArray[np.float64] | DirectionalLight | Sequence[NDArray[np.float64] | DirectionalLight],
+    light: Light | Sequence[Light],
     *,
     exposure: float = 0.0,
     tone_map: ToneMap = "none",
@@ -96,7 +103,7 @@ def expected(
 
     Several lights add up. `exposure` is in all.
     """
-    several = light if isinstance(light, (list, tuple)) else [light]
+    several = light if isinstance(light, list) else [light]
     small = maps.of_result(result, max_side)
     finish = Materials(
         small.materials.albedo,
@@ -106,6 +113,12 @@ def expected(
     shown = dataclasses.replace(result, materials=finish, normals=small.normals, mask=small.mask)
     radiance = np.sum([relight(shown, one) for one in several], axis=0)
     return coded(encoded(radiance, exposure, tone_map), small.mask)
+
+
+def tiles_of(result: Result) -> list[Tile]:
+    """Its reconstructions in the place of pictures."""
+    made = film.of_lights(Lighting(result))
+    return [dataclasses.replace(tile, original=True) for tile in made]
 
 
 def coded(display: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -169,6 +182,16 @@ class View:
             )
         )
 
+    def adjust(self) -> None:
+        """Open the panel."""
+        self.page.get_by_role("button", name="Adjust light and picture").click()
+
+    def box(self) -> dict[str, float]:
+        """Where the picture is on the screen, whatever is seen of it."""
+        found = self.page.locator(".relight-canvas").bounding_box()
+        assert found is not None
+        return dict(found)  # type: ignore[arg-type]
+
     def choose(self, light: str) -> None:
         """Choose a light in the filmstrip; "" is the lamp."""
         self.page.locator("input[type=radio][name=light]").evaluate_all(
@@ -205,11 +228,16 @@ class View:
 
 @contextmanager
 def opened(
-    browser: Browser, result: Result, folder: Path, max_side: int = 1024, width: int = 1280
+    browser: Browser,
+    result: Result,
+    folder: Path,
+    max_side: int = 1024,
+    width: int = 1280,
+    tiles: Sequence[Tile] | None = None,
 ) -> Iterator[View]:
     """The view of a result in a page of its own; nothing may go wrong there meanwhile."""
     file = folder / "page.html"
-    file.write_text(PAGE.format(fragment(result, max_side)), encoding="utf-8")
+    file.write_text(PAGE.format(fragment(result, max_side, tiles)), encoding="utf-8")
     visited: Visit
     with visit(browser, file, width=width) as visited:
         visited.page.wait_for_selector(READY)

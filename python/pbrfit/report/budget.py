@@ -26,7 +26,7 @@ MAPS_SHARE = 0.5
 VIEW_SIDES = (4096, 3072, 2560, 2048, 1792, 1536, 1280, 1024, 896, 768, 640, 512, 384, 256, 128)
 """Longer sides that the maps of the view may have, in pixels."""
 
-MAP_SIDES = (640, 512, 384, 256, 128)
+MAP_SIDES = (384, 256, 192, 128)
 """Longer sides of the maps beside each other; in the view they are larger."""
 
 PICTURE_SIDES = (384, 256, 192, 128)

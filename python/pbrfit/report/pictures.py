@@ -17,6 +17,7 @@ from pbrfit.result.differences import Difference
 from pbrfit.result.relighting import rendered_picture
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import in_pieces
 
 HIGH = 95
 """Percentile of the residuals that is shown beside their root mean square."""
@@ -90,17 +91,18 @@ class _Shown:
 
 
 def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[Picture]:
-    """Render and measure all pictures, one at a time."""
-    found = []
-    for i, name in enumerate(result.pictures):
+    """Render and measure all pictures."""
+
+    def one(i: int) -> Picture:
         coefficients = result.lighting[i]
         light = lights.measure(coefficients)
-        fit, one = _one(result, scene, i, sides)
+        fit, shown = _one(result, scene, i, sides)
         balls = None
         if result.lamps is None:
             balls = lights.pngs(coefficients, light, result.model)
-        found.append(Picture(name, fit, one, light, balls))
-    return found
+        return Picture(result.pictures[i], fit, shown, light, balls)
+
+    return in_pieces(0, one, range(len(result.pictures)))
 
 
 def _one(

@@ -16,6 +16,7 @@ from pbrfit.report.raster import picture_png, reduced
 from pbrfit.report.viewer.lights import Lighting, exposure_of
 from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import in_pieces
 
 SIDES = (1024, 768, 512, 384, 256, 128)
 """Longer sides that inputs may have, in pixels."""
@@ -53,7 +54,7 @@ def of_scene(scene: Scene, limit: float) -> list[Tile]:
         sides,
         limit,
     )
-    return [_input(scene, i, best.side) for i in range(len(scene.images))]
+    return in_pieces(0, lambda i: _input(scene, i, best.side), range(len(scene.images)))
 
 
 def of_lights(lighting: Lighting) -> list[Tile]:
