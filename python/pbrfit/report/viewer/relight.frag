@@ -82,7 +82,9 @@ void main() {
   vec2 centre = (2.0 * vec2(pixel) + 1.0 - vec2(size)) / float(size.x);
   vec3 normal = unfolded(2.0 * g.xy - 1.0);
   vec3 view = normalize(vec3(-centre * tangent, 1.0));
-  Surface here = Surface(normal, view, dot(normal, view) + g.a, s.rgb * s.rgb,
+  float facing = dot(normal, view) + g.a;
+  normal += g.a * view;  // what n·v lacks, n·l lacks as well
+  Surface here = Surface(normal, view, facing, s.rgb * s.rgb,
       clamp(g.z + offset.x, 0.0, 1.0), clamp(s.a + offset.y, 0.0, 1.0));
 
   int what = shown;

@@ -26,14 +26,14 @@ class Stage {
 
   lay() {
     const { width, height } = this.data;
-    const [left, top, wide, high] = this.room();
-    const fit = Math.min(wide / width, high / height);
+    const [left, top, wide, tall] = this.room();
+    const fit = Math.min(wide / width, tall / height);
     const size = [fit * width * this.zoom, fit * height * this.zoom];
-    const free = [wide, high];
+    const free = [wide, tall];
     const at = [left, top].map((edge, i) => {
-      // What is smaller than the room stands in its middle, what is larger covers it.
-      const half = free[i] / (2 * size[i]);
-      this.centre[i] = half >= 0.5 ? 0.5 : Math.min(1 - half, Math.max(half, this.centre[i]));
+      // Its edges stay where they are at first, or outside: as far as zooming about a pixel leads.
+      const most = 0.5 - 0.5 / this.zoom;
+      this.centre[i] = Math.min(0.5 + most, Math.max(0.5 - most, this.centre[i]));
       return edge + free[i] / 2 - this.centre[i] * size[i];
     });
     Object.assign(this, { at, size, scale: fit * this.zoom });
@@ -52,17 +52,17 @@ class Stage {
     // As far as one pixel in 16 of the screen, for small maps at least eight times.
     const most = Math.max(8, MOST_ZOOM / Math.max(1e-9, this.scale / before));
     this.zoom = Math.min(Math.min(most, 4096), Math.max(1, before * factor));
-    const [left, top, wide, high] = this.room();
+    const [left, top, wide, tall] = this.room();
     const size = this.size.map((value) => (value * this.zoom) / before);
     const place = [(x - this.at[0]) / this.size[0], (y - this.at[1]) / this.size[1]];
     this.centre = [place[0] + (left + wide / 2 - x) / size[0],
-      place[1] + (top + high / 2 - y) / size[1]];
+      place[1] + (top + tall / 2 - y) / size[1]];
     this.lay();
   }
 
   zoomBy(factor) {
-    const [left, top, wide, high] = this.room();
-    this.zoomAbout([left + wide / 2, top + high / 2], factor);
+    const [left, top, wide, tall] = this.room();
+    this.zoomAbout([left + wide / 2, top + tall / 2], factor);
   }
 
   pan(x, y) {
@@ -78,10 +78,10 @@ class Stage {
 
   /** What is seen of the picture, in pixels of the stage: left, top, right, bottom. */
   seen() {
-    const [left, top, wide, high] = this.room();
+    const [left, top, wide, tall] = this.room();
     const { at, size } = this;
     return [Math.max(at[0], left), Math.max(at[1], top),
-      Math.min(at[0] + size[0], left + wide), Math.min(at[1] + size[1], top + high)];
+      Math.min(at[0] + size[0], left + wide), Math.min(at[1] + size[1], top + tall)];
   }
 
   /** A pointer's place, in pixels of the stage. */
