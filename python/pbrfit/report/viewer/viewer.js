@@ -55,9 +55,13 @@ class View {
     this.stride = 1;
     this.canvas = root.querySelector(".relight-canvas");
     this.marker = root.querySelector(".relight-lamp");
+    const sheet = root.querySelector(".relight-sheet");
+    for (const className of ["relight-deviation", "relight-before"]) {
+      sheet.append(Object.assign(new Image(), { className, hidden: true }));
+    }
     this.ball = new Ball(root.querySelector(".relight-ball"));
     this.stageElement = root.querySelector(".relight-stage");
-    this.stage = new Stage(this.stageElement, root.querySelector(".relight-sheet"), data,
+    this.stage = new Stage(this.stageElement, sheet, data,
       () => this.lay());
     this.reveal = new Reveal(root, this.stage);
     this.originals = new Map([...root.querySelectorAll("img[data-original]")]
