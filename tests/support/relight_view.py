@@ -28,7 +28,13 @@ from pbrfit.synthetic.lights import random_lights
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
-PAGE = document("view", "{}").replace("{}", "\0").replace("{", "{{").replace("}", "}}").replace("\0", "{}")
+PAGE = (
+    document("view", "{}")
+    .replace("{}", "\0")
+    .replace("{", "{{")
+    .replace("}", "}}")
+    .replace("\0", "{}")
+)
 """A page to be filled with a fragment by `format`."""
 
 Light = NDArray[np.float64] | DirectionalLight | tuple[Any, ...]

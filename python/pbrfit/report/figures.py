@@ -50,9 +50,7 @@ def difference_key(what: str, marks: Mapping[str, int], *, degrees: bool = False
 
 def palette_stops() -> str:
     """Colours of residuals, errors and deviations, from 0.001 to 1, as a gradient's stops."""
-    return ", ".join(
-        css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int)
-    )
+    return ", ".join(css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int))
 
 
 def grey_key(what: str) -> str:

@@ -50,9 +50,7 @@ class Table:
     caption: str = ""
 
 
-def document(
-    title: str, body: str, *, style: str = "", script: str = "", look: str = ""
-) -> str:
+def document(title: str, body: str, *, style: str = "", script: str = "", look: str = "") -> str:
     """Whole page; `style` comes after the common one, `script` runs when the page is read.
 
     A body of its own `look`, a class of `style`, has the theme's button in its own place.
@@ -65,7 +63,9 @@ def document(
         # First of all, so that no page is shown in the other theme before.
         f"<script>{theme.script()}</script>",
         f"<style>{theme.style()}{style}</style>\n</head>",
-        f'<body class="{look}">' if look else f'<body>\n<div class="page-theme">{theme.button()}</div>',
+        f'<body class="{look}">'
+        if look
+        else f'<body>\n<div class="page-theme">{theme.button()}</div>',
     ]
     tail = [f"<script>{script}</script>"] if script else []
     return "\n".join([*head, body, *tail, "</body>\n</html>\n"])

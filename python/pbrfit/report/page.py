@@ -82,7 +82,9 @@ def page(result: Result, originals: Originals) -> str:
     pictures = of_pictures.examine(result, scene, sides)
     tiles = None
     if scene is not None:
-        tiles = viewer.film.of_scene(scene, budget.FILM_SHARE * budget.LIMIT)
+        tiles = viewer.film.of_scene(
+            scene, [one.white for one in pictures], budget.FILM_SHARE * budget.LIMIT
+        )
     view = budget.largest_that_fits(
         lambda side: viewer.fragment(result, side, tiles, _head(result)),
         lambda html: len(html.encode()),
@@ -305,6 +307,8 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
 
 
 def _history(result: Result) -> str:
+    if len(result.history.rows) < 2:  # a plot of one point says nothing
+        return _stages(result)
     svg = as_svg(draw_history(result.history)).encode()
     address = f"data:image/svg+xml;base64,{in_base64(svg)}"
     what = "Root mean square errors against run time and against iterations, logarithmic"

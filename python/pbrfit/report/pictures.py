@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +56,13 @@ class Picture:
     light_pngs: tuple[bytes, bytes] | None
     """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""
 
+    @property
+    def white(self) -> float:
+        """What is shown as white."""
+        return self.shown.white
+
     def pngs(self, side: int) -> tuple[bytes, ...]:
-        """At one of the sides: the picture, its reconstruction and the residual, or only the second."""
+        """At one of the sides: picture, reconstruction and residual, or only the second."""
         return self.shown.pngs(side)
 
     def size(self, side: int) -> int:
@@ -116,9 +122,10 @@ def _one(
     weights = scene.channel_weights(i)
     counted = result.mask if weights is None else result.mask & (weights > 0).any(axis=-1)
     residual = differences.residual(rendered, image, weights)
+    rms, rmse = _errors(rendered, image, weights, residual)
     fit = Fit(
-        rms=metrics.rmse(np.where(np.isnan(rendered), np.nan, 0.0), image, weights),
-        rmse=metrics.rmse(rendered, image, weights),
+        rms=rms,
+        rmse=rmse,
         high=float(np.percentile(residual.values[counted], HIGH)),
         left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
     )
@@ -129,6 +136,22 @@ def _one(
         (raster.reduced(image, sides[0]), small),
         raster.reduced_difference(residual, sides[0]),
     )
+
+
+def _errors(
+    rendered: NDArray[np.float64],
+    image: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]] | None,
+    residual: Difference,
+) -> tuple[float, float]:
+    """Root mean square of a picture and of its residual."""
+    if weights is not None:
+        black = np.where(np.isnan(rendered), np.nan, 0.0)
+        return metrics.rmse(black, image, weights), metrics.rmse(rendered, image, weights)
+    # Without weights the map of the residual has all that it takes.
+    inside = np.isfinite(residual.values)
+    rms = differences.rms(image[inside])
+    return rms, rms * float(np.sqrt(np.mean(np.square(residual.values[inside]))))
 
 
 def table(pictures: Sequence[Picture]) -> Table:

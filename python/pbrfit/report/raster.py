@@ -14,7 +14,7 @@ from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 
 Values = NDArray[np.floating[Any]]
 
-SMALL = 1 << 15
+SMALL = 1 << 13
 """Pixels up to which the slowest and strongest compression is worth its time."""
 
 

@@ -660,7 +660,12 @@ def chromium() -> Iterator[Browser]:
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1400, 900)])
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_a_browser_shows_the_page_without_complaint(
-    folder: Path, page: Page, chromium: Browser, width: int, height: int, scheme: Literal["dark", "light"]
+    folder: Path,
+    page: Page,
+    chromium: Browser,
+    width: int,
+    height: int,
+    scheme: Literal["dark", "light"],
 ) -> None:
     assert page.elements
     with visit(chromium, folder / "page.html", width=width, height=height) as visited:
@@ -688,7 +693,9 @@ def test_a_browser_shows_the_page_without_complaint(
     assert broken == 0
 
 
-def test_the_theme_is_chosen_by_a_button_and_remembered(folder: Path, page: Page, chromium: Browser) -> None:
+def test_the_theme_is_chosen_by_a_button_and_remembered(
+    folder: Path, page: Page, chromium: Browser
+) -> None:
     assert page.elements
     ground = "getComputedStyle(document.documentElement).colorScheme"
     with visit(chromium, folder / "page.html") as visited:

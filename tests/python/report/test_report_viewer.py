@@ -746,7 +746,17 @@ def test_every_control_has_a_name_and_can_be_reached(
             order.append(view.page.evaluate("document.activeElement.name"))
             if order[-1] == "light":
                 break
-        wanted = ["view", "compare", "hand", "zoomout", "zoomin", "adjust", "azimuth", "save", "light"]
+        wanted = [
+            "view",
+            "compare",
+            "hand",
+            "zoomout",
+            "zoomin",
+            "adjust",
+            "azimuth",
+            "save",
+            "light",
+        ]
         assert [name for name in order if name in wanted] == wanted
 
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import base64
 import io
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.io.display import encoded
@@ -14,7 +18,6 @@ from pbrfit.report import budget
 from pbrfit.report.html import png_address
 from pbrfit.report.raster import picture_png, reduced
 from pbrfit.report.viewer.lights import Lighting, exposure_of
-from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 
@@ -43,18 +46,22 @@ class Tile:
     """Whether it is the input, to be compared with."""
 
 
-def of_scene(scene: Scene, limit: float) -> list[Tile]:
-    """The inputs, as large as fits into `limit` bytes."""
+def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
+    """The inputs, each with its white, as large as fits into `limit` bytes."""
+
+    def tile(i: int, side: int) -> Tile:
+        return _input(scene.images[i], whites[i], side)
+
     sides = budget.sides_for(max(scene.valid.shape), SIDES)
     # One picture out of the middle tells how large all will be.
     middle = len(scene.images) // 2
     best = budget.largest_that_fits(
-        lambda side: _input(scene, middle, side),
-        lambda tile: len(tile.address) * len(scene.images),
+        lambda side: tile(middle, side),
+        lambda one: len(one.address) * len(scene.images),
         sides,
         limit,
     )
-    return in_pieces(0, lambda i: _input(scene, i, best.side), range(len(scene.images)))
+    return in_pieces(0, lambda i: tile(i, best.side), range(len(scene.images)))
 
 
 def of_lights(lighting: Lighting) -> list[Tile]:
@@ -68,10 +75,10 @@ def of_lights(lighting: Lighting) -> list[Tile]:
     return tiles
 
 
-def _input(scene: Scene, i: int, side: int) -> Tile:
-    image, white = metrics.showable(scene.images[i], scene.valid, scene.channel_weights(i))
-    exposure = round(0.0 - float(np.log2(white)), 1)
-    shown = encoded(np.nan_to_num(reduced(image, side)), exposure, "neutral")
+def _input(image: NDArray[np.floating[Any]], white: float, side: int) -> Tile:
+    exposure = round(0.0 - math.log2(white), 1)
+    finite = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
+    shown = encoded(reduced(finite, side), exposure, "neutral")
     if max(shown.shape) <= LOSSLESS_SIDE:
         return Tile(png_address(picture_png(shown)), exposure, original=True)
     codes = np.rint(255 * shown).astype(np.uint8)
