@@ -8,7 +8,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from pbrfit.report.html import document
 from pbrfit.report.viewer import film, fragment, maps
 from pbrfit.report.viewer.film import Tile
 from pbrfit.report.viewer.lights import Lighting
+from pbrfit.result.relighting import LampLight
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import random_lights
 
@@ -37,7 +38,7 @@ PAGE = (
 )
 """A page to be filled with a fragment by `format`."""
 
-Light = NDArray[np.float64] | DirectionalLight | tuple[Any, ...]
+Light = NDArray[np.float64] | DirectionalLight | LampLight
 """As `relight` takes it."""
 
 READY = '.relight-view[data-state="ready"]'
@@ -109,7 +110,7 @@ def expected(
 
     Several lights add up. `exposure` is in all.
     """
-    several = light if isinstance(light, list) else [light]
+    several: Sequence[Light] = light if isinstance(light, list) else [cast(Light, light)]
     small = maps.of_result(result, max_side)
     finish = Materials(
         small.materials.albedo,
