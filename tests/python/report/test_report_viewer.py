@@ -506,6 +506,14 @@ def test_the_lamp_goes_where_the_pointer_is(
         view.page.wait_for_function("location.hash.includes('elevation')")
         address = view.page.url.partition("#")[2]
         assert shown_off(view, f"{address}&ambient=0", furnished, lamp) <= AT_MOST
+        # Beside the picture it stays at the edge.
+        box = view.box()
+        mouse.move(box["x"] - 40, y)
+        mouse.down()
+        mouse.up()
+        assert view.state()["azimuth"] == pytest.approx(-88, abs=0.2)
+        view.go(f"{address}&ambient=0.1")
+        view.saved()
         # A mark shows where it is.
         mark = view.page.locator(".relight-lamp").bounding_box()
         assert mark is not None

@@ -96,7 +96,11 @@ class Stage {
  * space bar or the middle button) moves the picture; two fingers do that and zoom.
  * @param light {begin(place), move(place, x, y), end()}
  */
-function listenToPointers(target, stage, hand, light) {
+function listenToPointers(canvas, stage, hand, light) {
+  const target = stage.element;
+  // Beside the picture a mouse goes on to move the light; a finger scrolls the page.
+  const counts = ({ target: on, pointerType }) =>
+    on === canvas || (on === target && pointerType !== "touch");
   const pointers = new Map();
   let doing = ""; // "light", "pan" or "pinch"
   const pinch = () => {
@@ -109,6 +113,7 @@ function listenToPointers(target, stage, hand, light) {
     target.classList.toggle("relight-panning", what === "pan");
   };
   target.addEventListener("pointerdown", (event) => {
+    if (!counts(event)) return;
     const middle = event.button === 1;
     if (event.button !== 0 && !middle) return;
     if (middle) event.preventDefault(); // or the page scrolls by itself
@@ -143,7 +148,9 @@ function listenToPointers(target, stage, hand, light) {
   };
   target.addEventListener("pointerup", end);
   target.addEventListener("pointercancel", end);
-  target.addEventListener("dblclick", () => stage.reset());
+  target.addEventListener("dblclick", (event) => {
+    if (event.target === canvas || event.target === target) stage.reset();
+  });
 }
 
 /** The wheel zooms, but leaves a page alone that is scrolled, or is about to be. */
