@@ -26,6 +26,7 @@ from pbrfit import InputError, Materials, Result, Scene, decompose, sh_basis
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import Model, render
 from pbrfit.report import budget, lights, originals, theme, write_report
+from pbrfit.report.html import document
 from pbrfit.report.page import REFLECTION
 from pbrfit.report.verdict import CLASSES
 from pbrfit.result.camera import Camera
@@ -138,6 +139,14 @@ def test_colours_can_be_read_in_both_themes() -> None:
     assert set(theme.DARK) == set(theme.LIGHT)
     assert theme.contrast("#ffffff", "#000000") == pytest.approx(21)
     assert theme.contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
+
+
+def test_every_page_has_both_themes_and_their_button() -> None:
+    found = Page(document("Title", "<h1>Title</h1>"))
+    [button] = found.all("button")
+    assert "theme" in button.attributes["class"]
+    for colors in (theme.DARK, theme.LIGHT):
+        assert f"--ground: {colors['ground']};" in found.content
 
 
 def test_style_sheets_know_every_property_they_use() -> None:

@@ -21,7 +21,7 @@ from pbrfit.report.viewer.lights import Lighting, exposure_of
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 
-SIDES = (1024, 768, 512, 384, 256, 128)
+SIDES = (1024, 768, 512, 384, 256, 128, 96, 64, 48)
 """Longer sides that inputs may have, in pixels."""
 
 QUALITY = 90
