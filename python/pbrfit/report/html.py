@@ -12,7 +12,6 @@ from html import escape
 from typing import Literal
 
 from pbrfit.report import theme
-from pbrfit.result.verdict import Mark
 
 Look = Literal["", "name", "number", "best", "pass", "fail", "note", "why", "hash"]
 """How a cell looks: a name on one line, a figure that is aligned right, a verdict, a remark."""
@@ -27,8 +26,6 @@ class Cell:
     value: float | None = None
     color: str = ""
     """For a style sheet: a patch of it stands before the text."""
-    mark: Mark | None = None
-    """Stands before the text."""
 
 
 def number(text: str, value: float | None = None) -> Cell:
@@ -96,21 +93,12 @@ def in_base64(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
 
 
-def _disc(mark: Mark) -> str:
-    red, green, blue = (round(255 * part) for part in mark.color)
-    color, share = f"#{red:02x}{green:02x}{blue:02x}", f"{100 * mark.filled:g}%"
-    filling = f"linear-gradient(90deg, {color} {share}, transparent {share})"
-    return f'<span class="disc" style="border-color:{color};background:{filling}"></span>'
-
-
 def _cell(tag: str, cell: Cell) -> str:
     text = escape(cell.text).replace("\n", "<br>")
     if cell.value is not None:
         text = f'<data value="{float(cell.value)!r}">{text}</data>'
     if cell.color:
         text = f'<span class="patch" style="background:{cell.color}"></span> {text}'
-    if cell.mark is not None:
-        text = f"{_disc(cell.mark)}{text}"
     if cell.look in ("pass", "fail", "note"):
         return f'<{tag}><span class="{cell.look}">{text}</span></{tag}>'
     if cell.look == "best":
