@@ -25,11 +25,15 @@ from pbrfit import Result
 from pbrfit.io.display import ToneMap
 from pbrfit.model import panorama
 from pbrfit.model.reflection import MODELS
+from pbrfit.result.relighting import DirectionalLight, own_light
 from relight_view import View, expected, made, opened
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
 RANDOM_SIZE = (683, 1024)
+LAMPS = [(-35, 35), (0, 0), (60, -20), (-80, 10), (10, 85)]
+"""Azimuth and elevation in degrees."""
+
 SHOWN: list[tuple[float, ToneMap]] = [(0.0, "none"), (1.5, "neutral")]
 """Exposures and tone maps."""
 
@@ -48,24 +52,41 @@ def main() -> None:
         for name, result in results.items():
             with opened(browser, result, Path(place)) as view:
                 print_row(name, "its own lights", own_lights(view, result))
+                print_row(name, f"{len(LAMPS)} lamps", lamps(view, result))
                 if files:
                     print_row(name, f"{len(files)} panoramas", panoramas(view, result, files))
 
 
 def own_lights(view: View, result: Result) -> Iterator[Pair]:
     """Pixels of the view and of the package under each recovered light."""
-    for name, light in zip(result.pictures, result.lighting, strict=True):
+    for i, name in enumerate(result.pictures):
         for exposure, tone_map in SHOWN:
             view.go(f"light={name}&exposure={exposure}&tone={tone_map}")
-            yield view.saved(), expected(result, light, exposure=exposure, tone_map=tone_map)
+            stops = view.automatic() + exposure
+            light = own_light(result, i)
+            yield view.saved(), expected(result, light, exposure=stops, tone_map=tone_map)
+
+
+def lamps(view: View, result: Result) -> Iterator[Pair]:
+    """Pixels of the view and of the package under hard light."""
+    for azimuth, elevation in LAMPS:
+        light = DirectionalLight(azimuth, elevation)
+        for exposure, tone_map in SHOWN:
+            view.go(
+                f"azimuth={azimuth}&elevation={elevation}&ambient=0&exposure={exposure}"
+                f"&tone={tone_map}"
+            )
+            stops = view.automatic() + exposure
+            yield view.saved(), expected(result, light, exposure=stops, tone_map=tone_map)
 
 
 def panoramas(view: View, result: Result, files: list[Path]) -> Iterator[Pair]:
-    """Pixels of the view and of the package under panoramas, at exposure 0."""
-    view.go("exposure=0&tone=none")
+    """Pixels of the view and of the package under panoramas."""
+    view.go("tone=none")
     for file in files:
         view.open(file)
-        yield view.saved(), expected(result, panorama.project(panorama.read(file)))
+        light = panorama.project(panorama.read(file))
+        yield view.saved(), expected(result, light, exposure=view.automatic())
 
 
 def print_row(maps: str, light: str, pairs: Iterator[Pair]) -> None:

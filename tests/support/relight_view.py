@@ -5,32 +5,41 @@ from __future__ import annotations
 import base64
 import dataclasses
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from browser import Visit, visit
-from pbrfit import Result, decompose, relight
+from pbrfit import DirectionalLight, Result, decompose, relight
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model.materials import Materials
-from pbrfit.report.viewer import fragment, maps
+from pbrfit.report.html import document
+from pbrfit.report.viewer import film, fragment, maps
+from pbrfit.report.viewer.film import Tile
+from pbrfit.report.viewer.lights import Lighting
+from pbrfit.result.relighting import LampLight
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import random_lights
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1"><title>view</title></head>
-<body>
-{}</body></html>
-"""
+PAGE = (
+    document("view", "{}")
+    .replace("{}", "\0")
+    .replace("{", "{{")
+    .replace("}", "}}")
+    .replace("\0", "{}")
+)
+"""A page to be filled with a fragment by `format`."""
+
+Light = NDArray[np.float64] | DirectionalLight | LampLight
+"""As `relight` takes it."""
 
 READY = '.relight-view[data-state="ready"]'
 
@@ -54,11 +63,12 @@ def made(
     mask: NDArray[np.bool_] | None = None,
     grey: bool = False,
     binary: bool = False,
+    roughness: tuple[float, float] = (0.0, 1.0),
     seed: int = 0,
 ) -> Result:
     """A result of random materials, normals all over the sphere and two random lights.
 
-    `binary`: roughness and metallic are 0 or 1.
+    `binary`: roughness and metallic are 0 or 1; else `roughness` is in a range.
     """
     rng = np.random.default_rng(seed)
     mask = np.ones((height, width), bool) if mask is None else mask
@@ -66,6 +76,7 @@ def made(
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     albedo = rng.random((height, width, 3))
     finish = rng.random((2, height, width))
+    finish[0] = roughness[0] + (roughness[1] - roughness[0]) * finish[0]
     lighting = random_lights(2, rng)
     if binary:
         finish = np.rint(finish)
@@ -87,7 +98,7 @@ def made(
 
 def expected(
     result: Result,
-    light: NDArray[np.float64],
+    light: Light | Sequence[Light],
     *,
     exposure: float = 0.0,
     tone_map: ToneMap = "none",
@@ -95,7 +106,11 @@ def expected(
     roughness: float = 0.0,
     metallic: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """(H, W, 4) uint8 sRGB of the result, at the view's size; transparent outside the mask."""
+    """(H, W, 4) uint8 sRGB of the result, at the view's size; transparent outside the mask.
+
+    Several lights add up. `exposure` is in all.
+    """
+    several: Sequence[Light] = light if isinstance(light, list) else [cast(Light, light)]
     small = maps.of_result(result, max_side)
     finish = Materials(
         small.materials.albedo,
@@ -103,7 +118,14 @@ def expected(
         np.clip(small.materials.metallic + metallic, 0, 1),
     )
     shown = dataclasses.replace(result, materials=finish, normals=small.normals, mask=small.mask)
-    return coded(encoded(relight(shown, light), exposure, tone_map), small.mask)
+    radiance = np.sum([relight(shown, one) for one in several], axis=0)
+    return coded(encoded(radiance, exposure, tone_map), small.mask)
+
+
+def tiles_of(result: Result) -> list[Tile]:
+    """Its reconstructions in the place of pictures."""
+    made = film.of_lights(Lighting(result))
+    return [dataclasses.replace(tile, original=True) for tile in made]
 
 
 def coded(display: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -158,6 +180,31 @@ class View:
         )
         return pixels_of_png(base64.b64decode(code))
 
+    def automatic(self) -> float:
+        """Stops that the view adds to those of its slider."""
+        return float(
+            self.page.evaluate(
+                "(({ view }) => view.exposure() - view.state.exposure)"
+                "(document.querySelector('.relight-view'))"
+            )
+        )
+
+    def adjust(self) -> None:
+        """Open the panel."""
+        self.page.get_by_role("button", name="Adjust light and picture").click()
+
+    def box(self) -> dict[str, float]:
+        """Where the picture is on the screen, whatever is seen of it."""
+        found = self.page.locator(".relight-canvas").bounding_box()
+        assert found is not None
+        return dict(found)  # type: ignore[arg-type]
+
+    def choose(self, light: str) -> None:
+        """Choose a light in the filmstrip; "" is the lamp."""
+        self.page.locator("input[type=radio][name=light]").evaluate_all(
+            "(inputs, light) => inputs.find(({ value }) => value === light).click()", light
+        )
+
     def control(self, name: str) -> Locator:
         """A slider or menu."""
         return self.page.locator(f"input[type=range][name={name}], select[name={name}]")
@@ -188,11 +235,16 @@ class View:
 
 @contextmanager
 def opened(
-    browser: Browser, result: Result, folder: Path, max_side: int = 1024, width: int = 1280
+    browser: Browser,
+    result: Result,
+    folder: Path,
+    max_side: int = 1024,
+    width: int = 1280,
+    tiles: Sequence[Tile] | None = None,
 ) -> Iterator[View]:
     """The view of a result in a page of its own; nothing may go wrong there meanwhile."""
     file = folder / "page.html"
-    file.write_text(PAGE.format(fragment(result, max_side)), encoding="utf-8")
+    file.write_text(PAGE.format(fragment(result, max_side, tiles)), encoding="utf-8")
     visited: Visit
     with visit(browser, file, width=width) as visited:
         visited.page.wait_for_selector(READY)

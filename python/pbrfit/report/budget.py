@@ -14,17 +14,23 @@ T = TypeVar("T")
 LIMIT = 20_000_000
 """Bytes that a page has at most."""
 
-VIEW_SHARE = 0.4
-"""Share of the limit that the relight view may take; what a part does not need goes to the next."""
+VIEW_SHARE = 0.6
+"""Share of the limit that the view may take; what a part does not need goes to the next."""
 
-MAPS_SHARE = 0.6
+FILM_SHARE = 0.15
+"""Share of the limit that pictures to compare with may take; they are a part of the view."""
+
+MAPS_SHARE = 0.5
 """Share of what the view leaves that the maps may take; pictures have the rest."""
 
-LARGEST = 1024
-"""Longer side of a map or the relight view in pixels."""
+VIEW_SIDES = (4096, 3072, 2560, 2048, 1792, 1536, 1280, 1024, 896, 768, 640, 512, 384, 256, 128)
+"""Longer sides that the maps of the view may have, in pixels."""
 
-MAP_SIDES = (LARGEST, 768, 512, 384, 256, 128)
+MAP_SIDES = (384, 256, 192, 128)
+"""Longer sides of the maps beside each other; in the view they are larger."""
+
 PICTURE_SIDES = (384, 256, 192, 128)
+"""Longer sides of the pictures beside their reconstructions."""
 
 
 @dataclass(frozen=True)
@@ -65,20 +71,27 @@ def largest_that_fits(
         i = fits[0] if fits else len(sides) - 1
 
 
-def choose(sizes: Sequence[Sequence[int]], limit: float) -> tuple[int, list[int]]:
+def choose(
+    sides: int, count: int, size: Callable[[int, int], int], limit: float
+) -> tuple[int, list[int]]:
     """Choose how large and which of many pictures are shown.
 
-    `sizes` are the bytes of each picture, by side, the largest side first; `limit` those of all
-    that are shown. Returns the index of the largest side at which all fit and all pictures; or the
-    smallest side and as many, evenly spread, as fit at it.
+    `size(side, i)` are the bytes of picture i at a side, 0 the largest of all `sides`; they are
+    asked for only as far as they are needed. `limit` is the bytes of all that are shown. Returns
+    the index of the largest side at which all fit and all pictures; or the smallest side and as
+    many, evenly spread, as fit at it.
     """
-    count = len(sizes)
-    for side in range(len(sizes[0])):
-        if sum(of_picture[side] for of_picture in sizes) <= limit:
+    for side in range(sides):
+        total = 0
+        for i in range(count):
+            total += size(side, i)
+            if total > limit:
+                break
+        else:
             return side, list(range(count))
-    side = len(sizes[0]) - 1
+    side = sides - 1
     for shown in range(count - 1, 0, -1):
         chosen = np.linspace(0, count - 1, shown).round().astype(int).tolist()
-        if sum(sizes[i][side] for i in chosen) <= limit:
+        if sum(size(side, i) for i in chosen) <= limit:
             return side, chosen
     return side, []

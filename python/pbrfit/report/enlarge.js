@@ -24,3 +24,24 @@
     });
   }
 })();
+// A link to a section unfolds it.
+(() => {
+  const unfold = () => {
+    const section = document.getElementById(window.location.hash.slice(1));
+    const folded = section?.matches("section") && section.querySelector("details");
+    if (!folded) return;
+    folded.open = true;
+    section.scrollIntoView();
+  };
+  window.addEventListener("hashchange", unfold);
+  unfold();
+  // What a verdict says goes away with a click elsewhere, or with Escape.
+  const verdicts = document.querySelectorAll("details.verdict");
+  const close = (except) => verdicts.forEach((one) => {
+    if (one !== except) one.open = false;
+  });
+  document.addEventListener("pointerdown", ({ target }) => close(target.closest("details.verdict")));
+  document.addEventListener("keydown", ({ key }) => {
+    if (key === "Escape") close(null);
+  });
+})();

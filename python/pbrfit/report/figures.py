@@ -43,12 +43,14 @@ def difference_key(what: str, marks: Mapping[str, int], *, degrees: bool = False
 
     With `degrees` that of angles between normals.
     """
-    stops = ", ".join(
-        css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int)
-    )
     ticks = differences.tick_places(degrees=degrees)
     patches = {label: css(PALETTE[index]) for label, index in marks.items()}
-    return _key(what, stops, ticks, patches)
+    return _key(what, palette_stops(), ticks, patches)
+
+
+def palette_stops() -> str:
+    """Colours of residuals, errors and deviations, from 0.001 to 1, as a gradient's stops."""
+    return ", ".join(css(PALETTE[i]) for i in np.linspace(0, differences.STEPS - 1, 17).astype(int))
 
 
 def grey_key(what: str) -> str:

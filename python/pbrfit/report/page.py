@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
-from pbrfit.report import budget, figures, lamps, maps, normals, transport, verdict, viewer
+from pbrfit.report import budget, figures, lamps, maps, normals, theme, transport, verdict, viewer
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
 from pbrfit.report.html import (
@@ -36,9 +36,9 @@ OPEN_TABLE = 24
 """Tables with more rows are folded away."""
 
 TITLES = {
-    "relight": "Relight",
+    "summary": "How the fit went",
     "maps": "Maps",
-    "pictures": "Pictures",
+    "pictures": "Pictures and residuals",
     "lights": "Lights",
     "lamps": "Lamps",
     "surroundings": "Surroundings",
@@ -46,6 +46,9 @@ TITLES = {
     "origin": "Run details",
 }
 """Headings by anchor, in their order; sections without content are left out."""
+
+OPEN = {"summary": " open"}
+"""Sections that are not folded at first."""
 
 REFLECTION: Mapping[Model, str] = {
     "paper": (
@@ -62,12 +65,6 @@ REFLECTION: Mapping[Model, str] = {
 """What the maps are maps of."""
 
 
-LAMPS_IN_VIEW = (
-    "Lights of this view are soft: of a picture's lamps it shows what spherical harmonics hold. "
-    "pbrfit relight --picture NAME shows them as they are."
-)
-
-
 @dataclass(frozen=True)
 class _Chosen:
     """Pictures that are shown, and at which of their sides."""
@@ -81,14 +78,20 @@ def page(result: Result, originals: Originals) -> str:
     """HTML of a result, at most `budget.LIMIT` bytes."""
     longer = max(result.mask.shape)
     sides = budget.sides_for(longer, budget.PICTURE_SIDES)
-    pictures = of_pictures.examine(result, originals.scene, sides)
+    scene = originals.scene
+    pictures = of_pictures.examine(result, scene, sides)
+    tiles = None
+    if scene is not None:
+        tiles = viewer.film.of_scene(
+            scene, [one.white for one in pictures], budget.FILM_SHARE * budget.LIMIT
+        )
     view = budget.largest_that_fits(
-        lambda side: viewer.fragment(result, max_side=side),
+        lambda side: viewer.fragment(result, side, tiles, _head(result)),
         lambda html: len(html.encode()),
-        budget.sides_for(longer, budget.MAP_SIDES),
+        budget.sides_for(longer, budget.VIEW_SIDES),
         budget.VIEW_SHARE * budget.LIMIT,
     )
-    truth = originals.scene.truth if originals.scene is not None else None
+    truth = scene.truth if scene is not None else None
     known = truth is not None and "albedo_rmse" in result.metrics
     shown_maps = maps.section(
         [
@@ -99,10 +102,12 @@ def page(result: Result, originals: Originals) -> str:
         budget.MAPS_SHARE * (budget.LIMIT - view.bytes),
     )
 
+    tables = "".join(table(content) for content in verdict.key_numbers(result, pictures))
     fixed = {
-        "relight": _size_remark("The view's maps", view.side, result)
-        + ("" if result.lamps is None else paragraph(LAMPS_IN_VIEW, "note"))
-        + view.made,
+        "relight": view.made,
+        "summary": "".join(paragraph(text) for text in verdict.sentences(result, pictures))
+        + f'<div class="numbers">{tables}</div>'
+        + _size_remark("Maps of the view above", view.side, result),
         "maps": _size_remark("Maps", shown_maps.side, result) + shown_maps.made,
         "lamps": lamps.section(result),
         "surroundings": transport.section(result),
@@ -115,16 +120,17 @@ def page(result: Result, originals: Originals) -> str:
             "pictures": _pictures(originals, pictures, chosen),
             "lights": _lights(pictures, chosen) if result.lamps is None else "",
         }
-        return _document(result, pictures, fixed | of_chosen)
+        return _document(result, fixed | of_chosen)
 
     # What is left of the limit, once all else is known to the letter, is for the pictures; markup
     # around them is only known with them.
     limit = float(budget.LIMIT)
     made = whole(_Chosen([], 0, reduced_size(result.mask.shape, sides[0])))
     limit -= len(made.encode())
-    sizes = [one.sizes for one in pictures]
     while limit > 0:
-        side, indices = budget.choose(sizes, limit)
+        side, indices = budget.choose(
+            len(sides), len(pictures), lambda side, i: pictures[i].size(side), limit
+        )
         size = reduced_size(result.mask.shape, sides[side])
         made = whole(_Chosen([pictures[i] for i in indices], side, size))
         excess = len(made.encode()) - budget.LIMIT
@@ -134,38 +140,29 @@ def page(result: Result, originals: Originals) -> str:
     return made
 
 
-def _document(result: Result, pictures: Sequence[Picture], sections: Mapping[str, str]) -> str:
-    title = _title(result)
-    titles = {key: text for key, text in TITLES.items() if sections[key]}
-    links = "".join(f'<a href="#{key}">{escape(text)}</a>' for key, text in titles.items())
-    tables = "".join(table(content) for content in verdict.key_numbers(result, pictures))
+def _document(result: Result, sections: Mapping[str, str]) -> str:
     body = [
-        f'<header><h1>{escape(title)}</h1><nav aria-label="Sections">{links}</nav></header>',
+        sections["relight"],
         "<main>",
-        _verdicts(result),
-        *(paragraph(text, "verdict") for text in verdict.sentences(result, pictures)),
-        f'<div class="numbers">{tables}</div>',
         *(
-            f'<section id="{key}" aria-labelledby="{key}-title">'
-            f'<h2 id="{key}-title">{escape(title)}</h2>{sections[key]}</section>'
-            for key, title in titles.items()
+            f'<section id="{key}"><details{OPEN.get(key, "")}>'
+            f"<summary><h2>{escape(title)}</h2></summary>{sections[key]}</details></section>"
+            for key, title in TITLES.items()
+            if sections[key]
         ),
         "</main>",
     ]
     here = Path(__file__).parent
     style = (here / "style.css").read_text(encoding="utf-8")
     script = (here / "enlarge.js").read_text(encoding="utf-8")
-    return document(title, "\n".join(body), style=style, script=script)
+    return document(_title(result), "\n".join(body), style=style, script=script, look="report")
 
 
-def _verdicts(result: Result) -> str:
-    """The first thing on the page: which maps can be used."""
-    of_maps = verdict.of_maps(result)
-    if of_maps is None:
-        return ""
-    return f'<div class="verdicts">{table(of_maps)}</div>' + paragraph(
-        verdict.how_to_read(), "note"
-    )
+def _head(result: Result) -> str:
+    """What stands above the picture: the title, and which maps can be used."""
+    found = verdict.chips(result)
+    verdicts = f'<div class="verdicts">{found}</div>' if found else ""
+    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{theme.button()}</header>"
 
 
 def _title(result: Result) -> str:
@@ -235,7 +232,7 @@ def _how_to_read(pictures: Sequence[Picture]) -> str:
 
 
 def _card(one: Picture, chosen: _Chosen) -> str:
-    pngs = one.pngs[chosen.side]
+    pngs = one.pngs(chosen.side)
     if one.fit is None:
         [png] = pngs
         content = figures.picture(png, chosen.size, f"Reconstruction of {one.name}")
@@ -310,6 +307,8 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
 
 
 def _history(result: Result) -> str:
+    if len(result.history.rows) < 2:  # a plot of one point says nothing
+        return _stages(result)
     svg = as_svg(draw_history(result.history)).encode()
     address = f"data:image/svg+xml;base64,{in_base64(svg)}"
     what = "Root mean square errors against run time and against iterations, logarithmic"

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pbrfit.report import budget, lights, raster
 from pbrfit.report.html import Cell, Table, heads, number
 from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences, metrics
+from pbrfit.result.differences import Difference
 from pbrfit.result.relighting import rendered_picture
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import in_pieces
 
 HIGH = 95
 """Percentile of the residuals that is shown beside their root mean square."""
@@ -44,66 +48,110 @@ class Picture:
     """A picture as the page shows it."""
 
     name: str
-    """Of the picture."""
+    """The picture's own."""
     fit: Fit | None
     """None without the scene."""
-    pngs: tuple[tuple[bytes, ...], ...]
-    """By side, the largest first: the picture, its reconstruction and the residual, or the
-    reconstruction alone."""
+    shown: _Shown
     light: Light
     light_pngs: tuple[bytes, bytes] | None
     """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""
 
     @property
-    def sizes(self) -> list[int]:
-        """Bytes in the page, by side."""
-        always = sum(budget.of_base64(len(png)) for png in self.light_pngs or ())
-        return [always + sum(budget.of_base64(len(png)) for png in pngs) for pngs in self.pngs]
+    def white(self) -> float:
+        """What is shown as white."""
+        return self.shown.white
+
+    def pngs(self, side: int) -> tuple[bytes, ...]:
+        """At one of the sides: picture, reconstruction and residual, or only the second."""
+        return self.shown.pngs(side)
+
+    def size(self, side: int) -> int:
+        """Bytes in the page at one of the sides, the largest first."""
+        pngs = (*(self.light_pngs or ()), *self.pngs(side))
+        return sum(budget.of_base64(len(png)) for png in pngs)
+
+
+@dataclass
+class _Shown:
+    """What is drawn, at the largest side; smaller ones are made of it when they are asked for."""
+
+    sides: Sequence[int]
+    white: float
+    radiance: tuple[NDArray[np.float64], ...]
+    """The picture, unless it is not there, and its reconstruction."""
+    residual: Difference | None
+    made: dict[int, tuple[bytes, ...]] = field(default_factory=dict)
+
+    def pngs(self, side: int) -> tuple[bytes, ...]:
+        if side not in self.made:
+            at = self.sides[side]
+            found = [
+                raster.picture_png(metrics.display(raster.reduced(one, at), self.white))
+                for one in self.radiance
+            ]
+            if self.residual is not None:
+                smaller = raster.reduced_difference(self.residual, at)
+                found.append(raster.difference_png(smaller))
+            self.made[side] = tuple(found)
+        return self.made[side]
 
 
 def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[Picture]:
-    """Render and measure all pictures, one at a time."""
-    found = []
-    for i, name in enumerate(result.pictures):
+    """Render and measure all pictures."""
+
+    def one(i: int) -> Picture:
         coefficients = result.lighting[i]
         light = lights.measure(coefficients)
-        fit, pngs = _one(result, scene, i, sides)
-        shown = None
+        fit, shown = _one(result, scene, i, sides)
+        balls = None
         if result.lamps is None:
-            shown = lights.pngs(coefficients, light, result.model)
-        found.append(Picture(name, fit, pngs, light, shown))
-    return found
+            balls = lights.pngs(coefficients, light, result.model)
+        return Picture(result.pictures[i], fit, shown, light, balls)
+
+    return in_pieces(0, one, range(len(result.pictures)))
 
 
 def _one(
     result: Result, scene: Scene | None, i: int, sides: Sequence[int]
-) -> tuple[Fit | None, tuple[tuple[bytes, ...], ...]]:
+) -> tuple[Fit | None, _Shown]:
     rendered = rendered_picture(result, i)
+    small = raster.reduced(rendered, sides[0])
     if scene is None:
-        white = metrics.white_of(rendered)
-        return None, tuple(
-            (raster.picture_png(metrics.display(raster.reduced(rendered, side), white)),)
-            for side in sides
-        )
+        return None, _Shown(sides, metrics.white_of(rendered), (small,), None)
     image = scene.images[i]
     weights = scene.channel_weights(i)
     counted = result.mask if weights is None else result.mask & (weights > 0).any(axis=-1)
     residual = differences.residual(rendered, image, weights)
+    rms, rmse = _errors(rendered, image, weights, residual)
     fit = Fit(
-        rms=metrics.rmse(np.where(np.isnan(rendered), np.nan, 0.0), image, weights),
-        rmse=metrics.rmse(rendered, image, weights),
+        rms=rms,
+        rmse=rmse,
         high=float(np.percentile(residual.values[counted], HIGH)),
         left_out=1 - np.count_nonzero(counted) / np.count_nonzero(result.mask),
     )
     image, white = metrics.showable(image, result.mask, weights)
-    return fit, tuple(
-        (
-            raster.picture_png(metrics.display(raster.reduced(image, side), white)),
-            raster.picture_png(metrics.display(raster.reduced(rendered, side), white)),
-            raster.difference_png(raster.reduced_difference(residual, side)),
-        )
-        for side in sides
+    return fit, _Shown(
+        sides,
+        white,
+        (raster.reduced(image, sides[0]), small),
+        raster.reduced_difference(residual, sides[0]),
     )
+
+
+def _errors(
+    rendered: NDArray[np.float64],
+    image: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]] | None,
+    residual: Difference,
+) -> tuple[float, float]:
+    """Root mean square of a picture and of its residual."""
+    if weights is not None:
+        black = np.where(np.isnan(rendered), np.nan, 0.0)
+        return metrics.rmse(black, image, weights), metrics.rmse(rendered, image, weights)
+    # Without weights the map of the residual has all that it takes.
+    inside = np.isfinite(residual.values)
+    rms = differences.rms(image[inside])
+    return rms, rms * float(np.sqrt(np.mean(np.square(residual.values[inside]))))
 
 
 def table(pictures: Sequence[Picture]) -> Table:

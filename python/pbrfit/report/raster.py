@@ -14,7 +14,7 @@ from pbrfit.result.differences import OUTSIDE, PALETTE, Difference
 
 Values = NDArray[np.floating[Any]]
 
-SMALL = 1 << 15
+SMALL = 1 << 13
 """Pixels up to which the slowest and strongest compression is worth its time."""
 
 
@@ -25,6 +25,8 @@ def reduced(values: Values, side: int) -> NDArray[np.float64]:
         return np.asarray(values, dtype=np.float64)
     planes = values.reshape(*values.shape[:2], -1)
     inside = np.isfinite(planes[..., 0])
+    if inside.all():
+        return averaged_channels(planes, size).reshape(*size, *values.shape[2:])
     share = averaged(inside, size)
     means = averaged_channels(np.where(inside[..., None], planes, 0.0), size)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 
 import numpy as np
 
 from pbrfit.report import normals
-from pbrfit.report.html import Cell, Table, number
+from pbrfit.report.html import Cell, Table, number, paragraph
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
 from pbrfit.result.data import Status
 from pbrfit.result.result import Result
-from pbrfit.result.verdict import MARKS, PARAMETERS, thresholds
+from pbrfit.result.verdict import PARAMETERS, Level, Verdict, thresholds
 from pbrfit.transport.decision import Kind
 
 MODEL_FAILS = 0.05
@@ -45,29 +46,42 @@ METRICS = {
 }
 
 
-def of_maps(result: Result) -> Table | None:
-    """The verdicts; None where the result has none."""
+CLASSES: Mapping[Level, str] = {
+    "usable": "usable",
+    "rough guide": "rough",
+    "not determined": "poor",
+}
+"""Colours of the style sheet by verdict."""
+
+
+def chips(result: Result) -> str:
+    """HTML of the verdict on each map in a word or two, with its reason one click away.
+
+    Nothing where the result has none.
+    """
     if result.uncertainty is None:
-        return None
-    verdicts = result.uncertainty.verdicts
-    columns = [Cell("map", "name"), Cell("verdict", "name"), Cell("expected error", "number")]
-    explained = any(one.why for one in verdicts.values())
-    if explained:
-        columns += [Cell("cause"), Cell("remedy")]
-    rows = [
-        [
-            Cell(name, "name"),
-            Cell(one.level, "name", mark=MARKS[one.level]),
-            number(one.error_in_words, one.expected_error),
-            *([Cell(one.cause), Cell(one.remedy)] if explained else ()),
-        ]
-        for name, one in verdicts.items()
-    ]
-    return Table(columns, rows)
+        return ""
+    return "".join(
+        f'<details class="verdict {CLASSES[one.level]}" name="verdict"><summary><i></i>'
+        f"<span>{escape(name)}:</span> <b>{escape(one.level)}</b></summary>"
+        f"<div>{_reason(name, one)}</div></details>"
+        for name, one in result.uncertainty.verdicts.items()
+    )
+
+
+def _reason(name: str, one: Verdict) -> str:
+    expected = f'<data value="{float(one.expected_error)!r}">{escape(one.error_in_words)}</data>'
+    cause = f"{one.cause[0].upper()}{one.cause[1:]}." if one.cause else ""
+    remedy = f"{one.remedy[0].upper()}{one.remedy[1:]}." if one.remedy else ""
+    texts = [paragraph(text) for text in (cause, remedy) if text]
+    return (
+        f"<p>Expected error of {escape(name)}: {expected}</p>{''.join(texts)}"
+        f"{paragraph(how_to_read(), 'note')}"
+    )
 
 
 def how_to_read() -> str:
-    """What the words and figures of `of_maps` mean."""
+    """What the words and figures of verdicts mean."""
     rule = thresholds()
     return (
         "Expected error: the RMSE of a map, of values between 0 and 1, that noise, misfit, lights "

@@ -128,6 +128,10 @@ def residual(
     part in the fit and have none here; pixels with no others are white.
     """
     used: NDArray[np.bool_] = np.asarray(np.isfinite(rendered).all(axis=-1))
+    if weights is None and used.all():
+        error = np.asarray(rendered) - np.asarray(picture)
+        mean = np.einsum("hwc,hwc->hw", error, error) / error.shape[-1]
+        return Difference(np.sqrt(mean) / rms(picture))
     counted = np.broadcast_to(used[..., None], np.shape(picture))
     if weights is not None:
         counted = counted & (weights > 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import errno
+import itertools
 import json
 import math
 import os
@@ -13,7 +14,7 @@ import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pytest
@@ -24,8 +25,10 @@ from page_reader import Page, decoded
 from pbrfit import InputError, Materials, Result, Scene, decompose, sh_basis
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import Model, render
-from pbrfit.report import budget, lights, originals, write_report
+from pbrfit.report import budget, lights, originals, theme, write_report
+from pbrfit.report.html import document
 from pbrfit.report.page import REFLECTION
+from pbrfit.report.verdict import CLASSES
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import Status
 from pbrfit.result.differences import PALETTE, WHITE
@@ -96,16 +99,72 @@ def test_ids_are_unique_and_nothing_refers_to_anything_outside(page: Page) -> No
 
 def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
     sections = [e.attributes["id"] for e in page.all("section")]
-    assert sections == ["relight", "maps", "pictures", "lights", "history", "origin"]
-    links = [e.attributes["href"] for e in page.all("a")]
-    assert links == [f"#{name}" for name in sections]
+    assert sections == ["summary", "maps", "pictures", "lights", "history", "origin"]
     assert [h.text for h in page.all("h1")] == ["Materials from 3 pictures"]
+    # The view stands above them, and only the first is unfolded.
+    folds = [
+        "open" in element.attributes
+        for before, element in itertools.pairwise(page.elements)
+        if before.tag == "section"
+    ]
+    assert folds == [True, False, False, False, False, False]
+    assert page.content.index('class="relight-view"') < page.content.index("<main>")
+
+
+def test_each_map_has_a_verdict_in_words_and_its_reason_one_click_away(
+    page: Page, folder: Path
+) -> None:
+    uncertainty = Result.load(folder / "result").uncertainty
+    assert uncertainty is not None
+    chips = [e for e in page.all("details") if "verdict" in e.attributes.get("class", "")]
+    for chip, (name, one) in zip(chips, uncertainty.verdicts.items(), strict=True):
+        assert " ".join(chip.text.split()).startswith(f"{name}: {one.level}Expected error")
+        assert one.error_in_words in chip.text
+        assert CLASSES[one.level] in chip.attributes["class"]
+        for why in (one.cause, one.remedy):
+            assert why[1:] in chip.text
+
+
+def test_colours_can_be_read_in_both_themes() -> None:
+    for colors in (theme.DARK, theme.LIGHT):
+        grounds = [colors[name] for name in theme.GROUNDS]
+        for name in theme.TEXTS:
+            for ground in grounds:
+                assert theme.contrast(colors[name], ground) >= theme.TEXT_CONTRAST, name
+        assert theme.contrast(colors["on-accent"], colors["accent"]) >= theme.TEXT_CONTRAST
+        # What is chosen is drawn the other way round.
+        assert theme.contrast(colors["ground"], colors["text"]) >= theme.TEXT_CONTRAST
+        for ground in grounds:
+            assert theme.contrast(colors["edge"], ground) >= theme.EDGE_CONTRAST
+    assert set(theme.DARK) == set(theme.LIGHT)
+    assert theme.contrast("#ffffff", "#000000") == pytest.approx(21)
+    assert theme.contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
+
+
+def test_every_page_has_both_themes_and_their_button() -> None:
+    found = Page(document("Title", "<h1>Title</h1>"))
+    [button] = found.all("button")
+    assert "theme" in button.attributes["class"]
+    for colors in (theme.DARK, theme.LIGHT):
+        assert f"--ground: {colors['ground']};" in found.content
+
+
+def test_style_sheets_know_every_property_they_use() -> None:
+    folder_of_styles = Path(theme.__file__).parent
+    known = {*theme.DARK, *theme.SCALES, "w", "h", "share", "look", "filled"}
+    for path in folder_of_styles.rglob("*.css"):
+        used = set(re.findall(r"var\(--([a-z0-9-]+)\)", path.read_text("utf-8")))
+        assert {name for name in used if not name.startswith("relight-")} <= known, path
+        # Colours stand in the themes; black and white with their shadows are those of pictures.
+        if path.name != "viewer.css":
+            assert not re.search(r"#[0-9a-f]{6}\b", path.read_text("utf-8")), path
 
 
 def test_every_picture_says_what_it_is_and_how_large(page: Page) -> None:
+    tiles = [e.attributes["src"] for e in page.all("img") if not e.attributes["alt"]]
+    assert len(tiles) == 3  # the filmstrip's, whose names stand below
     for element in page.all("img"):
-        assert element.attributes["alt"].strip()
-        # The relight view stretches its picture, and the plot is no raster.
+        # The view stretches its picture, and the plot is no raster.
         if "width" in element.attributes and "image/png" in element.attributes["src"]:
             size = int(element.attributes["width"]), int(element.attributes["height"])
             assert decoded(element).size == size
@@ -562,8 +621,8 @@ def test_the_largest_side_that_fits_is_taken() -> None:
     assert tried == [100, 60]
     assert budget.largest_that_fits(make, len, sides, 100**2).side == 100
     assert budget.largest_that_fits(make, len, sides, 7).side == 20
-    assert budget.sides_for(2000, budget.MAP_SIDES)[0] == 1024
-    assert budget.sides_for(200, budget.MAP_SIDES) == [200, 128]
+    assert budget.sides_for(5000, budget.VIEW_SIDES)[0] == 4096
+    assert budget.sides_for(200, budget.VIEW_SIDES) == [200, 128]
     assert budget.sides_for(3, budget.MAP_SIDES) == [3]
 
 
@@ -607,12 +666,31 @@ def chromium() -> Iterator[Browser]:
         yield browser
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1400, 900)])
+@pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_a_browser_shows_the_page_without_complaint(
-    folder: Path, page: Page, chromium: Browser, width: int
+    folder: Path,
+    page: Page,
+    chromium: Browser,
+    width: int,
+    height: int,
+    scheme: Literal["dark", "light"],
 ) -> None:
     assert page.elements
-    with visit(chromium, folder / "page.html", width=width) as visited:
+    with visit(chromium, folder / "page.html", width=width, height=height) as visited:
+        visited.page.emulate_media(color_scheme=scheme)
+        visited.page.wait_for_selector('.relight-view[data-state="ready"]')
+        ground = visited.page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert ground == ("rgb(18, 19, 21)" if scheme == "dark" else "rgb(251, 251, 250)")
+        # The first screen is the picture, its verdicts and its lights.
+        first = visited.page.evaluate(
+            """() => ['.relight-canvas', '.verdict:last-of-type summary', '.relight-hand']
+                .map((name) => document.querySelector(name).getBoundingClientRect().bottom)"""
+        )
+        assert max(first) <= height
+        visited.page.evaluate(
+            "document.querySelectorAll('section details').forEach((e) => { e.open = true; })"
+        )
         inside = visited.page.evaluate("document.documentElement.scrollWidth")
         broken = visited.page.evaluate(
             "[...document.querySelectorAll('main img')].filter((i) => !i.naturalWidth).length"
@@ -624,12 +702,53 @@ def test_a_browser_shows_the_page_without_complaint(
     assert broken == 0
 
 
+def test_the_theme_is_chosen_by_a_button_and_remembered(
+    folder: Path, page: Page, chromium: Browser
+) -> None:
+    assert page.elements
+    ground = "getComputedStyle(document.documentElement).colorScheme"
+    with visit(chromium, folder / "page.html") as visited:
+        visited.page.emulate_media(color_scheme="dark")
+        assert visited.page.evaluate(ground) == "dark"
+        button = visited.page.get_by_role("button", name="Light or dark theme")
+        button.click()
+        assert visited.page.evaluate(ground) == "light"
+        visited.page.reload()
+        assert visited.page.evaluate(ground) == "light"
+        button.click()
+        assert visited.page.evaluate(ground) == "dark"
+        visited.page.emulate_media(media="print")
+        assert visited.page.evaluate(ground) == "light"
+        visited.page.emulate_media(media="screen")
+    assert visited.troubles == []
+
+
+def test_a_link_unfolds_its_section_and_verdicts_close(
+    folder: Path, page: Page, chromium: Browser
+) -> None:
+    assert page.elements
+    with visit(chromium, folder / "page.html") as visited:
+        lights = visited.page.locator("#lights details").first
+        assert lights.get_attribute("open") is None
+        visited.page.evaluate("location.hash = 'lights'")
+        visited.page.wait_for_function("document.querySelector('#lights details').open")
+        visited.page.evaluate("window.scrollTo(0, 0)")
+        chips = visited.page.locator("details.verdict")
+        chips.nth(0).locator("summary").click()
+        chips.nth(1).locator("summary").click()
+        assert [chips.nth(i).get_attribute("open") for i in range(3)] == [None, "", None]
+        visited.page.keyboard.press("Escape")
+        assert chips.nth(1).get_attribute("open") is None
+    assert visited.troubles == []
+
+
 def test_long_tables_are_folded_but_not_on_paper(
     chromium: Browser, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pbrfit.report.page.OPEN_TABLE", 2)
     write_report(Result.load(folder / "result"), tmp_path / "page.html")
     with visit(chromium, tmp_path / "page.html") as opened:
+        opened.page.evaluate("location.hash = 'pictures'")
         tables = opened.page.locator("details.numbers-of-all table")
         assert tables.count() == 2
         assert not any(tables.nth(i).is_visible() for i in range(2))
@@ -648,6 +767,9 @@ def test_narrow_pictures_neither_stretch_the_page_nor_vanish(
     result = decompose(Scene(images, normals, fov=0.0), iterations=1, uncertainty=False)
     write_report(result, tmp_path / "page.html")
     with visit(chromium, tmp_path / "page.html") as opened:
+        opened.page.evaluate(
+            "document.querySelectorAll('section details').forEach((e) => { e.open = true; })"
+        )
         sizes = opened.page.evaluate(
             "[...document.querySelectorAll('.zoom img')].map((e) => e.clientHeight)"
         )
@@ -662,6 +784,7 @@ def test_pictures_are_enlarged_by_key_and_closed_again(
 ) -> None:
     assert page.elements
     with visit(chromium, folder / "page.html") as visited:
+        visited.page.evaluate("document.querySelector('#maps details').open = true")
         button = visited.page.get_by_role("button", name="Enlarge: Map of the recovered albedo")
         button.focus()
         visited.page.keyboard.press("Enter")

@@ -38,7 +38,7 @@ def written(result: Result, path: Path) -> Page:
 
 def test_lamps_have_a_section_in_the_place_of_lights(page: Page) -> None:
     sections = [e.attributes["id"] for e in page.all("section")]
-    assert sections == ["relight", "maps", "pictures", "lamps", "history", "origin"]
+    assert sections == ["summary", "maps", "pictures", "lamps", "history", "origin"]
     assert "lit by 2 far lamps" in page.text
     assert "light2 far lamps" in page.text
 
@@ -143,9 +143,11 @@ def test_a_browser_shows_lamps_without_complaint(
 ) -> None:
     write_report(result, tmp_path / "page.html")
     with launched() as browser, visit(browser, tmp_path / "page.html", width=width) as visited:
+        visited.page.evaluate("location.hash = 'lamps'")
+        visited.page.wait_for_function("document.querySelector('#lamps details').open")
         inside = visited.page.evaluate("document.documentElement.scrollWidth")
         drawn = visited.page.locator("#lamps svg").bounding_box()
-        lights = visited.page.locator("select[name=light] option").all_inner_texts()
+        lights = visited.page.locator(".relight-film img + span").all_inner_texts()
         visited.page.wait_for_timeout(300)
     assert visited.troubles == []
     assert inside <= width

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -13,15 +14,19 @@ import pytest
 from numpy.typing import NDArray
 
 from browser import launched, visit
-from pbrfit import Result, sh_basis
+from pbrfit import DirectionalLight, Result, relight, sh_basis
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model import panorama
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import rotated
 from pbrfit.model.reflection import Model
 from pbrfit.report.viewer import fragment, maps
+from pbrfit.report.viewer.lights import AMBIENT
+from pbrfit.result.relighting import own_light
 from relight_view import (
     PAGE,
     READY,
+    Light,
     View,
     coded,
     difference,
@@ -30,15 +35,19 @@ from relight_view import (
     opened,
     pixels_of_png,
     room,
+    tiles_of,
 )
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, CDPSession, Page
 
 AT_MOST = 2
 """Largest difference from the package's own 8-bit picture, in 1/255."""
 
 MODELS: tuple[Model, ...] = ("paper", "principled")
+
+VIEWS = ("relit", "albedo", "roughness", "metallic", "normals", "uncertainty", "strips")
+"""What the keys 1 to 7 show."""
 
 BAND_MASK = np.arange(37 * 23).reshape(23, 37) % 5 > 0
 
@@ -68,8 +77,8 @@ def test_the_models_differ_by_more_than_the_bound(furnished: Result) -> None:
 def test_a_page_holds_the_shader_and_the_table_of_its_own_model(furnished: Result) -> None:
     paper, principled = (fragment(of_model(furnished, model)) for model in MODELS)
     for page, other, words in (
-        (paper, principled, ('"bands":', "bandWeights")),
-        (principled, paper, ('"lobes":', "slope3")),
+        (paper, principled, ('"bands":', "bandWeights", "masking(")),
+        (principled, paper, ('"lobes":', "slope3", "glass(")),
     ):
         for word in words:
             assert word in page
@@ -77,10 +86,17 @@ def test_a_page_holds_the_shader_and_the_table_of_its_own_model(furnished: Resul
     assert abs(len(paper) - len(principled)) < 60_000
 
 
-def shown_off(view: View, address: str, true: NDArray[np.uint8]) -> int:
-    """By how much, at most, what the view shows at an address is off, in 1/255."""
+def shown_off(
+    view: View, address: str, result: Result, light: Light | Sequence[Light], **options: Any
+) -> int:
+    """By how much, at most, what the view shows at an address is off, in 1/255.
+
+    `options` are those of `expected`, an exposure as the address has it.
+    """
     view.go(address)
-    return difference(view.saved(), true)[0]
+    exposure = view.automatic() + options.pop("exposure", 0.0)
+    options.setdefault("tone_map", "neutral")
+    return difference(view.saved(), expected(result, light, exposure=exposure, **options))[0]
 
 
 def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
@@ -100,14 +116,77 @@ def test_every_recovered_light_gives_the_pixels_of_the_package(
     result = of_model(furnished, model)
     with opened(browser, result, tmp_path) as view:
         for name, light in zip(result.pictures, result.lighting, strict=True):
-            view.go(f"light={name}&exposure=0")
-            largest, mean = difference(view.saved(), expected(result, light))
+            view.go(f"light={name}&tone=none")
+            true = expected(result, light, exposure=view.automatic())
+            largest, mean = difference(view.saved(), true)
             assert largest <= AT_MOST, name
             assert mean < 0.1
         turned = rotated(result.lighting[1], -130)
-        true = expected(result, turned, exposure=0.5, tone_map="neutral")
-        address = f"light={result.pictures[1]}&rotate=-130&exposure=0.5&tone=neutral"
-        assert shown_off(view, address, true) <= AT_MOST
+        address = f"light={result.pictures[1]}&rotate=-130&exposure=0.5"
+        assert shown_off(view, address, result, turned, exposure=0.5) <= AT_MOST
+
+
+LAMPS = [(-35, 35), (0, 0), (60, -20), (-80, 10), (10, 85), (120, 20)]
+"""Azimuth and elevation; the last shines from behind."""
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("kind", ["room", "random", "orthographic", "mirrors and metals"])
+def test_a_lamp_gives_the_pixels_of_the_package(
+    browser: Browser, furnished: Result, tmp_path: Path, model: Model, kind: str
+) -> None:
+    result = {
+        "room": lambda: furnished,
+        # Under a lamp, pixels of lower roughness show the last bits of the stored normals.
+        "random": lambda: made(46, 74, roughness=(0.12, 1.0), mask=np.tile(BAND_MASK, (2, 2))),
+        "orthographic": lambda: made(46, 74, roughness=(0.12, 1.0), fov=0.0),
+        "mirrors and metals": lambda: made(46, 74, binary=True, fov=90.0),
+    }[kind]()
+    result = of_model(result, model)
+    with opened(browser, result, tmp_path) as view:
+        for azimuth, elevation in LAMPS:
+            address = f"azimuth={azimuth}&elevation={elevation}&ambient=0"
+            lamp = DirectionalLight(azimuth, elevation)
+            assert shown_off(view, address, result, lamp) <= AT_MOST, (azimuth, elevation)
+            plain = f"{address}&tone=none&exposure=1"
+            off = shown_off(view, plain, result, lamp, exposure=1.0, tone_map="none")
+            assert off <= AT_MOST, (azimuth, elevation)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_ambient_light_around_the_lamp_is_the_mean_of_the_recovered_lights(
+    browser: Browser, furnished: Result, tmp_path: Path, model: Model
+) -> None:
+    result = of_model(furnished, model)
+    luminance = result.lighting[:, 0] @ (0.2126, 0.7152, 0.0722) / (2 * math.sqrt(math.pi))
+    mean = np.mean(result.lighting / luminance[:, None, None], axis=0)
+    with opened(browser, result, tmp_path) as view:
+        # At first there is a little of it, so that nothing is black.
+        lights = [DirectionalLight(-35, 35), AMBIENT * mean]
+        assert shown_off(view, "azimuth=-35", result, lights) <= AT_MOST
+        lights = [DirectionalLight(70, 0), 0.5 * mean]
+        address = "azimuth=70&elevation=0&ambient=0.5"
+        assert shown_off(view, address, result, lights) <= AT_MOST
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_picture_that_was_lit_by_lamps_is_shown_under_them(
+    browser: Browser, furnished: Result, tmp_path: Path, model: Model
+) -> None:
+    directions = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [-0.8, 0.0, 0.6]])
+    lamps = Lamps(
+        pictures=np.array([0, 0, 1]),
+        places=directions,
+        colors=np.full((3, 3), (0.9, 0.7, 0.5)),
+        near=np.zeros(3, bool),
+    )
+    result = dataclasses.replace(
+        of_model(furnished, model), lamps=lamps, lighting=0.2 * furnished.lighting
+    )
+    with opened(browser, result, tmp_path) as view:
+        for i, name in enumerate(result.pictures[:2]):
+            light = own_light(result, i)
+            assert shown_off(view, f"light={name}", result, [light]) <= AT_MOST
 
 
 @pytest.mark.parametrize("degrees", [25.0, -170.5, 90.0])
@@ -117,10 +196,9 @@ def test_turned_lights_give_the_pixels_of_the_package(
     light = rotated(furnished.lighting[1], degrees)
     here = f"light={furnished.pictures[1]}&rotate={degrees}"
     with opened(browser, furnished, tmp_path) as view:
-        true = expected(furnished, light, exposure=0.25)
-        assert shown_off(view, f"{here}&exposure=0.25", true) <= AT_MOST
-        true = expected(furnished, tilted(light, -35))
-        assert shown_off(view, f"{here}&tilt=-35&exposure=0", true) <= AT_MOST
+        address = f"{here}&exposure=0.25"
+        assert shown_off(view, address, furnished, light, exposure=0.25) <= AT_MOST
+        assert shown_off(view, f"{here}&tilt=-35", furnished, tilted(light, -35)) <= AT_MOST
 
 
 @pytest.mark.parametrize("tone_map", ["none", "neutral"])
@@ -128,9 +206,11 @@ def test_turned_lights_give_the_pixels_of_the_package(
 def test_exposure_and_tone_map_are_those_of_the_package(
     browser: Browser, furnished: Result, tmp_path: Path, tone_map: ToneMap, exposure: float
 ) -> None:
-    true = expected(furnished, furnished.lighting[0], exposure=exposure, tone_map=tone_map)
+    name, light = furnished.pictures[0], furnished.lighting[0]
     with opened(browser, furnished, tmp_path) as view:
-        assert shown_off(view, f"exposure={exposure}&tone={tone_map}", true) <= AT_MOST
+        address = f"light={name}&exposure={exposure}&tone={tone_map}"
+        off = shown_off(view, address, furnished, light, exposure=exposure, tone_map=tone_map)
+        assert off <= AT_MOST
 
 
 @pytest.mark.parametrize(
@@ -152,7 +232,7 @@ def test_any_size_camera_and_material_gives_the_pixels_of_the_package(
     result = of_model(made(**options), model)
     with opened(browser, result, tmp_path) as view:
         for name, light in zip(result.pictures, result.lighting, strict=True):
-            assert shown_off(view, f"light={name}&exposure=0", expected(result, light)) <= AT_MOST
+            assert shown_off(view, f"light={name}", result, light) <= AT_MOST
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -162,9 +242,10 @@ def test_roughness_and_metallic_are_added_and_kept_in_range(
     result = of_model(made(23, 37), model)
     with opened(browser, result, tmp_path) as view:
         for roughness, metallic in ((1, 0), (-1, 0), (0, 1), (0.3, -1)):
-            true = expected(result, result.lighting[0], roughness=roughness, metallic=metallic)
-            address = f"exposure=0&roughness={roughness}&metallic={metallic}"
-            assert shown_off(view, address, true) <= AT_MOST, address
+            added = {"roughness": roughness, "metallic": metallic}
+            address = f"light={result.pictures[0]}&roughness={roughness}&metallic={metallic}"
+            off = shown_off(view, address, result, result.lighting[0], **added)
+            assert off <= AT_MOST, address
 
 
 def test_large_maps_are_averaged_down(browser: Browser, tmp_path: Path) -> None:
@@ -177,15 +258,20 @@ def test_the_largest_maps_there_are_are_averaged_down(browser: Browser, tmp_path
     check_averaged(browser, made(700, 1400), tmp_path, 1024, (512, 1024, 4))
 
 
+def test_maps_of_more_than_1024_pixels_are_kept(browser: Browser, tmp_path: Path) -> None:
+    check_averaged(browser, made(60, 1500), tmp_path, 4096, (60, 1500, 4))
+
+
 def check_averaged(
     browser: Browser, result: Result, folder: Path, max_side: int, shape: tuple[int, ...]
 ) -> None:
     with opened(browser, result, folder, max_side=max_side) as view:
-        view.go("exposure=0")
-        found = view.saved()
-    assert found.shape == shape
-    true = expected(result, result.lighting[0], max_side=max_side)
-    assert difference(found, true)[0] <= AT_MOST
+        view.go(f"light={result.pictures[0]}")
+        assert view.saved().shape == shape
+        off = shown_off(
+            view, f"light={result.pictures[0]}", result, result.lighting[0], max_side=max_side
+        )
+        assert off <= AT_MOST
 
 
 def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
@@ -198,6 +284,7 @@ def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
         "normals": 0.5 + 0.5 * result.normals,
     }
     with opened(browser, result, tmp_path) as view:
+        view.adjust()
         view.control("roughness").fill("0.25")
         for name, pixels in shown.items():
             view.page.get_by_role("radio", name=name).check()
@@ -206,14 +293,16 @@ def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
 
 def test_the_picture_can_be_saved(browser: Browser, furnished: Result, tmp_path: Path) -> None:
     with opened(browser, furnished, tmp_path) as view:
+        view.adjust()
+        view.choose(furnished.pictures[0])
         view.control("rotate").fill("-20")
-        view.page.wait_for_function("location.hash === '#rotate=-20'")
+        view.page.wait_for_function("location.hash.includes('rotate=-20')")
         with view.page.expect_download() as download:
             view.page.get_by_role("button", name="Save PNG").click()
         assert download.value.suggested_filename == f"relit-{furnished.pictures[0]}--20.png"
         found = pixels_of_png(Path(download.value.path()).read_bytes())
         light = rotated(furnished.lighting[0], -20)
-        true = expected(furnished, light, exposure=view.state()["exposure"])
+        true = expected(furnished, light, exposure=view.automatic(), tone_map="neutral")
         assert difference(found, true)[0] <= AT_MOST
 
 
@@ -241,26 +330,31 @@ def test_a_panorama_from_a_file_lights_as_the_package_has_it(
         )
         np.testing.assert_allclose(view.light(), light, atol=1e-6 * np.abs(light).max())
         assert view.state()["light"] == f"{name}.hdr"
-        view.control("exposure").fill("0")
-        true = expected(furnished, light)
-        assert difference(view.saved(), true)[0] <= AT_MOST
+        # The exposure is found here as elsewhere: the 98th percentile becomes white.
+        white = np.nanpercentile(relight(furnished, light), 98)
+        assert view.automatic() == pytest.approx(-math.log2(white), abs=0.11)
+
+        def off(light: NDArray[np.float64]) -> int:
+            true = expected(furnished, light, exposure=view.automatic(), tone_map="neutral")
+            return difference(view.saved(), true)[0]
+
+        assert off(light) <= AT_MOST
+        view.adjust()
         view.control("rotate").fill("-60")
-        true = expected(furnished, panorama.project(pixels, rotate=-60))
-        assert difference(view.saved(), true)[0] <= AT_MOST
-        # Its name stays in the menu beside the recovered lights.
-        view.control("light").select_option(furnished.pictures[2])
+        assert off(panorama.project(pixels, rotate=-60)) <= AT_MOST
+        # It stays in the filmstrip beside the recovered lights.
+        view.choose(furnished.pictures[2])
         np.testing.assert_array_equal(view.light(), furnished.lighting[2])
-        view.control("light").select_option(f"{name}.hdr")
+        view.choose(f"{name}.hdr")
         np.testing.assert_allclose(view.light(), light, atol=1e-6 * np.abs(light).max())
         view.control("rotate").fill("0")
         for window in panorama.WINDOWS:  # against ringing, as the package has them
             view.control("window").select_option(window)
             windowed = panorama.windowed(light, window)
             np.testing.assert_allclose(view.light(), windowed, atol=1e-6 * np.abs(light).max())
-            true = expected(furnished, windowed, exposure=view.state()["exposure"])
-            assert difference(view.saved(), true)[0] <= AT_MOST
+            assert off(windowed) <= AT_MOST
         # Recovered lights stay as they were found.
-        view.control("light").select_option(furnished.pictures[1])
+        view.choose(furnished.pictures[1])
         np.testing.assert_array_equal(view.light(), furnished.lighting[1])
         view.page.wait_for_function("document.querySelector('[name=window]').offsetParent === null")
 
@@ -362,8 +456,9 @@ def test_broken_panoramas_are_refused_in_words_and_change_nothing(
             assert said.startswith(f"{name}.hdr: ")
             assert message in said
         np.testing.assert_array_equal(view.saved(), before)
-        assert view.state()["light"] == furnished.pictures[0]
-        assert view.page.locator("select[name=light] option").count() == len(furnished.pictures)
+        assert view.state()["light"] == ""
+        tiles = view.page.locator("input[name=light]").count()
+        assert tiles == 1 + len(furnished.pictures)
 
 
 def test_a_panorama_can_be_dropped_on_the_picture(
@@ -390,12 +485,49 @@ def test_a_panorama_can_be_dropped_on_the_picture(
         assert view.state()["light"] == "dropped.hdr"
 
 
-def test_a_drag_of_a_quarter_of_the_width_turns_by_45_degrees(
+def test_the_lamp_goes_where_the_pointer_is(
     browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
     with opened(browser, furnished, tmp_path) as view:
-        box = view.page.locator(".relight-canvas").bounding_box()
-        assert box is not None
+        box = view.box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        mouse = view.page.mouse
+        mouse.move(x, y)
+        mouse.down()
+        assert view.state()["azimuth"] == pytest.approx(0, abs=0.2)
+        mouse.move(x + box["width"] / 4, y, steps=3)
+        assert view.state()["azimuth"] == pytest.approx(44, abs=0.2)
+        mouse.move(x, y - box["height"] / 4, steps=3)
+        mouse.up()
+        mouse.move(x, y)
+        placed = view.state()
+        assert placed["elevation"] == pytest.approx(44, abs=0.2)
+        lamp = DirectionalLight(placed["azimuth"], placed["elevation"])
+        view.page.wait_for_function("location.hash.includes('elevation')")
+        address = view.page.url.partition("#")[2]
+        assert shown_off(view, f"{address}&ambient=0", furnished, lamp) <= AT_MOST
+        # Beside the picture it stays at the edge.
+        box = view.box()
+        mouse.move(box["x"] - 40, y)
+        mouse.down()
+        mouse.up()
+        assert view.state()["azimuth"] == pytest.approx(-88, abs=0.2)
+        view.go(f"{address}&ambient=0.1")
+        view.saved()
+        # A mark shows where it is.
+        mark = view.page.locator(".relight-lamp").bounding_box()
+        assert mark is not None
+        box = view.box()
+        place = [(mark[a] + mark["width"] / 2 - box[a]) / box["width"] for a in ("x", "y")]
+        assert place == pytest.approx([0.5, 0.25], abs=0.005)
+
+
+def test_a_drag_turns_the_light_of_a_picture(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    with opened(browser, furnished, tmp_path) as view:
+        view.choose(furnished.pictures[0])
+        box = view.box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         mouse = view.page.mouse
         mouse.move(x, y)
@@ -407,16 +539,24 @@ def test_a_drag_of_a_quarter_of_the_width_turns_by_45_degrees(
         assert turned["rotate"] == pytest.approx(45, abs=0.5)
         assert turned["tilt"] == pytest.approx(22.5, abs=0.5)
         light = tilted(rotated(furnished.lighting[0], turned["rotate"]), turned["tilt"])
-        true = expected(furnished, light, exposure=turned["exposure"])
+        true = expected(furnished, light, exposure=view.automatic(), tone_map="neutral")
         assert difference(view.saved(), true)[0] <= AT_MOST
 
 
-def test_keys_turn_the_light_and_home_turns_it_back(
+def test_keys_move_the_light_and_home_brings_it_back(
     browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
     with opened(browser, furnished, tmp_path) as view:
         view.page.locator(".relight-canvas").focus()
-        for key in ("ArrowRight", "ArrowRight", "Shift+ArrowLeft", "ArrowUp", "Shift+ArrowDown"):
+        keys = ("ArrowRight", "ArrowRight", "Shift+ArrowLeft", "ArrowUp", "Shift+ArrowDown")
+        for key in keys:
+            view.page.keyboard.press(key)
+        assert (view.state()["azimuth"], view.state()["elevation"]) == (-35 + 9, 35 + 4)
+        view.page.keyboard.press("Home")
+        assert (view.state()["azimuth"], view.state()["elevation"]) == (-35, 35)
+        view.page.keyboard.press("]")
+        assert view.state()["light"] == furnished.pictures[0]
+        for key in keys:
             view.page.keyboard.press(key)
         assert (view.state()["rotate"], view.state()["tilt"]) == (9, 4)
         view.page.wait_for_function("document.querySelector('[name=rotate]').value === '9'")
@@ -427,6 +567,7 @@ def test_keys_turn_the_light_and_home_turns_it_back(
             view.page.keyboard.press("ArrowRight")
             view.page.keyboard.press("ArrowUp")
         assert (view.state()["rotate"], view.state()["tilt"]) == (-175, 90)
+        view.adjust()
         for end in (180, -180):
             view.control("rotate").fill(str(end))
             assert view.state()["rotate"] == end
@@ -434,37 +575,236 @@ def test_keys_turn_the_light_and_home_turns_it_back(
         assert view.state()["rotate"] == 5
 
 
-def test_one_finger_turns_the_light_on_a_phone(
+def test_keys_do_everything(browser: Browser, furnished: Result, tmp_path: Path) -> None:
+    def stage(name: str) -> Any:
+        return view.page.evaluate(f"document.querySelector('.relight-view').view.stage.{name}")
+
+    with opened(browser, furnished, tmp_path, tiles=tiles_of(furnished)) as view:
+        press = view.page.keyboard.press
+        for number, shown in enumerate(VIEWS, start=1):
+            press(str(number))
+            assert view.state()["view"] == shown
+        press("1")
+        press("+")
+        assert stage("zoom") == 1.25
+        view.page.locator(".relight-canvas").focus()
+        press("h")
+        before = stage("at[0]")
+        press("ArrowRight")
+        view.page.wait_for_timeout(50)
+        assert stage("at[0]") != before
+        press("h")
+        press("0")
+        assert stage("zoom") == 1
+        press("c")
+        assert view.state()["picture"] == furnished.pictures[0]
+        press("]")  # the picture of the light is compared with
+        press("]")
+        assert view.state()["picture"] == view.state()["light"] == furnished.pictures[1]
+        press("c")
+        assert view.state()["picture"] == ""
+        press("l")
+        assert view.state()["light"] == ""
+        press("a")
+        assert view.page.locator(".relight-panel").is_visible()
+        press("a")
+        press("?")
+        assert view.page.locator(".relight-keys").is_visible()
+        press("Escape")
+        assert not view.page.locator(".relight-keys").is_visible()
+        press("r")
+        view.page.wait_for_function("location.hash === ''")
+
+
+def test_the_wheel_zooms_about_the_pointer_and_the_hand_moves_the_picture(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    with opened(browser, furnished, tmp_path) as view:
+
+        def under(x: float, y: float) -> tuple[float, float]:
+            box = view.box()
+            return (x - box["x"]) / box["width"], (y - box["y"]) / box["height"]
+
+        box = view.box()
+        x, y = box["x"] + 0.3 * box["width"], box["y"] + 0.6 * box["height"]
+        view.page.mouse.move(x, y)
+        for _ in range(4):
+            view.page.mouse.wheel(0, -200)
+        view.page.wait_for_timeout(50)
+        assert view.box()["width"] > 2 * box["width"]
+        assert under(x, y) == pytest.approx((0.3, 0.6), abs=0.01)
+        lamp = view.state()["azimuth"]
+        view.page.get_by_role("button", name="Move the picture").click()
+        view.page.mouse.move(x, y)
+        view.page.mouse.down()
+        view.page.mouse.move(x + 40, y + 25, steps=3)
+        view.page.mouse.up()
+        assert under(x + 40, y + 25) == pytest.approx((0.3, 0.6), abs=0.01)
+        assert view.state()["azimuth"] == lamp
+        view.page.mouse.dblclick(x, y)
+        assert view.box() == pytest.approx(box, abs=0.5)
+        # The picture is the same whatever is seen of it.
+        assert view.saved().shape == (24, 24, 4)
+
+
+def test_a_picture_is_compared_up_to_a_border_that_moves(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    with opened(browser, furnished, tmp_path, tiles=tiles_of(furnished)) as view:
+        border = view.page.get_by_role("slider", name="Border between picture and relit")
+        assert not border.is_visible()
+        view.page.get_by_role("button", name="Compare with a picture").click()
+        assert border.get_attribute("aria-valuenow") == "50"
+        before = view.page.locator(".relight-before")
+        assert before.is_visible()
+        box = view.box()
+        middle = border.bounding_box()
+        assert middle is not None
+        assert middle["x"] + middle["width"] / 2 == pytest.approx(
+            box["x"] + box["width"] / 2, abs=1
+        )
+        border.focus()
+        view.page.keyboard.press("ArrowRight")
+        assert border.get_attribute("aria-valuenow") == "52"
+        lamp = view.state()["azimuth"]
+        view.page.keyboard.press("Home")
+        assert border.get_attribute("aria-valuenow") == "0"
+        assert view.state()["azimuth"] == lamp
+        y = middle["y"] + middle["height"] / 2
+        view.page.mouse.move(box["x"], y)
+        view.page.mouse.down()
+        view.page.mouse.move(box["x"] + 0.25 * box["width"], y, steps=3)
+        view.page.mouse.up()
+        assert border.get_attribute("aria-valuenow") == "25"
+        assert "inset(0" in before.evaluate("image => image.style.clipPath")
+        view.page.wait_for_function("location.hash.includes('picture=')")
+        # Any picture can be chosen.
+        view.adjust()
+        view.control("picture").select_option(furnished.pictures[2])
+        view.page.wait_for_function(
+            "name => document.querySelector('.relight-before').alt === `Picture ${name}`",
+            arg=furnished.pictures[2],
+        )
+        view.control("picture").select_option("")
+        view.page.wait_for_function("document.querySelector('.relight-before').hidden")
+
+
+def test_without_pictures_nothing_is_compared(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    with opened(browser, furnished, tmp_path) as view:
+        assert not view.page.get_by_role("button", name="Compare with a picture").is_visible()
+        assert view.page.locator(".relight-tile img").count() == len(furnished.pictures)
+
+
+def test_deviations_are_shown_where_there_are_some(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    assert furnished.uncertainty is not None
+    with opened(browser, furnished, tmp_path) as view:
+        view.page.get_by_role("radio", name="uncertainty").check()
+        menu = view.page.get_by_role("combobox", name="Uncertainty of")
+        shown = view.page.locator(".relight-deviation")
+        for name in ("roughness", "metallic", "albedo"):
+            menu.select_option(name)
+            view.page.wait_for_function(
+                "name => document.querySelector('.relight-deviation').alt.endsWith(name)", arg=name
+            )
+            assert shown.evaluate("image => [image.naturalWidth, image.hidden]") == [24, False]
+        view.page.get_by_role("radio", name="relit").check()
+        view.page.wait_for_function("document.querySelector('.relight-deviation').hidden")
+    without = dataclasses.replace(furnished, uncertainty=None)
+    with opened(browser, without, tmp_path) as view:
+        assert not view.page.get_by_role("radio", name="uncertainty").is_visible()
+        view.page.keyboard.press("6")
+        assert view.state()["view"] == "relit"
+
+
+def test_every_control_has_a_name_and_can_be_reached(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    with opened(browser, furnished, tmp_path, tiles=tiles_of(furnished)) as view:
+        view.adjust()
+        nameless = view.page.evaluate(
+            """() => [...document.querySelectorAll('button, input, select, canvas, [role]')]
+                .filter((e) => e.checkVisibility() && !e.closest('[aria-hidden=true]'))
+                .filter((e) => !(e.getAttribute('aria-label') || e.innerText?.trim() || e.alt
+                    || e.labels?.[0]?.innerText.trim()))
+                .map((e) => e.outerHTML.slice(0, 120))"""
+        )
+        assert nameless == []
+        unseen = view.page.evaluate(
+            """async () => {
+                const found = [];
+                const wanted = [...document.querySelectorAll('button, input, select, [tabindex]')]
+                    .filter((e) => e.checkVisibility());
+                for (const e of wanted) {
+                    e.focus();
+                    if (document.activeElement !== e) found.push(e.outerHTML.slice(0, 120));
+                }
+                return found;
+            }"""
+        )
+        assert unseen == []
+        # From the picture on: what is shown, tools, the panel, the filmstrip.
+        order = []
+        view.page.locator(".relight-canvas").focus()
+        for _ in range(40):
+            view.page.keyboard.press("Tab")
+            order.append(view.page.evaluate("document.activeElement.name"))
+            if order[-1] == "light":
+                break
+        wanted = [
+            "view",
+            "compare",
+            "hand",
+            "zoomout",
+            "zoomin",
+            "adjust",
+            "azimuth",
+            "save",
+            "light",
+        ]
+        assert [name for name in order if name in wanted] == wanted
+
+
+def fingers(session: CDPSession, kind: str, points: list[tuple[float, float]]) -> None:
+    """One event of a touch screen."""
+    touches = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(points)]
+    session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
+
+
+def test_one_finger_moves_the_lamp_on_a_phone_and_two_zoom(
     browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
     file = tmp_path / "page.html"
     file.write_text(PAGE.format(fragment(furnished)), encoding="utf-8")
     context = browser.new_context(
-        viewport={"width": 375, "height": 700}, has_touch=True, is_mobile=True
+        viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
     )
     page: Page = context.new_page()
     page.goto(file.as_uri())
     page.wait_for_selector(READY)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 375
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
     box = page.locator(".relight-canvas").bounding_box()
     assert box is not None
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     session = context.new_cdp_session(page)
-    moves = [(x, y), (x + 20, y - 5), (x + box["width"] / 4, y - box["width"] / 4)]
-    for kind, points in (
-        ("touchStart", moves[:1]),
-        *(("touchMove", [point]) for point in moves[1:]),
-        ("touchEnd", []),
-    ):
-        session.send(
-            "Input.dispatchTouchEvent",
-            {"type": kind, "touchPoints": [{"x": a, "y": b} for a, b in points]},
-        )
-    page.wait_for_function("document.querySelector('.relight-view').view.state.rotate !== 0")
+    fingers(session, "touchStart", [(x, y)])
+    fingers(session, "touchMove", [(x + 20, y - 5)])
+    fingers(session, "touchMove", [(x + box["width"] / 4, y)])
+    fingers(session, "touchEnd", [])
+    page.wait_for_function("document.querySelector('.relight-view').view.state.azimuth > 40")
     state = page.evaluate("document.querySelector('.relight-view').view.state")
-    assert state["rotate"] == pytest.approx(45, abs=1)
-    assert state["tilt"] == pytest.approx(45, abs=1)
+    assert state["azimuth"] == pytest.approx(44, abs=1)
+    assert state["elevation"] == pytest.approx(0, abs=1)
     assert page.evaluate("window.scrollY") == 0
+    fingers(session, "touchStart", [(x - 30, y), (x + 30, y)])
+    for apart in (40, 60, 75):
+        fingers(session, "touchMove", [(x - apart, y), (x + apart, y)])
+    fingers(session, "touchEnd", [])
+    zoom = page.evaluate("document.querySelector('.relight-view').view.stage.zoom")
+    assert zoom == pytest.approx(2.5, abs=0.1)
     context.close()
 
 
@@ -474,29 +814,31 @@ def test_the_address_says_what_is_shown_and_brings_it_back(
     name = 'a "b" <c> & ü</script>'
     result = dataclasses.replace(furnished, pictures=(name, *furnished.pictures[1:]))
     with opened(browser, result, tmp_path) as view:
-        option = view.page.locator("select[name=light] option").first
-        assert option.inner_text() == name
+        tile = view.page.locator(".relight-tile:has(input[name=light]) span").nth(1)
+        assert tile.inner_text() == name
         assert "#" not in view.page.url
-        view.control("light").select_option(result.pictures[1])
+        view.adjust()
+        view.choose(result.pictures[1])
         view.control("rotate").fill("30")
-        view.control("tone").select_option("neutral")
+        view.control("tone").select_option("none")
         view.page.wait_for_function("location.hash.includes('tone')")
         address = view.page.url.partition("#")[2]
-        assert address == f"light={result.pictures[1]}&rotate=30&tone=neutral"
+        assert address == f"light={result.pictures[1]}&rotate=30&tone=none"
         before = view.saved()
         view.page.get_by_role("button", name="Reset").click()
         view.page.wait_for_function("location.hash === ''")
-        assert view.state()["light"] == name
+        assert view.state()["light"] == ""
         view.go(address)
         np.testing.assert_array_equal(view.saved(), before)
         view.go(f"light={quote(name)}")
         assert view.state()["light"] == name
         assert view.state()["rotate"] == 0
-        view.go("rotate=20&light=elsewhere.hdr&exposure=x&view=upside")
+        view.go("rotate=20&light=elsewhere.hdr&exposure=x&view=upside&picture=none")
         assert view.message() == (
             "Address of the page: light elsewhere.hdr is not in this page; a panorama has to be "
             "opened again; exposure: expected a number, found x; view: expected one of relit, "
-            "albedo, roughness, metallic, normals, found upside."
+            "albedo, roughness, metallic, normals, uncertainty, strips, found upside; picture none "
+            "is not in this page."
         )
         assert view.state()["rotate"] == 20
         view.go("lights")  # an anchor of the page around
@@ -546,10 +888,10 @@ def test_a_lost_context_comes_back_with_the_same_picture(
         )
         view.page.wait_for_function("document.querySelector('.relight-message').textContent !== ''")
         assert "waiting for it" in view.message()
-        view.control("rotate").fill("30")  # a change meanwhile does no harm
+        view.go("azimuth=30")  # a change meanwhile does no harm
         view.page.evaluate("window.extension.restoreContext()")
         view.page.wait_for_function("document.querySelector('.relight-message').textContent === ''")
-        view.control("rotate").fill("0")
+        view.go("azimuth=-35")
         np.testing.assert_array_equal(view.saved(), before)
 
 
@@ -582,19 +924,41 @@ def test_where_the_view_cannot_run_there_are_a_message_and_one_picture(
         assert picture.is_visible()
         assert picture.evaluate("image => [image.naturalWidth, image.naturalHeight]") == [24, 24]
         assert not page.locator(".relight-canvas").is_visible()
-        assert page.locator("input[name=rotate]").is_disabled()
-        assert not page.locator(".relight-help").is_visible()
+        assert page.locator("input[name=view]").first.is_disabled()
 
 
-def test_the_first_exposure_shows_the_first_light_well(
+def test_exposures_show_the_lamp_and_every_light_well(
     browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
     dark = dataclasses.replace(furnished, lighting=furnished.lighting / 1000)
     with opened(browser, dark, tmp_path) as view:
-        exposure = view.state()["exposure"]
-        assert 8 < exposure < 12
-        assert float(view.control("exposure").input_value()) == exposure
+        assert 100 < np.mean(view.saved()[..., :3]) < 220
+        assert view.state()["exposure"] == 0
+        view.choose(dark.pictures[0])
+        assert 8 < view.automatic() < 12
         found = view.saved()
         assert 100 < np.mean(found[..., :3]) < 220
-        assert difference(found, expected(dark, dark.lighting[0], exposure=exposure))[0] <= AT_MOST
+        true = expected(dark, dark.lighting[0], exposure=view.automatic(), tone_map="neutral")
+        assert difference(found, true)[0] <= AT_MOST
         assert maps.of_result(dark, 1024).mask.all()
+
+
+def test_a_slow_machine_draws_fewer_pixels_while_the_light_moves(
+    browser: Browser, tmp_path: Path
+) -> None:
+    with opened(browser, made(64, 48), tmp_path) as view:
+        widths = view.page.evaluate(
+            """() => {
+                const { view } = document.querySelector('.relight-view');
+                const widths = [];
+                view.moving = true;
+                for (let frame = 1; frame <= 5; frame++) {
+                    view.draw(100 * frame);
+                    widths.push(view.canvas.width);
+                }
+                view.moving = false;
+                view.draw();
+                return [...widths, view.canvas.width];
+            }"""
+        )
+        assert widths == [48, 48, 48, 24, 24, 48]

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import io
 import json
+import math
 import re
 import zlib
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
-from pbrfit import InputError, ggx_band_weights
+from pbrfit import InputError, Scene, ggx_band_weights
+from pbrfit.io.display import encoded
 from pbrfit.model.geometry import view_directions
-from pbrfit.report.viewer import BAND_NODES, fragment, maps
+from pbrfit.report.viewer import BAND_NODES, film, fragment, maps
+from pbrfit.result import metrics
 from relight_view import made, room
 
 
@@ -111,7 +117,7 @@ def test_normals_that_cancel_each_other_are_left_out() -> None:
     small = maps.of_result(cancelling, 1)
     assert not small.mask.any()
     assert np.isnan(small.materials.albedo).all()
-    assert '"exposure":0.0' in fragment(cancelling, 1)
+    assert 'data-state="loading"' in fragment(cancelling, 1)
 
 
 @pytest.mark.parametrize("max_side", [0, -5])
@@ -143,7 +149,32 @@ def test_noise_takes_less_than_14_bytes_a_pixel_and_a_room_less_than_2() -> None
 def test_a_fragment_refers_to_nothing_outside() -> None:
     text = fragment(made(3, 2))
     addresses = re.findall(r'(?:src|href)="([^"]{0,40})', text)
-    assert len(addresses) == 1
-    assert addresses[0].startswith("data:image/png;base64,")
+    assert len(addresses) == 1 + 2  # one of the whole, and of each light
+    assert all(address.startswith("data:image/png;base64,") for address in addresses)
     for word in ("http:", "https:", "//cdn", "@import", "url(", "import("):
         assert word not in text, word
+
+
+@pytest.mark.parametrize(("size", "kind"), [(20, "png"), (300, "jpeg")])
+def test_inputs_are_shown_with_the_98th_percentile_as_white(size: int, kind: str) -> None:
+    ramp = np.linspace(0, 4, size, dtype=np.float32)
+    images = np.broadcast_to(ramp[None, None, :, None], (2, size, size, 3)) * 1.0
+    images[1] *= 8
+    images[1, 0, 0] = np.nan
+    normals = np.broadcast_to((0.0, 0.0, 1.0), (size, size, 3))
+    mask = np.ones((size, size), bool)
+    mask[0, 0] = False
+    scene = Scene(images, normals, mask=mask)
+    whites = [metrics.white_of(image[mask]) for image in scene.images]
+    first, second = film.of_scene(scene, whites, 1e9)
+    assert first.exposure == pytest.approx(-math.log2(0.98 * 4), abs=0.06)
+    assert second.exposure == pytest.approx(first.exposure - 3, abs=0.11)
+    assert first.original
+    head, _, data = first.address.partition(",")
+    assert head == f"data:image/{kind};base64"
+    shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"))
+    true = 255 * encoded(np.asarray(scene.images[0], np.float64), first.exposure, "neutral")
+    assert np.abs(shown[1:] - true[1:]).max() < (1 if kind == "png" else 12)
+    if size > min(film.SIDES):  # they get smaller where they take too much
+        [small, _] = film.of_scene(scene, whites, 2 * len(first.address) - 1)
+        assert len(small.address) < len(first.address)

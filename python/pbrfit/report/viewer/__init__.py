@@ -1,15 +1,18 @@
-"""The interactive relight view of a report: the model in a fragment shader, under lights to turn.
+"""The interactive view of a result: the model in a fragment shader, under lights to be moved.
 
-`view.html` and `viewer.css` are the markup, `relight.vert` and `relight.frag` the shaders, with
-the model of the result from `paper.glsl` or `principled.glsl`.
-`viewer.js` is the view; `planes.js` unpacks the maps, `picture.js` draws them, `light.js` turns
-lights and `panorama.js` reads them. No part needs a server, a network or a build step.
+`view.html` and `viewer.css` are the markup. `relight.vert` and `relight.frag` are the shaders; what
+a kind of light needs of a model stands in `MODEL_sh.glsl` and `MODEL_lamp.glsl`, and is compiled
+into programs for that kind alone. `viewer.js` is the view; `planes.js` unpacks the maps,
+`picture.js` draws them, `light.js` turns SH lights, `lamp.js` places lamps, `panorama.js` reads
+panoramas, `stage.js` zooms, `reveal.js` compares, `address.js` reads and writes the page's address.
+No part needs a server, a network or a build step.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 from string import Template
@@ -18,15 +21,22 @@ from typing import Any
 import numpy as np
 
 from pbrfit.io.display import encoded
-from pbrfit.model.reflection import ggx_band_weights, render
-from pbrfit.report.html import in_base64
-from pbrfit.report.raster import picture_png, reduced
-from pbrfit.report.viewer import lobes, maps
-from pbrfit.result import metrics
+from pbrfit.model.reflection import Model, ggx_band_weights
+from pbrfit.report import figures, raster
+from pbrfit.report.html import in_base64, png_address
+from pbrfit.report.viewer import film, lobes, maps
+from pbrfit.report.viewer.film import Tile
+from pbrfit.report.viewer.lights import Lighting, exposure_of
+from pbrfit.result import differences
+from pbrfit.result.differences import PALETTE
 from pbrfit.result.result import Result
+from pbrfit.result.verdict import PARAMETERS
 
 STATIC_SIDE = 512
 """Longer side of the picture that stands in where the view cannot run."""
+
+DEVIATION_SIDE = 512
+"""Longer side of the maps of deviations."""
 
 BAND_NODES = 1025
 """Roughnesses at which the shader knows h_l. Between them it interpolates, off by up to 5e-6."""
@@ -34,57 +44,115 @@ BAND_NODES = 1025
 TINY_SIDE = 96
 """Maps smaller than this are enlarged pixel by pixel, as their pixels are what one looks at."""
 
-WIDEST = 8
-"""Ratio of the sides of the view, at most: a narrower picture has room around it to drag in."""
+LARGEST_SIDE = 4096
+"""Longer side of the maps that a page may hold, in pixels."""
 
-SCRIPTS = ("light.js", "panorama.js", "planes.js", "picture.js", "viewer.js")
+SCRIPTS = (
+    "light.js",
+    "lamp.js",
+    "panorama.js",
+    "planes.js",
+    "picture.js",
+    "stage.js",
+    "reveal.js",
+    "address.js",
+    "viewer.js",
+)
 
 
-def fragment(result: Result, max_side: int = 1024) -> str:
-    """HTML of the relight view of a result: style, markup, maps and script in one.
+def fragment(
+    result: Result,
+    max_side: int = LARGEST_SIDE,
+    tiles: Sequence[Tile] | None = None,
+    head: str = "",
+) -> str:
+    """HTML of the view of a result: style, markup, maps and script in one.
 
     Larger maps are averaged down to `max_side` pixels on the longer side. It decides about the
-    size: 2 to 9 bytes for a pixel, times 4/3 as text. Returns a fragment for the body of a page in
+    size: 2 to 9 bytes for a pixel, times 4/3 as text. `tiles` are the pictures, None = drawn from
+    the result; `head` is HTML above the picture. Returns a fragment for the body of a page in
     UTF-8; it refers to nothing outside. Raises InputError if `max_side` is below 1.
     """
-    small = maps.of_result(result, max_side)
-    height, width = small.mask.shape
-    # Of lamps, which the view's shader does not know, what l <= 3 holds.
-    lights = result.sh_lighting()
-    first = render(small.materials, small.normals, lights[0], result.fov, model=result.model)
-    white = metrics.white_of(first) if small.mask.any() else 1.0
-    exposure = round(0.0 - math.log2(white), 1)
+    shown = maps.of_result(result, max_side)
+    height, width = shown.mask.shape
+    lighting = Lighting(result)
+    tiles = film.of_lights(lighting) if tiles is None else tiles
+    exposure = exposure_of(lighting.under_lamp(lighting.small))
     data = {
         "width": width,
         "height": height,
         "tangent": math.tan(math.radians(result.fov) / 2),
-        "exposure": exposure,
+        "tiny": max(height, width) < TINY_SIDE,
         "units": maps.UNITS,
-        "lights": [
-            {"name": name, "coefficients": light.ravel().tolist()}
-            for name, light in zip(result.pictures, lights, strict=True)
-        ],
+        "deviations": _deviations(result),
+        **lighting.data([tile.exposure for tile in tiles], exposure),
         **_table(result.model),
     }
+    still = lighting.under_lamp(maps.of_result(result, min(max_side, STATIC_SIDE)))
+    picture = raster.picture_png(encoded(still, exposure, "neutral"))
     markup = Template(_text("view.html")).substitute(
-        first=escape(result.pictures[0]),
-        picture=in_base64(picture_png(reduced(encoded(first, exposure), STATIC_SIDE))),
+        head=head,
+        picture=in_base64(picture),
+        width=width,
+        height=height,
+        scale=figures.palette_stops(),
+        poor=figures.css(PALETTE[differences.VERMILLION]),
+        tiles="".join(map(_tile, result.pictures, tiles)),
+        compared="".join(
+            f'<option value="{escape(name)}">{escape(name)}</option>'
+            for name, tile in zip(result.pictures, tiles, strict=True)
+            if tile.original
+        ),
         data=_json(data),
-        maps=in_base64(maps.packed(small)),
+        maps=in_base64(maps.packed(shown)),
     )
-    tiny = " data-tiny" if max(height, width) < TINY_SIDE else ""
-    stage = min(max(width / height, 1 / WIDEST), WIDEST)
-    aspect = f' style="--relight-aspect: {stage:.6g}"'
-    markup = markup.replace('data-state="loading"', f'data-state="loading"{tiny}{aspect}', 1)
-    shown = _text("relight.frag").replace("MODEL\n", _text(f"{result.model}.glsl"), 1)
-    shaders = _json({"vertex": _text("relight.vert"), "fragment": shown})
     script = "\n".join(
-        ["(() => {", '"use strict";', f"const SHADERS = {shaders};", *map(_text, SCRIPTS), "})();"]
+        [
+            "(() => {",
+            '"use strict";',
+            f"const SHADERS = {_json(_shaders(result.model))};",
+            *map(_text, SCRIPTS),
+            "})();",
+        ]
     )
     return f"<style>\n{_text('viewer.css')}</style>\n{markup}<script>\n{script}\n</script>\n"
 
 
-def _table(model: str) -> dict[str, Any]:
+def _tile(name: str, tile: Tile) -> str:
+    original = " data-original" if tile.original else ""
+    text = escape(name)
+    return (
+        f'<label class="relight-tile" title="{text}"><input type="radio" name="light" '
+        f'value="{text}"><img src="{tile.address}" alt=""{original} decoding="async">'
+        f"<span>{text}</span></label>\n"
+    )
+
+
+def _deviations(result: Result) -> dict[str, str]:
+    """Maps of the standard deviations, in the colours of the report, as addresses."""
+    if result.uncertainty is None:
+        return {}
+    of_maps = differences.deviations(result.uncertainty)
+    return {
+        name: png_address(
+            raster.difference_png(raster.reduced_difference(of_maps[name], DEVIATION_SIDE))
+        )
+        for name in PARAMETERS
+    }
+
+
+def _shaders(model: Model) -> dict[str, str]:
+    """GLSL by what it is: of each kind of light what the model needs."""
+    return {
+        "vertex": _text("relight.vert"),
+        "fragment": _text("relight.frag"),
+        "model": _text("principled.glsl") if model == "principled" else "",
+        "sh": _text(f"{model}_sh.glsl"),
+        "lamps": _text("lamps.glsl") + _text(f"{model}_lamp.glsl"),
+    }
+
+
+def _table(model: Model) -> dict[str, Any]:
     """What the shader of a model takes from a table, by name."""
     if model == "principled":
         return {"lobes": lobes.data()}

@@ -1,7 +1,8 @@
 // The picture: maps as textures, one triangle, relight.frag for each pixel.
 
-const SHOWN = ["relit", "albedo", "roughness", "metallic", "normals"];
+const SHOWN = ["relit", "albedo", "roughness", "metallic", "normals", "strips"];
 const TONE_MAPS = ["none", "neutral"];
+const MOST_LAMPS = 8; // as in lamps.glsl
 
 class Picture {
   /** @throws Error with a message for the user if there is no WebGL 2, or too little of it */
@@ -11,23 +12,53 @@ class Picture {
       geometry: interleaved([planes.normal_u, planes.normal_v, planes.roughness, planes.facing]),
       surface: interleaved([planes.red, planes.green, planes.blue, planes.metallic]),
     };
-    canvas.width = data.width;
-    canvas.height = data.height;
     this.gl = canvas.getContext("webgl2", { antialias: false, depth: false });
     if (!this.gl) throw new Error("this browser, or its graphics settings, has no WebGL 2");
     this.prepare();
   }
 
-  /** Program and textures; again after the browser lost them. */
+  /** Textures, and the programs that the first picture needs; again after the browser lost them. */
   prepare() {
     const { gl, data, textures } = this;
     const side = Math.max(data.width, data.height);
     if (side > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
       throw new Error(`the graphics chip takes no maps of ${side} pixels`);
     }
+    this.programs = {};
+    const integers = [gl.RGBA16UI, gl.RGBA_INTEGER, gl.UNSIGNED_SHORT];
+    this.texture(0, data.width, data.height, integers, textures.geometry);
+    this.texture(1, data.width, data.height, integers, textures.surface);
+    const floats = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
+    if (data.lobes) this.texture(2, data.lobes.width, data.lobes.height, floats, data.lobes.texels);
+    else this.texture(2, data.bands.length / 4, 1, floats, Float32Array.from(data.bands));
+  }
+
+  texture(index, width, height, [stored, given, type], values) {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE0 + index);
+    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) {
+      gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+    }
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texImage2D(gl.TEXTURE_2D, 0, stored, width, height, 0, given, type, values);
+  }
+
+  /** The program for lights of these kinds, made when it is needed first. */
+  program(kinds) {
+    const key = kinds.join("+");
+    this.programs[key] ??= this.compiled(kinds);
+    return this.programs[key];
+  }
+
+  compiled(kinds) {
+    const { gl, data, shaders } = this;
+    const model = [kinds.length ? shaders.model : "", ...kinds.map((kind) => shaders[kind])];
+    const fragment = ["#version 300 es", ...kinds.map((kind) => `#define ${kind.toUpperCase()}`),
+      shaders.fragment.replace("MODEL\n", () => model.join("\n"))].join("\n");
     const program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, this.shaders.vertex],
-      [gl.FRAGMENT_SHADER, this.shaders.fragment]]) {
+    for (const [kind, source] of [[gl.VERTEX_SHADER, `#version 300 es\n${shaders.vertex}`],
+      [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
@@ -38,48 +69,48 @@ class Picture {
       throw new Error(`the graphics driver refused the shader: ${gl.getProgramInfoLog(program)}`);
     }
     gl.useProgram(program);
-    this.at = (name) => gl.getUniformLocation(program, name);
-
-    const integers = [gl.RGBA16UI, gl.RGBA_INTEGER, gl.UNSIGNED_SHORT];
-    this.texture(0, "geometry", data.width, data.height, integers, textures.geometry);
-    this.texture(1, "surface", data.width, data.height, integers, textures.surface);
-    const floats = [gl.RGBA32F, gl.RGBA, gl.FLOAT];
-    if (data.lobes) {
-      const { axes, width, height, texels } = data.lobes;
-      this.texture(2, "lobes", width, height, floats, texels);
-      gl.uniform3fv(this.at("axes"), axes.flat());
-    } else {
-      const bands = Float32Array.from(data.bands);
-      this.texture(2, "bands", bands.length / 4, 1, floats, bands);
-    }
-
+    const places = {};
+    const at = (name) => (places[name] ??= gl.getUniformLocation(program, name));
     const unit = (...names) => names.map((name) => data.units[name]);
-    gl.uniform4fv(this.at("geometryUnit"), unit("normal_u", "normal_v", "roughness", "facing"));
-    gl.uniform4fv(this.at("surfaceUnit"), unit("red", "green", "blue", "metallic"));
-    gl.uniform1f(this.at("tangent"), data.tangent);
+    gl.uniform1i(at("geometry"), 0);
+    gl.uniform1i(at("surface"), 1);
+    gl.uniform1i(at(data.lobes ? "lobes" : "bands"), 2);
+    if (data.lobes) gl.uniform3fv(at("axes"), data.lobes.axes.flat());
+    gl.uniform4fv(at("geometryUnit"), unit("normal_u", "normal_v", "roughness", "facing"));
+    gl.uniform4fv(at("surfaceUnit"), unit("red", "green", "blue", "metallic"));
+    gl.uniform1f(at("tangent"), data.tangent);
+    return { program, at };
   }
 
-  texture(index, name, width, height, [stored, given, type], values) {
-    const { gl } = this;
-    gl.activeTexture(gl.TEXTURE0 + index);
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) {
-      gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+  /**
+   * @param {{sh: ?Float64Array, lamps: Array}} light as it is turned now
+   * @param state of the view; `exposure` in all
+   * @param {number} stride texels from one pixel to the next: 1, or more while a finger waits
+   */
+  draw(light, state, exposure, stride = 1) {
+    const { gl, canvas, data } = this;
+    const width = Math.ceil(data.width / stride);
+    const height = Math.ceil(data.height / stride);
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
+    const lit = ["relit", "strips"].includes(state.view);
+    const kinds = [];
+    if (lit && light.sh) kinds.push("sh");
+    if (lit && light.lamps.length) kinds.push("lamps");
+    const { program, at } = this.program(kinds);
+    gl.useProgram(program);
+    gl.viewport(0, 0, width, height);
+    if (kinds.includes("sh")) gl.uniform3fv(at("light"), Float32Array.from(light.sh));
+    if (kinds.includes("lamps")) {
+      gl.uniform1i(at("lampCount"), light.lamps.length);
+      gl.uniform3fv(at("lampDirections"), light.lamps.flatMap(({ direction }) => direction));
+      gl.uniform3fv(at("lampColors"), light.lamps.flatMap(({ color }) => color));
     }
-    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, stored, width, height, 0, given, type, values);
-    gl.uniform1i(this.at(name), index);
-  }
-
-  /** @param {Float64Array} light as it is turned now */
-  draw(light, state) {
-    const { gl } = this;
-    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
-    gl.uniform3fv(this.at("light"), Float32Array.from(light));
-    gl.uniform2f(this.at("offset"), state.roughness, state.metallic);
-    gl.uniform1f(this.at("gain"), 2 ** state.exposure);
-    gl.uniform1i(this.at("toneMap"), TONE_MAPS.indexOf(state.tone));
-    gl.uniform1i(this.at("shown"), SHOWN.indexOf(state.view));
+    gl.uniform2f(at("offset"), state.roughness, state.metallic);
+    gl.uniform1f(at("gain"), 2 ** exposure);
+    gl.uniform1i(at("toneMap"), TONE_MAPS.indexOf(state.tone));
+    gl.uniform1i(at("shown"), Math.max(0, SHOWN.indexOf(state.view)));
+    gl.uniform1i(at("stride"), stride);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 }

@@ -1,113 +1,50 @@
-// The principled model: docs/model.md.
-//
-//   I = kd Σ_k A_l Y_k(n) L_k + Σ_j (A a_j + B b_j) G_j
-//
-// In the pixel's frame (z = normal, x towards the mirror's side) only the ten SH functions even in y
-// answer; G_j are the light's coefficients of these. a_j and b_j come from a table, divided by s^m
-// with s the sine between normal and view; s^m is put into G_j by an axis x that is s long.
-uniform sampler2D lobes;  // cubic B-splines: six texels a node of (n·v, r)
+// The principled model, what all kinds of light need: docs/model.md.
+uniform sampler2D lobes;  // six texels a node of (n·v, r)
 uniform vec3 axes[2];     // by n·v and r: cells, and c and w of w(1+c) x/(x+c) + (1−w) x
 
-// Slopes of the light's radiance in band 2, and in band 3, as a homogeneous polynomial, at d: by x,
-// y and z. By Euler's theorem d · slope is the degree times the polynomial.
-mat3 slope2(vec3 d) {
-  return mat3(
-      1.09254843059208 * (d.y * light[4] + d.z * light[7] + d.x * light[8])
-          - 0.630783130505040 * d.x * light[6],
-      1.09254843059208 * (d.x * light[4] + d.z * light[5] - d.y * light[8])
-          - 0.630783130505040 * d.y * light[6],
-      1.09254843059208 * (d.y * light[5] + d.x * light[7])
-          + 1.26156626101008 * d.z * light[6]);
-}
-
-mat3 slope3(vec3 d) {
-  float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z;
-  float xy = d.x * d.y, yz = d.y * d.z, xz = d.x * d.z;
-  return mat3(
-      0.590043589926644 * (6.0 * xy * light[9] + 3.0 * (xx - yy) * light[15])
-          + 2.89061144264055 * (yz * light[10] + xz * light[14])
-          + 0.457045799464466 * ((4.0 * zz - 3.0 * xx - yy) * light[13] - 2.0 * xy * light[11])
-          - 2.23905799554069 * xz * light[12],
-      0.590043589926644 * (3.0 * (xx - yy) * light[9] - 6.0 * xy * light[15])
-          + 2.89061144264055 * (xz * light[10] - yz * light[14])
-          + 0.457045799464466 * ((4.0 * zz - xx - 3.0 * yy) * light[11] - 2.0 * xy * light[13])
-          - 2.23905799554069 * yz * light[12],
-      2.89061144264055 * (xy * light[10] + 0.5 * (xx - yy) * light[14])
-          + 3.65636639571573 * (yz * light[11] + xz * light[13])
-          + 1.11952899777035 * (2.0 * zz - xx - yy) * light[12]);
-}
-
-// The first of the four B-splines that are not 0 at x, and all four in the cell.
-int place(vec3 axis, float x, out vec4 weights) {
+// The cell that x is in, and where in it.
+int place(vec3 axis, float x, out float part) {
   float along = axis.x * (axis.z * (1.0 + axis.y) / (x + axis.y) + 1.0 - axis.z) * x;
   int cell = min(int(along), int(axis.x) - 1);
-  float part = along - float(cell), rest = 1.0 - part;
-  float p2 = part * part, r2 = rest * rest;
-  weights = vec4(r2 * rest, 4.0 - 3.0 * p2 * (1.0 + rest), 4.0 - 3.0 * r2 * (1.0 + part), p2 * part)
-      / 6.0;
+  part = along - float(cell);
   return cell;
 }
 
-// a_0 ... a_9, b_0 ... b_9, Ē and κ.
-struct Lobe { vec4 a03, a47, a89_b01, b25, b69, rest; };
+// One texel of the four nodes around, interpolated.
+vec4 between(ivec2 node, int texel, vec2 part) {
+  ivec2 at = ivec2(6 * node.x + texel, node.y);
+  return mix(
+      mix(texelFetch(lobes, at, 0), texelFetch(lobes, at + ivec2(6, 0), 0), part.x),
+      mix(texelFetch(lobes, at + ivec2(0, 1), 0), texelFetch(lobes, at + ivec2(6, 1), 0), part.x),
+      part.y);
+}
 
-Lobe lobe(float cosine, float roughness) {
-  vec4 across, along;
-  int column = 6 * place(axes[0], cosine, across), row = place(axes[1], roughness, along);
-  vec4 zero = vec4(0.0);
-  Lobe sum = Lobe(zero, zero, zero, zero, zero, zero);
-  for (int j = 0; j < 4; j++) {
-    for (int i = 0; i < 4; i++) {
-      ivec2 node = ivec2(column + 6 * i, row + j);
-      float weight = across[i] * along[j];
-      sum.a03 += weight * texelFetch(lobes, node, 0);
-      sum.a47 += weight * texelFetch(lobes, node + ivec2(1, 0), 0);
-      sum.a89_b01 += weight * texelFetch(lobes, node + ivec2(2, 0), 0);
-      sum.b25 += weight * texelFetch(lobes, node + ivec2(3, 0), 0);
-      sum.b69 += weight * texelFetch(lobes, node + ivec2(4, 0), 0);
-      sum.rest += weight * texelFetch(lobes, node + ivec2(5, 0), 0);
-    }
-  }
-  return sum;
+// What a lobe reflects of light from everywhere: of F0 and of the rest; Ē and κ.
+struct Energy { float base, grazing, mean, kappa; };
+
+Energy energy(vec4 a03, vec4 a89_b01, vec4 rest) {
+  return Energy(3.54490770181103 * a03.x, 3.54490770181103 * a89_b01.z, rest.x, rest.y);  // 2 √π
+}
+
+Energy energyOf(float cosine, float roughness) {
+  vec2 part;
+  ivec2 node = ivec2(place(axes[0], cosine, part.x), place(axes[1], roughness, part.y));
+  return energy(between(node, 0, part), between(node, 2, part), between(node, 5, part));
 }
 
 // Light that meets the microfacets of a lobe once more than the lobe knows of, as a factor.
-vec3 multiplied(vec3 f0, float energy, float mean) {
+vec3 multiplied(vec3 f0, Energy e) {
+  float reflected = e.base + e.grazing;
   vec3 average = f0 + (1.0 - f0) / 21.0;
-  return 1.0 + average * mean / (1.0 - average * (1.0 - mean)) * (1.0 - energy) / energy;
+  return 1.0 + average * e.mean / (1.0 - average * (1.0 - e.mean)) * (1.0 - reflected) / reflected;
 }
 
-vec3 radiance(vec3 normal, vec3 view, float facing, vec3 albedo, float roughness, float metallic) {
-  Lobe f = lobe(clamp(facing, 1e-4, 1.0), roughness);
-  float base = 3.54490770181103 * f.a03.x, grazing = 3.54490770181103 * f.a89_b01.z;  // 2 √π
-  vec3 metal = metallic * multiplied(albedo, base + grazing, f.rest.x);
-  float gloss = f.rest.y * multiplied(vec3(0.04), base + grazing, f.rest.x).x;
-  float plastic = (1.0 - metallic) * gloss;
-  vec3 body = (1.0 - metallic) * (1.0 - gloss * (0.04 * base + grazing)) / PI * albedo;
+// Factors of the matt part (kd), of a dielectric's lobe and of a metal's. κ makes up for Schlick's F of
+// a dielectric, and belongs to its lobe where that has it: not under lamps.
+struct Parts { vec3 body; float dielectric, kappa; vec3 metal; };
 
-  vec3 axis = dot(normal, view) * normal - view;
-  float ss = dot(axis, axis);
-  vec3 g0 = light[0];
-  mat3 slope = mat3(light[3], light[1], light[2]);
-  vec3 g1 = slope * normal, g2 = slope * axis;
-  slope = slope2(normal);
-  vec3 nn = slope * normal, nu = slope * axis;
-  vec3 g3 = 0.792665459521202 * nn;
-  vec3 g4 = 0.915291232863769 * nu;
-  vec3 g5 = 0.915291232863769 * (slope2(axis) * axis + 0.5 * ss * nn);
-  vec3 diffuse = COSINE[0] * 0.282094791773878 * g0 + COSINE[1] * 0.488602511902920 * g1
-      + COSINE[2] * 0.5 * nn;
-  slope = slope3(normal);
-  nn = slope * normal, nu = slope * axis;
-  slope = slope3(axis);
-  vec3 g6 = 0.446616390460452 * nn;
-  vec3 g7 = 0.546991133695863 * nu;
-  vec3 g8 = 0.691895136958641 * (slope * normal + 0.5 * ss * nn);
-  vec3 g9 = 0.564930013687251 * (slope * axis + 0.75 * ss * nu);
-
-  vec3 a = f.a03.x * g0 + f.a03.y * g1 + f.a03.z * g2 + f.a03.w * g3 + f.a47.x * g4
-      + f.a47.y * g5 + f.a47.z * g6 + f.a47.w * g7 + f.a89_b01.x * g8 + f.a89_b01.y * g9;
-  vec3 b = f.a89_b01.z * g0 + f.a89_b01.w * g1 + f.b25.x * g2 + f.b25.y * g3 + f.b25.z * g4
-      + f.b25.w * g5 + f.b69.x * g6 + f.b69.y * g7 + f.b69.z * g8 + f.b69.w * g9;
-  return body * diffuse + (0.04 * plastic + metal * albedo) * a + (plastic + metal) * b;
+Parts partsOf(Surface s, Energy e) {
+  float again = multiplied(vec3(0.04), e).x, rest = 1.0 - s.metallic;
+  return Parts(rest * (1.0 - e.kappa * again * (0.04 * e.base + e.grazing)) / PI * s.albedo,
+      rest * again, e.kappa, s.metallic * multiplied(s.albedo, e));
 }

@@ -1,7 +1,6 @@
-#version 300 es
 // One pixel of the view: the model that the result was fitted with, then display as in
-// pbrfit.display. `radiance` is in paper.glsl and principled.glsl; one of them takes the place of
-// the line MODEL.
+// pbrfit.io.display. What stands above this file: the version, and of SH and LAMPS those that the
+// light has, so that no program pays for another kind of light. With neither it shows maps.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
@@ -11,17 +10,24 @@ uniform usampler2D geometry;  // octahedral normal (2), roughness, correction of
 uniform usampler2D surface;   // square root of albedo (3), metallic
 uniform vec4 geometryUnit;    // size of one code of each
 uniform vec4 surfaceUnit;
-uniform vec3 light[16];       // as it is turned now
 uniform float tangent;        // of half the field of view; 0 = orthographic
 uniform vec2 offset;          // added to roughness and metallic
 uniform float gain;           // 2^exposure
 uniform int toneMap;          // 0 none, 1 neutral
-uniform int shown;            // 0 relit, 1 albedo, 2 roughness, 3 metallic, 4 normals
+uniform int shown;            // 0 relit, 1 albedo, 2 roughness, 3 metallic, 4 normals, 5 all in strips
+uniform int stride;           // texels from one pixel to the next
 
 out vec4 color;
 
 const float PI = 3.14159265358979;
-const vec4 COSINE = vec4(PI, 2.0 * PI / 3.0, PI / 4.0, 0.0);  // A_l
+
+// What a light meets.
+struct Surface {
+  vec3 normal, view;
+  float facing;  // n·v
+  vec3 albedo;
+  float roughness, metallic;
+};
 
 MODEL
 // The octahedron |x| + |y| + |z| = 1, its lower half folded outwards, and back to the sphere.
@@ -50,37 +56,53 @@ vec3 srgb(vec3 linear) {
   return mix(power, 12.92 * c, lessThanEqual(c, vec3(0.0031308)));
 }
 
+vec3 relit(Surface s) {
+  vec3 radiance = vec3(0.0);
+#ifdef SH
+  radiance += reflected_sh(s);
+#endif
+#ifdef LAMPS
+  radiance += reflected_lamps(s);
+#endif
+  vec3 exposed = max(gain * radiance, 0.0);
+  return srgb(toneMap == 1 ? neutral(exposed) : exposed);
+}
+
 void main() {
   ivec2 size = textureSize(geometry, 0);
-  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  ivec2 pixel = min(ivec2(gl_FragCoord.xy) * stride + stride / 2, size - 1);
   ivec2 texel = ivec2(pixel.x, size.y - 1 - pixel.y);  // row 0 of the maps is the top
   uvec4 codes = texelFetch(geometry, texel, 0);
-  vec4 g = vec4(codes.rgb, float(codes.a) - 32768.0) * geometryUnit;
-  vec4 s = vec4(texelFetch(surface, texel, 0)) * surfaceUnit;
   if (codes.a == 0u) {
     color = vec4(0.0);  // outside the mask
     return;
   }
+  vec4 g = vec4(codes.rgb, float(codes.a) - 32768.0) * geometryUnit;
+  vec4 s = vec4(texelFetch(surface, texel, 0)) * surfaceUnit;
+  vec2 centre = (2.0 * vec2(pixel) + 1.0 - vec2(size)) / float(size.x);
   vec3 normal = unfolded(2.0 * g.xy - 1.0);
-  float roughness = clamp(g.z + offset.x, 0.0, 1.0);
-  float metallic = clamp(s.a + offset.y, 0.0, 1.0);
-  vec3 albedo = s.rgb * s.rgb;
+  vec3 view = normalize(vec3(-centre * tangent, 1.0));
+  float facing = dot(normal, view) + g.a;
+  normal += g.a * view;  // what n·v lacks, n·l lacks as well
+  Surface here = Surface(normal, view, facing, s.rgb * s.rgb,
+      clamp(g.z + offset.x, 0.0, 1.0), clamp(s.a + offset.y, 0.0, 1.0));
 
+  int what = shown;
+  if (shown == 5) {  // slanted strips, a dark line between them
+    float along = 5.0 * (float(pixel.x) + 0.5 + 0.12 * float(texel.y - size.y / 2)) / float(size.x);
+    what = clamp(int(floor(along)), 0, 4);
+  }
   vec3 code;
-  if (shown == 1) {
-    code = srgb(albedo);
-  } else if (shown == 2) {
-    code = vec3(roughness);
-  } else if (shown == 3) {
-    code = vec3(metallic);
-  } else if (shown == 4) {
+  if (what == 1) {
+    code = srgb(here.albedo);
+  } else if (what == 2) {
+    code = vec3(here.roughness);
+  } else if (what == 3) {
+    code = vec3(here.metallic);
+  } else if (what == 4) {
     code = 0.5 + 0.5 * normal;
   } else {
-    vec2 centre = (2.0 * vec2(pixel) + 1.0 - vec2(size)) / float(size.x);
-    vec3 view = normalize(vec3(-centre * tangent, 1.0));
-    float facing = dot(normal, view) + g.a;
-    vec3 exposed = max(gain * radiance(normal, view, facing, albedo, roughness, metallic), 0.0);
-    code = srgb(toneMap == 1 ? neutral(exposed) : exposed);
+    code = relit(here);
   }
   color = vec4(code, 1.0);
 }

@@ -1,7 +1,10 @@
-// The paper's model: docs/model.md.
+// The paper's model under SH light: docs/model.md.
 //
 //   I = Σ_k (kd A_l Y_k(n) + ks h_l(r) Y_k(mirror)) L_k          l = band of k
 uniform sampler2D bands;      // h_0 ... h_3 at evenly spaced roughness
+uniform vec3 light[16];       // as it is turned now
+
+const vec4 COSINE = vec4(PI, 2.0 * PI / 3.0, PI / 4.0, 0.0);  // A_l
 
 // Radiance of the light towards d, band by band weighted: Σ_k weight_l Y_k(d) L_k.
 vec3 filtered(vec3 d, vec4 weight) {
@@ -26,16 +29,16 @@ vec4 bandWeights(float roughness) {
              position - float(cell));
 }
 
-vec3 radiance(vec3 normal, vec3 view, float facing, vec3 albedo, float roughness, float metallic) {
-  float cosine = max(facing, 1e-4);  // not in the mirror direction
+vec3 reflected_sh(Surface s) {
+  float cosine = max(s.facing, 1e-4);  // not in the mirror direction
   float grazing = 1.0 - cosine;
   float schlick = grazing * grazing * grazing * grazing * grazing;
-  float k = 0.5 * roughness * roughness * roughness * roughness;
+  float k = 0.5 * s.roughness * s.roughness * s.roughness * s.roughness;
   float g1 = cosine / (cosine * (1.0 - k) + k);
-  vec3 f0 = mix(vec3(0.04), albedo, metallic);
+  vec3 f0 = mix(vec3(0.04), s.albedo, s.metallic);
   vec3 fresnel = f0 + (1.0 - f0) * schlick;
-  vec3 diffuse = (1.0 - fresnel) * (1.0 - metallic) * albedo / PI;
+  vec3 diffuse = (1.0 - fresnel) * (1.0 - s.metallic) * s.albedo / PI;
   vec3 specular = fresnel * (0.25 * g1);
-  return diffuse * filtered(normal, COSINE)
-      + specular * filtered(2.0 * facing * normal - view, bandWeights(roughness));
+  return diffuse * filtered(s.normal, COSINE)
+      + specular * filtered(2.0 * s.facing * s.normal - s.view, bandWeights(s.roughness));
 }

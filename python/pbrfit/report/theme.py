@@ -1,0 +1,126 @@
+"""The look that all pages share: colours of a dark and a light theme, type and spacing scales.
+
+Style sheets take them as custom properties. The dark theme is the default, the light one follows
+the system's setting, and a button chooses between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+DARK: Mapping[str, str] = {
+    "ground": "#121315",
+    "stage": "#0a0b0c",
+    "raised": "#1c1e21",
+    "control": "#2a2d31",
+    "line": "#34383d",
+    "edge": "#7d848c",
+    "text": "#e9eaec",
+    "quiet": "#a4aab2",
+    "accent": "#7cc0f5",
+    "on-accent": "#0b1a26",
+    "usable": "#6fbcf2",
+    "rough": "#efb341",
+    "poor": "#ff9166",
+    "pass": "#4fc79b",
+    "fail": "#ff9166",
+}
+
+LIGHT: Mapping[str, str] = {
+    "ground": "#fbfbfa",
+    "stage": "#e6e6e4",
+    "raised": "#ffffff",
+    "control": "#efefed",
+    "line": "#dcdcd8",
+    "edge": "#787c80",
+    "text": "#1b1c1e",
+    "quiet": "#55595e",
+    "accent": "#00568a",
+    "on-accent": "#ffffff",
+    "usable": "#005b94",
+    "rough": "#7d5300",
+    "poor": "#a83c00",
+    "pass": "#00674b",
+    "fail": "#a83c00",
+}
+
+GROUNDS = ("ground", "stage", "raised", "control")
+TEXTS = ("text", "quiet", "accent", "usable", "rough", "poor", "pass", "fail")
+"""Every text colour is read on every ground."""
+
+TEXT_CONTRAST = 4.5
+"""Least ratio of a text's relative luminance to its ground's (WCAG 2.2, 1.4.3)."""
+
+EDGE_CONTRAST = 3.0
+"""Least ratio of a control's edge to its ground (WCAG 2.2, 1.4.11)."""
+
+SCALES: Mapping[str, str] = {
+    # Type: a ratio of 1.2 around 15 px.
+    "small": ".75rem",
+    "less": ".8125rem",
+    "body": ".9375rem",
+    "large": "1.125rem",
+    "title": "1.375rem",
+    # Spacing: multiples of 4 px.
+    "s1": ".25rem",
+    "s2": ".5rem",
+    "s3": ".75rem",
+    "s4": "1rem",
+    "s6": "1.5rem",
+    "s8": "2rem",
+    "s12": "3rem",
+    "round": ".5rem",
+    # Plots and white maps stand on paper in both themes.
+    "plate": "#ffffff",
+    "plate-text": "#1b1c1e",
+}
+
+
+def style() -> str:
+    """Custom properties of both themes, and the style sheet of every page."""
+    base = (Path(__file__).parent / "base.css").read_text(encoding="utf-8")
+    light = _properties(LIGHT)
+    return "\n".join(
+        [
+            f":root {{ color-scheme: dark; {_properties({**DARK, **SCALES})} }}",
+            "@media (prefers-color-scheme: light) { :root:not([data-theme=dark]) "
+            f"{{ color-scheme: light; {light} }} }}",
+            f":root[data-theme=light] {{ color-scheme: light; {light} }}",
+            # Paper is white.
+            f"@media print {{ :root, :root[data-theme] {{ color-scheme: light; {light} }} }}",
+            base,
+        ]
+    )
+
+
+def script() -> str:
+    """What makes the theme's button work, and remembers the choice."""
+    return (Path(__file__).parent / "theme.js").read_text(encoding="utf-8")
+
+
+def button() -> str:
+    """Switches between the themes; hidden where no script runs."""
+    return (
+        '<button type="button" class="theme tool" hidden aria-label="Light or dark theme" '
+        'title="Light or dark theme"><svg viewBox="0 0 24 24" aria-hidden="true">'
+        '<circle cx="12" cy="12" r="8"/><path d="M12 4a8 8 0 0 1 0 16z" fill="currentColor"/></svg>'
+        "</button>"
+    )
+
+
+def contrast(one: str, other: str) -> float:
+    """Ratio of the relative luminances of two colours #rrggbb, 1 to 21 (WCAG 2.2)."""
+    low, high = sorted((_luminance(one), _luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def _luminance(color: str) -> float:
+    shares = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    # WCAG's own limit of the linear part.
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def _properties(values: Mapping[str, str]) -> str:
+    return " ".join(f"--{name}: {value};" for name, value in values.items())

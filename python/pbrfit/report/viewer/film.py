@@ -1,0 +1,88 @@
+"""The pictures along the bottom of the view: small files of the inputs, or of how they were lit."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit.io.display import encoded
+from pbrfit.report import budget
+from pbrfit.report.html import png_address
+from pbrfit.report.raster import picture_png, reduced
+from pbrfit.report.viewer.lights import Lighting, exposure_of
+from pbrfit.scene.scene import Scene
+from pbrfit.threads import in_pieces
+
+SIDES = (1024, 768, 512, 384, 256, 128, 96, 64, 48)
+"""Longer sides that inputs may have, in pixels."""
+
+QUALITY = 90
+"""JPEG quality of inputs, at which a block's border is not seen; colours have all their pixels."""
+
+LOSSLESS_SIDE = 256
+"""Longer side of a picture up to which it is a PNG, whose pixels may be looked at."""
+
+THUMB_SIDE = 96
+"""Longer side of a reconstruction, which stands for a picture that is not there."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A picture that can be chosen."""
+
+    address: str
+    """The picture itself, for `src`."""
+    exposure: float
+    """Stops that it is shown with."""
+    original: bool
+    """Whether it is the input, to be compared with."""
+
+
+def of_scene(scene: Scene, whites: Sequence[float], limit: float) -> list[Tile]:
+    """The inputs, each with its white, as large as fits into `limit` bytes."""
+
+    def tile(i: int, side: int) -> Tile:
+        return _input(scene.images[i], whites[i], side)
+
+    sides = budget.sides_for(max(scene.valid.shape), SIDES)
+    # One picture out of the middle tells how large all will be.
+    middle = len(scene.images) // 2
+    best = budget.largest_that_fits(
+        lambda side: tile(middle, side),
+        lambda one: len(one.address) * len(scene.images),
+        sides,
+        limit,
+    )
+    return in_pieces(0, lambda i: tile(i, best.side), range(len(scene.images)))
+
+
+def of_lights(lighting: Lighting) -> list[Tile]:
+    """How the maps look under each light, where the inputs are not there."""
+    tiles = []
+    for i in range(len(lighting.result.pictures)):
+        radiance = lighting.picture(i)
+        exposure = exposure_of(radiance)
+        shown = encoded(reduced(radiance, THUMB_SIDE), exposure, "neutral")
+        tiles.append(Tile(png_address(picture_png(shown)), exposure, original=False))
+    return tiles
+
+
+def _input(image: NDArray[np.floating[Any]], white: float, side: int) -> Tile:
+    exposure = round(0.0 - math.log2(white), 1)
+    finite = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
+    shown = encoded(reduced(finite, side), exposure, "neutral")
+    if max(shown.shape) <= LOSSLESS_SIDE:
+        return Tile(png_address(picture_png(shown)), exposure, original=True)
+    codes = np.rint(255 * shown).astype(np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(codes).save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+    content = base64.b64encode(buffer.getvalue()).decode("ascii")
+    return Tile(f"data:image/jpeg;base64,{content}", exposure, original=True)
