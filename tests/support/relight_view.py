@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from browser import Visit, visit
-from pbrfit import DirectionalLight, Result, decompose, relight
+from pbrfit import DirectionalLight, Environment, Result, decompose, relight
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model.materials import Materials
 from pbrfit.report.html import document
@@ -38,7 +38,7 @@ PAGE = (
 )
 """A page to be filled with a fragment by `format`."""
 
-Light = NDArray[np.float64] | DirectionalLight | LampLight
+Light = NDArray[np.float64] | DirectionalLight | Environment | LampLight
 """As `relight` takes it."""
 
 READY = '.relight-view[data-state="ready"]'
@@ -215,7 +215,8 @@ class View:
     def light(self) -> NDArray[np.float64]:
         """(16, 3): the chosen light before it is turned."""
         values = self.page.evaluate(
-            "Array.from(document.querySelector('.relight-view').view.light())"
+            "(({ view }) => Array.from(view.find(view.state.light).sh))"
+            "(document.querySelector('.relight-view'))"
         )
         return np.array(values).reshape(16, 3)
 
@@ -226,6 +227,9 @@ class View:
         self.page.wait_for_function(
             "before => document.querySelector('.relight-message').textContent !== before",
             arg=before,
+        )
+        self.page.wait_for_function(
+            "!document.querySelector('.relight-message').textContent.startsWith('Reading')"
         )
         return self.message()
 

@@ -1,11 +1,12 @@
 """The interactive view of a result: the model in a fragment shader, under lights to be moved.
 
 `view.html` and `viewer.css` are the markup. `relight.vert` and `relight.frag` are the shaders; what
-a kind of light needs of a model stands in `MODEL_sh.glsl` and `MODEL_lamp.glsl`, and is compiled
-into programs for that kind alone. `viewer.js` is the view; `planes.js` unpacks the maps,
-`picture.js` draws them, `light.js` turns SH lights, `lamp.js` places lamps, `panorama.js` reads
-panoramas, `stage.js` zooms, `reveal.js` compares, `address.js` reads and writes the page's address.
-No part needs a server, a network or a build step.
+a kind of light needs of a model stands in `MODEL_sh.glsl`, `MODEL_lamp.glsl` and
+`MODEL_environment.glsl`, and is compiled into programs for that kind alone. `viewer.js` is the
+view; `planes.js` unpacks the maps, `picture.js` draws them, `light.js` turns SH lights, `lamp.js`
+places lamps, `panorama.js` reads panoramas, `environment.js` blurs them, `stage.js` zooms,
+`reveal.js` compares, `address.js` reads and writes the page's address. No part needs a server, a
+network or a build step.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from pbrfit._core import environment_lobes
 from pbrfit.io.display import encoded
 from pbrfit.model.reflection import Model, ggx_band_weights
 from pbrfit.report import figures, raster
@@ -50,6 +52,7 @@ LARGEST_SIDE = 4096
 SCRIPTS = (
     "light.js",
     "lamp.js",
+    "environment.js",
     "panorama.js",
     "planes.js",
     "picture.js",
@@ -86,6 +89,7 @@ def fragment(
         "units": maps.UNITS,
         "deviations": _deviations(result),
         **lighting.data([tile.exposure for tile in tiles], exposure),
+        "environmentLobes": _environment_lobes(result.model),
         **_table(result.model),
     }
     still = lighting.under_lamp(maps.of_result(result, min(max_side, STATIC_SIDE)))
@@ -149,6 +153,7 @@ def _shaders(model: Model) -> dict[str, str]:
         "model": _text("principled.glsl") if model == "principled" else "",
         "sh": _text(f"{model}_sh.glsl"),
         "lamps": _text("lamps.glsl") + _text(f"{model}_lamp.glsl"),
+        "environment": _text("environment.glsl") + _text(f"{model}_environment.glsl"),
     }
 
 
@@ -158,6 +163,14 @@ def _table(model: Model) -> dict[str, Any]:
         return {"lobes": lobes.data()}
     bands, _ = ggx_band_weights(np.linspace(0, 1, BAND_NODES))
     return {"bands": [float(f"{value:.8g}") for value in bands.ravel()]}
+
+
+def _environment_lobes(model: Model) -> dict[str, Any]:
+    """The table that panoramas are reflected by, as float32 texels of four numbers."""
+    table = environment_lobes(model)
+    rows, columns, count = table.shape[:3]
+    nodes = in_base64(table.astype("<f4").tobytes())
+    return {"columns": columns * count, "rows": rows, "nodes": nodes}
 
 
 def _text(name: str) -> str:

@@ -1,8 +1,8 @@
 // The page's address: #light=NAME&rotate=30&exposure=0.5, only what differs from the start.
 
-const RANGES = { azimuth: [-180, 180], elevation: [-90, 90], ambient: [0, 1], rotate: [-180, 180],
-  tilt: [-90, 90], exposure: [-100, 100], roughness: [-1, 1], metallic: [-1, 1] };
-const CHOICES = { window: Object.keys(WINDOWS), tone: TONE_MAPS,
+const RANGES = { azimuth: [-180, 180], elevation: [-90, 90], ambient: [0, 1], softness: [0, 45],
+  rotate: [-180, 180], tilt: [-90, 90], exposure: [-100, 100], roughness: [-1, 1], metallic: [-1, 1] };
+const CHOICES = { tone: TONE_MAPS,
   view: [...SHOWN.slice(0, 5), "uncertainty", "strips"],
   of: ["albedo", "roughness", "metallic"] };
 

@@ -1,5 +1,6 @@
 // Light of a panorama, by the model's full reflection: docs/relight.md#panoramas. Round lobes in the
 // plane of incidence stand for the mirror-like part; the panorama is there as blurred as they are.
+precision highp sampler2DArray;
 const int LOBES = 8;  // with two hemispheres at the end
 uniform sampler2D panorama;           // its mip levels are blurred by 2^level σ_0
 uniform sampler2DArray hemispheres;   // an even one, and the matt one

@@ -163,3 +163,22 @@ function halfUnit({ levels, hemispheres }) {
   }
   return largest > 0 ? largest / LARGEST_HALF : 1;
 }
+
+/** Light from a direction, of a grid: the texel that it is in. */
+function radianceOfGrid({ columns, texels }, [x, y, z]) {
+  const across = 0.5 + Math.atan2(x, -z) / (2 * Math.PI);
+  const down = 0.5 - Math.asin(Math.max(-1, Math.min(1, y))) / Math.PI;
+  const column = Math.min(columns - 1, Math.floor(across * columns));
+  const row = Math.min(columns / 2 - 1, Math.floor((down * columns) / 2));
+  const at = 3 * (row * columns + column);
+  return [texels[at], texels[at + 1], texels[at + 2]];
+}
+
+/** The direction that one comes from that is turned as `turned` turns lights. */
+function directionBefore([x, y, z], rotate, tilt) {
+  const a = (rotate * Math.PI) / 180;
+  const b = (tilt * Math.PI) / 180;
+  const level = y * Math.sin(b) + z * Math.cos(b);
+  return [x * Math.cos(a) - level * Math.sin(a), y * Math.cos(b) - z * Math.sin(b),
+    x * Math.sin(a) + level * Math.cos(a)];
+}

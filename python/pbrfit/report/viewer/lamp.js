@@ -35,6 +35,31 @@ function placeOf([x, y, z]) {
   return [(x / across) * radius, (y / across) * radius];
 }
 
+const SOFT_PARTS = 16;
+const GOLDEN_ANGLE = Math.PI * (3 - Math.sqrt(5));
+
+/**
+ * Small disks that a disk-shaped lamp is made of, as rust/lamps/surface.rs has them.
+ * @param {number} softness angular radius in degrees, 0 = a point
+ */
+function partsOfLamp(direction, softness) {
+  if (softness === 0) return [{ direction, color: [1, 1, 1], extent: 0 }];
+  const [x, y, z] = direction;
+  const sign = z < 0 || Object.is(z, -0) ? -1 : 1;
+  const a = -1 / (sign + z);
+  const b = x * y * a;
+  const across = [1 + sign * x * x * a, sign * b, -sign * x];
+  const up = [b, sign + y * y * a, -y];
+  const radius = (softness * Math.PI) / 180;
+  return Array.from({ length: SOFT_PARTS }, (_, k) => {
+    const from = radius * Math.sqrt((k + 0.5) / SOFT_PARTS);
+    const turn = k * GOLDEN_ANGLE;
+    const aside = [0, 1, 2].map((i) => Math.cos(turn) * across[i] + Math.sin(turn) * up[i]);
+    return { direction: direction.map((d, i) => Math.cos(from) * d + Math.sin(from) * aside[i]),
+      color: [0, 1, 2].map(() => 1 / SOFT_PARTS), extent: radius / Math.sqrt(SOFT_PARTS) };
+  });
+}
+
 /** A direction turned as `turned` turns lights. */
 function directionTurned([x, y, z], rotate, tilt) {
   const a = (rotate * Math.PI) / 180;

@@ -66,74 +66,17 @@ function solidAngles(height, width) {
  */
 function turned(light, rotate, tilt) {
   const result = new Float64Array(48);
-  const a = (rotate * Math.PI) / 180;
-  const b = (tilt * Math.PI) / 180;
   const weights = solidAngles(EXACT, EXACT);
   for (let i = 0; i < EXACT; i++) {
     for (let j = 0; j < EXACT; j++) {
       const direction = panoramaDirection((j + 0.5) / EXACT, (i + 0.5) / EXACT);
-      const [x, y, z] = direction;
-      const level = y * Math.sin(b) + z * Math.cos(b);
-      const back = [
-        x * Math.cos(a) - level * Math.sin(a),
-        y * Math.cos(b) - z * Math.sin(b),
-        x * Math.sin(a) + level * Math.cos(a),
-      ];
+      const back = directionBefore(direction, rotate, tilt);
       const color = radianceFrom(light, basis(back)).map((value) => value * weights[i]);
       project(result, direction, color);
     }
   }
   return result;
 }
-
-const BAND_OF = [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3];
-
-/** The light with each band times a factor. */
-function damped(light, factors) {
-  return light.map((value, i) => value * factors[BAND_OF[Math.floor(i / 3)]]);
-}
-
-const DARKEST_ROWS = 64; // of the panorama that negative light is looked for in
-
-/** Radiance from many directions, band by band: [l][direction and channel]. */
-function bandRadiance(light) {
-  const width = 2 * DARKEST_ROWS;
-  const bands = [0, 1, 2, 3].map(() => new Float64Array(3 * width * DARKEST_ROWS));
-  for (let i = 0; i < width * DARKEST_ROWS; i++) {
-    const u = ((i % width) + 0.5) / width;
-    const v = (Math.floor(i / width) + 0.5) / DARKEST_ROWS;
-    basis(panoramaDirection(u, v)).forEach((term, k) => {
-      for (let c = 0; c < 3; c++) bands[BAND_OF[k]][3 * i + c] += term * light[3 * k + c];
-    });
-  }
-  return bands;
-}
-
-/** Against ringing, as pbrfit.panorama.windowed; P.-P. Sloan, "Stupid SH Tricks", 2008. */
-const WINDOWS = {
-  none: (light) => light,
-  // Band l times sin(πl/4)/(πl/4).
-  lanczos: (light) => damped(light, [0, 1, 2, 3].map((l) =>
-    (l === 0 ? 1 : Math.sin((Math.PI * l) / 4) / ((Math.PI * l) / 4)))),
-  // Band l divided by 1 + λ l² (l+1)², with the smallest λ that leaves no light negative.
-  nonnegative: (light) => {
-    const bands = bandRadiance(light);
-    const factors = (strength) => [0, 1, 2, 3].map((l) => 1 / (1 + strength * (l * (l + 1)) ** 2));
-    const isNegative = (strength) => {
-      const [a, b, c, d] = factors(strength);
-      return bands[0].some((value, i) =>
-        a * value + b * bands[1][i] + c * bands[2][i] + d * bands[3][i] < 0);
-    };
-    if (!isNegative(0) || Math.max(light[0], light[1], light[2]) <= 0) return light;
-    let [low, high] = [-6, 12]; // powers of ten; at the upper end only the mean light is left
-    for (let step = 0; step < 40; step++) {
-      const middle = (low + high) / 2;
-      if (isNegative(10 ** middle)) low = middle;
-      else high = middle;
-    }
-    return damped(light, factors(10 ** high));
-  },
-};
 
 /** What a screen shows of radiance times `gain`, 0 to 255: as pbrfit.display.encoded. */
 function displayed(radiance, gain, toneMap) {
@@ -161,7 +104,7 @@ class Ball {
   constructor(canvas) {
     this.context = canvas.getContext("2d");
     this.picture = this.context.createImageData(canvas.width, canvas.height);
-    this.pixels = []; // where, how opaque, and the basis of the direction that is seen
+    this.pixels = []; // where, how opaque, and the direction that is seen
     const size = canvas.width;
     const margin = 1 + 2 / size;
     for (let i = 0; i < size; i++) {
@@ -173,15 +116,16 @@ class Ball {
         if (opaque <= 0) continue;
         const z = Math.sqrt(Math.max(0, 1 - x * x - y * y));
         const mirror = [2 * z * x, 2 * z * y, 2 * z * z - 1]; // of (0, 0, 1) at (x, y, z)
-        this.pixels.push([4 * (i * size + j), 255 * opaque, Float64Array.from(basis(mirror))]);
+        this.pixels.push([4 * (i * size + j), 255 * opaque, mirror]);
       }
     }
   }
 
-  draw(light, gain, toneMap) {
+  /** @param radianceOf {(direction) => number[]} light from a direction */
+  draw(radianceOf, gain, toneMap) {
     const { data } = this.picture;
-    for (const [place, opaque, terms] of this.pixels) {
-      const color = displayed(radianceFrom(light, terms), gain, toneMap);
+    for (const [place, opaque, direction] of this.pixels) {
+      const color = displayed(radianceOf(direction), gain, toneMap);
       for (let c = 0; c < 3; c++) data[place + c] = color[c];
       data[place + 3] = opaque;
     }

@@ -1,12 +1,12 @@
-// Radiance .hdr panoramas: read row by row and projected to an SH light. What is wrong with a file
-// is thrown as an Error whose message is for the user.
+// Radiance .hdr panoramas, read row by row. What is wrong with a file is thrown as an Error whose
+// message is for the user.
 
-const FEWEST_ROWS = 7; // as pbrfit.panorama; with fewer, `solidAngles` is not exact for l = 3
+const FEWEST_ROWS = 7; // as pbrfit.model.panorama
+const MOST_ROWS = 4096; // finer ones would only take time: the sharpest level has 512
 
 /**
  * @param {Uint8Array} bytes content of the file
- * @returns {{light: Float64Array, lost: number, width: number, height: number}} lost: share of
- *   ∫ E² dω beyond l = 3, over all channels
+ * @returns {{rows: Float64Array[], width: number, height: number}} rows of `narrowedRow`
  */
 function readPanorama(bytes) {
   const header = readHeader(bytes);
@@ -15,52 +15,23 @@ function readPanorama(bytes) {
     throw new Error(
       `expected a panorama twice as wide as high (equirectangular), found ${width} × ${height}`);
   }
-  if (height < FEWEST_ROWS) {
-    throw new Error(`expected a panorama of ${2 * FEWEST_ROWS} × ${FEWEST_ROWS} pixels or more, `
-      + `found ${width} × ${height}`);
+  if (height < FEWEST_ROWS || height > MOST_ROWS) {
+    throw new Error(`expected a panorama of ${2 * FEWEST_ROWS} × ${FEWEST_ROWS} to `
+      + `${2 * MOST_ROWS} × ${MOST_ROWS} pixels, found ${width} × ${height}`);
   }
   const reader = new RowReader(bytes, header);
-  const angles = solidAngles(height, width);
-  // A row enters the projection through its Fourier sums Σ E cos mφ and Σ E sin mφ, m <= 3, alone.
-  const waves = [];
-  for (let m = 0; m <= 3; m++) {
-    for (const wave of [Math.cos, Math.sin]) {
-      waves.push(Float64Array.from({ length: width }, (_, j) =>
-        wave(m * 2 * Math.PI * ((j + 0.5) / width - 0.5))));
-    }
-  }
-  const light = new Float64Array(48);
-  let energy = 0;
-  for (let i = 0; i < height; i++) {
-    const row = reader.next();
-    const sums = waves.map(() => [0, 0, 0]);
+  const across = shares(width, COLUMNS, true);
+  const row = new Float64Array(3 * width);
+  const rows = Array.from({ length: height }, () => {
+    const codes = reader.next();
     for (let j = 0; j < width; j++) {
-      const exponent = row[4 * j + 3];
-      if (exponent === 0) continue;
-      const scale = 2 ** (exponent - 136);
-      for (let c = 0; c < 3; c++) {
-        const value = row[4 * j + c] * scale;
-        energy += angles[i] * value * value;
-        for (let w = 0; w < 8; w++) sums[w][c] += value * waves[w][j];
-      }
+      const exponent = codes[4 * j + 3];
+      const scale = exponent === 0 ? 0 : 2 ** (exponent - 136);
+      for (let c = 0; c < 3; c++) row[3 * j + c] = codes[4 * j + c] * scale;
     }
-    // The row without its higher frequencies, at 8 points: products with SH need no more.
-    for (let p = 0; p < EXACT; p++) {
-      const u = (p + 0.5) / EXACT;
-      const phi = 2 * Math.PI * (u - 0.5);
-      const color = [0, 1, 2].map((c) => {
-        let value = sums[0][c];
-        for (let m = 1; m <= 3; m++) {
-          value += 2 * (sums[2 * m][c] * Math.cos(m * phi) + sums[2 * m + 1][c] * Math.sin(m * phi));
-        }
-        return (angles[i] * value) / EXACT;
-      });
-      project(light, panoramaDirection(u, (i + 0.5) / height), color);
-    }
-  }
-  const kept = light.reduce((sum, value) => sum + value * value, 0);
-  const lost = energy > 0 ? Math.min(1, Math.max(0, 1 - kept / energy)) : 0;
-  return { light, lost, width, height };
+    return narrowedRow(row, width, across);
+  });
+  return { rows, width, height };
 }
 
 /** Lines up to an empty one, then the resolution. */

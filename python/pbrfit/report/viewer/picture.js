@@ -2,7 +2,7 @@
 
 const SHOWN = ["relit", "albedo", "roughness", "metallic", "normals", "strips"];
 const TONE_MAPS = ["none", "neutral"];
-const MOST_LAMPS = 8; // as in lamps.glsl
+const MOST_LAMPS = 16; // as in lamps.glsl
 
 class Picture {
   /** @throws Error with a message for the user if there is no WebGL 2, or too little of it */
@@ -25,6 +25,8 @@ class Picture {
       throw new Error(`the graphics chip takes no maps of ${side} pixels`);
     }
     this.programs = {};
+    this.environment = null; // whose textures there are
+    this.ofPanorama = [];
     const integers = [gl.RGBA16UI, gl.RGBA_INTEGER, gl.UNSIGNED_SHORT];
     this.texture(0, data.width, data.height, integers, textures.geometry);
     this.texture(1, data.width, data.height, integers, textures.surface);
@@ -42,6 +44,40 @@ class Picture {
     }
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     gl.texImage2D(gl.TEXTURE_2D, 0, stored, width, height, 0, given, type, values);
+  }
+
+  /** Textures of a panorama, if they are not there yet. */
+  place(environment) {
+    if (this.environment === environment) return;
+    const { gl, data } = this;
+    for (const texture of this.ofPanorama) gl.deleteTexture(texture);
+    const linear = (target, unit, levels) => {
+      const texture = gl.createTexture();
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(target, texture);
+      gl.texParameteri(target, gl.TEXTURE_WRAP_S, gl.REPEAT);
+      gl.texParameteri(target, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+      gl.texParameteri(target, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+      gl.texParameteri(target, gl.TEXTURE_MIN_FILTER,
+        levels > 1 ? gl.LINEAR_MIPMAP_LINEAR : gl.LINEAR);
+      gl.texParameteri(target, gl.TEXTURE_MAX_LEVEL, levels - 1);
+      return texture;
+    };
+    const { levels, hemispheres, unit } = environment;
+    const halves = [gl.RGBA, gl.FLOAT];
+    const panorama = linear(gl.TEXTURE_2D, 3, levels.length);
+    levels.forEach((grid, j) => gl.texImage2D(gl.TEXTURE_2D, j, gl.RGBA16F, grid.columns,
+      grid.columns / 2, 0, ...halves, halfTexels(grid, unit)));
+    const [{ columns }] = hemispheres;
+    const both = linear(gl.TEXTURE_2D_ARRAY, 4, 1);
+    const texels = new Float32Array(4 * columns * columns);
+    hemispheres.forEach((grid, i) => texels.set(halfTexels(grid, unit), 2 * i * columns * columns));
+    gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, gl.RGBA16F, columns, columns / 2, 2, 0, ...halves, texels);
+    const bytes = Uint8Array.from(atob(data.environmentLobes.nodes), (c) => c.charCodeAt(0));
+    this.texture(5, data.environmentLobes.columns, data.environmentLobes.rows,
+      [gl.RGBA32F, gl.RGBA, gl.FLOAT], new Float32Array(bytes.buffer));
+    this.ofPanorama = [panorama, both];
+    this.environment = environment;
   }
 
   /** The program for lights of these kinds, made when it is needed first. */
@@ -79,11 +115,14 @@ class Picture {
     gl.uniform4fv(at("geometryUnit"), unit("normal_u", "normal_v", "roughness", "facing"));
     gl.uniform4fv(at("surfaceUnit"), unit("red", "green", "blue", "metallic"));
     gl.uniform1f(at("tangent"), data.tangent);
+    for (const [i, name] of ["panorama", "hemispheres", "lobeNodes"].entries()) {
+      gl.uniform1i(at(name), 3 + i);
+    }
     return { program, at };
   }
 
   /**
-   * @param {{sh: ?Float64Array, lamps: Array}} light as it is turned now
+   * @param {{sh: ?Float64Array, lamps: Array, environment: ?Object}} light as it is turned now
    * @param state of the view; `exposure` in all
    * @param {number} stride texels from one pixel to the next: 1, or more while a finger waits
    */
@@ -97,6 +136,10 @@ class Picture {
     const kinds = [];
     if (lit && light.sh) kinds.push("sh");
     if (lit && light.lamps.length) kinds.push("lamps");
+    if (lit && light.environment) {
+      kinds.push("environment");
+      this.place(light.environment);
+    }
     const { program, at } = this.program(kinds);
     gl.useProgram(program);
     gl.viewport(0, 0, width, height);
@@ -105,6 +148,13 @@ class Picture {
       gl.uniform1i(at("lampCount"), light.lamps.length);
       gl.uniform3fv(at("lampDirections"), light.lamps.flatMap(({ direction }) => direction));
       gl.uniform3fv(at("lampColors"), light.lamps.flatMap(({ color }) => color));
+      gl.uniform1fv(at("lampExtents"), light.lamps.map(({ extent }) => extent ?? 0));
+    }
+    if (kinds.includes("environment")) {
+      const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+      gl.uniformMatrix3fv(at("toPanorama"), false,
+        axes.flatMap((axis) => directionBefore(axis, state.rotate, state.tilt)));
+      gl.uniform1f(at("panoramaUnit"), light.environment.unit);
     }
     gl.uniform2f(at("offset"), state.roughness, state.metallic);
     gl.uniform1f(at("gain"), 2 ** exposure);

@@ -19,11 +19,11 @@ vec3 reflected_lamps(Surface s) {
   vec3 sum = vec3(0.0);
   for (int i = 0; i < lampCount; i++) {
     vec3 light = lampDirections[i];
-    float cosine = dot(s.normal, light);
+    float cosine = mean_cosine(dot(s.normal, light), lampExtents[i]);
     if (cosine <= 0.0) continue;
     vec3 bisector = normalize(s.view + light);
     float seen = clamp(dot(s.view, bisector), 0.0, 1.0);
-    float lobe = distribution(s.normal, bisector, alpha) * 0.5 * cosine
+    float lobe = distribution(s.normal, bisector, widened(alpha, lampExtents[i])) * 0.5 * cosine
         / (cosine * ofView + facing * slanted(cosine, alpha));
     vec3 metal = parts.metal * (s.albedo + (1.0 - s.albedo) * fifth(1.0 - seen));
     sum += lampColors[i] * (PI * cosine * parts.body + lobe * (parts.dielectric * glass(seen) + metal));

@@ -1,6 +1,6 @@
 // One pixel of the view: the model that the result was fitted with, then display as in
-// pbrfit.io.display. What stands above this file: the version, and of SH and LAMPS those that the
-// light has, so that no program pays for another kind of light. With neither it shows maps.
+// pbrfit.io.display. What stands above this file: the version, and of SH, LAMPS and ENVIRONMENT those
+// that the light has, so that no program pays for another kind of light. With neither it shows maps.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
@@ -63,6 +63,9 @@ vec3 relit(Surface s) {
 #endif
 #ifdef LAMPS
   radiance += reflected_lamps(s);
+#endif
+#ifdef ENVIRONMENT
+  radiance += reflected_environment(s);
 #endif
   vec3 exposed = max(gain * radiance, 0.0);
   return srgb(toneMap == 1 ? neutral(exposed) : exposed);

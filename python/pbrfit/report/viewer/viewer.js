@@ -11,6 +11,7 @@ const TEXTS = {
   azimuth: (value) => `${signed(value, 0)}°`,
   elevation: (value) => `${signed(value, 0)}°`,
   ambient: (value) => value.toFixed(2),
+  softness: (value) => `${value.toFixed(0)}°`,
   rotate: (value) => `${signed(value, 0)}°`,
   tilt: (value) => `${signed(value, 0)}°`,
   exposure: (value) => `${signed(value, 1)} EV`,
@@ -47,7 +48,7 @@ class View {
     this.opened = null; // a panorama from a file
     const { azimuth, elevation, ambient } = data.lamp;
     this.form = root.querySelector("form");
-    this.start = { light: "", azimuth, elevation, ambient, window: "none", rotate: 0, tilt: 0,
+    this.start = { light: "", azimuth, elevation, ambient, softness: 0, rotate: 0, tilt: 0,
       exposure: 0, tone: "neutral", roughness: 0, metallic: 0, view: "relit", of: "albedo",
       picture: "" };
     this.state = { ...this.start };
@@ -87,28 +88,27 @@ class View {
     return lights.find((light) => light.name === name);
   }
 
-  /** The SH light that is chosen, before it is turned. */
-  light() {
-    const light = this.find(this.state.light);
-    if (light !== this.opened) return light.sh; // what was found is shown as it is
-    const kind = this.state.window;
-    light.windowed[kind] ??= WINDOWS[kind](light.sh);
-    return light.windowed[kind];
-  }
-
-  /** What the picture is drawn with: {sh, lamps}. */
+  /** What the picture is drawn with: {sh, lamps, environment}. */
   drawn() {
     const { state } = this;
     if (state.light === "") {
       const direction = directionOf(state.azimuth, state.elevation);
-      return { lamps: [{ direction, color: [1, 1, 1] }],
+      return { lamps: partsOfLamp(direction, state.softness),
         sh: state.ambient ? this.around.map((value) => state.ambient * value) : null };
     }
     const light = this.find(state.light);
-    const sh = this.light();
+    const { sh, environment } = light;
     const { rotate, tilt } = state;
-    return { sh: sh && turned(sh, rotate, tilt), lamps: (light.lamps ?? []).map((lamp) =>
+    return { environment, sh: sh && turned(sh, rotate, tilt), lamps: (light.lamps ?? []).map((lamp) =>
       ({ ...lamp, direction: directionTurned(lamp.direction, rotate, tilt) })) };
+  }
+
+  /** Light from a direction as a mirror ball shows it. */
+  seen({ sh, environment }) {
+    if (!environment) return (direction) => radianceFrom(sh, basis(direction));
+    const { rotate, tilt } = this.state;
+    return (direction) =>
+      radianceOfGrid(environment.levels[1], directionBefore(direction, rotate, tilt));
   }
 
   /** Stops in all: those that bring the light to white, and those that were added. */
@@ -117,15 +117,15 @@ class View {
     return (light === "" ? this.data.lamp.exposure : this.find(light).exposure) + exposure;
   }
 
-  /** Stops that bring the 98th percentile under an SH light to white, to a tenth. */
-  metered(sh) {
+  /** Stops that bring the 98th percentile under a panorama to white, to a tenth. */
+  metered(environment) {
     const { picture, data, canvas } = this;
     const { gl } = picture;
     const stride = Math.max(1, Math.ceil(Math.max(data.width, data.height) / METERED));
     const state = { ...this.start, tone: "none" };
     let exposure = 0;
     for (let step = 0; step < 12; step++) {
-      picture.draw({ sh, lamps: [] }, state, exposure, stride);
+      picture.draw({ environment, lamps: [] }, state, exposure, stride);
       const codes = new Uint8Array(4 * canvas.width * canvas.height);
       gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
       const inside = codes.filter((_, i) => i % 4 < 3 && codes[i - (i % 4) + 3] > 0).sort();
@@ -196,7 +196,7 @@ class View {
         input.checked = checked;
       }
     }
-    for (const name of ["window", "tone", "picture"]) elements[name].value = state[name];
+    for (const name of ["tone", "picture"]) elements[name].value = state[name];
     for (const name of Object.keys(RANGES)) {
       const slider = elements[name];
       const text = TEXTS[name](state[name]);
@@ -205,12 +205,12 @@ class View {
       slider.parentElement.querySelector("output").value = text;
     }
     const lamp = state.light === "";
-    const shown = { lamp, sh: !lamp, panorama: !lamp && this.find(state.light) === this.opened };
+    const shown = { lamp, sh: !lamp };
     for (const part of root.querySelectorAll("[data-of]")) part.hidden = !shown[part.dataset.of];
     const relit = state.view === "relit" || state.view === "strips";
     this.marker.hidden = !lamp || !relit;
-    if (!lamp && light.sh && !elements.adjust.parentElement.disabled) {
-      this.ball.draw(light.sh, 2 ** this.exposure(), state.tone);
+    if (!lamp && (light.sh || light.environment) && !elements.adjust.parentElement.disabled) {
+      this.ball.draw(this.seen(light), 2 ** this.exposure(), state.tone);
     }
     const address = this.originals.get(state.picture);
     this.reveal.show(address ? { name: state.picture, address } : null,
@@ -289,7 +289,7 @@ class View {
     root.addEventListener("input", ({ target }) => {
       if (target.name in RANGES) this.change({ [target.name]: Number(target.value) });
       else if (target.name === "light") this.choose(target.value);
-      else if (["window", "tone", "view", "of", "picture"].includes(target.name)) {
+      else if (["tone", "view", "of", "picture"].includes(target.name)) {
         this.change({ [target.name]: target.value });
       }
     });
@@ -505,14 +505,16 @@ class View {
 
   async open(file) {
     try {
-      const { light, lost, width, height } = readPanorama(new Uint8Array(await file.arrayBuffer()));
+      this.say(`Reading ${file.name} …`);
+      const { rows, width, height } = readPanorama(new Uint8Array(await file.arrayBuffer()));
+      const environment = await blurred(rows);
+      environment.unit = halfUnit(environment);
       const taken = this.lights.some(({ name }) => name === file.name);
       const name = taken ? `${file.name} (panorama)` : file.name;
-      this.opened = { name, sh: light, windowed: {}, exposure: this.metered(light) };
-      this.addTile(name, light);
+      this.opened = { name, environment, exposure: this.metered(environment) };
+      this.addTile(name);
       this.choose(name);
-      this.say(`${file.name}: ${width} × ${height}. ${(100 * lost).toFixed(0)} % of its energy is `
-        + "in detail finer than this light has (l > 3).");
+      this.say(`${file.name}: ${width} × ${height}.`);
     } catch (error) {
       this.say(`${file.name}: ${error.message}`, true);
       this.redraw();
@@ -520,7 +522,7 @@ class View {
   }
 
   /** A tile for the panorama, with a mirror ball; it takes the place of the one before. */
-  addTile(name, light) {
+  addTile(name) {
     const film = this.root.querySelector(".relight-film");
     film.querySelector(".relight-opened")?.remove();
     const tile = document.createElement("label");
@@ -530,7 +532,7 @@ class View {
     Object.assign(input, { type: "radio", name: "light", value: name });
     const ball = document.createElement("canvas");
     ball.width = ball.height = 96;
-    new Ball(ball).draw(light, 2 ** this.opened.exposure, "neutral");
+    new Ball(ball).draw(this.seen(this.opened), 2 ** this.opened.exposure, "neutral");
     const text = document.createElement("span");
     text.textContent = name;
     tile.append(input, ball, text);
