@@ -64,6 +64,8 @@ NEIGHBOUR = 0.04
 """Weight of staying where the neighbour is, in units of a parameter."""
 STEPS = 60
 POLAR, AZIMUTHS = 48, 20
+FLOOR = 0.15
+"""Least root of a hemisphere's weight at the start of a fit, in that of an even share."""
 SWEEPS = 4
 """Times that every node is fitted anew, held to the mean of its neighbours."""
 SEEDS = 12
@@ -212,6 +214,9 @@ class Fit:
     def solve(self, start: Array, scale: Array, neighbour: float) -> tuple[Array, float]:
         """Levenberg-Marquardt from a start, held to it weakly."""
         p, damping = start.copy(), 1e-2
+        # A weight is a square: from 0 there is no way back.
+        floor = FLOOR * np.sqrt(self.energy.sum() / len(p))
+        p[-2:, 2:] = np.maximum(p[-2:, 2:], floor)
         hold = neighbour / scale.ravel()
 
         def cost(p: Array) -> tuple[float, Array, Array]:

@@ -11,6 +11,7 @@ import dataclasses
 import math
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,7 +44,7 @@ class Environment:
     Attributes
     ----------
     pixels
-        (H, 2H, 3) equirectangular radiance, linear Rec.709: the centre looks along −Z, into the
+        (H, 2H, 3) equirectangular radiance, linear Rec.709, kept as float32: the centre looks along −Z, into the
         scene, its right half is +X, its top +Y. Channels below 0, of colours beyond Rec.709, count
         as 0.
     rotate
@@ -55,7 +56,7 @@ class Environment:
         If the pixels have another shape, or are not finite or beyond 10¹⁶.
     """
 
-    pixels: NDArray[np.float32]
+    pixels: NDArray[np.floating[Any]]
     rotate: float = 0.0
 
     def __post_init__(self) -> None:
@@ -151,4 +152,4 @@ def render_environment(
     model = checked_model(model)
     view = View.of_maps(materials, normals, fov)
     radiance = environment._radiance(view.pixels, whole_number("threads", threads), model)
-    return view.pictures(radiance[None])[0]
+    return np.asarray(view.pictures(radiance[None])[0])

@@ -119,7 +119,8 @@ def test_light_is_never_negative_and_the_same_on_any_threads(model: Model) -> No
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     views = np.tile([0.0, 0.0, 1.0], (count, 1))
     albedo, roughness, metallic = rng.random((count, 3)), rng.random(count), rng.random(count)
-    roughness[:4], metallic[:4], albedo[:4] = [0, 1, 0, 1], [0, 0, 1, 1], [[0.0], [1], [1], [0]]
+    roughness[:4], metallic[:4] = [0, 1, 0, 1], [0, 0, 1, 1]
+    albedo[:4] = np.array([0, 1, 1, 0])[:, None]
     given = (normals, views, albedo, roughness, metallic, 0.3)
     found = one.radiance(*given, 1, model)
     np.testing.assert_array_equal(found, one.radiance(*given, 4, model))
