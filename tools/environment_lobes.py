@@ -3,7 +3,7 @@
     python tools/environment_lobes.py            fit, write the table, print its errors
     python tools/environment_lobes.py --check    the table as it is: its errors
 
-Needs numpy and pbrfit. A panorama is kept blurred by von Mises-Fisher lobes of widths σ_j = 2^j σ_0
+Needs numpy, scipy and pbrfit. Takes ten minutes. A panorama is kept blurred by von Mises-Fisher lobes of widths σ_j = 2^j σ_0
 (`rust/environment/blurred.rs`). Here the mirror-like part of each reflection model, with
 x = n·v, in the frame with z = n and the mirror direction (√(1−x²), 0, x),
 
@@ -64,8 +64,12 @@ NEIGHBOUR = 0.04
 """Weight of staying where the neighbour is, in units of a parameter."""
 STEPS = 60
 POLAR, AZIMUTHS = 48, 20
+ORDERED_FROM = 6, 10
+"""Node whose lobes others are ordered by."""
 FLOOR = 0.15
-"""Least root of a hemisphere's weight at the start of a fit, in that of an even share."""
+"""Least root of a weight at the start of a fit, in that of an even share."""
+SMOOTHING, HELD = 4, 0.1
+"""Further times, and the weight of the neighbours then: without floors, for interpolation."""
 SWEEPS = 4
 """Times that every node is fitted anew, held to the mean of its neighbours."""
 SEEDS = 12
@@ -211,12 +215,13 @@ class Fit:
             slopes.append(block.reshape(len(data), -1))
         return np.concatenate(residuals), np.concatenate(slopes)
 
-    def solve(self, start: Array, scale: Array, neighbour: float) -> tuple[Array, float]:
+    def solve(
+        self, start: Array, scale: Array, neighbour: float, floor: float = FLOOR
+    ) -> tuple[Array, float]:
         """Levenberg-Marquardt from a start, held to it weakly."""
         p, damping = start.copy(), 1e-2
         # A weight is a square: from 0 there is no way back.
-        floor = FLOOR * np.sqrt(self.energy.sum() / len(p))
-        p[-2:, 2:] = np.maximum(p[-2:, 2:], floor)
+        p[:, 2:] = np.maximum(p[:, 2:], floor * np.sqrt(self.energy.sum() / len(p)))
         hold = neighbour / scale.ravel()
 
         def cost(p: Array) -> tuple[float, Array, Array]:
@@ -288,9 +293,9 @@ def solved(model: str) -> Array:
     table = np.zeros((len(of_r), len(of_x), LOBES, 4))
     cost = np.full(table.shape[:2], np.inf)
 
-    def improve(i: int, j: int, start: Array, neighbour: float) -> None:
+    def improve(i: int, j: int, start: Array, neighbour: float, floor: float = FLOOR) -> None:
         fit = fits[i][j]
-        found, value = fit.solve(start, scales(of_r[i], fit, LOBES), neighbour)
+        found, value = fit.solve(start, scales(of_r[i], fit, LOBES), neighbour, floor)
         if value < cost[i, j] or neighbour > 0:
             table[i, j], cost[i, j] = found, value
 
@@ -314,7 +319,8 @@ def solved(model: str) -> Array:
         for j in range(len(of_x)):
             for i in range(middle + way, (CELLS_R + 1 if way > 0 else -1), way):
                 improve(i, j, moved(table[i - way, j], of_r[i - way], of_r[i]), NEIGHBOUR)
-    for sweep in range(SWEEPS):
+    for sweep in range(SWEEPS + SMOOTHING):
+        rough = sweep < SWEEPS
         for i in range(len(of_r)):
             for j in range(len(of_x)):
                 about = [(i + a, j + b) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
@@ -323,28 +329,54 @@ def solved(model: str) -> Array:
                     for a, b in about
                     if 0 <= a < len(of_r) and 0 <= b < len(of_x)
                 ]
-                improve(i, j, np.mean(near, axis=0), NEIGHBOUR)
+                start = np.mean(near, axis=0)
+                improve(i, j, start, *((NEIGHBOUR, FLOOR) if rough else (HELD, 0.0)))
         found = np.array(
             [
                 [f.errors(t) for f, t in zip(*row, strict=True)]
                 for row in zip(fits, table, strict=True)
             ]
         )
-        seen = found[3:, 9:, 0]
-        print(
-            model,
-            "sweep",
-            sweep,
-            "median, 90 %, worst of F0 = 1:",
-            np.percentile(seen, [50, 90, 100]).round(3),
-            flush=True,
-        )
+        seen = np.percentile(found[3:, 9:, 0], [50, 90, 100]).round(3)
+        print(model, "sweep", sweep, "median, 90 %, worst of F0 = 1:", seen, flush=True)
+    table = ordered(table)
     table[..., 2:] **= 2
     # No energy is lost or made.
     for i, row in enumerate(fits):
         for j, fit in enumerate(row):
             table[i, j, :, 2:] *= fit.energy / np.maximum(table[i, j, :, 2:].sum(axis=0), 1e-12)
     return table
+
+
+def ordered(table: Array) -> Array:
+    """The same lobes in an order that neighbouring nodes share, or there is nothing between them.
+
+    From one node along its row and then from row to row, each node's lobes are assigned to those of
+    the neighbours that are ordered already, by what would be between them.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    found = table.copy()
+    free = LOBES - 2
+    of_r, of_x = nodes()
+    rows, columns = (
+        [start, *range(start + 1, count), *range(start - 1, -1, -1)]
+        for start, count in zip(ORDERED_FROM, (len(of_r), len(of_x)), strict=True)
+    )
+    done: set[tuple[int, int]] = set()
+    for i, j in ((i, j) for i in rows for j in columns):
+        unit = np.array([max(of_r[i] ** 2, SHARPEST), 1, 1, 1])
+        cost = np.zeros((free, free))
+        here = found[i, j, None, :free]
+        for near in ((i, j + 1), (i, j - 1), (i + 1, j), (i - 1, j)):
+            if near in done:
+                there = found[near][:free, None]
+                energy = np.maximum(np.sum(there[..., 2:] ** 2, -1), np.sum(here[..., 2:] ** 2, -1))
+                cost += np.sum(((there - here) / unit) ** 2, axis=-1) * (np.sqrt(energy) + 0.02)
+        if done:
+            found[i, j, :free] = found[i, j, linear_sum_assignment(cost)[1]]
+        done.add((i, j))
+    return found
 
 
 def moved(p: Array, r: float, to: float) -> Array:

@@ -44,9 +44,9 @@ class Environment:
     Attributes
     ----------
     pixels
-        (H, 2H, 3) equirectangular radiance, linear Rec.709, kept as float32: the centre looks along −Z, into the
-        scene, its right half is +X, its top +Y. Channels below 0, of colours beyond Rec.709, count
-        as 0.
+        (H, 2H, 3) equirectangular radiance, linear Rec.709, kept as float32: the centre looks along
+        −Z, into the scene, its right half is +X, its top +Y. Channels below 0, of colours beyond
+        Rec.709, count as 0.
     rotate
         Degrees that the light is turned by about +Y, from +Z, the viewer, towards +X.
 
