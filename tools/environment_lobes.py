@@ -3,9 +3,9 @@
     python tools/environment_lobes.py            fit, write the table, print its errors
     python tools/environment_lobes.py --check    the table as it is: its errors
 
-Needs numpy, scipy and pbrfit. Takes ten minutes. A panorama is kept blurred by von Mises-Fisher lobes of widths σ_j = 2^j σ_0
-(`rust/environment/blurred.rs`). Here the mirror-like part of each reflection model, with
-x = n·v, in the frame with z = n and the mirror direction (√(1−x²), 0, x),
+Needs numpy, scipy and pbrfit. Takes ten minutes. A panorama is kept blurred by von Mises-Fisher
+lobes of widths σ_j = 2^j σ_0 (`rust/environment/blurred.rs`). Here the mirror-like part of each
+reflection model, with x = n·v, in the frame with z = n and the mirror direction (√(1−x²), 0, x),
 
     a(l) = D V n·l (1 − (1−v·h)⁵)        b(l) = D V n·l (1−v·h)⁵
 
