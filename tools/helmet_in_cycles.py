@@ -84,7 +84,11 @@ def show_inputs(material: Any) -> None:
     surface.distribution = "GGX"
     if surface.inputs["Alpha"].is_linked:
         nodes.tree.links.remove(surface.inputs["Alpha"].links[0])
-    for name, key in (("albedo", "Base Color"), ("roughness", "Roughness"), ("metallic", "Metallic")):
+    for name, key in (
+        ("albedo", "Base Color"),
+        ("roughness", "Roughness"),
+        ("metallic", "Metallic"),
+    ):
         source = surface.inputs[key]
         nodes.show(**{name: source.links[0].from_socket})
 

@@ -22,7 +22,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 

@@ -94,7 +94,9 @@ def main() -> None:
 def lamp(phase: float) -> DirectionalLight:
     """The lamp at a phase of its way round."""
     aside, middle, up = SWEEP
-    return DirectionalLight(-aside * math.cos(phase), middle + up * math.sin(phase), softness=SOFTNESS)
+    return DirectionalLight(
+        -aside * math.cos(phase), middle + up * math.sin(phase), softness=SOFTNESS
+    )
 
 
 def frame(
