@@ -2,12 +2,13 @@
 
     python tools/helmet_scene.py DATA [--out out/helmet] [--height 640] [--samples 64] [--turns 2]
 
-DATA holds two folders: `gltf_FlightHelmet`, the glTF sample model FlightHelmet (Microsoft, Khronos;
-CC0) without its archive, and `hdri`, panoramas in .hdr. Each panorama lights --turns pictures. It is
-turned any way and softened, as if a diffuser stood before it: spherical harmonics, which the fit
-takes light to be, have no sharp lamps. The pictures have all that a path tracer has: shadows and light
-between surfaces. Normals are the true ones, with those of the textures. The lenses are left out.
-Needs the environment of `make cycles-env`. The folder holds a scene with `truth/`, against which
+DATA holds two folders: `gltf_FlightHelmet`, the glTF sample model FlightHelmet (Microsoft,
+Khronos; CC0) without its archive, and `hdri`, panoramas in .hdr. Each panorama lights --turns
+pictures. It is turned any way and softened, as if a diffuser stood before it: spherical
+harmonics, which the fit takes light to be, have no sharp lamps. The pictures have all that a path
+tracer has: shadows and light between surfaces. Normals are the true ones, with those of the
+textures. The lenses are left out. Needs the environment of `make cycles-env`. The folder holds a
+scene with `truth/`, against which
 
     pbrfit decompose out/helmet --out out/helmet-result --model principled
 
