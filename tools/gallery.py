@@ -157,9 +157,32 @@ repository. To make them, with the sets in a folder:
 
 <!-- /not live -->
 
-![The figure's maps, and the lamp going round](images/moving-lamp.webp)
+![A flight helmet under a lamp that goes round, two of the pictures, and the recovered albedo,
+roughness and metallic](images/moving-lamp.webp)
 
-*The first entry below, under a lamp that none of its pictures has: `python tools/moving_lamp.py`.*
+## The helmet
+
+Above: 16 renders of one view, fitted, and the result under a lamp that none of them has. Unlike
+the sets below, its truth is known. RMSE against the renders' truth: albedo 0.068 (0.067 at the
+best scale), roughness 0.155, metallic 0.342. The program calls albedo usable, roughness a rough
+guide and metallic not determined: metal is also found where there is none, in the goggles and
+elsewhere. The lamp casts no shadows, since no depth was given. The true normals, with those of
+the textures, were given, and the fit changed them by 10 degrees in the mean, maybe as light that is
+blocked or reflected by other parts passes for other normals. The lenses were left out. The
+panoramas were turned any way and blurred by 25 degrees before rendering. Shadows and light
+between surfaces are in the renders, denoised; the fit takes neither into account. Under the
+same panoramas unblurred, at 208 × 320, the albedo was off by 0.140, the roughness by 0.183 and the
+metallic by 0.318.
+
+```sh
+python tools/helmet_scene.py DATA --height 416 --samples 32
+pbrfit decompose out/helmet --out out/helmet-result --model principled
+python tools/moving_lamp.py
+```
+
+The model is FlightHelmet of the [glTF sample
+assets](https://github.com/KhronosGroup/glTF-Sample-Assets) (Microsoft, Khronos; CC0), the
+panoramas are from [Poly Haven](https://polyhaven.com), CC0; rendered by Blender's Cycles.
 """
 
 

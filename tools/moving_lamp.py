@@ -1,9 +1,9 @@
-"""A loop and a still of a result under a lamp that moves, beside a picture and the maps.
+"""A loop and a still of a result under a lamp that moves, beside pictures and the maps.
 
 python tools/moving_lamp.py [RESULT] [--scene SCENE] [--out NAME]
 
 writes NAME.webp and NAME.png, docs/images/moving-lamp by default. RESULT is a result folder; by
-default that of the figure under lamps, which `tools/gallery.py` fits.
+default that of the helmet, whose pictures `tools/helmet_scene.py` renders.
 """
 
 from __future__ import annotations
@@ -24,10 +24,19 @@ FRAMES = 48
 MILLISECONDS = 70
 """Of a frame."""
 
-HEIGHT = 460
+HEIGHT = 440
 """Of the relit picture, in pixels; maps are half as high."""
 
-SWEEP = (70.0, 25.0, 22.0)
+SOFTNESS = 6.0
+"""Angular radius of the lamp in degrees."""
+
+FILL = 0.05
+"""Radiance of the faint light from all around; a white surface under the lamp alone has 1."""
+
+PICTURES = (2, 12)
+"""Those shown."""
+
+SWEEP = (65.0, 25.0, 22.0)
 """The lamp goes round an ellipse: degrees to each side, mean elevation, degrees up and down."""
 
 STILL = 5
@@ -40,25 +49,32 @@ BULB = 9
 def main() -> None:
     """Write both."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    default = ROOT / "out" / "gallery" / "results" / "figure-lamps"
+    default = ROOT / "out" / "helmet-result"
     parser.add_argument("result", metavar="RESULT", nargs="?", type=Path, default=default)
+    parser.add_argument("--scene", type=Path, default=ROOT / "out" / "helmet")
     parser.add_argument(
-        "--scene", type=Path, default=ROOT / "out" / "gallery" / "scenes" / "visiont3lab_shrek"
+        "--pictures", type=int, nargs=2, default=PICTURES, help="which pictures are shown"
     )
-    parser.add_argument("--picture", type=int, default=0, help="which picture is shown")
     out = ROOT / "docs" / "images" / "moving-lamp"
     parser.add_argument("--out", type=Path, default=out, help="both files, without suffix")
     options = parser.parse_args()
     result = Result.load(options.result)
-    picture = Scene.load(options.scene, max_size=max(result.mask.shape)).images[options.picture]
+    scene = Scene.load(options.scene, max_size=max(result.mask.shape))
     lights = [lamp(2 * math.pi * i / FRAMES) for i in range(FRAMES)]
-    relit = [relight(result, light) for light in lights]
+    around = np.zeros((16, 3))
+    around[0] = FILL * math.sqrt(4 * math.pi)  # of the constant harmonic
+    faint = relight(result, around)
+    relit = [relight(result, light) + faint for light in lights]
     white = float(np.median([cards.white_of(one) for one in relit]))
     half = (HEIGHT - cards.GAP - cards.CAPTION) // 2
     maps = dict(cards.maps_of(result, height=half))
-    given = cards.shown(cards.radiance(picture, cards.white_of(picture)), result.mask, height=half)
-    grid = [[("a picture", given), ("albedo", maps["albedo"])]]
-    grid += [[(name, maps[name]) for name in ("roughness", "normals")]]
+    given = [
+        cards.shown(cards.radiance(one, cards.white_of(one)), result.mask, height=half)
+        for one in (scene.images[i] for i in options.pictures)
+    ]
+    names = [f"one of {len(scene.images)} pictures", "another"]
+    grid = [[*zip(names, given, strict=True), ("albedo", maps["albedo"])]]
+    grid += [[(name, maps[name]) for name in ("roughness", "metallic", "normals")]]
     frames = []
     for light, linear in zip(lights, relit, strict=True):
         surface = cards.shown(cards.radiance(linear, white), result.mask, height=HEIGHT)
@@ -78,7 +94,9 @@ def main() -> None:
 def lamp(phase: float) -> DirectionalLight:
     """The lamp at a phase of its way round."""
     aside, middle, up = SWEEP
-    return DirectionalLight(-aside * math.cos(phase), middle + up * math.sin(phase))
+    return DirectionalLight(
+        -aside * math.cos(phase), middle + up * math.sin(phase), softness=SOFTNESS
+    )
 
 
 def frame(
@@ -86,7 +104,8 @@ def frame(
 ) -> Image.Image:
     """The relit surface with the lamp's dial, and two rows of small pictures to its right."""
     wide = grid[0][0][1].width
-    width = surface.width + 2 * wide + 4 * cards.GAP
+    columns = len(grid[0])
+    width = surface.width + columns * wide + (columns + 2) * cards.GAP
     canvas = Image.new("RGB", (width, HEIGHT + cards.CAPTION + cards.GAP), cards.GROUND)
     canvas.paste(surface, (cards.GAP, cards.GAP))
     dial(canvas, light)
