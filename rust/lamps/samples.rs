@@ -112,7 +112,7 @@ impl Samples<'_> {
                 if intensity == [0.0; 3] {
                     continue;
                 }
-                let unit = surface.reflected(self.directions[k], 0.0);
+                let unit = surface.reflected(self.directions[k]);
                 for c in 0..3 {
                     model[c] += intensity[c] * unit[c];
                 }

@@ -85,7 +85,7 @@ impl<'a> Surface<'a> {
     /// disk of the angular radius `extent`, radians: the mean of [`PARTS`] smaller ones.
     pub fn reflected_of_disk(&self, light: DVec3, extent: f64) -> [f64; 3] {
         if extent == 0.0 {
-            return self.reflected(light, 0.0);
+            return self.reflected(light);
         }
         let (across, up) = light.any_orthonormal_pair();
         let mut sum = [0.0; 3];
@@ -95,12 +95,18 @@ impl<'a> Surface<'a> {
             let (radius, turn) = (extent * part.sqrt(), k as f64 * GOLDEN_ANGLE);
             let aside = turn.cos() * across + turn.sin() * up;
             let direction = radius.cos() * light + radius.sin() * aside;
-            let unit = self.reflected(direction, extent / (PARTS as f64).sqrt());
+            let unit = self.reflected_of_part(direction, extent / (PARTS as f64).sqrt());
             for c in 0..3 {
                 sum[c] += unit[c] / PARTS as f64;
             }
         }
         sum
+    }
+
+    /// Radiance under unit light from `light`, a unit vector from the surface.
+    #[inline]
+    pub fn reflected(&self, light: DVec3) -> [f64; 3] {
+        self.reflected_of_part(light, 0.0)
     }
 
     /// The same of a small disk at once.
@@ -109,7 +115,7 @@ impl<'a> Surface<'a> {
     /// GGX is a Gaussian of variance α²/4 an axis of h, a disk has ρ²/4 of l, a quarter of that of
     /// h. The cosine n·l is [`mean_cosine`].
     #[inline]
-    pub fn reflected(&self, light: DVec3, extent: f64) -> [f64; 3] {
+    fn reflected_of_part(&self, light: DVec3, extent: f64) -> [f64; 3] {
         let n_dot_l = mean_cosine(self.normal.dot(light), extent);
         let bisector = self.view + light;
         // From straight behind there is no half vector. Below the smallest normal number lengths lose

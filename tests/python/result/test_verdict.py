@@ -16,6 +16,7 @@ from page_reader import Page
 from pbrfit import Materials, Result, decompose
 from pbrfit.commands.terminal import verdict_lines
 from pbrfit.report import write_report
+from pbrfit.report.verdict import how_to_read
 from pbrfit.result import preview, verdict
 from pbrfit.result.advice import of_verdicts
 from pbrfit.result.sheet import Panel, Row, sheet
@@ -131,8 +132,12 @@ def test_one_verdict_everywhere(
     preview.preview(result)
     write_report(result, tmp_path / "page.html")
     page = Page((tmp_path / "page.html").read_text("utf-8"))
-    cells = [[cell.text for cell in page.all("td")][5 * i : 5 * i + 5] for i in range(3)]
-    for (name, one), row in zip(VERDICTS.items(), cells, strict=True):
+    chips = [
+        chip
+        for chip in page.all("details")
+        if "verdict" in chip.attributes.get("class", "").split()
+    ]
+    for (name, one), chip in zip(VERDICTS.items(), chips, strict=True):
         why = "; ".join(filter(None, (one.cause, one.remedy)))
         error = f"± {one.expected_error:.2f}"
         [line] = [line for line in terminal if f" {name}: " in line]
@@ -144,17 +149,26 @@ def test_one_verdict_everywhere(
         [panel] = [p for p in panels if p.caption.startswith(name)]
         assert panel.note == f"{one.level}, {error}" + (f": {why}" if why else "")
         assert panel.mark == verdict.MARKS[one.level]
-        assert row == [name, one.level, error, one.cause, one.remedy]
+        assert f"{name}: {one.level}" in chip.text
+        assert error in chip.text
+        for words in filter(None, (one.cause, one.remedy)):
+            assert f"{words[0].upper()}{words[1:]}." in chip.text
         assert one.expected_error in page.values
     assert verdict.thresholds()[1:] in page.text
 
 
-def test_causes_have_no_column_where_there_are_none(result: Result, tmp_path: Path) -> None:
+def test_causes_are_not_spoken_of_where_there_are_none(result: Result, tmp_path: Path) -> None:
     assert result.uncertainty is not None
     good = {name: Verdict("usable", 0.01) for name in PARAMETERS}
     uncertainty = dataclasses.replace(result.uncertainty, verdicts=good)
     write_report(dataclasses.replace(result, uncertainty=uncertainty), tmp_path / "page.html")
     page = Page((tmp_path / "page.html").read_text("utf-8"))
-    heads = [cell.text for cell in page.all("th")]
-    assert heads[:3] == ["map", "verdict", "expected error"]
-    assert "cause" not in heads
+    chips = [
+        chip
+        for chip in page.all("details")
+        if "verdict" in chip.attributes.get("class", "").split()
+    ]
+    assert len(chips) == len(PARAMETERS)
+    for name, chip in zip(PARAMETERS, chips, strict=True):
+        assert chip.text.startswith(f"{name}: usableExpected error of {name}: ± 0.01")
+        assert chip.text.endswith(f"{how_to_read()}")
