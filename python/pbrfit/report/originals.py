@@ -11,7 +11,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.result.result import Result
 from pbrfit.scene.arrays import Source
-from pbrfit.scene.registration import aligned
+from pbrfit.scene.registration import IN_LINE, aligned
 from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
@@ -76,8 +76,9 @@ def _read(result: Result, path: Path) -> Scene:
 
 
 def _as_fitted(result: Result, scene: Scene) -> Scene:
-    """The scene with its pictures where they were fitted."""
-    return aligned(scene) if result.options.align == "auto" else scene
+    """The scene with its pictures where they were fitted; looked for only if some were moved."""
+    moved = result.options.align == "auto" and result.assumed.get("alignment") != IN_LINE
+    return aligned(scene) if moved else scene
 
 
 def _check(result: Result, scene: Scene, name: str) -> None:

@@ -83,6 +83,10 @@ _AGREEMENT_NOISE = 0.05
 _LONGEST_STEP = 2.0  # pixels of a level
 
 
+IN_LINE = "pictures line up"
+"""In `Scene.assumed` where no picture was moved or left out."""
+
+
 @dataclass(frozen=True, eq=False)
 class Placement:
     """How a picture lies relative to the others, or why it is left out."""
@@ -131,7 +135,7 @@ class Registration:
         if not self.placements:
             return f"not checked: {self.hindrance}"
         moved = [one.in_words() for one in self.placements if not one.in_line]
-        return "; ".join(moved) or "pictures line up"
+        return "; ".join(moved) or IN_LINE
 
 
 def aligned(scene: Scene) -> Scene:
