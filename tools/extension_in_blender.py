@@ -25,10 +25,9 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(REPOSITORY / "tests" / "support")]
 
 from blender_extension import Import, imported  # noqa: E402
-from pbrfit import Result, decompose, relight  # noqa: E402
+from pbrfit import Environment, Result, decompose, relight  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
 from pbrfit.io import images  # noqa: E402
-from pbrfit.model import panorama  # noqa: E402
 from pbrfit.result.differences import blue_to_yellow  # noqa: E402
 from pbrfit.result.relighting import DirectionalLight  # noqa: E402
 from pbrfit.result.sheet import Key, Panel, Row, displayed, sheet  # noqa: E402
@@ -77,7 +76,7 @@ def compared(folder: Path, result: Result, samples: int) -> list[Row]:
     runs["facets, sun"] = (of_sun, SUN)
     data = Path(os.environ.get("PBRFIT_DATA", REPOSITORY.parent / "shared" / "data"))
     if (data / HDRI).is_file():
-        light = panorama.project(panorama.read(data / HDRI))
+        light = Environment.read(data / HDRI)
         runs["facets, photographed panorama"] = ({"panorama": str(data / HDRI)}, light)
     runs["card, light 0"] = ({"geometry": "CARD"}, result.lighting[0])
     runs["relief, light 0"] = ({"geometry": "RELIEF"}, result.lighting[0])

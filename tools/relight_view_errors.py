@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from browser import launched
-from pbrfit import Result
+from pbrfit import Environment, Result
 from pbrfit.io.display import ToneMap
-from pbrfit.model import panorama
 from pbrfit.model.reflection import MODELS
 from pbrfit.result.relighting import DirectionalLight, own_light
 from relight_view import View, expected, made, opened
@@ -85,7 +84,7 @@ def panoramas(view: View, result: Result, files: list[Path]) -> Iterator[Pair]:
     view.go("tone=none")
     for file in files:
         view.open(file)
-        light = panorama.project(panorama.read(file))
+        light = Environment.read(file)
         yield view.saved(), expected(result, light, exposure=view.automatic())
 
 
