@@ -170,7 +170,8 @@ elsewhere. The lamp casts no shadows, since no depth was given. The true normals
 the textures, were given, and the fit changed them by 10 degrees in the mean, maybe as light that is
 blocked or reflected by other parts passes for other normals. The lenses were left out. The
 panoramas were turned any way and blurred by 25 degrees before rendering. Shadows and light
-between surfaces are in the renders, denoised; the fit takes neither into account. Another render of it, smaller and under the panoramas unblurred,
+between surfaces are in the renders, denoised; the fit takes neither into account.
+Another render of it, smaller and under the panoramas unblurred,
 was off by 0.140, 0.183 and 0.318, with its depth given by 0.276, 0.182 and 0.278.
 
 ```sh
