@@ -8,12 +8,14 @@ if TYPE_CHECKING:
     """Of the installed distribution."""
 
     from pbrfit._core import InputError
+    from pbrfit.export import Exported, export_result
     from pbrfit.fit.decompose import Progress, decompose
     from pbrfit.fit.objective import Objective
     from pbrfit.model.environment import Environment
     from pbrfit.model.geometry import view_directions
     from pbrfit.model.materials import Materials
     from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
+    from pbrfit.report import write_report
     from pbrfit.result.data import Status
     from pbrfit.result.options import FitOptions, Priors
     from pbrfit.result.relighting import DirectionalLight, PointLight, relight
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DirectionalLight",
     "Environment",
+    "Exported",
     "FitOptions",
     "InputError",
     "Materials",
@@ -36,6 +39,7 @@ __all__ = [
     "Status",
     "Truth",
     "decompose",
+    "export_result",
     "ggx_band_weights",
     "relight",
     "render",
@@ -43,16 +47,19 @@ __all__ = [
     "shade",
     "shade_vjp",
     "view_directions",
+    "write_report",
 ]
 
 _MODULES = {
     "_core": ("InputError",),
+    "export": ("Exported", "export_result"),
     "fit.decompose": ("Progress", "decompose"),
     "fit.objective": ("Objective",),
     "model.environment": ("Environment",),
     "model.geometry": ("view_directions",),
     "model.materials": ("Materials",),
     "model.reflection": ("ggx_band_weights", "render", "sh_basis", "shade", "shade_vjp"),
+    "report": ("write_report",),
     "result.data": ("Status",),
     "result.options": ("FitOptions", "Priors"),
     "result.relighting": ("DirectionalLight", "PointLight", "relight"),

@@ -40,11 +40,7 @@ pub fn render_environment(
     threads: usize,
     model: Model,
 ) -> Result<Vec<f64>> {
-    let pixels = normals.len();
-    check::length("views", pixels, views.len())?;
-    check::length("materials", pixels, materials.len())?;
-    check::unit_vectors("normals", normals)?;
-    check::unit_vectors("views", views)?;
+    let pixels = check::pixels(normals, views, materials.len())?;
     let (sine, cosine) = turn.sin_cos();
     // A direction is looked up where it was before the turn.
     let back = |d: DVec3| DVec3::new(cosine * d.x - sine * d.z, d.y, sine * d.x + cosine * d.z);

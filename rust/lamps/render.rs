@@ -54,11 +54,7 @@ pub fn render_directional(
     threads: usize,
     model: Model,
 ) -> Result<Vec<f64>> {
-    let pixels = normals.len();
-    check::length("views", pixels, views.len())?;
-    check::length("materials", pixels, materials.len())?;
-    check::unit_vectors("normals", normals)?;
-    check::unit_vectors("views", views)?;
+    let pixels = check::pixels(normals, views, materials.len())?;
     for light in lights {
         check::unit_vectors("directions", &[light.direction])?;
         check::moderate("colors", &light.color, LARGEST_COLOR)?;

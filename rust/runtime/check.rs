@@ -18,6 +18,15 @@ pub(crate) fn length(name: &'static str, expected: usize, found: usize) -> Resul
     Err(Error::argument(name, format!("{expected} numbers"), found))
 }
 
+/// As many pixels in each, their vectors of unit length; how many.
+pub(crate) fn pixels(normals: &[DVec3], views: &[DVec3], materials: usize) -> Result<usize> {
+    length("views", normals.len(), views.len())?;
+    length("materials", normals.len(), materials)?;
+    unit_vectors("normals", normals)?;
+    unit_vectors("views", views)?;
+    Ok(normals.len())
+}
+
 /// Pixels times pictures, which must not be too many.
 pub(crate) fn samples(pictures: usize, pixels: usize) -> Result<usize> {
     let samples = pixels.checked_mul(pictures).filter(|&s| s <= MAX_SAMPLES);

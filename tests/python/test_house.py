@@ -31,13 +31,6 @@ FLOORS = (
 
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 
-CONVENIENCES = {
-    ("pbrfit.result.result", "pbrfit.report"),
-    ("pbrfit.result.result", "pbrfit.export"),
-}
-"""Imports upwards, module and imported, that are allowed: `Result.report` and `Result.export` are
-for those who type. They stand in these methods alone, and nothing else may rest on them."""
-
 PRIVATE_WORDS = re.compile(
     r"\b(Asked|Taught|Lesson|Lit|Towards|HeldPull|MaterialPull|Pull|Needs|Units|Tame|judges|taught"
     r"|lesson|learns|learnt_by|pulled_steps|follow_lights)\b"
@@ -76,11 +69,7 @@ def room(module: str) -> str:
 def test_no_circle_of_imports(package: Path) -> None:
     known = modules(package)
     graph = {
-        module: {
-            found
-            for _, found in imports(path, known)
-            if found != module and (module, found) not in CONVENIENCES
-        }
+        module: {found for _, found in imports(path, known) if found != module}
         for module, path in known.items()
     }
     try:
@@ -96,31 +85,9 @@ def test_rooms_import_from_their_own_floor_and_below() -> None:
         for module, path in known.items()
         if room(module) in FLOOR
         for line, found in imports(path, known)
-        if FLOOR[room(found)] > FLOOR[room(module)] and (module, found) not in CONVENIENCES
+        if FLOOR[room(found)] > FLOOR[room(module)]
     ]
     assert not upwards, "\n".join(upwards)
-
-
-def test_conveniences_are_imported_in_their_methods_alone() -> None:
-    known = modules(PACKAGE)
-    for module, found in CONVENIENCES:
-        tree = ast.parse(known[module].read_text("utf-8"))
-        inside = [
-            function.name
-            for function in ast.walk(tree)
-            if isinstance(function, ast.FunctionDef)
-            for node in ast.walk(function)
-            if isinstance(node, ast.ImportFrom) and node.module == found
-        ]
-        everywhere = [name for _, name in imports(known[module], known) if name == found]
-        for_types = sum(
-            isinstance(node, ast.ImportFrom) and node.module == found
-            for block in tree.body
-            if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
-            for node in block.body
-        )
-        assert inside == [found.rpartition(".")[2]]
-        assert len(everywhere) == len(inside) + for_types
 
 
 def test_every_room_has_a_floor() -> None:

@@ -106,15 +106,19 @@ def run(options: argparse.Namespace) -> int:
     light, said = choose_light(options, result)
     if options.turntable is not None and _is_near(light):
         raise InputError("--turntable: expected light from far away, found a near lamp")
-    exposure = options.exposure
+    exposure, sampled = options.exposure, dict[int, Radiance]()
     if exposure is None and _for_screen(options, kind):
-        exposure = _chosen_exposure(result, light, options)
+        sampled, exposure = _sampled(result, light, options)
     screen = Screen(exposure or 0.0, options.tone_map or "neutral")
     radiance = Range()
     with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
-            for frame in radiance.take(_frames(result, light, options)):
+            made = (
+                sampled.pop(k) if k in sampled else _frame(k, result, light, options)
+                for k in range(options.turntable or 1)
+            )
+            for frame in radiance.take(made):
                 bar.update()
                 yield frame
 
@@ -213,25 +217,21 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
         check_free_file(options.out, overwrite=options.overwrite)
 
 
-def _frames(result: Result, light: Light, options: argparse.Namespace) -> Iterator[Radiance]:
-    """The picture, or those of a turntable, one at a time."""
-    shadows = not options.no_shadows
-    yield relight(result, light, options.threads, shadows=shadows)
-    count = options.turntable or 1
-    for k in range(1, count):
-        light_there = turned(light, 360 * k / count)
-        yield relight(result, light_there, options.threads, shadows=shadows)
+def _frame(k: int, result: Result, light: Light, options: argparse.Namespace) -> Radiance:
+    """The picture, or frame k of a turntable."""
+    there = turned(light, 360 * k / options.turntable) if k else light
+    return relight(result, there, options.threads, shadows=not options.no_shadows)
 
 
-def _chosen_exposure(result: Result, light: Light, options: argparse.Namespace) -> float:
-    """Stops, in tenths, that bring the white of the brightest frame to 1."""
+def _sampled(
+    result: Result, light: Light, options: argparse.Namespace
+) -> tuple[dict[int, Radiance], float]:
+    """Frames by number, and the stops, in tenths, that bring the brightest one's white to 1."""
     count = options.turntable or 1
     steps = sorted({i * count // SAMPLED_FRAMES for i in range(SAMPLED_FRAMES)})
-    lights = (turned(light, 360 * k / count) if k else light for k in steps)
-    shadows = not options.no_shadows
-    whites = [white_of(relight(result, one, options.threads, shadows=shadows)) for one in lights]
-    stops = round(0.0 - math.log2(max(whites)), 1)
-    return min(max(stops, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
+    frames = {k: _frame(k, result, light, options) for k in steps}
+    stops = round(0.0 - math.log2(max(white_of(frame) for frame in frames.values())), 1)
+    return frames, min(max(stops, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
 
 
 def _write(

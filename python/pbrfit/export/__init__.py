@@ -20,7 +20,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -282,8 +281,10 @@ def _write_manifest(
     files: list[ExportedFile],
     displacement: Displacement | None,
 ) -> None:
+    from pbrfit import __version__
+
     content: dict[str, Any] = {
-        "version": version("pbrfit"),
+        "version": __version__,
         "fov": result.fov,
         "model": result.model,
         "normal_maps": planned.normals,

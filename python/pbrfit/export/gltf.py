@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import struct
-from importlib.metadata import version
 from typing import Any
 
 from numpy.typing import NDArray
@@ -40,6 +39,8 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None, geometry: Geometry = "
         "card": a rectangle; the normals are a texture, and pixels outside the mask cut out by
         alpha. "facets": a rectangle for each pixel inside the mask, turned to its normal.
     """
+    from pbrfit import __version__
+
     height, width = maps.mask.shape
     cut = geometry == "card" and not maps.mask.all()
     base_color = Texture("base_color", (*BASE_COLOR, *(["mask"] if cut else [])), True, 8)
@@ -77,7 +78,7 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None, geometry: Geometry = "
     document = {
         "asset": {
             "version": "2.0",
-            "generator": f"pbrfit {version('pbrfit')}",
+            "generator": f"pbrfit {__version__}",
             "extras": {
                 "color_space": "Rec.709 primaries, D65: base color sRGB-encoded, all else linear",
                 "fov": fov,

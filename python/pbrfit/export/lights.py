@@ -9,7 +9,6 @@ import unicodedata
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +144,8 @@ def _write_three(path: Path, lighting: Lighting) -> None:
     Its `SphericalHarmonics3` holds radiance in the first nine functions of our basis, in our order
     and with our signs, R, G, B of each in turn. The diffuse light of a surface needs no more.
     """
+    from pbrfit import __version__
+
     probes: list[dict[str, Any]] = [
         {
             "uuid": _uuid(f"{i} {picture}"),
@@ -161,7 +162,7 @@ def _write_three(path: Path, lighting: Lighting) -> None:
         "metadata": {
             "version": 4.6,
             "type": "Object",
-            "generator": f"pbrfit {version('pbrfit')}",
+            "generator": f"pbrfit {__version__}",
         },
         "object": {"uuid": _uuid("lights"), "type": "Group", "name": "lights", "children": probes},
     }

@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
-from importlib.metadata import version
 from pathlib import Path
 
 from pbrfit.io.resampling import reduced_size
@@ -337,6 +336,8 @@ def _stages(result: Result) -> str:
 
 
 def _origin(result: Result) -> str:
+    from pbrfit import __version__
+
     parts = [_list("Assumptions", result.assumed)]
     if result.left_out:
         items = "".join(f"<li>{escape(line)}</li>" for line in result.left_out)
@@ -361,9 +362,7 @@ def _origin(result: Result) -> str:
         )
     )
     parts.append(paragraph(REFLECTION[result.model]))
-    parts.append(
-        paragraph(f"Errors: {PROTOCOL}. Page written by pbrfit {version('pbrfit')}.", "note")
-    )
+    parts.append(paragraph(f"Errors: {PROTOCOL}. Page written by pbrfit {__version__}.", "note"))
     return "".join(parts)
 
 

@@ -11,6 +11,7 @@ from pbrfit.report import normals
 from pbrfit.report.html import Cell, Table, number, paragraph
 from pbrfit.report.notation import percent, plain
 from pbrfit.report.pictures import Picture, median_share, worst
+from pbrfit.result.advice import FOV_DOUBTED
 from pbrfit.result.data import Status
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, Level, Verdict, thresholds
@@ -28,9 +29,6 @@ LACKS: Mapping[Kind, str] = {
 
 SCALE_UNKNOWN = 0.1
 """Relative deviation of the scale between albedo and light above which a sentence says so."""
-
-FOV_UNKNOWN = 5.0
-"""Standard deviation of a fitted field of view, in degrees, above which it is doubted."""
 
 NEGATIVE_LIGHT = 0.5
 """Negative over positive luminance of a light above which a sentence warns. Light from a single
@@ -184,7 +182,7 @@ def _doubts_about_fov(result: Result) -> list[str]:
         return [f"the field of view is a guess ({result.fov:g} degrees)"]
     if camera is not None and camera.contradicted:
         return [f"the field of view is {camera.in_words()}; {camera.contradiction()}"]
-    if camera is not None and camera.fov_sigma is not None and camera.fov_sigma > FOV_UNKNOWN:
+    if camera is not None and camera.fov_sigma is not None and camera.fov_sigma > FOV_DOUBTED:
         return [f"the field of view is hardly known: {camera.in_words()}"]
     return []
 

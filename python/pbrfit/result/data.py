@@ -211,11 +211,7 @@ class ResultData:
         """
         if self.scenery is None:
             return None
-        functions = np.repeat(np.eye(16)[..., None], 3, axis=-1)
-        pictures = self.scenery.render(
-            self.materials, self.normals, functions, self.transport, model=self.model
-        )
-        return pictures.astype(np.float32)
+        return self._under_each_function(self.materials, self.transport, self.model)
 
     @lazy
     def open_share(self) -> NDArray[np.float32] | None:
@@ -226,25 +222,26 @@ class ResultData:
         """
         if self.scenery is None:
             return None
-        functions = np.repeat(np.eye(16)[..., None], 3, axis=-1)
-        transport = replace(self.transport, kind="occlusion")
-        pictures = self.scenery.render(
-            self.white, self.normals, functions, transport, model="principled"
-        )
-        return pictures[..., 0].astype(np.float32)
+        blocked = replace(self.transport, kind="occlusion")
+        return self._under_each_function(self.white, blocked, "principled")[..., 0]
 
     @lazy
     def reflected_pictures(self) -> NDArray[np.float32] | None:
         """(16, H, W, 3): what surfaces send each other of each SH function; None if nothing."""
         if self.scenery is None or self.transport.kind != "bounce":
             return None
-        functions = np.repeat(np.eye(16)[..., None], 3, axis=-1)
-        transport = replace(self.transport, kind="occlusion")
-        direct = self.scenery.render(
-            self.materials, self.normals, functions, transport, model=self.model
-        )
         assert self.basis_pictures is not None
-        return self.basis_pictures - direct.astype(np.float32)
+        blocked = replace(self.transport, kind="occlusion")
+        return self.basis_pictures - self._under_each_function(self.materials, blocked, self.model)
+
+    def _under_each_function(
+        self, materials: Materials, transport: Transport, model: Model
+    ) -> NDArray[np.float32]:
+        """(16, H, W, 3): materials in the place of its own among the surroundings, by function."""
+        assert self.scenery is not None
+        functions = np.repeat(np.eye(16)[..., None], 3, axis=-1)
+        pictures = self.scenery.render(materials, self.normals, functions, transport, model=model)
+        return pictures.astype(np.float32)
 
     @property
     def white(self) -> Materials:

@@ -113,7 +113,7 @@ class PointLight:
     radius: float = 0.0
 
     def __post_init__(self) -> None:
-        position = three_numbers("position", self.position, "three finite numbers")
+        position = _three_numbers("position", self.position, "three finite numbers")
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "color", _color(self.color))
         expected = "a finite number, 0 or more"
@@ -323,7 +323,7 @@ def turned(light: Light, degrees: float) -> Light:
     return lighting.rotated(light, degrees)
 
 
-def three_numbers(name: str, given: Any, expected: str) -> tuple[float, float, float]:
+def _three_numbers(name: str, given: Any, expected: str) -> tuple[float, float, float]:
     """Finite ones; InputError otherwise."""
     try:
         numbers = tuple(real_number(name, number, expected) for number in given)
@@ -336,7 +336,7 @@ def three_numbers(name: str, given: Any, expected: str) -> tuple[float, float, f
 
 def _color(given: Any) -> tuple[float, float, float]:
     expected = "three finite numbers, 0 or more"
-    color = three_numbers("color", given, expected)
+    color = _three_numbers("color", given, expected)
     if min(color) < 0:
         raise InputError(f"color: expected {expected}, found {of_what(given)}")
     return color

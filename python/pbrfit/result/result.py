@@ -48,7 +48,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
 
 if TYPE_CHECKING:
-    from pbrfit.export import Exported
+    from pbrfit import Exported
 
 CONTAINS = ("result.json", "materials.exr")
 """Files by which a folder is known for a result."""
@@ -146,18 +146,18 @@ class Result(ResultData):
         *,
         overwrite: bool = False,
     ) -> None:
-        """Write a page about it, one .html file; as `pbrfit.report.write_report`, which see."""
-        from pbrfit.report import write_report
+        """Write a page about it, one .html file; as `pbrfit.write_report`, which see."""
+        from pbrfit import write_report  # public: what is above this room is not named here
 
         write_report(self, path, scene, overwrite=overwrite)
 
     def export(self, path: str | Path, **options: Any) -> Exported:
         """Write it for other tools, into a new folder.
 
-        `options` are those of `pbrfit.export.export_result`, which see: `format`, `preset`,
-        `overwrite` and others.
+        `options` are those of `pbrfit.export_result`, which see: `format`, `preset`, `overwrite`
+        and others.
         """
-        from pbrfit.export import export_result
+        from pbrfit import export_result
 
         return export_result(self, path, **options)
 

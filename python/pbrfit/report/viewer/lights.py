@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.model.reflection import render, render_directional
+from pbrfit.report.lights import LUMINANCE
 from pbrfit.report.viewer.maps import Maps, of_result
 from pbrfit.result import metrics
 from pbrfit.result.relighting import DirectionalLight
@@ -27,9 +28,6 @@ METERED_SIDE = 128
 
 MOST_LAMPS = 8
 """Lamps of one picture that the shader takes; of more, what spherical harmonics hold is shown."""
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of linear Rec.709 R, G, B. Source: ITU-R BT.709-6."""
 
 
 def around(result: Result) -> Array:
