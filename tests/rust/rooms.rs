@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, each with those that it may use.
-const ROOMS: [(&str, &[&str]); 10] = [
+const ROOMS: [(&str, &[&str]); 11] = [
     ("runtime", &[]),
     ("reflectance", &["runtime"]),
     ("block", &["runtime", "reflectance"]),
@@ -18,6 +18,7 @@ const ROOMS: [(&str, &[&str]); 10] = [
         &["runtime", "reflectance", "block", "problem", "pixel"],
     ),
     ("lamps", &["runtime", "reflectance", "problem", "pixel"]),
+    ("environment", &["runtime", "reflectance", "problem"]),
     ("image_file", &["runtime"]),
     (
         "python",
@@ -30,6 +31,7 @@ const ROOMS: [(&str, &[&str]); 10] = [
             "pixel",
             "schur",
             "lamps",
+            "environment",
             "image_file",
         ],
     ),
