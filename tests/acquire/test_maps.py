@@ -174,7 +174,7 @@ def test_the_command_completes_a_folder_of_photographs(
     np.testing.assert_allclose(scene.normals[scene.valid], stored, atol=1e-6)
     assert scene.weights is not None
     expected = 1 / (1 + (channels[UNCERTAINTY] / HALF_WEIGHT) ** 2)
-    np.testing.assert_allclose(scene.weights[0], expected, rtol=1e-4)
+    np.testing.assert_allclose(scene.weights[0, ..., 0], expected, rtol=1e-4)
     assert main(["normals", str(folder), *shared]) == 2
     assert "normals.exr: expected no normals yet" in capsys.readouterr().err
     assert main(["normals", str(folder), *shared, "--overwrite", "--picture", "1"]) == 0

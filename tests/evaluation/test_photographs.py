@@ -130,8 +130,9 @@ def test_samples_without_weight_do_not_count() -> None:
     rng = np.random.default_rng(1)
     samples = np.einsum("pi,ni->np", unit(rng.normal((0, 0, 3), size=(5, 3))), lamps())
     samples = np.repeat(np.maximum(samples, 0.0)[..., None], 3, axis=-1)
-    spoilt, weights = samples.copy(), np.ones(samples.shape[:2])
+    spoilt, weights = samples.copy(), np.ones(samples.shape)
     spoilt[2, 1], weights[2, 1] = 50.0, 0.0
+    spoilt[:4, 3, 0], weights[:4, 3, 0] = 50.0, 0.0  # the other channels tell all of it
     known = Known(lamps(), np.ones(LAMPS))
     true, found = (
         lambertian.known_lamps(of, by, known)
@@ -142,7 +143,9 @@ def test_samples_without_weight_do_not_count() -> None:
 
 
 def test_black_pixel_faces_the_viewer() -> None:
-    found = lambertian.known_lamps(np.zeros((LAMPS, 1, 3)), np.ones((LAMPS, 1)), Known.of(lamps()))
+    found = lambertian.known_lamps(
+        np.zeros((LAMPS, 1, 3)), np.ones((LAMPS, 1, 3)), Known.of(lamps())
+    )
     np.testing.assert_array_equal(found.normals, [[0, 0, 1]])
     np.testing.assert_array_equal(found.albedo, 0)
 

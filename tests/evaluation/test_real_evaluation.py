@@ -75,17 +75,17 @@ def design(scene: Scene, channel: int) -> Array:
 def test_light_is_that_of_least_squares(scene: Scene, weighted: bool) -> None:
     rng = np.random.default_rng(0)
     noisy = scene.images + rng.normal(0, 0.1, scene.images.shape)
-    weights = np.ones(scene.images.shape[:3])
+    weights = np.ones(scene.images.shape)
     if weighted:
         weights[1] = rng.random(weights.shape[1:])
-        weights[2, :4] = 0
-        noisy[2, :4] = np.nan
+        weights[2, :4] = weights[3, 4:, :, 0] = 0
+        noisy[2, :4] = noisy[3, 4:, :, 0] = np.nan
     given = weights if weighted else None
     found = lights.fit_lights(noisy, given, materials_of(scene), scene.normals, scene.fov, MODEL)
     for i, of in enumerate(weights):
-        root = np.sqrt(of.ravel())
-        used = root > 0
         for c in range(3):
+            root = np.sqrt(of[..., c].ravel())
+            used = root > 0
             rows, samples = root[:, None] * design(scene, c), root * noisy[i, ..., c].ravel()
             expected = np.linalg.lstsq(rows[used], samples[used])[0]
             np.testing.assert_allclose(found[i, :, c], expected, rtol=1e-8, atol=1e-9)

@@ -108,5 +108,5 @@ def _rendered(
     samples = np.stack(pictures)
     if coded:
         samples = decode_srgb(np.round(encode_srgb(np.clip(samples, 0, 1)) * 255) / 255)
-    usable = (samples.max(axis=-1) < 0.99) & mask
+    usable = (samples < 0.99) & mask[..., None]
     return LampScene(samples, usable, mask, views, normals, albedo, directions, strengths, fov)

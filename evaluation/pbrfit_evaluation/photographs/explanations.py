@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit_evaluation.photographs import lambertian, ours
 from pbrfit_evaluation.photographs.pictures import Known, Photographs
-from pbrfit_evaluation.real.held_out import Split, counts, part
+from pbrfit_evaluation.real.held_out import Split, part
 from pbrfit_evaluation.real.lights import best_combination
 
 Array = NDArray[np.float64]
@@ -93,7 +93,9 @@ def explain(
         def under_three(chosen: tuple[int, ...]) -> Array:
             return np.stack(
                 [
-                    lambertian.best_light(basis, scene.images[i], counts(scene, i), scene.valid)
+                    lambertian.best_light(
+                        basis, scene.images[i], scene.channel_weights(i), scene.valid
+                    )
                     for i in chosen
                 ]
             )
@@ -103,7 +105,7 @@ def explain(
     ones = np.ones((1, *others.shape[1:]))
     found = []
     for i in which.held_out:
-        image, weights = scene.images[i], counts(scene, i)
+        image, weights = scene.images[i], scene.channel_weights(i)
         if way == "nearest":
             found.append(nearest(others, image, weights, scene.valid))
         else:
@@ -119,21 +121,21 @@ def nearest(
     valid: NDArray[np.bool_],
 ) -> Array:
     """(H, W, 3): of other pictures, a factor each and channel, the one with the least error."""
-    of = np.ones(valid.shape) if weights is None else weights
+    of = np.ones(image.shape) if weights is None else weights
     tried = [best_combination(one[None], image, weights, valid) for one in others]
-    errors = [(of[valid, None] * (one[valid] - image[valid]) ** 2).sum() for one in tried]
+    errors = [(of[valid] * (one[valid] - image[valid]) ** 2).sum() for one in tried]
     return tried[int(np.argmin(errors))]
 
 
 def _known(photographs: Photographs, which: Split, known: Known) -> Explained:
     scene, valid = photographs.scene, photographs.scene.valid
     of = list(which.kept)
-    weights = np.ones((len(of), int(valid.sum())))
+    weights = np.ones((len(of), int(valid.sum()), 3))
     for row, i in zip(weights, of, strict=True):
-        counted = counts(scene, i)
+        counted = scene.channel_weights(i)
         row[:] = 1.0 if counted is None else counted[valid]
     samples = scene.images[of][:, valid].astype(np.float64)
-    samples = np.where(weights[..., None] > 0, samples, 0.0)
+    samples = np.where(weights > 0, samples, 0.0)
     matt = lambertian.known_lamps(samples, weights, known.of_pictures(which.kept))
 
     def under(chosen: Sequence[int]) -> Array:
@@ -142,7 +144,7 @@ def _known(photographs: Photographs, which: Split, known: Known) -> Explained:
                 lambertian.best_light(
                     matt.under(known.directions[i])[None],
                     scene.images[i],
-                    counts(scene, i),
+                    scene.channel_weights(i),
                     valid,
                 )
                 for i in chosen

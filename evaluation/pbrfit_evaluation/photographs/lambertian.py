@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit_evaluation.photographs.pictures import Known
 from pbrfit_evaluation.real.lights import best_combination
 
@@ -57,26 +58,28 @@ def known_lamps(samples: Array, weights: Array, known: Known) -> Matt:
     samples
         (N, P, 3) radiance.
     weights
-        (N, P), how much each sample counts.
+        (N, P, 3), how much each value counts.
     known
         The N lamps. Strengths that are unknown start at `strengths_along` and alternate with
         pseudo-normals.
     """
-    grey = samples.mean(axis=-1)
+    by_pixel, told = grey_samples(samples.swapaxes(0, 1), (weights > 0).swapaxes(0, 1))
+    grey, of_samples = by_pixel.T, np.where(told.T, weights.max(axis=-1), 0.0)
     if known.strengths is None:
         lamps = known.directions * strengths_along(known.directions, grey)[:, None]
         for _ in range(ROUNDS):
-            shading = known.directions @ _pseudo_normals(grey, weights, lamps).T
-            best = (weights * shading * grey).sum(axis=1) / (weights * shading**2).sum(axis=1)
+            shading = known.directions @ _pseudo_normals(grey, of_samples, lamps).T
+            best = (of_samples * shading * grey).sum(axis=1)
+            best /= (of_samples * shading**2).sum(axis=1)
             lamps = known.directions * (best / best.mean())[:, None]
     else:
         lamps = known.directions * known.strengths[:, None]
-    pseudo = _pseudo_normals(grey, weights, lamps)
+    pseudo = _pseudo_normals(grey, of_samples, lamps)
     lengths = np.linalg.norm(pseudo, axis=-1, keepdims=True)
     normals = np.where(lengths > 0, pseudo / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
-    shading = weights * np.maximum(lamps @ normals.T, 0.0)
-    squares = (shading * np.maximum(lamps @ normals.T, 0.0)).sum(axis=0)[:, None]
-    albedo = np.einsum("np,npc->pc", shading, samples) / np.where(squares > 0, squares, 1.0)
+    shading = np.maximum(lamps @ normals.T, 0.0)[..., None]
+    squares = (weights * shading**2).sum(axis=0)
+    albedo = (weights * shading * samples).sum(axis=0) / np.where(squares > 0, squares, 1.0)
     return Matt(normals, np.maximum(albedo, 0.0))
 
 

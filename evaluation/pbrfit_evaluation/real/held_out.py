@@ -225,7 +225,7 @@ def explain_held_out(
         )
     combined = np.stack(
         [
-            best_combination(kept.images, scene.images[i], counts(scene, i), kept.valid)
+            best_combination(kept.images, scene.images[i], scene.channel_weights(i), kept.valid)
             for i in which.held_out
         ]
     )
@@ -248,7 +248,7 @@ def explained_by(
     """
     normals = np.asarray(scene.normals, np.float64) if normals is None else normals
     of = list(pictures)
-    each = [counts(scene, i) for i in pictures]
+    each = [scene.channel_weights(i) for i in pictures]
     weights = None if each[0] is None else np.stack([one for one in each if one is not None])
     lights = fit_lights(scene.images[of], weights, materials, normals, scene.fov, model)
     return render(materials, normals, lights, scene.fov, threads, model=model)
@@ -267,11 +267,11 @@ def picture_scores(
     """
     scores = []
     for i, found in zip(pictures, rendered, strict=True):
-        weights = counts(scene, i)
-        counted = np.isfinite(found).all(axis=-1)
+        weights = scene.channel_weights(i)
+        counted = np.isfinite(found)
         if weights is not None:
             counted &= weights > 0
-        true = np.where(counted[..., None], scene.images[i].astype(np.float64), np.nan)
+        true = np.where(counted, scene.images[i].astype(np.float64), np.nan)
         psnr = ssim = np.nan
         if looks:
             white = metrics.white_of(true)
@@ -287,12 +287,6 @@ def picture_scores(
             )
         )
     return tuple(scores)
-
-
-def counts(scene: Scene, picture: int) -> NDArray[np.float32] | None:
-    """(H, W), 0 where some channel is: at a limit, or left out."""
-    weights = scene.channel_weights(picture)
-    return None if weights is None else weights.min(axis=-1)
 
 
 def _same(materials: Materials, *, roughness: float) -> Materials:

@@ -38,7 +38,7 @@ def fit_lights(
     images
         (N, H, W, 3), linear.
     weights
-        (N, H, W), how much each sample counts; None = all the same.
+        (N, H, W, 3), how much each value counts; None = all the same.
     materials, normals
         Maps of (H, W) pixels; those with NaN are left out.
     fov
@@ -58,9 +58,10 @@ def fit_lights(
     views = view_directions(height, width, fov)[used]
     design = shade(normals[used], views, *(values[used] for values in maps), model=model)
     lights = np.empty((len(images), 16, 3))
-    for group in _alike(weights, used, len(images)):
-        counts = None if weights is None else weights[group[0]][used]
-        for c in range(3):
+    for c in range(3):
+        of_channel = None if weights is None else weights[..., c]
+        for group in _alike(of_channel, used, len(images)):
+            counts = None if of_channel is None else of_channel[group[0]][used]
             samples = images[group][:, used, c].T
             lights[group, :, c] = _solved(design[:, c], samples, counts).T
     return lights
@@ -93,7 +94,8 @@ def best_combination(
     counts = None if weights is None else weights[valid]
     for c in range(3):
         planes = others[:, valid, c]
-        factors = _solved(planes.T, image[valid][:, c : c + 1], counts)[:, 0]
+        of_channel = None if counts is None else counts[:, c]
+        factors = _solved(planes.T, image[valid][:, c : c + 1], of_channel)[:, 0]
         found[valid, c] = factors @ planes
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -146,10 +147,15 @@ def whole_pixels_max(transfer: TransferMemory | None) -> int:
 
 
 def bytes_of(scene: Scene) -> int:
-    """Of the arrays of a scene."""
+    """Of the arrays of a scene; what is alike for all pictures or channels is held once."""
     of_pixels = scene.normals, scene.normal_sigma, scene.depth
     arrays = scene.images, scene.weights, scene.limits, *of_pixels
-    return sum(array.nbytes for array in arrays if array is not None)
+    held = 0
+    for array in arrays:
+        if array is not None:
+            own = [n for n, stride in zip(array.shape, array.strides, strict=True) if stride]
+            held += array.itemsize * math.prod(own)
+    return held
 
 
 def of_layout(
@@ -166,7 +172,7 @@ def of_layout(
     With `exact` pictures are in float64, and the core has them in 48 bits.
     """
     pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
-    planes = pictures * (channels + layout.weighted)
+    planes = pictures * channels * (1 + layout.weighted)
     size = layout.valid.size
     blocks = BLOCK * -(-pixels // BLOCK)
     samples = 4 * (planes + exact * pictures * channels)

@@ -116,7 +116,8 @@ class Objective:
         Sum of their weights, of which the largest is 1. The data term is the weighted sum of
         squares divided by this.
     weights
-        (N, P) float32 weights of the samples, at most 1; None where all are the same.
+        (N, P, 1 or C) float32 weights of the samples, at most 1, where channels are alike once;
+        None where all are the same.
     known_metallic
         `metallic`.
     model
@@ -181,7 +182,7 @@ class Objective:
         self.channels, self.coefficients = layout.channels, layout.coefficients
         self._lay_out(layout)
         units = units or Normalization.of(scene, equal_exposures)
-        self.weights = _weights(scene, units.largest_weight) if scene.weighted else None
+        self.weights = self._given_weights(scene, units) if scene.weighted else None
         self.transfer: PixelTransfer | None = None
         # (N, P, channels): the weights of the samples, 0 at limits, times those of a robust loss
         # that squares stand for; None without both.
@@ -201,7 +202,7 @@ class Objective:
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
         self.robust: tuple[str, float] | None = None
         self._exact = self._has_more_digits()
-        self.problem = self._problem(self.weights if self._factors is None else self._factors)
+        self.problem = self._problem(self.sample_weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
 
     def _lay_out(self, layout: ParameterLayout) -> None:
@@ -213,9 +214,7 @@ class Objective:
     @property
     def sample_weights(self) -> NDArray[np.float32] | None:
         """(N, P, 1 or C): what samples weigh, 0 at limits; None where all weigh the same."""
-        if self._factors is None and self.weights is not None:
-            return self.weights[..., None]
-        return self._factors
+        return self.weights if self._factors is None else self._factors
 
     @property
     def bounds(self) -> NDArray[np.float64]:
@@ -359,7 +358,7 @@ class Objective:
         if factors is None:
             factors = self._ordinary()
         elif self.weights is not None:
-            factors = factors * self.weights[..., None]
+            factors = factors * self.weights
         found._factors = factors
         weights = found.sample_weights
         if weights is not None:
@@ -367,7 +366,7 @@ class Objective:
             found.samples = of_each * int(np.count_nonzero(weights))
             found.total_weight = of_each * float(weights.sum(dtype=np.float64))
             found.layout = replace(self.layout, weighted=True)
-        found.problem = found._problem(self.weights if factors is None else factors)
+        found.problem = found._problem(weights)
         return found
 
     def _ordinary(self) -> NDArray[np.float32] | None:
@@ -377,8 +376,16 @@ class Objective:
             return None
         found: NDArray[np.float32] = (limits == 0).astype(np.float32)
         if self.weights is not None:
-            found *= self.weights[..., None]
+            found *= self.weights
         return found
+
+    def _given_weights(self, scene: Scene, units: Normalization) -> NDArray[np.float32]:
+        """As `weights`: only their ratios matter."""
+        assert scene.weights is not None
+        channels = slice(self.channels if _differ(scene.weights) else 1)
+        weights = np.stack([of_picture[scene.valid, channels] for of_picture in scene.weights])
+        weights /= np.float32(units.largest_weight)  # float32 neither overflows nor loses digits
+        return weights
 
     def adopt(self, weighed: Objective) -> None:
         """Weigh samples as an objective does that `weighed` gave, from here on."""
@@ -427,7 +434,7 @@ class Objective:
         shape = self.layout.pictures, len(pixels), self.channels
         if self.weights is None:
             return np.ones(shape, bool)
-        return np.broadcast_to((self.weights[:, pixels] > 0)[..., None], shape).copy()
+        return np.broadcast_to(self.weights[:, pixels] > 0, shape).copy()
 
     def places_in(self, whole: Scene, pixels: NDArray[np.uint64] | None = None) -> NDArray[np.intp]:
         """Where some pixels, or all, are in the picture that this one is, or is a window of."""
@@ -449,14 +456,14 @@ class Objective:
         """The same with light that is blocked, and brought, as a transfer of these pixels says."""
         found = copy.copy(self)
         found.transfer = transfer
-        found.problem = found._problem(self.weights if self._factors is None else self._factors)
+        found.problem = found._problem(self.sample_weights)
         return found
 
     def see(self, scene: Scene) -> None:
         """Take the pictures and the camera of the same scene through another instrument."""
         self._scene = scene
         del self.problem  # before there is another one, which is as large
-        self.problem = self._problem(self.weights if self._factors is None else self._factors)
+        self.problem = self._problem(self.sample_weights)
 
     def correction_directions(
         self, x: NDArray[np.float64], correction: Correction
@@ -498,15 +505,15 @@ class Objective:
         weights = None if self.weights is None else self.weights[:, pixels]
         factors = None if self._factors is None else self._factors[:, pixels]
         if shares is not None and (shares != 1).any():
-            own = np.ones((self.layout.pictures, 1)) if weights is None else weights
-            weights = (own * shares).astype(np.float32)
+            own = np.ones((self.layout.pictures, 1, 1)) if weights is None else weights
+            weights = (own * shares[:, None]).astype(np.float32)
             factors = None if factors is None else factors * shares.astype(np.float32)[:, None]
             found.layout = replace(found.layout, weighted=True)
         found.weights, found._factors = weights, factors
         places = np.flatnonzero(self._scene.valid) if self._places is None else self._places
         found._places = places[pixels]
         found.transfer = None if self.transfer is None else self.transfer.of(pixels)
-        found.problem = found._problem(weights if factors is None else factors)
+        found.problem = found._problem(found.sample_weights)
         return found
 
     def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
@@ -547,7 +554,7 @@ class Objective:
         images = np.zeros((basis.shape[2], self.pixels, self.channels))
         for i in range(self.layout.pictures):
             images += of_channels[:, i].T[:, None] * self._image(i)
-        weights = self.weights if self._factors is None else self._factors
+        weights = self.sample_weights
         if weights is not None:
             weights = np.repeat(weights.mean(axis=0, keepdims=True), basis.shape[2], axis=0)
         maps, lights = np.split(self.for_core(x), [self.layout.maps.stop])
@@ -651,15 +658,11 @@ class Objective:
         mean = np.zeros((self.pixels, self.channels))
         for i in range(self.layout.pictures):
             image = self._image(i).astype(np.float32)
-            mean += (
-                image
-                if weights is None
-                else np.multiply(image, weights[i, :, None], dtype=np.float64)
-            )
+            mean += image if weights is None else np.multiply(image, weights[i], dtype=np.float64)
         if weights is None:
             mean /= self.layout.pictures
             return mean
-        total = weights.sum(axis=0, dtype=np.float64)[:, None]
+        total = weights.sum(axis=0, dtype=np.float64)
         # Weights that are tiny beside the largest can vanish in float32.
         np.divide(mean, total, out=mean, where=total > 0)
         return mean
@@ -676,6 +679,8 @@ class Objective:
     ) -> _core.Problem:
         """Of the pictures, or of sums (J, P, C) of them."""
         scene = self._scene
+        if weights is not None and weights.shape[-1] == 1:
+            weights = weights[..., 0]
         # Pictures that came in float64 keep their digits. Of pictures in float32 the division
         # leaves something too, but it is no more than what was rounded away before they came, and
         # keeping it would double the memory.
@@ -756,12 +761,10 @@ def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]
     return values if channels == 3 else values.mean(axis=-1, keepdims=True)
 
 
-def _weights(scene: Scene, largest: float) -> NDArray[np.float32]:
-    """(N, P) weights of the samples, at most 1: only their ratios matter."""
-    assert scene.weights is not None
-    weights = np.stack([of_picture[scene.valid] for of_picture in scene.weights])
-    weights /= np.float32(largest)  # so that float32 neither overflows nor loses digits
-    return weights
+def _differ(weights: NDArray[np.float32]) -> bool:
+    """Whether channels (N, H, W, 3) have weights of their own."""
+    # One that was given for all channels is there once in memory.
+    return weights.strides[-1] != 0 and not all(equal_channels(one) for one in weights)
 
 
 def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -780,14 +783,15 @@ def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.floa
     total = count = 0.0
     given = scene.weights if scene.weighted else None
     for i in range(len(scene.images)):
-        samples = scene.brightness(i)
-        weights = None
-        if given is not None:
+        if given is None:
+            samples = scene.brightness(i)
+            count += samples.size
+        else:
             weights = given[i][scene.valid] / np.float32(largest_weight)
             # No dot product: BLAS rounds differently on a machine with another processor count.
-            samples *= weights
+            samples = weights * scene.samples(i).astype(np.float64)
+            count += float(weights.sum(dtype=np.float64))
         total += float(samples.sum()) / exposures[i]
-        count += samples.size if weights is None else float(weights.sum(dtype=np.float64))
     mean = total / count
     if not 0 < mean < np.inf:
         raise InputError(

@@ -137,7 +137,7 @@ def _data_left_out(scene: Scene, layout: ParameterLayout) -> Iterator[str]:
         return
     single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
     if single:
-        yield f"{single} samples of weight 0 at other pixels"
+        yield f"{single} values of weight 0 at other pixels"
 
 
 def _unknowns_left_out(scene: Scene, layout: ParameterLayout) -> Iterator[str]:

@@ -66,7 +66,7 @@ def noise_sigma(
 ) -> float:
     """Standard deviation of the noise, from residuals of which some may be outliers.
 
-    Of residuals (N, P, C) samples of weight (N, P) 0 are no samples, and others count by theirs.
+    Of residuals (N, P, C) those of weight (N, P, 1 or C) 0 are no data, and others count by theirs.
     p, how many `unknowns` were fitted to them, is of a few pixels' residuals their own unknowns and
     their share of the lights'; more than 90 % of the samples count as 90 %. If half of the
     residuals are 0, so is σ.
@@ -74,13 +74,14 @@ def noise_sigma(
     sizes = np.abs(np.asarray(residuals, dtype=np.float64))
     if sizes.ndim != 3:
         raise InputError(f"residuals: expected shape (N, P, C), found {sizes.shape}")
-    each = np.ones(sizes.shape[:2]) if weights is None else np.asarray(weights, dtype=np.float64)
-    if each.shape != sizes.shape[:2]:
-        raise InputError(f"weights: expected shape {sizes.shape[:2]}, found {each.shape}")
-    samples = sizes.shape[2] * int(np.count_nonzero(each))
+    each = np.ones(sizes.shape) if weights is None else np.asarray(weights, dtype=np.float64)
+    if each.shape not in (sizes.shape, (*sizes.shape[:2], 1)):
+        raise InputError(f"weights: expected shape {sizes.shape}, found {each.shape}")
+    each = np.broadcast_to(each, sizes.shape)
+    samples = int(np.count_nonzero(each))
     if not samples:
         raise InputError("residuals: expected samples of some weight, found none")
-    median = weighted_median(sizes.ravel(), np.repeat(each.ravel(), sizes.shape[2]))
+    median = weighted_median(sizes.ravel(), each.ravel())
     degrees = max(samples - unknowns, DEGREES_OF_FREEDOM_SHARE_MIN * samples)
     return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / degrees))
 

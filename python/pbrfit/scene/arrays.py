@@ -31,10 +31,13 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbrfit")
 
 Counted = list[NDArray[np.bool_]] | None
-"""(H, W) bool of each picture: the samples that count; None = all."""
+"""(H, W, 3) bool of each picture: the values that count; None = all."""
 
 AT_LEAST, AT_MOST = file_limits.AT_LEAST, file_limits.AT_MOST
 """Values of `SceneArrays.limits` beside 0: the radiance is at least, or at most, what is stored."""
+
+CHANNELS = "red", "green", "blue"
+
 FIRST_FOV = 60.0
 """Horizontal field of view in degrees that stands for one that nobody told, until a fit finds it:
 that of a lens of 31 mm on a 35 mm camera."""
@@ -113,9 +116,10 @@ class SceneArrays:
     lighting
         (N, 16, 3): known lights, then only the materials are fitted; None = unknown.
     weights
-        (N, H, W), or (H, W) for all pictures alike: how much each sample counts, 0 or more; None =
-        all the same. Kept as float32. Only their ratios matter. Samples of weight 0 are no data:
-        they may be NaN or infinite.
+        How much each value counts, 0 or more: (N, H, W, 3), or (N, H, W) for all channels alike,
+        or (H, W) for all pictures too; None = all the same. Kept as float32 (N, H, W, 3), without
+        copies of what is alike. Only their ratios matter. Values of weight 0 are no data: they may
+        be NaN or infinite.
     limits
         (N, H, W, 3): which samples bound the radiance instead of telling it, 0 = none of these,
         1 (`AT_LEAST`) = clipped from above, 2 (`AT_MOST`) = from below. Kept as uint8. None = those
@@ -318,10 +322,10 @@ class SceneArrays:
 
     @lazy
     def weighted(self) -> bool:
-        """Whether samples of valid pixels have different weights."""
+        """Whether values of valid pixels have different weights."""
         if self.weights is None:
             return False
-        first = self.weights[0][self.valid][0]
+        first = self.weights[0][self.valid][0, 0]
         return any((of_picture[self.valid] != first).any() for of_picture in self.weights)
 
     @lazy
@@ -363,11 +367,10 @@ class SceneArrays:
         if self.limits is None:
             if self.weights is None:
                 return None
-            weights = self.weights[picture, rows, :, None].astype(np.float32, copy=False)
-            return np.broadcast_to(weights, (*weights.shape[:2], 3))
+            return self.weights[picture, rows].astype(np.float32, copy=False)
         ordinary: NDArray[np.float32] = (self.limits[picture, rows] == 0).astype(np.float32)
         if self.weights is not None:
-            ordinary *= self.weights[picture, rows, :, None]
+            ordinary *= self.weights[picture, rows]
         return ordinary
 
     def noise_floor(self, picture: int) -> NDArray[np.float32] | None:
@@ -447,30 +450,40 @@ def _weights(
     shape: tuple[int, int],
     mask: NDArray[np.bool_] | None,
 ) -> NDArray[np.float32] | None:
-    """As (N, H, W) float32; what the mask leaves out need not be sound and gets weight 0."""
+    """As (N, H, W, 3) float32; what the mask leaves out need not be sound and gets weight 0."""
     if weights is None:
         return None
-    given = any_array("weights", weights)
-    expected = (len(names), *shape)
-    if given.shape not in (shape, expected):
-        raise InputError(f"weights: expected shape {expected} or {shape}, found {given.shape}")
+    given = told = any_array("weights", weights)
+    expected = (len(names), *shape, 3)
+    if given.shape not in (shape, expected[:3], expected):
+        raise InputError(
+            f"weights: expected shape {shape}, {expected[:3]} or {expected}, found {given.shape}"
+        )
     if given.dtype.kind not in "buif":
         raise InputError(f"weights: expected real numbers, found {given.dtype}")
+    if given.ndim < 4:
+        given = given[..., None]
+    # What was broadcast is kept once.
+    given = given[tuple(slice(1) if stride == 0 else slice(None) for stride in given.strides)]
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused
         found: NDArray[np.float32] = given.astype(np.float32)
     if mask is not None:
-        found = np.where(mask, found, np.float32(0))
+        found = np.where(mask[..., None], found, np.float32(0))
     bad = ~(np.isfinite(found) & (found >= 0))
     if bad.any():
         index = tuple(map(int, np.argwhere(bad)[0]))
         raise InputError(
-            f"weights: expected finite numbers, 0 or more, found {given[index]:g} at {index}"
+            f"weights: expected finite numbers, 0 or more, found {told[index[: told.ndim]]:g} at "
+            f"{index[: told.ndim]}"
         )
     found = np.broadcast_to(found, expected)
     for name, of_picture in zip(names, found, strict=True):
-        if not of_picture.any():
+        some = of_picture.any(axis=(0, 1))
+        if not some.all():
+            where = f"the {CHANNELS[int(np.argmin(some))]} of {name}" if some.any() else name
             raise InputError(
-                f"weights: expected some weight above 0 in every picture, found none in {name}"
+                "weights: expected some weight above 0 in every channel of every picture, "
+                f"found none in {where}"
             )
     return found
 
@@ -489,16 +502,16 @@ def _limits(limits: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
 def _counted(
     mask: NDArray[np.bool_] | None, weights: NDArray[np.float32] | None, pictures: int
 ) -> Counted:
-    """(H, W) of each picture: samples in the mask and of some weight; None = all."""
+    """(H, W, 3) of each picture: values in the mask and of some weight; None = all."""
     if weights is not None:
         return [of_picture > 0 for of_picture in weights]
-    return None if mask is None else [mask] * pictures
+    return None if mask is None else [every_channel(mask)] * pictures
 
 
 def _counted_limits(limits: NDArray[np.uint8], counted: Counted) -> Iterator[NDArray[np.uint8]]:
-    """(P, 3) of each picture."""
+    """Those of each picture's values that are counted."""
     for i, of_picture in enumerate(limits):
-        yield of_picture.reshape(-1, 3) if counted is None else of_picture[counted[i]]
+        yield of_picture.ravel() if counted is None else of_picture[counted[i]]
 
 
 def _check_some_are_ordinary(
@@ -531,8 +544,8 @@ def _negative_in_words(images: NDArray[np.floating[Any]], counted: Counted) -> s
     for i, image in enumerate(images):
         negative = image < 0
         if counted is not None:
-            negative &= counted[i][..., None]
-        total += image.size if counted is None else 3 * int(np.count_nonzero(counted[i]))
+            negative &= counted[i]
+        total += image.size if counted is None else int(np.count_nonzero(counted[i]))
         if negative.any():
             below += int(np.count_nonzero(negative))
             lowest = min(lowest, float(image[negative].min()))
@@ -551,11 +564,19 @@ def _valid(
     if limits is not None:
         valid = np.zeros(shape, bool)
         for i, of_picture in enumerate(limits):
-            valid |= (of_picture == 0).any(axis=-1) & (True if weights is None else weights[i] > 0)
+            ordinary = of_picture == 0
+            if weights is not None:
+                ordinary &= weights[i] > 0
+            valid |= ordinary.any(axis=-1)
         return valid if mask is None else valid & mask
     if weights is not None:
-        return np.asarray((weights > 0).any(axis=0))  # they are 0 outside the mask
+        return np.asarray((weights > 0).any(axis=(0, 3)))  # they are 0 outside the mask
     return np.ones(shape, bool) if mask is None else mask
+
+
+def every_channel(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(..., 3): the same for all channels, without copies."""
+    return np.broadcast_to(pixels[..., None], (*pixels.shape, 3))
 
 
 def equal_channels(values: NDArray[Any]) -> bool:
@@ -600,12 +621,12 @@ def _check_finite(
     weights: NDArray[np.float32] | None,
 ) -> None:
     for i, (name, image) in enumerate(zip(names, images, strict=True)):
-        bad = ~np.isfinite(image).all(-1)
+        bad = ~np.isfinite(image)
         if mask is not None:
-            bad &= mask
+            bad &= mask[..., None]
         if weights is not None:
             bad &= weights[i] > 0
-        _refuse(bad, f"{name}: expected finite pixels", "NaN or infinite")
+        _refuse(bad.any(axis=-1), f"{name}: expected finite pixels", "NaN or infinite")
 
 
 def _refuse(bad: NDArray[np.bool_], expected: str, found: str) -> None:

@@ -374,7 +374,7 @@ class Greys:
         if scene.mask is not None:
             used &= scene.mask
         if scene.weights is not None:
-            used &= scene.weights[i] > 0
+            used &= (scene.weights[i] > 0).all(axis=-1)
         limits = getattr(scene, "limits", None)
         if limits is not None:
             used &= ~limits[i].any(axis=-1)

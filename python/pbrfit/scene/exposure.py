@@ -26,12 +26,11 @@ def mean_radiance(scene: Scene) -> NDArray[np.float64]:
     """Of each picture, (N,): the weighted mean over its valid samples and channels."""
     means = np.empty(len(scene.images))
     for i in range(len(means)):
-        samples = scene.brightness(i)
         if scene.weights is None:
-            means[i] = samples.mean()
+            means[i] = scene.brightness(i).mean()
         else:
             weights = scene.weights[i][scene.valid].astype(np.float64)
-            means[i] = (weights * samples).sum() / weights.sum()
+            means[i] = (weights * scene.samples(i)).sum() / weights.sum()
     return means
 
 

@@ -44,7 +44,7 @@ def plateaus(
 ) -> Limits | None:
     """Limits (N, H, W, 3) of pictures that were clipped from above; None where none was.
 
-    Only the samples that are `counted`, (H, W) bool a picture or None = all, and finite tell, and
+    Only the values that are `counted`, (H, W, 3) bool a picture or None = all, and finite tell, and
     only pictures that are `searched` have limits.
     """
     which = [i for i, one in enumerate(searched) if one]
@@ -53,7 +53,7 @@ def plateaus(
 
     def samples(i: int, c: int) -> NDArray[np.floating[Any]]:
         plane = images[i, ..., c]
-        return np.asarray(plane.ravel() if counted is None else plane[counted[i]])
+        return np.asarray(plane.ravel() if counted is None else plane[counted[i][..., c]])
 
     found = None
     for c in range(3):

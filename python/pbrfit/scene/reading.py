@@ -35,6 +35,7 @@ from pbrfit.scene.arrays import (
     SceneArrays,
     Source,
     Truth,
+    every_channel,
     limits_in_words,
     unit_normals,
 )
@@ -369,7 +370,7 @@ def _limits(
 
     With `for_good` they are sought here in any case, as the pictures are still to be changed.
     """
-    counted = [mask] * len(paths)
+    counted = [every_channel(mask)] * len(paths)
     for path, limits in zip(paths, read.limits, strict=True):
         if limits[mask].all():
             low, high = code_range or images.CODE_RANGE
@@ -460,23 +461,26 @@ def _subtract(
 def _read_weights(
     notes: _Notes, names: tuple[str, ...], mask: NDArray[np.bool_], full_size: tuple[int, ...]
 ) -> NDArray[np.float32] | None:
-    """`weights.exr` at the working size, that of `mask`; (H, W) or (N, H, W), 0 outside `mask`."""
+    """`weights.exr` at the working size, that of `mask`, 0 outside of it; as `read_weights`."""
     if not notes.has(WEIGHT_FILE):
         return None
     path = notes.folder / WEIGHT_FILE
     stored = read_weights(path, names)
-    _expect_size(path, stored.shape[-2:], full_size)
+    _expect_size(path, stored.shape[-3:-1], full_size)
     weights = stored if mask.shape == full_size else reduced(stored, mask.shape)
-    inside = weights[..., mask]
+    inside = weights[..., mask, :]
     _check_not_negative(path, "finite weights", inside)
     if not inside.any():
         raise InputError(f"{path}: expected some weight above 0 in the mask, found none")
-    alike = "for all pictures alike" if weights.ndim == 2 else "for each picture"
+    alike = "for all pictures alike"
+    if weights.ndim == 4:
+        alike = f"for each {'picture' if weights.shape[-1] == 1 else 'channel of each picture'}"
     notes.assumed["weights"] = (
         f"{path.name}, {alike}: {inside.min():.2g} to {inside.max():.2g}, "
         f"median {np.median(inside):.2g}"
     )
-    return np.where(mask, weights, 0.0).astype(np.float32)
+    found = np.where(mask[..., None], weights, 0.0).astype(np.float32)
+    return found[..., 0] if found.shape[-1] == 1 else found
 
 
 def _check_not_negative(path: Path, what: str, values: NDArray[np.floating[Any]]) -> None:

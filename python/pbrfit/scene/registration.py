@@ -390,7 +390,7 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
     images, weights = scene.images[kept], None
     if scene.weights is not None or any(registration.placements[i].affine.any() for i in kept):
         mask = everything if scene.mask is None else scene.mask
-        given = np.broadcast_to(mask, scene.images.shape[:3])
+        given = np.broadcast_to(mask[..., None], scene.images.shape)
         given = given if scene.weights is None else scene.weights
         weights = given[kept].astype(np.float32)
     limits = getattr(scene, "limits", None)
@@ -399,12 +399,12 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
         affine = registration.placements[i].affine
         if affine.any():
             assert weights is not None
-            used = (weights[to] > 0) & np.isfinite(images[to]).all(axis=-1)
+            used = (weights[to] > 0) & np.isfinite(images[to])
             images[to], weights[to] = _resampled(images[to], used, weights[to], affine)
             if limits is not None:
                 limits[to] = _touched(limits[to], affine)
     if weights is not None and scene.mask is not None:
-        weights *= scene.mask
+        weights *= scene.mask[..., None]
     truth = scene.truth
     if truth is not None and truth.lighting is not None:
         truth = replace(truth, lighting=truth.lighting[kept])
@@ -434,42 +434,42 @@ def _whole(affine: Array) -> tuple[int, int] | None:
 def _resampled(
     image: NDArray[Any], used: NDArray[np.bool_], weights: NDArray[np.float32], affine: Array
 ) -> tuple[NDArray[Any], NDArray[np.float32]]:
-    """Picture and weights at x + u(x); weights are 0 where a sample that is not used has a part."""
+    """Picture and weights (H, W, 3) at x + u(x); what unused values have a part in weighs 0."""
     from scipy.ndimage import map_coordinates
 
-    places = _displaced(used.shape, affine)
-    shape = np.array(used.shape)[:, None, None]
-    inside = ((places >= 0) & (places <= shape - 1)).all(axis=0)
+    places = _displaced(used.shape[:2], affine)
+    shape = np.array(used.shape[:2])[:, None, None]
+    inside = np.asarray(((places >= 0) & (places <= shape - 1)).all(axis=0))[..., None]
     shift = _whole(affine)
-    filled = np.where(used[..., None], image, 0)
+    filled = np.where(used, image, 0)
     if shift is not None:
         rows, columns = (
-            np.clip(np.arange(n) + d, 0, n - 1) for n, d in zip(used.shape, shift, strict=True)
+            np.clip(np.arange(n) + d, 0, n - 1) for n, d in zip(used.shape[:2], shift, strict=True)
         )
         return filled[np.ix_(rows, columns)], np.where(inside, weights[np.ix_(rows, columns)], 0)
     # The splines' prefilter spreads values that are not used a little: they are made like others.
-    filled = _filled(image, used)
+    filled = np.stack([_filled(image[..., c], used[..., c]) for c in range(3)], axis=-1)
 
-    def at(order: Literal[1, 3]) -> NDArray[Any]:
-        planes = [
-            map_coordinates(filled[..., c], places, order=order, mode="nearest") for c in range(3)
+    def at(planes: NDArray[Any], order: Literal[1, 3]) -> NDArray[Any]:
+        found = [
+            map_coordinates(planes[..., c], places, order=order, mode="nearest") for c in range(3)
         ]
-        return np.stack(planes, axis=-1)
+        return np.stack(found, axis=-1)
 
-    moved = at(3)
-    error = np.abs(moved - at(1)).max(axis=-1)
+    moved = at(filled, 3)
+    error = np.abs(moved - at(filled, 1)).max(axis=-1, keepdims=True)
     half = INTERPOLATION_ERROR * max(float(np.abs(image[used]).mean()), 1e-30)
-    near = map_coordinates(weights, places, order=1, mode="nearest") / (1 + (error / half) ** 2)
-    unused = _touched((~used).astype(np.uint8)[..., None], affine)[..., 0] > 0
+    near = at(weights, 1) / (1 + (error / half) ** 2)
+    unused = _touched((~used).astype(np.uint8), affine) > 0
     return moved.astype(image.dtype), np.where(inside & ~unused, near, 0).astype(np.float32)
 
 
 def _filled(image: NDArray[Any], used: NDArray[np.bool_]) -> NDArray[Any]:
-    """A picture with what is not used replaced by its nearest sample that is."""
+    """A plane with what is not used replaced by its nearest value that is."""
     from scipy.ndimage import distance_transform_edt
 
     if used.all() or not used.any():
-        return np.where(used[..., None], image, 0)
+        return np.where(used, image, 0)
     nearest = distance_transform_edt(~used, return_distances=False, return_indices=True)
     return np.asarray(image[tuple(nearest)])
 

@@ -406,7 +406,8 @@ def test_uncertainty_is_kept_beside_the_normals(folder: Path) -> None:
     np.testing.assert_allclose(read_normals(folder / "normals.exr"), room().normals, atol=1e-7)
     scene = Scene.load(folder, fov=60)
     assert scene.weights is not None
-    np.testing.assert_array_equal(scene.weights, np.broadcast_to(weights, (LIGHTS, SIZE, SIZE)))
+    expected = np.broadcast_to(weights[..., None], (LIGHTS, SIZE, SIZE, 3))
+    np.testing.assert_array_equal(scene.weights, expected)
     with pytest.raises(InputError, match="normals: expected shape"):
         add_normals(folder, room().normals[1:], overwrite=True)
     assert dataclasses.replace(room(), weights=scene.weights).valid.all()

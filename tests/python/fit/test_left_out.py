@@ -41,9 +41,9 @@ def grey(values: NDArray[Any]) -> NDArray[Any]:
     return np.repeat(values[..., :1], 3, axis=-1)
 
 
-def some_weights(seed: int = 0) -> NDArray[np.float32]:
+def some_weights(seed: int = 0, *channels: int) -> NDArray[np.float32]:
     rng = np.random.default_rng(seed)
-    weights = rng.uniform(0.1, 1.0, (N, SIZE, SIZE)).astype(np.float32)
+    weights = rng.uniform(0.1, 1.0, (N, SIZE, SIZE, *channels)).astype(np.float32)
     weights[rng.random(weights.shape) < 0.1] = 0
     return weights
 
@@ -171,9 +171,10 @@ def test_only_ratios_of_weights_matter() -> None:
 
 
 @pytest.mark.slow
-def test_samples_of_weight_zero_are_not_looked_at() -> None:
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_samples_of_weight_zero_are_not_looked_at(channels: tuple[int, ...]) -> None:
     scene = in_color()
-    weights = some_weights()
+    weights = some_weights(0, *channels)
     results = []
     for value in (0.0, -7.0, 1e30, np.nan, np.inf):
         images = scene.images.astype(np.float32)
@@ -212,18 +213,20 @@ def test_weights_and_mask_are_counted_apart() -> None:
     assert without_priors(pbrfit.decompose(scene, iterations=1)) == [
         "16 pixels outside the mask",
         "16 pixels of weight 0 in all pictures",
-        "3 samples of weight 0 at other pixels",
+        "9 values of weight 0 at other pixels",
     ]
 
 
-def test_the_reconstruction_error_is_weighted() -> None:
-    weights = some_weights()
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_the_reconstruction_error_is_weighted(channels: tuple[int, ...]) -> None:
+    weights = some_weights(0, *channels)
     scene = dataclasses.replace(in_color(), weights=weights)
     result = pbrfit.decompose(scene, solver="lbfgsb", iterations=20)
     rendered = pbrfit.render(result.materials, scene.normals, result.lighting, scene.fov)
     squares = np.square(rendered - scene.images)[:, scene.valid]
-    of_samples = weights.astype(np.float64)[:, scene.valid][..., None]
-    expected = np.sqrt(np.sum(of_samples * squares) / np.sum(of_samples) / 3)
+    assert scene.weights is not None
+    of_values = scene.weights.astype(np.float64)[:, scene.valid]
+    expected = np.sqrt(np.sum(of_values * squares) / np.sum(of_values))
     assert result.metrics["recon_rmse"] == pytest.approx(expected, rel=1e-12)
     assert result.metrics["recon_rmse"] != pytest.approx(np.sqrt(np.mean(squares)), rel=1e-3)
 
@@ -247,6 +250,22 @@ def test_weights_keep_bad_samples_out_of_the_maps(solver: Solver) -> None:
     for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
         assert within.metrics[name] <= 2 * clean.metrics[name] + 0.02, name
         assert within.metrics[name] <= 0.7 * without.metrics[name], name
+
+
+def test_a_channel_without_weight_leaves_the_others_their_say() -> None:
+    """Of an orange surface: the red of each pixel is clipped in the half that is brighter."""
+    scene = make_scene("textured", size=SIZE, lights=8, held_out=2)
+    bright = scene.images[..., 0] > np.median(scene.images[..., 0], axis=0)
+    images, of_red = scene.images.copy(), np.ones(scene.images.shape)
+    images[bright, 0], of_red[bright, 0] = np.nan, 0
+    options: dict[str, Any] = {"priors": None, "refine_normals": "off", "uncertainty": False}
+    clean = pbrfit.decompose(scene, **options)
+    fitted = pbrfit.decompose(dataclasses.replace(scene, images=images, weights=of_red), **options)
+    shared = dataclasses.replace(scene, weights=of_red.min(axis=-1))
+    as_before = pbrfit.decompose(shared, **options)
+    for name in ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse"):
+        assert fitted.metrics[name] <= as_before.metrics[name], name
+    assert fitted.metrics["albedo_scaled_rmse"] <= clean.metrics["albedo_scaled_rmse"] + 0.005
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

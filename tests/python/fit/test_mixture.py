@@ -70,11 +70,11 @@ def squares_of(
     )
     radiance = np.einsum("mck,nkc->mnc", weights, lighting)[..., :c]
     targets = scene.images[:, valid][:, p, :c] / objective.scale
-    omega = np.ones(layout.pictures)
+    omega = np.ones((layout.pictures, 1))
     if scene.weights is not None:
         all_weights = scene.weights[:, valid]
-        omega = all_weights[:, p] / all_weights.max()
-    return np.asarray((omega[None, :, None] * (radiance - targets) ** 2).sum(axis=1))
+        omega = all_weights[:, p, :c] / all_weights.max()
+    return np.asarray((omega * (radiance - targets) ** 2).sum(axis=1))
 
 
 @pytest.mark.parametrize("kind", KINDS)

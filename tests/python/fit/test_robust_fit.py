@@ -174,7 +174,7 @@ def test_reweighted_squares_have_the_gradient_of_the_loss(
         objective.robust, objective.problem.residuals(x, np.arange(144, dtype="u8"))
     )
     if objective.weights is not None:
-        factors *= objective.weights[..., None]
+        factors *= objective.weights
     by_squares = reweighted.value_and_grad(x)[1] * factors.sum(dtype=float) / objective.total_weight
     np.testing.assert_allclose(by_squares, gradient, rtol=0, atol=1e-5 * np.abs(gradient).max())
 

@@ -62,10 +62,14 @@ def test_sigma_makes_up_for_what_the_fit_took() -> None:
 
 def test_sigma_of_weighted_samples() -> None:
     residuals = noise()
-    weights = np.zeros(residuals.shape[:2])
+    weights = np.zeros((*residuals.shape[:2], 1))
     weights[2:5, 100:900] = 0.7
     assert noise_sigma(residuals, weights, unknowns=100) == pytest.approx(
         noise_sigma(residuals[2:5, 100:900], unknowns=100), rel=1e-12
+    )
+    weights = weights * [1.0, 0.0, 1.0]
+    assert noise_sigma(residuals, weights, unknowns=100) == pytest.approx(
+        noise_sigma(residuals[2:5, 100:900, ::2], unknowns=100), rel=1e-12
     )
 
 
@@ -86,7 +90,7 @@ def test_sigma_of_nothing_is_zero() -> None:
     [
         (np.zeros((2, 3)), None, 0, "residuals: expected shape"),
         (np.zeros((2, 3, 1)), np.ones((3, 2)), 0, "weights: expected shape"),
-        (np.zeros((2, 3, 1)), np.zeros((2, 3)), 0, "residuals: expected samples of some weight"),
+        (np.zeros((2, 3, 1)), np.zeros((2, 3, 1)), 0, "residuals: expected samples of some weight"),
         (np.zeros((2, 0, 1)), None, 0, "residuals: expected samples of some weight"),
     ],
 )

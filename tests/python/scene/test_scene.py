@@ -21,7 +21,7 @@ def scene(**changes: Any) -> Scene:
     return Scene(**(arguments | changes))
 
 
-def with_value(shape: tuple[int, ...], index: tuple[int, ...], value: float) -> Any:
+def with_value(shape: tuple[int, ...], index: tuple[Any, ...], value: float) -> Any:
     array = np.ones(shape, np.float32)
     array[index] = value
     return array
@@ -83,9 +83,9 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
     "light of order 2": ({"lighting": np.ones((N, 9, 3))}, r"lighting: .* \(2, 16, 3\)"),
     "weights of another size": (
         {"weights": np.ones((H, N))},
-        r"weights: expected shape \(2, 3, 4\) or \(3, 4\), found \(3, 2\)",
+        r"weights: expected shape \(3, 4\), \(2, 3, 4\) or \(2, 3, 4, 3\), found \(3, 2\)",
     ),
-    "a weight a channel": ({"weights": np.ones((N, H, W, 3))}, "weights: expected shape"),
+    "weights of four channels": ({"weights": np.ones((N, H, W, 4))}, "weights: expected shape"),
     "complex weights": ({"weights": np.ones((H, W), complex)}, "weights: expected real numbers"),
     "ragged weights": ({"weights": [[1.0], [1.0, 2.0]]}, "weights: expected an array"),
     "negative weight": (
@@ -104,7 +104,11 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
     "no weight": ({"weights": np.zeros((H, W))}, "weights: .* found none in picture_00"),
     "no weight in a picture": (
         {"weights": np.array([[[1.0]], [[0.0]]]) * np.ones((H, W))},
-        "weights: expected some weight above 0 in every picture, found none in picture_01",
+        "weights: .* in every channel of every picture, found none in picture_01",
+    ),
+    "no weight in a channel": (
+        {"weights": with_value((N, H, W, 3), (1, ..., 2), 0.0)},
+        "weights: .* found none in the blue of picture_01",
     ),
     "no weight inside the mask": (
         {"weights": np.eye(H, W), "mask": np.eye(H, W) == 0},
@@ -206,17 +210,22 @@ def test_a_warning_is_due_above_5_percent(
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.float16, np.int64, bool])
-@pytest.mark.parametrize("shape", [(H, W), (N, H, W)])
-def test_weights_are_kept_for_each_picture(shape: tuple[int, ...], kind: Any) -> None:
-    weights = (np.arange(np.prod(shape)).reshape(shape) % 3).astype(kind)
+@pytest.mark.parametrize("shape", [(H, W), (N, H, W), (N, H, W, 3)])
+def test_weights_are_kept_for_each_value(shape: tuple[int, ...], kind: Any) -> None:
+    weights = (np.arange(np.prod(shape)).reshape(shape) % 4).astype(kind)
     given = weights.copy()
     made = scene(weights=weights)
     assert made.weights is not None
-    assert made.weights.shape == (N, H, W)
+    assert made.weights.shape == (N, H, W, 3)
     assert made.weights.dtype == np.float32
-    np.testing.assert_array_equal(made.weights, np.broadcast_to(given, (N, H, W)))
+    expected = np.broadcast_to(given if given.ndim == 4 else given[..., None], (N, H, W, 3))
+    np.testing.assert_array_equal(made.weights, expected)
     np.testing.assert_array_equal(weights, given)
-    np.testing.assert_array_equal(made.valid, np.broadcast_to(given > 0, (N, H, W)).any(axis=0))
+    np.testing.assert_array_equal(made.valid, (expected > 0).any(axis=(0, 3)))
+    again = scene(weights=made.weights).weights
+    assert again is not None
+    np.testing.assert_array_equal(again, expected)
+    assert (again.strides[0] == 0, again.strides[3] == 0) == (given.ndim == 2, given.ndim < 4)
 
 
 def test_what_has_no_weight_need_not_be_sound() -> None:
@@ -235,6 +244,20 @@ def test_what_has_no_weight_need_not_be_sound() -> None:
     assert made.samples(0)[0].tolist() == [1, 1, 1]
 
 
+def test_a_value_without_weight_leaves_the_other_channels() -> None:
+    images, weights = np.ones((N, H, W, 3)), np.ones((N, H, W, 3))
+    images[1, 0, 0, 0], weights[1, 0, 0, 0] = np.nan, 0
+    made = scene(images=images, weights=weights)
+    assert made.valid.all()
+    assert made.samples(1)[0].tolist() == [0, 1, 1]
+    told = made.channel_weights(1)
+    assert told is not None
+    assert told[0, 0].tolist() == [0, 1, 1]
+    weights[1, 0, 0] = 1
+    with pytest.raises(InputError, match="picture_01: expected finite pixels"):
+        scene(images=images, weights=weights)
+
+
 def test_weights_outside_the_mask_need_not_be_sound() -> None:
     mask = np.ones((H, W), bool)
     mask[0] = False
@@ -242,7 +265,7 @@ def test_weights_outside_the_mask_need_not_be_sound() -> None:
     weights[:, 0] = [np.nan, -1.0, np.inf, 5.0]
     made = scene(mask=mask, weights=weights)
     np.testing.assert_array_equal(made.valid, mask)
-    np.testing.assert_array_equal(made.weights, np.broadcast_to(mask, (N, H, W)))
+    np.testing.assert_array_equal(made.weights, np.broadcast_to(mask[..., None], (N, H, W, 3)))
 
 
 def test_how_far_off_normals_are_is_kept_in_degrees() -> None:

@@ -317,13 +317,15 @@ def some_weights() -> NDArray[np.float32]:
     return weights
 
 
+def in_all_channels(weights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    return np.broadcast_to(np.stack(weights)[..., None], (LIGHTS, SIZE, SIZE, 3))
+
+
 def test_weights_for_all_pictures_alike(folder: Path) -> None:
     images.write_exr(folder / "weights.exr", {"Y": some_weights()})
     scene = Scene.load(folder)
     assert scene.weights is not None
-    np.testing.assert_array_equal(
-        scene.weights, np.broadcast_to(some_weights(), (LIGHTS, SIZE, SIZE))
-    )
+    np.testing.assert_array_equal(scene.weights, in_all_channels([some_weights()] * LIGHTS))
     assert not scene.valid[3, 4]
     assert np.count_nonzero(~scene.valid) == 1
     assert "weights.exr" in scene.inputs
@@ -337,15 +339,30 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
     images.write_exr(folder / "weights.exr", {**channels, "gone.Y": some_weights()})
     scene = Scene.load(folder)
     assert scene.weights is not None
-    np.testing.assert_array_equal(scene.weights, np.stack([own[name] for name in names]))
+    np.testing.assert_array_equal(scene.weights, in_all_channels([own[name] for name in names]))
+    assert scene.assumed["weights"].startswith("weights.exr, for each picture: ")
 
-    channels.pop(f"{names[1]}.Y")
+    weights = channels.pop(f"{names[1]}.Y")
     images.write_exr(folder / "weights.exr", channels)
-    with pytest.raises(InputError, match=rf"weights.exr: expected channel Y.* no {names[1]}.Y"):
+    with pytest.raises(InputError, match=rf"weights.exr: expected channel Y.* none of {names[1]}"):
         Scene.load(folder)
     images.write_exr(folder / "weights.exr", {**channels, "Y": some_weights()})
-    with pytest.raises(InputError, match=rf"expected channel Y or {names[0]}.Y, found both"):
+    with pytest.raises(InputError, match=rf"expected channel Y or those of {names[0]}, found both"):
         Scene.load(folder)
+
+    colors = {f"{names[1]}.{color}": i * weights for i, color in enumerate("BGR", start=1)}
+    images.write_exr(folder / "weights.exr", {**channels, **colors})
+    scene = Scene.load(folder)
+    assert scene.weights is not None
+    expected = in_all_channels([own[name] for name in names]).copy()
+    expected[1] *= [3, 2, 1]
+    np.testing.assert_array_equal(scene.weights, expected)
+    assert scene.assumed["weights"].startswith("weights.exr, for each channel of each picture: ")
+    for wrong in ({f"{names[1]}.R": weights}, {**colors, f"{names[1]}.Y": weights}):
+        images.write_exr(folder / "weights.exr", {**channels, **wrong})
+        message = rf"expected {names[1]}.Y, or {names[1]}.R, {names[1]}.G and {names[1]}.B, found"
+        with pytest.raises(InputError, match=message):
+            Scene.load(folder)
 
 
 def test_weights_and_limits_are_apart(folder: Path) -> None:
@@ -354,7 +371,7 @@ def test_weights_and_limits_are_apart(folder: Path) -> None:
     write_codes(folder, codes)
     images.write_exr(folder / "weights.exr", {"Y": some_weights()})
     scene = Scene.load(folder)
-    np.testing.assert_array_equal(scene.weights, np.repeat(some_weights()[None], LIGHTS, axis=0))
+    np.testing.assert_array_equal(scene.weights, in_all_channels([some_weights()] * LIGHTS))
     given = scene.channel_weights(1, slice(5, 6))
     assert given is not None
     np.testing.assert_array_equal(given[0, 6], 0)
@@ -374,7 +391,7 @@ def test_averaged_samples_have_the_weight_of_their_variance(folder: Path) -> Non
     expected = np.ones((SIZE // 2, SIZE // 2))
     expected[0, 0] = 4 / (1 / 0.5 + 1 / 0.25 + 1 + 1)
     expected[1, 1] = expected[2, 2] = 0
-    np.testing.assert_allclose(scene.weights[0], expected, rtol=1e-6)
+    np.testing.assert_allclose(scene.weights[0, ..., 1], expected, rtol=1e-6)
     assert not scene.valid[2, 2]
 
 
@@ -396,13 +413,13 @@ def test_weights_that_cannot_be_used(
         Scene.load(folder, max_size=max_size)
 
 
-@pytest.mark.parametrize("alike", [True, False])
-def test_saved_weights_are_read_back(tmp_path: Path, alike: bool) -> None:
-    own = np.stack([some_weights()] * LIGHTS)
+@pytest.mark.parametrize("of", ["all pictures", "a picture", "a channel"])
+def test_saved_weights_are_read_back(tmp_path: Path, of: str) -> None:
+    own = in_all_channels([some_weights()] * LIGHTS).copy()
     pixels = room().images.copy()
-    if not alike:
-        own[1, 2, 2] = 0
-        pixels[1, 2, 2] = np.nan  # no data where the weight is 0
+    if of != "all pictures":
+        where = (1, 2, 2) if of == "a picture" else (1, 2, 2, 1)
+        own[where], pixels[where] = 0, np.nan  # no data where the weight is 0
     made = dataclasses.replace(room(), images=pixels, weights=own)
     made.save(tmp_path / "saved")
     read = Scene.load(tmp_path / "saved")
@@ -410,7 +427,11 @@ def test_saved_weights_are_read_back(tmp_path: Path, alike: bool) -> None:
     np.testing.assert_array_equal(read.valid, made.valid)
     np.testing.assert_array_equal(read.images, np.nan_to_num(pixels))
     channels = images.read_channels(tmp_path / "saved" / "weights.exr")
-    assert set(channels) == ({"Y"} if alike else {f"{name}.Y" for name in room().names})
+    own_names = {f"{name}.Y" for name in room().names}
+    if of == "a channel":
+        name = room().names[1]
+        own_names = own_names - {f"{name}.Y"} | {f"{name}.{color}" for color in "RGB"}
+    assert set(channels) == ({"Y"} if of == "all pictures" else own_names)
 
 
 def test_segments_keep_16_bits(folder: Path) -> None:

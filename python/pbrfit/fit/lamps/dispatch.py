@@ -74,12 +74,12 @@ def first_shape(scene: Scene) -> FirstShape:
     from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
     images = np.stack([scene.picture(i, slice(None)) for i in range(len(scene.images))])
-    usable = np.broadcast_to(scene.valid, images.shape[:3]).copy()
-    if scene.limits is not None:
-        usable &= (scene.limits == 0).all(axis=-1)
+    usable = np.broadcast_to(scene.valid[..., None], images.shape).copy()
     if scene.weights is not None:
         usable &= scene.weights > 0
-    images = np.where(usable[..., None], images, 0.0).astype(np.float64)
+    images = np.where(usable, images, 0.0).astype(np.float64)
+    if scene.limits is not None:
+        usable &= scene.limits == 0
     known = scene.lamps
     if known is not None and not known.near.any() and len(known) == len(images):
         colors = known.colors if known.colored else None

@@ -762,9 +762,11 @@ def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Ar
     """
     cosines = np.maximum(pixels.normals @ lamps.places.T, 0)
     shown = cosines[..., None] * lamps.colors[None] * albedo[:, None]
-    lit = (cosines > 0.3) & pixels.ordinary
-    ratio = np.where(lit[..., None] & (shown > 0), pixels.samples / np.maximum(shown, 1e-12), 1)
-    factor = np.array([np.median(ratio[..., c][lit]) if lit.any() else 1.0 for c in range(3)])
+    lit = (cosines > 0.3)[..., None] & pixels.told
+    ratio = np.where(lit & (shown > 0), pixels.samples / np.maximum(shown, 1e-12), 1)
+    factor = np.array(
+        [np.median(ratio[..., c][lit[..., c]]) if lit[..., c].any() else 1.0 for c in range(3)]
+    )
     albedo = np.maximum(albedo * factor, 1e-9)
     tint = np.exp(np.log(np.maximum(lamps.colors, 1e-9)).mean(axis=0))
     colors, albedo = lamps.colors / tint, albedo * tint
@@ -779,7 +781,7 @@ def albedo_under(pixels: LampPixels, lamps: Lamps) -> Array:
     shown = np.zeros(pixels.samples.shape)
     for k, picture in enumerate(lamps.pictures):
         shown[:, picture] += cosines[:, k, None] * lamps.colors[k]
-    lit = (shown > 0) & (pixels.weights > 0) & (pixels.limits == 0)
+    lit = (shown > 0) & pixels.told
     ratio = np.where(lit, pixels.samples / np.maximum(shown, 1e-12), ALBEDO_MEAN)
     return np.asarray(np.clip(np.median(ratio, axis=1), 0.01, 0.95))
 
@@ -788,7 +790,7 @@ def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
     """Known lamps with colours to begin with, and albedos (P, 3), by the given normals."""
     directions, strengths = known.at(pixels.points, len(pixels))
     cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
-    return colored_by(pixels, known, cosines, pixels.ordinary[:, known.pictures] * (cosines > 0))
+    return colored_by(pixels, known, cosines, (cosines > 0).astype(np.float64))
 
 
 def _scale_variance(fit: JointLamps, covariance: Array) -> float:

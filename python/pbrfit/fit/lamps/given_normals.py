@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.lamps.joint import ALBEDO_MEAN
 from pbrfit.fit.lamps.problem import LampPixels
+from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.model.lamps import Lamps
 
@@ -60,8 +61,7 @@ TINY = 1e-12
 
 def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     """A lamp far away for each picture, and albedos (P, 3), by the given normals."""
-    grey = pixels.samples.mean(axis=-1)
-    usable = pixels.ordinary
+    grey, usable = grey_samples(pixels.samples, pixels.told)
     albedo = _typical(grey, usable)
     vectors = np.zeros((pixels.pictures, 3))
     weights = usable.astype(np.float64)
@@ -96,8 +96,7 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
     few = pixels.of_rows(evenly_spaced(len(pixels), NEAR_PIXELS).astype(np.intp))
     points = few.points
     assert points is not None
-    grey = few.samples.mean(axis=-1)
-    usable = few.ordinary
+    grey, usable = grey_samples(few.samples, few.told)
     # Not the mean brightness: it has the mean shading in it, to which lamps would then fit.
     albedo = np.full(len(few), ALBEDO_MEAN)
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
@@ -133,12 +132,11 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
         found = np.where(np.isfinite(found), found, np.nanmedian(found))
         albedo = np.exp(found - found.mean()) * ALBEDO_MEAN
     places, _ = _refined(few, grey, usable, places, FIRST_SCALE)
-    grey = pixels.samples.mean(axis=-1)
-    usable = pixels.ordinary
+    grey, usable = grey_samples(pixels.samples, pixels.told)
     places, left_over = _refined(pixels, grey, usable, places, SECOND_SCALE)
     lamps = Lamps(np.arange(pixels.pictures), places, np.ones(pixels.pictures, bool))
     shading = _shading(pixels, places).T
-    lamps, of_all = colored_by(pixels, lamps, shading, (usable & (shading > 0)).astype(np.float64))
+    lamps, of_all = colored_by(pixels, lamps, shading, (shading > 0).astype(np.float64))
     return lamps, of_all, left_over
 
 
@@ -239,7 +237,7 @@ def colored_by(
     samples = pixels.samples[:, lamps.pictures]
     mean = np.maximum(pixels.samples.mean(axis=0)[lamps.pictures], TINY)
     lit = (weights > 0) & (shading > 0.05 * shading.max(axis=1, keepdims=True))
-    usable = lit[..., None] & (samples > DARK * mean)
+    usable = lit[..., None] & pixels.told[:, lamps.pictures] & (samples > DARK * mean)
     logs = np.log(np.maximum(samples, TINY)) - np.log(np.maximum(shading, TINY))[..., None]
     of_lamps = np.log(mean)
     of_pixels = np.zeros((len(pixels), 3))

@@ -95,7 +95,8 @@ def _information(normals: PseudoNormals) -> Array:
 
 def _chroma(data: Samples, normals: PseudoNormals, chosen: NDArray[np.intp]) -> Array:
     """(P, C) shares of the channels in the samples that follow the law."""
-    sums = np.einsum("pn,pnc->pc", normals.weights[chosen], data.colors[chosen])
+    weights = normals.weights[chosen] * data.told[chosen].all(axis=2)
+    sums = np.einsum("pn,pnc->pc", weights, data.colors[chosen])
     return np.asarray(sums / np.maximum(sums.sum(axis=1, keepdims=True), 1e-12))
 
 

@@ -79,7 +79,7 @@ class LampPixels:
         for i in range(count):
             samples[:, i] = scene.samples(i, places)
             if scene.weights is not None:
-                weights[:, i] = scene.weights[i].reshape(-1)[places, None]
+                weights[:, i] = scene.weights[i].reshape(-1, 3)[places]
             if scene.limits is not None:
                 limits[:, i] = scene.limits[i].reshape(-1, 3)[places]
         if like is not None:
@@ -133,9 +133,9 @@ class LampPixels:
         )
 
     @property
-    def ordinary(self) -> NDArray[np.bool_]:
-        """(P, N): samples that are data and at no limit, in all channels."""
-        return np.asarray((self.weights > 0).all(axis=-1) & (self.limits == 0).all(axis=-1))
+    def told(self) -> NDArray[np.bool_]:
+        """(P, N, 3): values that are data and at no limit."""
+        return np.asarray((self.weights > 0) & (self.limits == 0))
 
     def residuals(self, radiance: Array) -> Array:
         """(P, N, 3): what a radiance is too much; 0 where a sample only bounds it, and is kept."""

@@ -58,8 +58,8 @@ class Left:
     """The model's radiance."""
     level: Array
     """The sample, or `NOISE_MIN`."""
-    counted: NDArray[np.bool_]
-    """(P, N): samples that are data."""
+    values: NDArray[np.bool_]
+    """Those that are data."""
 
     @classmethod
     def of(cls, pixels: LampPixels, state: LampState, shown: Array | None = None) -> Left:
@@ -69,8 +69,13 @@ class Left:
             pixels.residuals(shown),
             np.maximum(shown, NOISE_MIN),
             np.maximum(pixels.samples, NOISE_MIN),
-            np.asarray((pixels.weights > 0).any(axis=-1)),
+            np.asarray(pixels.weights > 0),
         )
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """(P, N): samples of which some value is data."""
+        return np.asarray(self.values.any(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +119,8 @@ class Noise:
     def _log_ordinary(self, left: Left) -> Array:
         variance = self.variance(left)
         terms = np.square(left.residuals) / variance + np.log(2 * np.pi * variance)
-        return np.asarray(-0.5 * terms.mean(axis=-1))
+        values = np.maximum(left.values.sum(axis=-1), 1)
+        return np.asarray(-0.5 * (terms * left.values).sum(axis=-1) / values)
 
     def log_likelihoods(self, left: Left) -> Array:
         """(P, N): ln of the likelihood of samples; 0 of those that are no data."""
@@ -138,8 +144,9 @@ class Noise:
 
     def renewed(self, left: Left, freedom: float) -> Noise:
         """From what is left; `freedom` is the share that the unknowns have not taken up."""
-        ordinary = probability(self.log_odds(left)) * left.counted
-        weights = np.repeat(ordinary[..., None], 3, axis=-1).ravel()
+        counted = left.counted
+        ordinary = probability(self.log_odds(left)) * counted
+        weights = (ordinary[..., None] * left.values).ravel()
         squares = np.square(left.residuals).ravel() / freedom
         bright = self._growth(left.level.ravel())
         # What highlights leave says nothing of other samples.
@@ -159,8 +166,8 @@ class Noise:
             if relative2 < RELATIVE_MIN**2:
                 relative2 = RELATIVE_MIN**2
                 floor2 = max((d - b * relative2) / max(a, 1e-300), NOISE_MIN**2)
-        seen = np.maximum(left.counted.sum(axis=0), 1)
-        share = (left.counted - ordinary).sum(axis=0) / seen
+        seen = np.maximum(counted.sum(axis=0), 1)
+        share = (counted - ordinary).sum(axis=0) / seen
         return Noise(
             float(np.sqrt(floor2)),
             float(np.sqrt(relative2)),

@@ -24,7 +24,9 @@ class Samples:
     """Pixels of the mask: (P, N) grey samples, what of them is usable, and their colours."""
 
     colors: Array
-    """(P, N, C)."""
+    """(P, N, C): also those not told, such as clipped ones, and 0 for what is not finite."""
+    told: Mask
+    """(P, N, C): which of the colours are usable."""
     grey: Array
     usable: Mask
     brightness: Array
@@ -33,16 +35,16 @@ class Samples:
 
     @classmethod
     def of(cls, samples: Array, usable: Mask, mask: Mask) -> Samples:
-        """Of pictures (N, H, W) or (N, H, W, C), in which some are usable, (N, H, W)."""
+        """Of pictures (N, H, W) or (N, H, W, C), in which some values are usable, of that shape."""
         samples = np.asarray(samples, np.float64)
         if samples.ndim == 3:
-            samples = samples[..., None]
+            samples, usable = samples[..., None], np.asarray(usable)[..., None]
         if samples.ndim != 4 or len(samples) < 3:
             raise InputError(
                 f"pictures: expected three or more of one size, found {samples.shape[:3]}"
             )
         for name, array, shape in (
-            ("usable", usable, samples.shape[:3]),
+            ("usable", usable, samples.shape),
             ("mask", mask, samples.shape[1:3]),
         ):
             if np.shape(array) != shape:
@@ -50,10 +52,10 @@ class Samples:
         if not mask.any():
             raise InputError("mask: expected pixels, found none")
         colors = np.moveaxis(samples[:, mask], 0, 1)
-        used = np.moveaxis(usable[:, mask], 0, 1) & np.isfinite(colors).all(axis=2)
-        colors = np.where(used[..., None], colors, 0.0)
-        grey = colors.mean(axis=2)
-        return cls(colors, grey, used, brightness(grey, used), np.nonzero(mask), mask)
+        told = np.moveaxis(usable[:, mask], 0, 1) & np.isfinite(colors)
+        colors = np.where(np.isfinite(colors), colors, 0.0)
+        grey, used = grey_samples(colors, told)
+        return cls(colors, told, grey, used, brightness(grey, used), np.nonzero(mask), mask)
 
     @property
     def pictures(self) -> int:
@@ -70,6 +72,18 @@ class Samples:
         found = np.full(self.mask.shape + values.shape[1:], outside)
         found[self.mask] = values
         return found
+
+
+def grey_samples(colors: Array, told: Mask) -> tuple[Array, Mask]:
+    """Grey samples (P, N), and which are usable, of colours (P, N, C) of which some are told.
+
+    A pixel is judged by the same channels in all pictures, those that are told most often. The red
+    of a saturated orange is clipped wherever a lamp is near; its green and blue tell its shape.
+    """
+    often = told.sum(axis=1, keepdims=True)
+    kept = often == often.max(axis=2, keepdims=True)
+    grey = np.where(kept & told, colors, 0.0).sum(axis=2) / kept.sum(axis=2)
+    return grey, np.asarray((told | ~kept).all(axis=2))
 
 
 def some_of(count: int, most: int) -> NDArray[np.intp]:

@@ -59,7 +59,7 @@ def start_of_known_lamps(
     samples
         (N, H, W) or (N, H, W, 3) linear radiance.
     usable
-        (N, H, W): samples that are not clipped and belong to the mask.
+        Of that shape: values that are not clipped and belong to the mask.
     mask
         (H, W).
     views

@@ -55,22 +55,22 @@ def color_of_lamps(
     shading
         (P, N) max(n·l, 0).
     weights
-        (P, N) in [0, 1] of samples.
+        (P, N, C) in [0, 1] of samples.
     strengths
         (N,) of grey samples.
     """
     tiny = np.finfo(np.float64).tiny
     albedos, found = [], []
     for c in range(colors.shape[2]):
-        strength = np.maximum(strengths, 0.0)
+        strength, w = np.maximum(strengths, 0.0), weights[..., c]
         for _ in range(ROUNDS):
             product = shading * strength
-            albedo = np.einsum("pn,pn,pn->p", weights, product, colors[..., c]) / np.maximum(
-                np.einsum("pn,pn,pn->p", weights, product, product), tiny
+            albedo = np.einsum("pn,pn,pn->p", w, product, colors[..., c]) / np.maximum(
+                np.einsum("pn,pn,pn->p", w, product, product), tiny
             )
             albedo = np.maximum(albedo, 0.0)
             # Pixels count alike, not by the square of their albedo.
-            even = weights / np.maximum(albedo, 1e-3 * albedo.mean() + tiny)[:, None] ** 2
+            even = w / np.maximum(albedo, 1e-3 * albedo.mean() + tiny)[:, None] ** 2
             product = shading * albedo[:, None]
             strength = np.einsum("pn,pn,pn->n", even, product, colors[..., c]) / np.maximum(
                 np.einsum("pn,pn,pn->n", even, product, product), tiny

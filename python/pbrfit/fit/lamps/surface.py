@@ -99,8 +99,9 @@ def finished(
     along, strengths = unit_and_length(lamps)
     shading = np.maximum(unit @ along.T, 0.0)
     some = some_of(len(unit), COLORED_MAX)
-    _, colors = color_of_lamps(data.colors[some], shading[some], found.weights[some], strengths)
-    planes = _albedo(data.colors, shading, found.weights, colors)
+    of_values = found.weights[..., None] * data.told
+    _, colors = color_of_lamps(data.colors[some], shading[some], of_values[some], strengths)
+    planes = _albedo(data.colors, shading, of_values, colors)
     weights = np.zeros((data.pictures, *data.mask.shape))
     weights[:, data.mask] = found.weights.T
     return LampStart(
@@ -134,8 +135,8 @@ def _albedo(colors: Array, shading: Array, weights: Array, strengths: Array) -> 
     used = strengths[:, :channels]
     product = shading[..., None] * used
     tiny = np.finfo(np.float64).tiny
-    below = np.einsum("pn,pnc,pnc->pc", weights, product, product)
-    found = np.einsum("pn,pnc,pnc->pc", weights, product, colors) / np.maximum(below, tiny)
+    below = np.einsum("pnc,pnc,pnc->pc", weights, product, product)
+    found = np.einsum("pnc,pnc,pnc->pc", weights, product, colors) / np.maximum(below, tiny)
     total = colors.sum(axis=1) / np.maximum(product.sum(axis=1), 1e-3 * used.sum(axis=0))
     found = np.where(below > 1e-6 * np.median(below, axis=0), found, total)
     return np.asarray(np.maximum(np.broadcast_to(found, (len(found), 3)), 0.0))

@@ -52,7 +52,7 @@ def test_clipped_samples_are_not_used() -> None:
 def test_the_factors_span_the_space_of_the_lamps_beside_gloss_and_shadows() -> None:
     scene = ball(around(10, 45, 15), gloss=0.5)
     grey = scene.samples.mean(axis=-1)
-    found = factors(grey[:, scene.mask].T, scene.usable[:, scene.mask].T)
+    found = factors(grey[:, scene.mask].T, np.asarray(scene.usable.all(axis=-1))[:, scene.mask].T)
     assert found.rank == 3
     assert sine_between(found.lamps, scene.directions) < 0.01
 
@@ -63,7 +63,7 @@ def test_the_rank_is_that_of_the_lamps(height: float, rank: int) -> None:
     lamps = np.stack([np.sin(angle), 0 * angle + height, np.cos(angle)], axis=1)
     scene = ball(lamps / np.linalg.norm(lamps, axis=1, keepdims=True))
     grey = scene.samples.mean(axis=-1)
-    found = factors(grey[:, scene.mask].T, scene.usable[:, scene.mask].T)
+    found = factors(grey[:, scene.mask].T, np.asarray(scene.usable.all(axis=-1))[:, scene.mask].T)
     # A constant height is a cone about the vertical: with 0 it is a plane.
     assert found.rank == rank
 

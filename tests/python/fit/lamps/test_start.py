@@ -129,10 +129,28 @@ def test_equal_lamps_are_no_crash() -> None:
 def test_pictures_in_one_channel() -> None:
     scene = ball(around(9, 40, 10), size=48)
     start = start_of_unknown_lamps(
-        scene.samples.mean(axis=-1), scene.usable, scene.mask, scene.views
+        scene.samples.mean(axis=-1), np.asarray(scene.usable.all(axis=-1)), scene.mask, scene.views
     )
     assert start.albedo.shape == (48, 48, 3)
     assert scene.error(start.normals) < 1.0
+
+
+def test_a_clipped_red_leaves_green_and_blue() -> None:
+    """An orange ball whose red is clipped wherever a lamp is near."""
+    scene = ball(around(8, 40, 10), size=48)
+    red = scene.samples[..., 0].clip(max=0.4 * scene.samples[..., 0].max())
+    orange = np.concatenate([red[..., None], scene.samples[..., 1:]], axis=-1)
+    usable = scene.usable.copy()
+    usable[..., 0] &= red < red.max()
+    lost = ~np.asarray(usable.all(axis=-1))[:, scene.mask]
+    assert lost.mean() > 0.3
+    start = start_of_known_lamps(
+        orange, usable, scene.mask, scene.views, scene.directions, scene.strengths
+    )
+    assert scene.error(start.normals) < 0.5
+    some = scene.mask & (usable[..., 0] & (red > 0.02)).any(axis=0)
+    off = (start.albedo / scene.albedo)[some]
+    assert np.abs(np.log(off / np.median(off, axis=0))).mean() < 0.02
 
 
 @pytest.mark.slow
@@ -158,7 +176,8 @@ def test_a_mask_of_few_pixels_is_no_crash(pixels: int) -> None:
     scene = ball(around(5, 40), size=24)
     mask = np.zeros_like(scene.mask)
     mask[12, 2 : 2 + pixels] = True
-    start = start_of_unknown_lamps(scene.samples, scene.usable & mask, mask, scene.views)
+    usable = scene.usable & mask[..., None]
+    start = start_of_unknown_lamps(scene.samples, usable, mask, scene.views)
     assert np.isfinite(start.normals[mask]).all()
     assert start.undetermined
 
