@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
+from pbrfit.fit.conjugate_gradients import conjugate_gradients
 from pbrfit.fit.light_prior import LightPrior, as_in_core
 from pbrfit.fit.misfit import variance
 from pbrfit.fit.normal_equations import as_in_x
@@ -254,26 +255,15 @@ class JointFit:
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
         ratio = settings.CG_ERROR_RATIO if ratio is None else ratio
-        residual, moves = right.copy(), np.zeros_like(right)
-        direction = preconditioned = self.solved(residual)
-        first = size_now = float(residual @ preconditioned)
-        if not first >= enough:
-            return moves
-        number = 0
-        while number < settings.CG_ITERATIONS_MAX and not self.stop():
-            number += 1
-            along = product(direction)
-            curvature = float(direction @ along)
-            if not curvature > 0:
-                break
-            length = size_now / curvature
-            moves += length * direction
-            residual -= length * along
-            preconditioned = self.solved(residual)
-            size_before, size_now = size_now, float(residual @ preconditioned)
-            if size_now <= max(ratio**2 * first, settings.CG_GAIN_SHARE * enough):
-                break
-            direction = preconditioned + size_now / size_before * direction
+        moves, number = conjugate_gradients(
+            right,
+            product,
+            self.solved,
+            ratio=ratio,
+            iterations=settings.CG_ITERATIONS_MAX,
+            enough=enough,
+            stop=self.stop,
+        )
         self.shared.stale = number >= settings.CG_RENEW
         return moves
 

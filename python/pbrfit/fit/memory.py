@@ -14,6 +14,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import (
+    LAMP_PIXELS,
     PIXELS_AT_ONCE,
     PRIOR_FIT_PIXELS,
     PRIOR_METALLIC_NODES,
@@ -184,7 +185,8 @@ def of_layout(
         refining += REFINING_BYTES * pixels
     solver = SOLVER_BYTES[method] * layout.size
     if method == "gauss-newton":
-        solver += _of_few_pixels(layout, (samples + DIRECTION_BYTES))
+        few = _of_few_pixels(layout, (samples + DIRECTION_BYTES))
+        solver += few if layout.lighting is None else max(few, _of_lamps(layout))
     return FitMemory(
         scene=held,
         core=core,
@@ -212,6 +214,16 @@ def _of_few_pixels(layout: ParameterLayout, core: int) -> int:
     likelihoods = min(PRIOR_FIT_PIXELS, layout.pixels) + 3 * AT_ONCE_MAX * PIXELS_AT_ONCE
     nodes = PRIOR_ROUGHNESS_NODES[2] * PRIOR_METALLIC_NODES[2]
     return products + 2 * 8 * lights**2 + 4 * nodes * likelihoods
+
+
+def _of_lamps(layout: ParameterLayout) -> int:
+    """Of joint steps of a lamp a picture, in float64.
+
+    A picture has nine unknowns: place, colour, ambient light. There are four matrices of those of
+    all pictures (`lamps.shared_step`), and four arrays that couple them to six of each pixel.
+    """
+    unknowns = 9 * layout.pictures
+    return 4 * 8 * unknowns * (unknowns + 6 * min(layout.pixels, LAMP_PIXELS))
 
 
 def of_tiles(

@@ -289,6 +289,13 @@ CG_GAIN_SHARE = 0.1
 is left to gain."""
 
 
+# --- Lamps ------------------------------------------------------------------------------------
+
+LAMP_PIXELS = 1500
+"""Number of pixels that lamps are found by: some 20 unknowns a lamp have 100 times as many samples
+each."""
+
+
 # --- L-BFGS-B ---------------------------------------------------------------------------------
 
 DATA_SHARE_OF_ITERATIONS = 0.5

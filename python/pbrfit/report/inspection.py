@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pbrfit._core import InputError
-from pbrfit.fit import memory
+from pbrfit.fit import expected_time, memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.plan import FitPlan
 from pbrfit.io.depth_files import DEPTH_FILES
@@ -161,7 +161,12 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("unknowns", f"{layout.size}"),
     ]
     free = memory.available()
+    seconds = expected_time.in_words(expected_time.expected_seconds(layout))
     found += [
+        (
+            "time needed",
+            f"about {seconds} of processor time (half to twice that; more among surroundings)",
+        ),
         ("memory needed", _needed(scene, layout)),
         ("memory free", "unknown" if free is None else memory.size(free)),
     ]

@@ -246,6 +246,7 @@ def test_inspect_tells_facts_and_writes_only_the_preview(folder: Path, tmp_path:
         "assumed normals   normals.exr, opengl axes, camera space",
         "assumed fov       60 degrees, from scene.toml",
         f"unknowns          {5 * 192 + 48 * LIGHTS}",
+        "time needed       about ",
         "memory needed     about ",
         "fit by default    192 pixels of 3 pictures; albedo in three channels; ",
     ):

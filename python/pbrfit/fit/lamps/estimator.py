@@ -33,6 +33,7 @@ from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radia
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
+from pbrfit.fit.settings import LAMP_PIXELS
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import view_directions
@@ -51,9 +52,6 @@ from pbrfit.transport.scenery import Scenery
 log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
-
-JOINT_PIXELS = 1500
-"""That lamps are found by: some 20 unknowns a lamp have 100 times as many samples each."""
 
 ROUNDS, STEPS = 6, 3
 """Of weights, and of joint steps in each."""
@@ -278,7 +276,7 @@ class LampFit:
         scene = self.scene
         places = np.flatnonzero(scene.valid.ravel())
         labels = np.zeros(len(places), np.intp) if scene.labels is None else scene.labels[0]
-        rows = evenly_spaced_over(labels, JOINT_PIXELS).astype(np.intp)
+        rows = evenly_spaced_over(labels, LAMP_PIXELS).astype(np.intp)
         fit = self.joint(places[rows])
         with self.clock.stage("surfaces") as notes:
             bands = self._bands(fit)
@@ -649,7 +647,7 @@ class LampFit:
             # Looks have found the scale where steps have not, and it is as uncertain.
             freedom = fit.freedom
             fit.freedom = replace(freedom, scale=True)
-            basis = fit.basis(len(shared))
+            basis = fit.directions(len(shared)).basis()
             fit.freedom = freedom
             inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
             self._shared_covariance = basis @ inner @ basis.T

@@ -32,6 +32,7 @@ from pbrfit.fit.lamps.problem import (
     tangents,
 )
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
+from pbrfit.fit.lamps.shared_step import Directions, step_of
 from pbrfit.model.lamps import Lamps
 
 Array = NDArray[np.float64]
@@ -344,27 +345,11 @@ class JointLamps:
 
     def _moved(self, system: tuple[Array, Array, Array, Array, Array]) -> LampState | None:
         """The state after a step with the present damping; None if there is none."""
-        shared, gradient, own, mixed, gradients = system
-        own = own.copy()
-        np.einsum("puu->pu", own)[:] *= 1 + self.damping
         lamps, terms = self.state.lamps, self.freedom.ambient_terms
-        basis = self.basis(len(gradient))
-        try:
-            inverse = np.linalg.inv(own)
-            solved = np.matmul(inverse, mixed @ basis)
-            flat = (mixed @ basis).reshape(-1, basis.shape[1])
-            eliminated = flat.T @ solved.reshape(flat.shape)
-            matrix = basis.T @ shared @ basis
-            diagonal = self.damping * np.maximum(np.diag(matrix), 1e-12)
-            matrix = matrix - eliminated + np.diag(diagonal)
-            right = solved.reshape(flat.shape).T @ gradients.reshape(-1) - basis.T @ gradient
-            moved = np.linalg.solve(matrix, right)
-        except np.linalg.LinAlgError:
+        found = step_of(*system, self.directions(len(system[1])), self.damping)
+        if found is None:
             return None
-        change = basis @ moved
-        if not np.isfinite(change).all():
-            return None
-        of_pixels = -np.einsum("puv,pv->pu", inverse, gradients) - solved @ moved
+        change, of_pixels = found
         places = change[: 3 * len(lamps)].reshape(-1, 3)
         colors = change[3 * len(lamps) : 6 * len(lamps)].reshape(-1, 3)
         ambient = self.state.ambient.copy()
@@ -395,42 +380,34 @@ class JointLamps:
             roughness=np.clip(self.state.roughness + np.clip(of_pixels[:, 5], -0.2, 0.2), 0.03, 1),
         )
 
-    def basis(self, size: int) -> Array:
-        """(M, free): the directions in which what is shared may move."""
-        lamps = self.state.lamps
-        count, free = len(lamps), []
+    def directions(self, size: int) -> Directions:
+        """In which what is shared may move: places, colours, ambient light."""
+        lamps, terms = self.state.lamps, self.freedom.ambient_terms
+        count, pictures = len(lamps), self.pixels.pictures
+        found = Directions(size)
         if self.freedom.places:
             frames = tangents(np.where(lamps.near[:, None], [0.0, 0.0, 1.0], lamps.places))
             for k in range(count):
                 vectors = np.eye(3) if lamps.near[k] else frames[k]
-                block = np.zeros((size, len(vectors)))
-                block[3 * k : 3 * k + 3] = vectors.T
-                free.append(block)
+                found.add(3 * k + np.arange(3), vectors.T, int(lamps.pictures[k]))
         if self.freedom.colors:
-            block = np.zeros((size, 3 * count))
-            block[3 * count : 6 * count] = np.eye(3 * count)
-            if self.freedom.same_lamp:
-                block = block.reshape(size, count, 3).sum(axis=1)
+            for k in range(1 if self.freedom.same_lamp else count):
+                rows = 3 * np.arange(count if self.freedom.same_lamp else 1)[:, None] + 3 * k
+                at = (3 * count + rows + np.arange(3)).ravel()
+                group = pictures if self.freedom.same_lamp else int(lamps.pictures[k])
+                found.add(at, np.tile(np.eye(3), (len(rows), 1)), group)
             if not self.freedom.scale:
-                block = block @ self._at_one_scale()
-            free.append(block)
-        terms = self.freedom.ambient_terms
+                # Changes leave the mean logarithm of each channel.
+                by_log = 1 / np.maximum(lamps.colors, 1e-12)
+                for c in range(3):
+                    slope = np.zeros(size)
+                    slope[3 * count + c : 6 * count : 3] = by_log[:, c]
+                    found.held.append(slope)
         if terms:
-            block = np.zeros((size, size - 6 * count))
-            block[6 * count :] = np.eye(size - 6 * count)
-            free.append(block)
-        return np.concatenate(free, axis=1) if free else np.zeros((size, 0))
-
-    def _at_one_scale(self) -> Array:
-        """Changes of the colours that leave the mean logarithm of each channel, in columns."""
-        from scipy.linalg import null_space
-
-        colors = np.maximum(self.state.lamps.colors, 1e-12)
-        count = 1 if self.freedom.same_lamp else len(colors)
-        fixed = np.zeros((3, count, 3))
-        for c in range(3):
-            fixed[c, :, c] = 1 / colors[:count, c]
-        return np.asarray(null_space(fixed.reshape(3, -1)))
+            for i in range(pictures):
+                at = 6 * count + 3 * terms * i + np.arange(3 * terms)
+                found.add(at, np.eye(3 * terms), i)
+        return found
 
 
 def minimize(fit: JointLamps, *, steps: int, stop: Callable[[], bool] = lambda: False) -> int:

@@ -1,0 +1,119 @@
+"""A step of what all pixels share: at once and by products, against the whole system."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pbrfit.fit.lamps import shared_step
+from pbrfit.fit.lamps.shared_step import Directions, null_space_of, step_of
+
+System = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+PICTURES, PIXELS, OWN = 12, 9, 4
+EACH = 3
+"""Unknowns of a picture; the first two are held to the sphere, the third is of one sum."""
+
+
+def system(rng: np.random.Generator) -> System:
+    """Of Jacobians at random, where each sample sees one picture's unknowns."""
+    size = PICTURES * EACH
+    shared, mixed = np.zeros((size, size)), np.zeros((PIXELS, OWN, size))
+    own, gradients, gradient = np.zeros((PIXELS, OWN, OWN)), np.zeros((PIXELS, OWN)), np.zeros(size)
+    for p in range(PIXELS):
+        for i in range(PICTURES):
+            of = slice(EACH * i, EACH * (i + 1))
+            by_own, by_shared = rng.normal(size=(2, OWN)), rng.normal(size=(2, EACH))
+            left = rng.normal(size=2)
+            own[p] += by_own.T @ by_own
+            shared[of, of] += by_shared.T @ by_shared
+            mixed[p][:, of] += by_own.T @ by_shared
+            gradients[p] += by_own.T @ left
+            gradient[of] += by_shared.T @ left
+    return shared, gradient, own, mixed, gradients
+
+
+def directions(rng: np.random.Generator, *, held: bool) -> Directions:
+    found = Directions(PICTURES * EACH)
+    for i in range(PICTURES):
+        found.add(EACH * i + np.arange(2), rng.normal(size=(2, 1 + i % 2)), i)
+        found.add(EACH * i + np.array([2]), np.ones((1, 1)), i)
+    if held:
+        slope = np.zeros(PICTURES * EACH)
+        slope[2::EACH] = rng.uniform(0.5, 2, PICTURES)
+        found.held.append(slope)
+    return found
+
+
+def expected(given: System, basis: np.ndarray, damping: float) -> np.ndarray:
+    """All unknowns in one matrix, the shared ones first."""
+    shared, gradient, own, mixed, gradients = given
+    free, pixels = basis.shape[1], PIXELS * OWN
+    whole = np.zeros((free + pixels, free + pixels))
+    whole[:free, :free] = basis.T @ shared @ basis
+    for p in range(PIXELS):
+        at = slice(free + p * OWN, free + (p + 1) * OWN)
+        whole[at, at] = own[p] + damping * np.diag(np.diag(own[p]))
+        whole[at, :free] = mixed[p] @ basis
+        whole[:free, at] = whole[at, :free].T
+    right = -np.concatenate([basis.T @ gradient, gradients.ravel()])
+    return np.linalg.solve(whole, right)
+
+
+@pytest.mark.parametrize("most", [1000, 0])
+@pytest.mark.parametrize("held", [False, True])
+def test_a_step_solves_the_whole_system(
+    most: int, held: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shared_step, "DENSE_UNKNOWNS_MAX", most)
+    monkeypatch.setattr(shared_step, "ERROR_RATIO", 1e-9)
+    rng = np.random.default_rng(0)
+    given, along = system(rng), directions(rng, held=held)
+    basis = along.basis()
+    found = step_of(*given, along, 0.0)
+    assert found is not None
+    true = expected(given, basis, 0.0)
+    np.testing.assert_allclose(found[0], basis @ true[: basis.shape[1]], rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found[1].ravel(), true[basis.shape[1] :], rtol=1e-6, atol=1e-8)
+    for slope in along.held:
+        assert abs(slope @ found[0]) < 1e-8
+
+
+def test_both_ways_agree_at_the_switch(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    given, along = system(rng), directions(rng, held=True)
+    count = along.sparse().shape[1]
+    made: list[np.ndarray] = []
+    for most in (count, count - 1):
+        monkeypatch.setattr(shared_step, "DENSE_UNKNOWNS_MAX", most)
+        found = step_of(*given, along, 1e-2)
+        assert found is not None
+        made.append(found[0])
+    at_once, by_products = made
+    assert not np.array_equal(at_once, by_products)  # there is an error of 1e-3
+    np.testing.assert_allclose(by_products, at_once, rtol=0.02, atol=1e-3 * np.ptp(at_once))
+
+
+def test_nothing_moves_without_directions() -> None:
+    rng = np.random.default_rng(2)
+    given = system(rng)
+    found = step_of(*given, Directions(PICTURES * EACH), 0.0)
+    assert found is not None
+    assert not found[0].any()
+    np.testing.assert_allclose(
+        found[1], -np.linalg.solve(given[2], given[4][..., None])[..., 0], rtol=1e-9
+    )
+
+
+def test_a_singular_system_is_told() -> None:
+    shared, gradient, own, mixed, gradients = system(np.random.default_rng(3))
+    along = Directions(PICTURES * EACH)
+    assert step_of(shared, gradient, 0 * own, mixed, gradients, along, 0.0) is None
+
+
+def test_the_null_space_leaves_free_columns_alone() -> None:
+    constraints = np.array([[1.0, 0, 2, 0], [0, 0, 1, 0]])
+    found = null_space_of(constraints)
+    assert found.shape == (4, 2)
+    np.testing.assert_allclose(constraints @ found, 0, atol=1e-12)
+    np.testing.assert_allclose(found.T @ found, np.eye(2), atol=1e-12)
