@@ -13,7 +13,7 @@ import stat
 from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 from pbrfit._core import InputError
 
@@ -84,16 +84,12 @@ def open_file(path: Path) -> BufferedReader:
     return file
 
 
-def content_of(file: BinaryIO, path: Path, most: int) -> bytes:
+def content_of(file: BufferedReader, path: Path, most: int) -> bytes:
     """All bytes of an open file.
 
     Raises InputError if there are more than `most`; MemoryError, with the name, if they do not fit.
     """
-    size = os.fstat(file.fileno()).st_size
-    if size > most:
-        raise InputError(
-            f"{path}: expected a file of at most {most >> 20} MiB, found {size >> 20} MiB"
-        )
+    size = _bounded(file, path, most)
     file.seek(0)
     try:
         return file.read(size)
@@ -115,8 +111,9 @@ def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
 
 
 def digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal; raises as `open_file`."""
+    """sha256 of a file, hexadecimal; raises as `open_file`, or InputError beyond `PICTURE_BYTES`."""
     with open_file(path) as file:
+        _bounded(file, path, PICTURE_BYTES)
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -137,6 +134,16 @@ def names_file(read: Callable[P, R]) -> Callable[P, R]:
             ) from None
 
     return named
+
+
+def _bounded(file: BufferedReader, path: Path, most: int) -> int:
+    """Size of an open file, in bytes."""
+    size = os.fstat(file.fileno()).st_size
+    if size > most:
+        raise InputError(
+            f"{path}: expected a file of at most {most >> 20} MiB, found {-(-size >> 20)} MiB"
+        )
+    return size
 
 
 def _check_regular(path: Path, status: os.stat_result) -> None:

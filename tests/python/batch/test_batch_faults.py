@@ -38,6 +38,11 @@ def result_folder(path: Path, word: str) -> Path:
     return path
 
 
+def names(folder: Path) -> set[str]:
+    """What is in it."""
+    return {path.name for path in folder.iterdir()}
+
+
 def set_aside(temporaries: Path, result: Path) -> None:
     """As a worker leaves it that is killed between the two renames of `new_folder`."""
     (temporaries / "123456789abc").mkdir()
@@ -149,7 +154,7 @@ def test_a_place_that_is_a_link_is_refused(tmp_path: Path) -> None:
         f"{tmp_path / 'theirs'}\n",
     )
     assert (tmp_path / "theirs" / "0123456789ab").is_dir()
-    assert os.listdir(out) == [place.NAME]
+    assert names(out) == {place.NAME}
 
 
 @POSIX
@@ -190,15 +195,15 @@ def test_only_what_batches_make_is_removed_from_their_place(tmp_path: Path) -> N
     (held / "0123456789ab").write_text("a file of that name")
     (held / "abcdef012345").symlink_to(theirs)
     (held / "abcdef012345-old").symlink_to(theirs)
-    before = set(os.listdir(held))
+    before = names(held)
     (held / "fedcba987654" / "half").mkdir(parents=True)
     (held / "fedcba987654-ended").mkdir()
     with place.of_batch(tmp_path / "out") as temporaries:
-        assert set(os.listdir(temporaries)) == {*before, place.LOCK}
-    assert set(os.listdir(held)) == before
+        assert names(temporaries) == {*before, place.LOCK}
+    assert names(held) == before
     assert (held / "mine" / "notes.txt").read_text() == "mine"
     assert (theirs / "one" / "result.json").read_text() == "theirs"
-    assert os.listdir(tmp_path / "out") == [place.NAME]
+    assert names(tmp_path / "out") == {place.NAME}
 
 
 @POSIX
@@ -214,7 +219,7 @@ def test_the_place_of_somebody_else_is_refused(tmp_path: Path) -> None:
     os.chown(held.parent, NOBODY, NOBODY)  # whose folder it is may have it there
     with place.of_batch(tmp_path / "out"):
         pass
-    assert os.listdir(held.parent) == []
+    assert names(held.parent) == set()
 
 
 @POSIX
