@@ -111,7 +111,7 @@ def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
 
 
 def digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal; raises as `open_file`, or InputError beyond `PICTURE_BYTES`."""
+    """sha256 of a file, hexadecimal; raises as `read_bytes`, with the bound of pictures."""
     with open_file(path) as file:
         _bounded(file, path, PICTURE_BYTES)
         return hashlib.file_digest(file, "sha256").hexdigest()

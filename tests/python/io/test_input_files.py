@@ -11,7 +11,7 @@ from typing import NoReturn
 import pytest
 
 from command_runs import refused
-from pbrfit import InputError, Scene
+from pbrfit import InputError, Scene, _core
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.batch.prediction import picture_size
 from pbrfit.commands.messages import message_of
@@ -201,7 +201,7 @@ def test_too_little_memory_names_the_file(
     def decode_raster(*_: object, **__: object) -> NoReturn:
         raise MemoryError(*filter(None, [words]))
 
-    monkeypatch.setattr(images._core, "decode_raster", decode_raster)
+    monkeypatch.setattr(_core, "decode_raster", decode_raster)
     said = refused("inspect", folder)
     expected = "expected memory for what it holds, found too little" + (
         f": {words}" if words else ""
