@@ -165,7 +165,7 @@ def test_an_interrupted_batch_leaves_whole_results_and_no_process(
     _, errors = batch.communicate(timeout=60)
     assert batch.returncode == 128 + signal_number
     if signal_number == signal.SIGINT:
-        assert errors == (
+        assert errors.endswith(  # after lines of progress, where it took long
             "pbrfit: interrupted after 2 of 3 scenes; no unfinished result was left behind; "
             "--resume goes on from there\n"
         )
