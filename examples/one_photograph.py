@@ -19,7 +19,7 @@ import numpy as np
 
 from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
-from pbrfit.io.output import new_folder
+from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.review.damage import Kind, damaged
 from pbrfit_evaluation.review.pictures import relights
@@ -27,6 +27,9 @@ from pbrfit_evaluation.review.pictures import relights
 SEED = 2003
 PICTURES = 12
 DAMAGES: dict[int, Kind] = {4: "shift", 7: "recolour-object", 10: "clone"}
+
+GIVEN = FolderForm(("photo.png",), ("photo.png", "normals.exr", "relit/light_*.png"))
+"""Form of the folder that `write_pictures` fills."""
 
 
 def main() -> int:
@@ -37,18 +40,19 @@ def main() -> int:
     parser.add_argument("--iterations", metavar="K", type=int, default=500)
     parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run left")
     options = parser.parse_args()
-    with new_folder(options.out, overwrite=options.overwrite, contains=("photo.png",)) as folder:
+    out, given = options.out, options.out / "given"
+    with new_folder(given, overwrite=options.overwrite, form=GIVEN) as folder:
         write_pictures(folder, options.size)
-    out = options.out
     generate = [
-        *("generate", out / "photo.png", "--out", out / "scene", "--fov", "60"),
-        *("--generator", f"folder:{out / 'relit'}", "--segments", "none"),
-        *("--normals", out / "normals.exr"),
+        *("generate", given / "photo.png", "--out", out / "scene", "--fov", "60"),
+        *("--generator", f"folder:{given / 'relit'}", "--segments", "none"),
+        *("--normals", given / "normals.exr"),
     ]
     decompose = ["decompose", out / "scene", "--out", out / "result"]
     decompose += ["--iterations", str(options.iterations)]
+    again = ["--overwrite"] if options.overwrite else []
     for command in (generate, decompose):
-        ran = subprocess.run([sys.executable, "-m", "pbrfit", *command], check=False)
+        ran = subprocess.run([sys.executable, "-m", "pbrfit", *command, *again], check=False)
         if ran.returncode:
             return ran.returncode
     return 0

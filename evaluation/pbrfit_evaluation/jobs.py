@@ -25,7 +25,7 @@ import pbrfit
 import pbrfit_evaluation
 from pbrfit.batch.driver import Attempt, drive, repeat_log, workers
 from pbrfit.io.json_files import UNFIT, number, table
-from pbrfit.io.output import check_free
+from pbrfit.io.output import FolderForm, check_free
 
 RECORDS = "records"
 """Folder of the records, in that of the suite."""
@@ -35,6 +35,12 @@ SUMMARY = "summary.json"
 
 PART = ".part"
 """Ending of a record that is being written."""
+
+SUITE_FOLDER = FolderForm(
+    contains=(RECORDS,),
+    holds=(f"{RECORDS}/*", SUMMARY, "report.html", "*.csv", "*.md", "*.png"),
+)
+"""Form of a suite's folder."""
 
 _HEAD = b'{\n "digest": "'
 """What every record begins with."""
@@ -236,10 +242,10 @@ def prepare(folder: Path, *, resume: bool, overwrite: bool) -> None:
     if resume and there.is_dir():
         (folder / SUMMARY).unlink(missing_ok=True)
         return
-    check_free(folder, overwrite=overwrite, contains=(RECORDS,))
+    check_free(folder, overwrite=overwrite, form=SUITE_FOLDER)
     if folder.is_dir():
-        shutil.rmtree(folder.resolve())  # of a link to a folder, the link stays
-    (folder.resolve() / RECORDS).mkdir(parents=True)
+        shutil.rmtree(folder)
+    (folder / RECORDS).mkdir(parents=True)
 
 
 def _check_ours(folder: Path) -> None:

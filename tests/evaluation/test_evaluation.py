@@ -221,16 +221,19 @@ def test_records_of_somebody_else_are_left_alone(
     assert (tmp_path / name).exists()
 
 
-def test_a_link_to_a_folder_stays(tmp_path: Path) -> None:
+def test_what_is_not_a_suite_s_is_left_alone(tmp_path: Path) -> None:
     out = tmp_path / "out"
     jobs.prepare(out, resume=False, overwrite=False)
-    (out / "report.html").write_text("old", "utf-8")
     jobs.run([Task("x", tmp_path)], work, out)
     link = tmp_path / "link"
     link.symlink_to(out, target_is_directory=True)
-    jobs.prepare(link, resume=False, overwrite=True)
-    assert link.is_symlink()
-    assert [path.name for path in out.iterdir()] == ["records"]
+    with pytest.raises(FileExistsError, match=r"link: expected a folder or nothing, found a link"):
+        jobs.prepare(link, resume=False, overwrite=True)
+    (out / "report.html").write_text("old", "utf-8")
+    (out / "notes.txt").write_text("mine", "utf-8")
+    with pytest.raises(FileExistsError, match=r"out: .*, found notes\.txt besides"):
+        jobs.prepare(out, resume=False, overwrite=True)
+    assert (out / "records" / "x.json").exists()
 
 
 def test_report_is_whole_or_marked_by_the_lack_of_a_summary(tmp_path: Path) -> None:

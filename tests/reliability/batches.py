@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.output import digest
+from pbrfit.io.input_files import digest
 from pbrfit.result.result import FILES, Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene

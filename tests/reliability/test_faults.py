@@ -29,7 +29,7 @@ from batches import (
     statuses,
     tiled_scene,
 )
-from processes import NOBODY, ROOT, as_nobody_special, closed
+from processes import NOBODY, ROOT, as_nobody_special, closed, waiting_at
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="made for Linux")
 
@@ -204,24 +204,17 @@ def test_a_worker_that_dies_once_costs_nothing(scenes: Path, tmp_path: Path) -> 
 def test_a_scene_whose_worker_dies_again_and_again_fails_alone(
     scenes: Path, tmp_path: Path
 ) -> None:
-    os.mkfifo(scenes / "s3" / "mask.png")  # its worker waits there
+    waits = tmp_path / "waits"
     batch = started(
         arguments(scenes, tmp_path / "out", "--json"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        env=waiting_at("s3/normals.exr", waits),
     )
 
     def waiting() -> list[int]:
-        """Workers that are at the fifo, and at nothing else for a while."""
-        found = []
-        for process in of_session(batch.pid):
-            try:
-                threads = list(Path(f"/proc/{process}/task").iterdir())
-                if any((one / "wchan").read_text() == "wait_for_partner" for one in threads):
-                    found.append(process)
-            except OSError:
-                continue
-        return found
+        """Workers that wait before the normals of that scene."""
+        return [one for one in of_session(batch.pid) if (waits / str(one)).exists()]
 
     seconds_until(lambda: bool(waiting()))
     [first] = waiting()

@@ -22,6 +22,24 @@ def until(condition: Callable[[], bool]) -> None:
     raise AssertionError("it did not happen")
 
 
+def waiting_at(ending: str, folder: Path) -> dict[str, str]:
+    """Environment of processes that wait for ever before they open a file whose path ends so.
+
+    Each then has a file in `folder`, by its number.
+    """
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(
+        "import os, sys, time\n"
+        "def wait(event, arguments):\n"
+        f"    if event == 'open' and str(arguments[0]).endswith({ending!r}):\n"
+        f"        open({str(folder)!r} + f'/{{os.getpid()}}', 'w').close()\n"
+        "        time.sleep(3600)\n"
+        "sys.addaudithook(wait)\n"
+    )
+    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
 def alive(process: int) -> bool:
     """Whether it runs; one that has ended and waits for its parent does not."""
     try:

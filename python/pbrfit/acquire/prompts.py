@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
+from pbrfit.io.input_files import SETTINGS_BYTES, read_bytes
 from pbrfit.io.quoting import listed, quoted, shown
 
 SHIPPED = "prompts.toml"
@@ -52,7 +53,7 @@ def read_prompts(path: Path | None = None) -> Catalogue:
     where TOML is broken; OSError if it cannot be read.
     """
     name = str(path) if path is not None else SHIPPED
-    data = shipped_text().encode() if path is None else path.read_bytes()
+    data = shipped_text().encode() if path is None else read_bytes(path, SETTINGS_BYTES)
     try:
         content = tomllib.loads(data.decode("utf-8"))
     except UnicodeDecodeError as error:

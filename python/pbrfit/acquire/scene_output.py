@@ -8,6 +8,7 @@ taken for a scene, so nobody reads half of one.
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -39,6 +40,8 @@ PARTS = (
 
 _TEMPORARY = ".pbrfit-generate-"
 """What the folder's name starts with that a run works in; one that was killed leaves it."""
+
+_LEFT = re.compile(rf"{re.escape(_TEMPORARY)}[0-9a-f]{{12}}")
 
 _OF_SYSTEMS = (".db", ".ini")
 """Files that Windows puts beside pictures."""
@@ -161,8 +164,9 @@ def _alone(folder: Path, out: Path) -> Iterator[None]:
             ) from None
         except OSError:
             locked = False
-        for left in folder.glob(f"{_TEMPORARY}*") if locked else ():
-            shutil.rmtree(left, ignore_errors=True)
+        for left in folder.iterdir() if locked else ():
+            if _LEFT.fullmatch(left.name):
+                shutil.rmtree(left, ignore_errors=True)  # which follows no link
         yield
     finally:
         os.close(opened)

@@ -1,21 +1,32 @@
-"""Where results of a batch lie until they are whole: `DIR/.pbrfit`, held by one batch at a time."""
+"""Where results of a batch lie until they are whole: `DIR/.pbrfit`, held by one batch at a time.
+
+Somebody else may have put things there. No link is followed, and nothing is touched whose name is
+not of the form that batches make.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import secrets
 import shutil
+import stat
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from pbrfit.io.output import ASIDE, making, unfinished
+from pbrfit.io.input_files import FILE, FOLDER, kind_of, there
+from pbrfit.io.output import ASIDE, TOKEN_BYTES, making, unfinished, what_is
 
 NAME = ".pbrfit"
 
 LOCK = "lock"
+
+OURS = re.compile(rf"[0-9a-f]{{{2 * TOKEN_BYTES}}}({ASIDE}|-ended)?")
+"""Names of folders that workers make there; the core renames what it takes away to `*-ended`."""
 
 ATTEMPTS = 3
 """To clear the place, where somebody is still at work."""
@@ -25,15 +36,17 @@ ATTEMPTS = 3
 def of_batch(folder: Path) -> Iterator[Path]:
     """Give `folder/.pbrfit` for temporary folders, to this process alone; afterwards it is gone.
 
-    What a killed batch left there is removed first. A result that was about to be replaced is put
-    back, then and afterwards. A new `folder` that stays empty is removed too. Raises
-    FileExistsError if another batch works there. Where the system has no `flock` (Windows), that is
-    not known. Raises OSError if nothing can be written there.
+    What a killed batch left there is removed first; what is of others stays. A result that was
+    about to be replaced is put back, then and afterwards. A new `folder` that stays empty is
+    removed too. Raises FileExistsError if another batch works there, or there is a link, a file, or
+    somebody else's folder. Where the system has no `flock` (Windows), another batch is not noticed.
+    Raises OSError if nothing can be written there.
     """
     target = folder.resolve()
     new_parents = [parent for parent in (target, *target.parents) if not parent.exists()]
     place = target / NAME
     try:
+        _check_ours(place, folder / NAME)
         with making(folder, "folder"):
             lock = _locked(place / LOCK)
         if lock is None:
@@ -64,7 +77,7 @@ def of_batch(folder: Path) -> Iterator[Path]:
 def of_one(output: Path) -> Iterator[Path]:
     """Give a folder beside `output` for a result that another process writes; then it is gone."""
     target = output.resolve()
-    place = target.with_name(f"{NAME}-{secrets.token_hex(6)}")
+    place = target.with_name(f"{NAME}-{secrets.token_hex(TOKEN_BYTES)}")
     new_parents = [parent for parent in target.parents if not parent.exists()]
     with unfinished(place / LOCK, parents=[place, *new_parents]):
         try:
@@ -76,7 +89,7 @@ def of_one(output: Path) -> Iterator[Path]:
 
 
 def _clear(place: Path) -> None:
-    """Remove all but the lock, and put back what was set aside.
+    """Remove what workers left, and put back what they set aside.
 
     A worker that has outlived its batch may be at work on the same files. Then something fails,
     here or there, but nothing is removed before there is something in its place.
@@ -84,14 +97,12 @@ def _clear(place: Path) -> None:
     for last in (False,) * (ATTEMPTS - 1) + (True,):
         try:
             for left in place.iterdir():
-                if left.name == LOCK:
+                if not OURS.fullmatch(left.name) or kind_of(left.lstat()) != FOLDER:
                     continue
-                if left.name.endswith(ASIDE) and left.is_dir():
+                if left.name.endswith(ASIDE):
                     _put_back(left, place.parent)
-                elif left.is_dir():
-                    shutil.rmtree(left)
                 else:
-                    left.unlink()
+                    shutil.rmtree(left)
         except OSError:
             if last:
                 raise
@@ -113,11 +124,28 @@ def _remove(place: Path) -> None:
 
 def _put_back(aside: Path, folder: Path) -> None:
     for old in aside.iterdir():
-        if os.path.lexists(folder / old.name):
+        if there(folder / old.name):
             shutil.rmtree(old)
         else:
             old.rename(folder / old.name)
     aside.rmdir()  # fails if something has come into it meanwhile
+
+
+def _check_ours(place: Path, said: Path) -> None:
+    """See that nothing is there, or a folder of this user or of whoever has the folder above it."""
+    found = what_is(place)
+    if found not in (None, FOLDER):
+        raise FileExistsError(f"{said}: expected the folder of a batch or nothing, found {found}")
+    with suppress(FileNotFoundError):  # whoever had it has just removed it
+        owner, above = place.lstat().st_uid, place.parent.stat().st_uid
+        if sys.platform != "win32" and owner not in (os.geteuid(), above):
+            raise FileExistsError(
+                f"{said}: expected your own folder or nothing, found one of user {owner}; have it "
+                "removed if no batch of theirs is at work"
+            )
+    lock = what_is(place / LOCK)
+    if lock not in (None, FILE):
+        raise FileExistsError(f"{said / LOCK}: expected a file or nothing, found {lock}")
 
 
 def _locked(path: Path) -> IO[bytes] | None:
@@ -125,19 +153,28 @@ def _locked(path: Path) -> IO[bytes] | None:
     while True:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            file = path.open("ab")
+            file = os.fdopen(os.open(path, _LOCKING, 0o666), "ab")
         except FileNotFoundError:
             if path.parent.is_dir():
                 raise
             continue  # whoever held it has just removed the folder
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            file.close()
+            raise FileExistsError(errno.EEXIST, "no regular file", str(path))
         if not _lock(file):
             file.close()
             return None
         # Who held it may have removed it meanwhile; then it is no longer what others will open.
         with suppress(OSError):
-            if sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            if sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.lstat()):
                 return file
         file.close()
+
+
+_LOCKING = os.O_RDWR | os.O_CREAT | os.O_APPEND
+_LOCKING |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+"""Flags with which the lock is opened, should it have become something else since it was looked at:
+a link is not followed, a pipe not waited for."""
 
 
 def _lock(file: IO[bytes]) -> bool:

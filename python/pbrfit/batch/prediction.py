@@ -16,6 +16,7 @@ from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io import images, raw_files
 from pbrfit.io.depth_files import DEPTH_FILES
+from pbrfit.io.input_files import open_file
 from pbrfit.io.resampling import reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.result.options import FitOptions
@@ -81,7 +82,7 @@ def picture_size(path: Path) -> tuple[int, int]:
 
     Raises InputError or OSError if it cannot be read.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         head = file.read(_HEAD)
     kind = image_format(head)
     if raw_files.is_raw(path, head, kind):
@@ -103,7 +104,7 @@ def _of_raster(path: Path) -> tuple[int, int] | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about large pictures, and damage that is told later
         try:
-            with Image.open(path) as picture:
+            with open_file(path) as file, Image.open(file) as picture:
                 return picture.height, picture.width
         except Exception:  # forms that Pillow does not know, or whatever damage leads to
             return None

@@ -88,7 +88,7 @@ def decompose_scene(
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.result import advice
-    from pbrfit.result.result import CONTAINS
+    from pbrfit.result.result import RESULT_FOLDER
     from pbrfit.scene.registration import aligned
 
     wanted = _Wanted(task, show)
@@ -114,7 +114,7 @@ def decompose_scene(
     with new_folder(
         task.output,
         overwrite=task.overwrite or task.resume,
-        contains=CONTAINS,
+        form=RESULT_FOLDER,
         temporaries=task.temporaries,
     ) as folder:
         scene = task.reading.load(task.scene)

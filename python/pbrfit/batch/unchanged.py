@@ -10,8 +10,8 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.batch.settings import Reading
+from pbrfit.io.input_files import TEXT_BYTES, digest, read_text
 from pbrfit.io.json_files import UNFIT, table
-from pbrfit.io.output import digest
 from pbrfit.model.reflection import chosen_model
 from pbrfit.result.options import FitOptions
 from pbrfit.result.result import files_of, model_of
@@ -29,7 +29,7 @@ def kept(
     cannot be read is none.
     """
     try:
-        content = json.loads((output / "result.json").read_text(encoding="utf-8"))
+        content = json.loads(read_text(output / "result.json", TEXT_BYTES))
         same = (
             content["version"] == version("pbrfit")
             and content["options"] == options.to_json()
@@ -52,7 +52,7 @@ def check_model(output: Path, scene: Path, options: FitOptions) -> None:
     """
     file = output / "result.json"
     try:
-        content = table(json.loads(file.read_text(encoding="utf-8")))
+        content = table(json.loads(read_text(file, TEXT_BYTES)))
     except (OSError, ValueError, RecursionError):
         return
     of_pictures = scene_folder.read_settings(scene / "scene.toml").model

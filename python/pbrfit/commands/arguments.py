@@ -55,14 +55,14 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
     """Add a result folder, and `--out` and `--overwrite` for what is made of it."""
     parser.add_argument("result", metavar="RESULT", type=Path, help="result folder")
-    add_out(parser, what, metavar, "replace an earlier output")
+    add_out(parser, what, metavar, "replace an earlier output that holds nothing else")
 
 
 def add_out(
     parser: argparse.ArgumentParser,
     what: str,
     metavar: str = "DIR",
-    replaced: str = "replace existing results",
+    replaced: str = "replace existing results that hold nothing else",
 ) -> None:
     """Add `--out` and `--overwrite`."""
     add_flags(parser, out=value(metavar, Path, what, required=True), overwrite=switch(replaced))

@@ -18,8 +18,8 @@ from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
 from pbrfit.commands.scene_display import SceneDisplay
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit import memory
-from pbrfit.io.output import check_free
-from pbrfit.result.result import CONTAINS
+from pbrfit.io.output import check_is_output
+from pbrfit.result.result import RESULT_FOLDER
 from pbrfit.scene.folder import is_scene
 
 
@@ -68,7 +68,8 @@ def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing
         if around is not None:
             raise InputError(f"{around}: expected a folder apart from the scene, found {path}")
     for output in outputs:
-        check_free(output, overwrite=replacing, contains=CONTAINS)
+        # What else is in one fails its own scene, and only if that is done again.
+        check_is_output(output, overwrite=replacing, form=RESULT_FOLDER)
 
 
 def _task(

@@ -17,14 +17,15 @@ from pbrfit.commands.fit_options import (
 from pbrfit.commands.synth import add_synthetic, make_scene
 from pbrfit.commands.terminal import verdict_lines
 from pbrfit.fit.decompose import decompose
-from pbrfit.io.output import new_folder
+from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.io.relit_files import Screen, write_animation, write_png
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.report import write_report
 from pbrfit.result.advice import next_steps
 from pbrfit.result.drawing import plot_history
 from pbrfit.result.relighting import DirectionalLight, relight
-from pbrfit.result.result import Result
+from pbrfit.result.result import RESULT_FOLDER, Result
+from pbrfit.scene.folder import SCENE_FOLDER
 from pbrfit.scene.scene import Scene
 
 LAMP = DirectionalLight(-50.0, 35.0)
@@ -32,6 +33,16 @@ LAMP = DirectionalLight(-50.0, 35.0)
 
 FRAMES = 48
 """Frames of the animation in which the lamp goes once around."""
+
+DEMO_FOLDER = FolderForm(
+    contains=("scene", "result"),
+    holds=(
+        *(f"scene/{path}" for path in SCENE_FOLDER.holds),
+        *(f"result/{path}" for path in RESULT_FOLDER.holds),
+        *("history.png", "relit.png", "relit.webp", "report.html"),
+    ),
+)
+"""Form of what the command writes."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -47,8 +58,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make a scene, fit it, relight it and report."""
-    parts = ("scene", "result")
-    with new_folder(options.out, overwrite=options.overwrite, contains=parts) as folder:
+    with new_folder(options.out, overwrite=options.overwrite, form=DEMO_FOLDER) as folder:
         make_scene(options).save(folder / "scene")
         scene = Scene.load(folder / "scene")
         with fit_bar(options.iterations, options.kind, quiet=options.quiet) as show:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
-from pbrfit.export import CONTAINS, Exported, export_result
+from pbrfit.export import EXPORT_FOLDER, Exported, export_result
 from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
 from pbrfit.export.view_mesh import Geometry
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"{options.out}: expected a folder apart from the result, found {options.result}"
         )
-    check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
+    check_free(options.out, overwrite=options.overwrite, form=EXPORT_FOLDER)
     names = ("format", "preset", "normals", "bits", "geometry", "overwrite")
     asked = {name: getattr(options, name) for name in names}
     result = Result.load(options.result)

@@ -8,6 +8,7 @@ from pathlib import Path
 from pbrfit.commands.arguments import DONE, add_flags, add_scene, value
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
+from pbrfit.io.output import new_file
 from pbrfit.report import inspection
 from pbrfit.result import preview
 
@@ -29,6 +30,7 @@ def run(options: argparse.Namespace) -> int:
     for topic, fact in inspection.facts(scene):
         print(f"{topic:<17} {fact}")
     if options.preview is not None:
-        images.write_png(options.preview, preview.normals_preview(scene), tag="srgb")
+        with new_file(options.preview, overwrite=True) as path:
+            images.write_png(path, preview.normals_preview(scene), tag="srgb")
         print(f"{'preview':<17} {options.preview}")
     return DONE

@@ -40,7 +40,9 @@ def message_of(error: Exception) -> str:
     """One line that names the file."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split())
+    words = " ".join(str(error).split())
+    short_of_memory = isinstance(error, MemoryError) and not words
+    return "expected more memory, found too little" if short_of_memory else words
 
 
 def in_flags(message: str) -> str:

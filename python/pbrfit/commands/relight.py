@@ -12,7 +12,7 @@ from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import add_light, choose_light
 from pbrfit.io import relit_files
 from pbrfit.io.display import ToneMap
-from pbrfit.io.output import check_free, check_free_file, new_file, new_folder
+from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
 from pbrfit.io.relit_files import Radiance, Range, Screen
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS
@@ -211,10 +211,16 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
             "the result's and the light's"
         )
     if kind == "folder":
-        first = _frame_name(0, options)
-        check_free(options.out, overwrite=options.overwrite, contains=(first,))
+        check_free(options.out, overwrite=options.overwrite, form=_frames_folder(options))
     else:
         check_free_file(options.out, overwrite=options.overwrite)
+
+
+def _frames_folder(options: argparse.Namespace) -> FolderForm:
+    """Form of a folder of frames."""
+    return FolderForm(
+        contains=(_frame_name(0, options),), holds=(f"frame_[0-9]*.{options.format or 'exr'}",)
+    )
 
 
 def _frame(k: int, result: Result, light: Light, options: argparse.Namespace) -> Radiance:
@@ -238,8 +244,8 @@ def _write(
     options: argparse.Namespace, kind: str, frames: Iterator[Radiance], screen: Screen
 ) -> None:
     if kind == "folder":
-        first = (_frame_name(0, options),)
-        with new_folder(options.out, overwrite=options.overwrite, contains=first) as folder:
+        form = _frames_folder(options)
+        with new_folder(options.out, overwrite=options.overwrite, form=form) as folder:
             for k, frame in enumerate(frames):
                 _write_picture(folder / _frame_name(k, options), frame, screen)
         return

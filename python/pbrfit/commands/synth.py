@@ -10,7 +10,7 @@ from pbrfit.commands.arguments import DONE, add_flags, choice, switch, value, wh
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.io.output import check_free
 from pbrfit.model.reflection import DEFAULT_MODEL
-from pbrfit.scene.folder import CONTAINS
+from pbrfit.scene.folder import SCENE_FOLDER
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.scenes import ADDED_KINDS, KINDS
 
@@ -58,7 +58,7 @@ def make_scene(options: argparse.Namespace) -> Scene:
 
 def run(options: argparse.Namespace) -> int:
     """Write the scene folder."""
-    check_free(options.out, overwrite=options.overwrite, contains=CONTAINS)
+    check_free(options.out, overwrite=options.overwrite, form=SCENE_FOLDER)
     make_scene(options).save(options.out, overwrite=options.overwrite)
     print(f"{options.out}: {options.kind}, {options.lights} pictures and ground truth")
     return DONE

@@ -45,8 +45,8 @@ from pbrfit.export.rti import (
 )
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
-from pbrfit.io.json_files import write_json
-from pbrfit.io.output import new_folder
+from pbrfit.io.json_files import UNFIT, path_text, read_json, write_json
+from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.model.materials import write_materials
 from pbrfit.result.result import Result
 
@@ -60,8 +60,18 @@ under the SH light that it stands for."""
 
 log = logging.getLogger("pbrfit")
 
-CONTAINS = (MANIFEST,)
-"""Files by which a folder is known for an export."""
+
+def _listed(folder: Path) -> list[str]:
+    """Files that an export says it holds; none where it cannot be read."""
+    try:
+        files = read_json(folder / MANIFEST, "a list of files")["files"]
+        return [path_text(file["path"]) for file in files]
+    except (OSError, *UNFIT):
+        return []
+
+
+EXPORT_FOLDER = FolderForm(contains=(MANIFEST,), holds=(MANIFEST,), listed=_listed)
+"""Form of an export."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +161,7 @@ def export_result(
     wanted = height and {"exr", "png"} & {*planned.formats}
     displacement = Displacement.of(result) if wanted else None
     files: list[ExportedFile] = []
-    with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
+    with new_folder(Path(path), overwrite=overwrite, form=EXPORT_FOLDER) as folder:
         if "gltf" in planned.formats:
             files.append(_write_gltf(folder, maps, planned, result.fov))
         if "exr" in planned.formats:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.input_files import there
 from pbrfit.io.npy_files import read_npy
 from pbrfit.io.quoting import listed
 
@@ -21,7 +22,7 @@ CHANNELS = ("Z", "depth.Z", "Depth.Z", "depth.V", "Depth.V", "depth.Y", "Y", "R"
 
 def find_depth(folder: Path) -> Path | None:
     """The file with depth that a scene folder has; InputError if it has both."""
-    found = [path for name in DEPTH_FILES if (path := folder / name).exists()]
+    found = [path for name in DEPTH_FILES if there(path := folder / name)]
     if len(found) > 1:
         raise InputError(f"{folder}: expected {' or '.join(DEPTH_FILES)}, found both")
     return found[0] if found else None

@@ -32,6 +32,7 @@ from pbrfit.io.color import (
 )
 from pbrfit.io.exif import focal_length_35mm
 from pbrfit.io.file_noise import Stored
+from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
 from pbrfit.io.jpeg_noise import read_tables
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits, converted, of_codes
 from pbrfit.io.quoting import listed
@@ -88,6 +89,7 @@ class Picture:
     """The samples as they are in an integer file; None for float files."""
 
 
+@names_file
 def read_picture(
     path: str | os.PathLike[str],
     color_space: ColorSpace | None = None,
@@ -205,6 +207,7 @@ def _raw_picture(
     )
 
 
+@names_file
 def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[np.float64]:
     """Read a mask, normals or other data: never decoded as colour.
 
@@ -231,6 +234,7 @@ def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray
     return samples.astype(np.float64)
 
 
+@names_file
 def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     """Read a picture of integer ids, such as segments: (H, W) uint16, as they are stored.
 
@@ -248,6 +252,7 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     return np.ascontiguousarray(samples[..., 0], dtype=np.uint16)
 
 
+@names_file
 def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """Read all channels of an EXR file as they are: (H, W) float32 by full name, ``albedo.R``.
 
@@ -314,40 +319,45 @@ def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
 def _load(path: str | os.PathLike[str], *, raw: bool = False) -> tuple[Path, bytes, str]:
     """Read path, content and format of a file that can be read; raw files where they may be."""
     path = Path(path)
-    data = path.read_bytes()
-    if not data:
-        raise InputError(f"{path}: expected a picture, found an empty file")
-    kind = _core.image_format(data)
-    if raw_files.is_raw(path, data, kind):
-        if raw:
-            return path, data, RAW
-        raise InputError(
-            f"{path}: expected {_SUPPORTED}, found a raw file: {raw_files.how_to_develop(path)}"
-        )
-    if kind is None:
-        raise InputError(f"{path}: expected {_SUPPORTED}, found {_guess(path, data)}")
-    return path, data, kind
+    with open_file(path) as file:
+        head = file.read(_HEAD)  # what is no picture is not read, however large it is
+        if not head:
+            raise InputError(f"{path}: expected a picture, found an empty file")
+        kind = _core.image_format(head)
+        if raw_files.is_raw(path, head, kind):
+            if not raw:
+                raise InputError(
+                    f"{path}: expected {_SUPPORTED}, found a raw file: "
+                    f"{raw_files.how_to_develop(path)}"
+                )
+            kind = RAW
+        if kind is None:
+            raise InputError(f"{path}: expected {_SUPPORTED}, found {_guess(path, head)}")
+        return path, content_of(file, path, PICTURE_BYTES), kind
 
 
 _SUPPORTED = "EXR, HDR, PNG, JPEG or TIFF"
 
+_HEAD = 64
+"""Bytes by which a format is known."""
 
-def _guess(path: Path, data: bytes) -> str:
+
+def _guess(path: Path, head: bytes) -> str:
     """Say what a file that is not supported seems to be."""
     if path.suffix.lower() in _HEIF_SUFFIXES or (
-        data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS
+        head[4:8] == b"ftyp" and head[8:12] in _HEIF_BRANDS
     ):
         return (
             f"HEIC or AVIF: convert it first, for example with"
             f" `heif-convert {path.name} {path.stem}.png`"
         )
-    if data.startswith(b"GIF8"):
+    if head.startswith(b"GIF8"):
         return "GIF"
-    if data.startswith(b"BM"):
+    if head.startswith(b"BM"):
         return "BMP"
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
         return "WebP"
-    return f"a file that starts with {data[:8]!r}"
+    return f"a file that starts with {head[:8]!r}"
 
 
 def _article(kind: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pbrfit._core import InputError
+from pbrfit.io.input_files import TEXT_BYTES, names_file, read_text
 from pbrfit.io.quoting import quoted, shown
 
 UNFIT = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
@@ -22,16 +23,19 @@ MOST = 2**53
 """Whole numbers up to here are the same as floats."""
 
 
+@names_file
 def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
     """Content of a JSON file.
 
     `expected` says for the message what it should hold. `finite` refuses NaN and infinities, which
     are no JSON but often written. Raises InputError if it is not UTF-8 or not JSON, or nested
-    beyond reason; OSError if it cannot be read.
+    beyond reason, or no regular file; OSError if it cannot be read.
     """
     refuse = _refuse if finite else None
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+        return json.loads(read_text(path, TEXT_BYTES), parse_constant=refuse)
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         raise unfit(path, expected, error) from None
 

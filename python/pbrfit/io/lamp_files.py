@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
+from pbrfit.io.input_files import TEXT_BYTES, read_text, there
 from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, whole, write_json
 from pbrfit.io.quoting import listed, quoted, shown
 
@@ -66,10 +67,10 @@ def find_lamps(folder: Path) -> Path | None:
 
     Raises InputError if there are several.
     """
-    found = [path for name in LAMP_FILES if (path := folder / name).exists()]
+    found = [path for name in LAMP_FILES if there(path := folder / name)]
     for below in (folder, folder / "images"):
         if below.is_dir():
-            found += sorted(p for p in below.iterdir() if _is_lp(p) and p.is_file())
+            found += sorted(filter(_is_lp, below.iterdir()))
     if len(found) > 1:
         names = listed(path.relative_to(folder).as_posix() for path in found)
         raise InputError(f"{folder}: expected one file with lamps, found {names}")
@@ -203,7 +204,7 @@ def unit(vector: Vector) -> Vector:
 def _lines(path: Path, expected: str) -> list[str]:
     """Lines of a text file, without a byte order mark."""
     try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return read_text(path, TEXT_BYTES, "utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise unfit(path, expected, error) from None
 

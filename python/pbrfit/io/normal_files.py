@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.input_files import there
 from pbrfit.io.quoting import listed
 
 NORMAL_FILES = ("normals.exr", "normals.png")
@@ -63,7 +64,7 @@ class Convention:
 
 def find_normals(folder: Path) -> list[Path]:
     """The files with normals that a scene folder has."""
-    return [path for name in NORMAL_FILES if (path := folder / name).exists()]
+    return [path for name in NORMAL_FILES if there(path := folder / name)]
 
 
 def read_normals(path: Path) -> NDArray[np.float64]:

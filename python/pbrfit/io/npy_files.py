@@ -10,23 +10,25 @@ from numpy.lib.format import MAGIC_PREFIX
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.input_files import names_file, open_file
 from pbrfit.io.quoting import shown
 
 
+@names_file
 def read_npy(path: Path) -> NDArray[np.float64]:
     """Read an array of numpy's own format, without anything that could be code.
 
-    Raises InputError if the file is no array of real numbers.
+    Raises InputError if the file is no array of real numbers; OSError if it cannot be read.
     """
     expected = "expected an array of real numbers in .npy"
     try:
-        with path.open("rb") as file, warnings.catch_warnings():
+        with open_file(path) as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about headers of long ago
             if file.read(len(MAGIC_PREFIX)) != MAGIC_PREFIX:
                 raise ValueError("a file of another kind")
             # Mapped instead of read: no memory is taken for more than the file holds.
             array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except OSError:
+    except (OSError, InputError, MemoryError):
         raise
     except Exception as error:  # headers are Python expressions, and fail in all ways of these
         raise InputError(f"{path}: {expected}, found {shown(error)}") from None

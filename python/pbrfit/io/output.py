@@ -1,20 +1,75 @@
-"""Output folders and files that are whole or not there."""
+"""Output folders and files that are whole or not there.
+
+What is replaced is what pbrfit wrote: a file, or a folder that holds nothing else. No link at the
+name itself is followed, as what it leads to may be anybody's; links among the folders above are.
+"""
 
 from __future__ import annotations
 
 import errno
-import hashlib
 import secrets
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from glob import escape
 from pathlib import Path
 
 from pbrfit import _core
+from pbrfit.io.input_files import FILE, FOLDER, LINK, kind_of, there
+from pbrfit.io.quoting import listed
+
+TOKEN_BYTES = 6
+"""Random bytes, in hexadecimal, by which unfinished outputs are named."""
 
 ASIDE = "-old"
 """Ending of a folder in which something lies that is being replaced, by its name."""
+
+
+PASSED_OVER = (".DS_Store", "._*", ".nfs*", "Thumbs.db", "desktop.ini", ".pbrfit-*")
+"""Patterns of names of files that systems, and pbrfit when it is killed, leave in any folder; they
+go with it."""
+
+
+@dataclass(frozen=True)
+class FolderForm:
+    """By what an earlier output folder is known, and what may be in it."""
+
+    contains: tuple[str, ...] = ()
+    """Paths that are in each one."""
+    holds: tuple[str, ...] = ()
+    """Paths of all files that pbrfit writes into one, as patterns of `fnmatch`."""
+    listed: Callable[[Path], Collection[str]] = lambda _: ()
+    """Gives further paths of files: those that a folder itself says it holds."""
+
+    def missing(self, folder: Path) -> str | None:
+        """What a folder lacks to be an earlier output; None where that is nothing."""
+        return next((name for name in self.contains if not there(folder / name)), None)
+
+    def foreign(self, folder: Path) -> Iterator[Path]:
+        """What is in a folder and not of pbrfit, or of a system."""
+        patterns = (*self.holds, *map(escape, self.listed(folder)))
+        return _foreign(folder, [pattern.split("/") for pattern in patterns])
+
+
+def _foreign(folder: Path, patterns: Sequence[list[str]]) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        ends = [end for first, *end in patterns if fnmatchcase(path.name, first)]
+        kind = kind_of(path.lstat())
+        if kind == FOLDER and any(ends):
+            yield from _foreign(path, [end for end in ends if end])
+        elif kind != FILE or ([] not in ends and not _passed_over(path.name)):
+            yield path
+
+
+def _passed_over(name: str) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in PASSED_OVER)
+
+
+EMPTY = FolderForm()
+"""Form of a folder in which there is nothing."""
 
 
 @contextmanager
@@ -100,20 +155,20 @@ def new_folder(
     path: Path,
     *,
     overwrite: bool = False,
-    contains: Collection[str] = (),
+    form: FolderForm = EMPTY,
     temporaries: Path | None = None,
 ) -> Iterator[Path]:
     """Give a temporary folder beside `path` that takes its name when the block ends well.
 
     When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
     parent folders, and a folder that was to be replaced still there. `temporaries` is a folder on
-    the same file system that takes the place of that beside `path`, unless `path` is a link to
-    elsewhere; a folder that is replaced lies in it for an instant as `*-old/NAME`. Raises
-    FileExistsError, see `check_free`; OSError if no folder can be made there.
+    the same file system that takes the place of that beside `path`; a folder that is replaced lies
+    in it for an instant as `*-old/NAME`. Raises FileExistsError, see `check_free`; OSError if no
+    folder can be made there.
     """
-    check_free(path, overwrite=overwrite, contains=contains)
-    target = path.resolve()  # of a link to a folder, the folder is replaced and the link stays
-    token = secrets.token_hex(6)
+    check_free(path, overwrite=overwrite, form=form)
+    target = _place(path)
+    token = secrets.token_hex(TOKEN_BYTES)
     temporary = target.with_name(f".pbrfit-{token}")
     if temporaries is not None and temporaries.resolve().parent == target.parent:
         temporary = temporaries / token
@@ -128,15 +183,15 @@ def new_folder(
             with naming(path, temporary):
                 yield temporary
             # Another process may have been here meanwhile.
-            check_free(path, overwrite=overwrite, contains=contains)
+            check_free(path, overwrite=overwrite, form=form)
             with undisturbed():
-                if target.exists():
+                if there(target):
                     # Two renames: the old folder is gone for an instant, but never half replaced.
                     aside.mkdir()
                     target.rename(old)
                 temporary.rename(target)
         except BaseException:
-            if old.exists() and not target.exists():
+            if there(old) and not there(target):
                 old.rename(target)
             raise
         finally:
@@ -152,14 +207,15 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     OSError if no file can be made there.
     """
     check_free_file(path, overwrite=overwrite)
-    target = path.resolve()
-    temporary = target.with_name(f".pbrfit-{secrets.token_hex(6)}{target.suffix}")
+    target = _place(path)
+    temporary = target.with_name(f".pbrfit-{secrets.token_hex(TOKEN_BYTES)}{target.suffix}")
     new_parents = [parent for parent in target.parents if not parent.exists()]
     with unfinished(temporary, parents=new_parents):
         try:
             with making(path, "file"):
                 target.parent.mkdir(parents=True, exist_ok=True)
-                temporary.touch()  # no right to write shows before the work, not after it
+                # No right to write shows before the work, not after it.
+                temporary.touch(exist_ok=False)
             with naming(path, temporary):
                 yield temporary
             check_free_file(path, overwrite=overwrite)  # as above
@@ -169,10 +225,9 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
                 temporary.unlink(missing_ok=True)
 
 
-def digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _place(path: Path) -> Path:
+    """Where an output lies: no link but in the folders above it."""
+    return path.parent.resolve() / path.name if path.name not in ("", "..") else path.resolve()
 
 
 def check_free_file(path: Path, *, overwrite: bool) -> None:
@@ -180,38 +235,61 @@ def check_free_file(path: Path, *, overwrite: bool) -> None:
 
     Raises FileExistsError if something is there, unless it is a file and `overwrite` is True.
     """
-    if path.is_dir():
-        raise FileExistsError(f"{path}: expected a file or nothing, found a folder")
-    if not overwrite and (path.exists() or path.is_symlink()):
+    found = what_is(path)
+    if found not in (None, FILE):
+        raise FileExistsError(f"{path}: expected a file or nothing, found {found}")
+    if found and not overwrite:
         raise FileExistsError(
             f"{path}: expected a file that does not exist yet, found one; "
             "overwrite=True replaces it"
         )
 
 
-def check_free(path: Path, *, overwrite: bool, contains: Collection[str] = ()) -> None:
+def check_free(path: Path, *, overwrite: bool, form: FolderForm = EMPTY) -> None:
     """Check that a folder may be made at `path`.
 
-    Only what looks like an earlier output is replaced: an empty folder, or one that holds all the
-    names in `contains`. Pictures that somebody took are not lost to a slip of the fingers. Raises
-    FileExistsError if something is there, unless it is a folder and `overwrite` is True. A folder
-    that the process works in is never replaced.
+    Only an earlier output is replaced: an empty folder, or one of the given form in which there is
+    nothing else. Pictures that somebody took, and what somebody put beside a result, are not lost
+    to a slip of the fingers. Raises FileExistsError if something is there, unless it is a folder
+    and `overwrite` is True. A folder that the process works in is never replaced.
     """
-    if path.is_dir():
+    check_is_output(path, overwrite=overwrite, form=form)
+    foreign = (
+        [one.relative_to(path).as_posix() for one in form.foreign(path)] if there(path) else []
+    )
+    if foreign:
+        raise FileExistsError(
+            f"{path}: expected nothing but an earlier output to replace, found {listed(foreign)} "
+            "besides; move it away first"
+        )
+
+
+def check_is_output(path: Path, *, overwrite: bool, form: FolderForm) -> None:
+    """As `check_free`, whatever else an earlier output may hold by now."""
+    found = what_is(path)
+    if found == FOLDER:
         if not overwrite:
             raise FileExistsError(
                 f"{path}: expected a folder that does not exist yet, found one; "
                 "overwrite=True replaces it"
             )
-        missing = [name for name in contains if not (path / name).exists()]
-        if missing and any(path.iterdir()):
+        missing = form.missing(path)
+        if missing and not all(_passed_over(one.name) for one in path.iterdir()):
             raise FileExistsError(
                 f"{path}: expected an earlier output to replace, found a folder without "
-                f"{missing[0]}; remove it yourself if it is not needed"
+                f"{missing}; remove it yourself if it is not needed"
             )
         if Path.cwd().is_relative_to(path.resolve()):
             raise FileExistsError(
                 f"{path}: expected a folder to replace, found the current one or one above it"
             )
-    elif path.exists() or path.is_symlink():
-        raise FileExistsError(f"{path}: expected a folder or nothing, found a file")
+    elif found is not None:
+        raise FileExistsError(f"{path}: expected a folder or nothing, found {found}")
+
+
+def what_is(path: Path) -> str | None:
+    """What has a name, in words, with what it leads to if it is a link; None = nothing has."""
+    if not there(path):
+        return None
+    found = kind_of(path.lstat())
+    return f"{found} to {path.readlink()}" if found == LINK else found

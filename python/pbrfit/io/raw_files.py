@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.exif import focal_length_35mm
+from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.limits import AT_LEAST, Limits, converted, of_codes
 from pbrfit.io.quoting import shown
 
@@ -107,7 +108,7 @@ def develop(path: Path, data: bytes, codes: tuple[int, int]) -> Developed:
 
 def size(path: Path) -> tuple[int, int]:
     """(height, width) of a raw file before it is turned; InputError as `develop`."""
-    with _opened(path, path.read_bytes()) as (_, raw):
+    with _opened(path, read_bytes(path, PICTURE_BYTES)) as (_, raw):
         return int(raw.sizes.height), int(raw.sizes.width)
 
 

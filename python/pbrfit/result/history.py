@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.input_files import TEXT_BYTES, read_text
 from pbrfit.io.quoting import shown
 
 
@@ -78,11 +80,11 @@ class History:
     def load(cls, path: Path) -> History:
         """Read what `save` wrote.
 
-        Raises InputError if the file has other columns, no rows, or an entry that is not a number.
+        Raises InputError if the file has other columns, no rows, or an entry that is not a number;
+        OSError if it cannot be read.
         """
         try:
-            with path.open(newline="", encoding="utf-8") as file:
-                header, *lines = csv.reader(file)
+            header, *lines = csv.reader(io.StringIO(read_text(path, TEXT_BYTES), newline=""))
             if tuple(header) not in (COLUMNS, WITHOUT_TRUTH):
                 raise ValueError(f"columns {', '.join(header)}")
             rows = tuple(
@@ -91,6 +93,8 @@ class History:
             )
             if not rows:
                 raise ValueError("no rows")
+        except InputError:
+            raise
         except (ValueError, csv.Error) as error:
             raise InputError(
                 f"{path}: expected columns {', '.join(WITHOUT_TRUTH)} of numbers, "

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.input_files import digest
 from pbrfit.io.json_files import (
     UNFIT,
     number,
@@ -26,7 +27,7 @@ from pbrfit.io.json_files import (
     whole,
     write_json,
 )
-from pbrfit.io.output import digest, new_folder
+from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
@@ -50,11 +51,13 @@ from pbrfit.transport.decision import Transport
 if TYPE_CHECKING:
     from pbrfit import Exported
 
-CONTAINS = ("result.json", "materials.exr")
-"""Files by which a folder is known for a result."""
-
 FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
 """Files of a result folder whose sha256 is in `result.json`."""
+
+RESULT_FOLDER = FolderForm(
+    contains=("result.json", "materials.exr"), holds=("result.json", *FILES, HEIGHT_FILE)
+)
+"""Form of a result folder."""
 
 
 class Result(ResultData):
@@ -83,7 +86,7 @@ class Result(ResultData):
         FileExistsError
             If the folder exists and `overwrite` is False.
         """
-        with new_folder(Path(path), overwrite=overwrite, contains=CONTAINS) as folder:
+        with new_folder(Path(path), overwrite=overwrite, form=RESULT_FOLDER) as folder:
             self.write(folder, scene)
 
     def write(self, folder: Path, scene: Scene | None = None, place: Path | None = None) -> None:
@@ -265,11 +268,12 @@ def _check_is_result(folder: Path) -> None:
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing"
     else:
-        missing = [name for name in (*CONTAINS, "lighting.json") if not (folder / name).exists()]
+        marks = (*RESULT_FOLDER.contains, "lighting.json")
+        missing = [name for name in marks if not (folder / name).exists()]
         if not missing:
             return
-        below = sorted(p.parent.name for p in folder.glob(f"*/{CONTAINS[0]}"))
-        if len(missing) < len(CONTAINS) + 1 and not is_scene(folder):
+        below = sorted(p.parent.name for p in folder.glob(f"*/{marks[0]}"))
+        if len(missing) < len(marks) and not is_scene(folder):
             found = f"one without {missing[0]}"
         elif is_scene(folder):
             found = "a scene folder: run pbrfit decompose on it first"

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES, write_depth
+from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import find_normals, write_normals
-from pbrfit.io.output import new_file
+from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
@@ -34,20 +35,21 @@ def check_normals_can_be_added(folder: Path, *, overwrite: bool, height: bool = 
     """Check what can be checked before the normals are there: making them may take long.
 
     Raises FileExistsError if the folder has normals or weights, or a height where there will be
-    one, and `overwrite` is False; InputError or OSError if there is no such folder, or its
-    `scene.toml` states a convention that nothing can be turned into.
+    one, and `overwrite` is False, or they are no files; InputError or OSError if there is no such
+    folder, or its `scene.toml` states a convention that nothing can be turned into.
     """
     _to_convention(folder, np.zeros(3))
     scene_folder.find_pictures(folder)
     others = [folder / WEIGHT_FILE, *([folder / HEIGHT_FILE] if height else [])]
     for path in [*find_normals(folder), *others]:
-        if path.exists() and not overwrite:
+        if there(path) and not overwrite:
             kinds = {WEIGHT_FILE: "weights", HEIGHT_FILE: "height"}
             what = kinds.get(path.name, "normals")
             raise FileExistsError(
                 f"{path}: expected no {what} yet, found some; overwrite=True replaces normals and "
                 "weights"
             )
+        check_free_file(path, overwrite=True)
 
 
 def add_normals(
@@ -127,12 +129,13 @@ def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool
 
 
 def check_no_depth(folder: Path, *, overwrite: bool) -> None:
-    """Raise FileExistsError if the folder has depth and `overwrite` is False."""
+    """Raise FileExistsError if the folder has depth and `overwrite` is False, or it is no file."""
     for path in (folder / name for name in DEPTH_FILES):
-        if path.exists() and not overwrite:
+        if there(path) and not overwrite:
             raise FileExistsError(
                 f"{path}: expected no depth yet, found some; overwrite=True replaces"
             )
+        check_free_file(path, overwrite=True)
 
 
 def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
@@ -181,9 +184,10 @@ def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = Fal
 
 
 def check_no_segments(folder: Path, *, overwrite: bool) -> None:
-    """Raise FileExistsError if the folder has segments and `overwrite` is False."""
+    """Raise FileExistsError if there are segments and `overwrite` is False, or they are no file."""
     path = folder / scene_folder.SEGMENT_FILE
-    if path.exists() and not overwrite:
+    if there(path) and not overwrite:
         raise FileExistsError(
             f"{path}: expected no segments yet, found some; overwrite=True replaces"
         )
+    check_free_file(path, overwrite=True)

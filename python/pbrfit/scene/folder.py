@@ -16,19 +16,18 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import DEPTH_FILES, find_depth
+from pbrfit.io.input_files import FILE, SETTINGS_BYTES, digest, kind_of, read_text, there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, Convention, find_normals
-from pbrfit.io.output import digest
+from pbrfit.io.output import FolderForm
 from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.model import geometry
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.scene.arrays import FIRST_FOV
+from pbrfit.scene.height import HEIGHT_FILE
 
 log = logging.getLogger("pbrfit")
-
-CONTAINS = ("scene.toml", "truth")
-"""What a scene folder must hold to be replaced: ground truth tells it from somebody's pictures."""
 
 NOT_PICTURES = frozenset({".csv", ".db", ".ini", ".json", ".lp", ".md", ".toml", ".txt", ".xmp"})
 """Suffixes of files that may lie beside pictures."""
@@ -43,6 +42,16 @@ DARK_FRAME = "dark"
 
 PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
 """Files of a scene folder beside pictures, normals, depth and ground truth."""
+
+SCENE_FOLDER = FolderForm(
+    contains=("scene.toml", "truth"),
+    holds=(
+        *("images/*.exr", NORMAL_FILES[0], DEPTH_FILES[0], LAMP_FILES[0], HEIGHT_FILE, *PARTS),
+        *(f"truth/{path}" for path in ("materials.exr", "lighting.json")),
+        *(f"truth/relight/{path}" for path in ("*.exr", "lighting.json")),
+    ),
+)
+"""Form of a scene folder that may be replaced: ground truth tells it from somebody's pictures."""
 
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
@@ -90,7 +99,8 @@ def find_pictures(folder: Path) -> list[Path]:
 
     They lie under `images/`, or beside each other as `dir_*_mip*.exr|jpg` (the layout of the MIT
     multi-illumination data; the finest mip level that is there is taken, EXR before JPEG). Raises
-    InputError or FileNotFoundError if there is no such folder or no picture in it.
+    InputError or FileNotFoundError if there is no such folder or no picture in it, or something
+    under `images/` that is no file; what is hidden, such as `.DS_Store`, is passed over.
     """
     if not folder.is_dir():
         there = "a file" if folder.exists() else "nothing of that name"
@@ -99,14 +109,11 @@ def find_pictures(folder: Path) -> list[Path]:
     if below.is_dir():
         # A format that cannot be read must not be passed over in silence, so all that is not
         # known to be something else counts as a picture.
+        seen = [path for path in below.iterdir() if not path.name.startswith(".")]
+        for path in seen:
+            _check_is_file(path)
         paths = sorted(
-            (
-                path
-                for path in below.iterdir()
-                if path.is_file()
-                and not path.name.startswith(".")
-                and path.suffix.lower() not in NOT_PICTURES
-            ),
+            (path for path in seen if path.suffix.lower() not in NOT_PICTURES),
             key=lambda path: path.name,
         )
         if not paths:
@@ -125,6 +132,18 @@ def find_pictures(folder: Path) -> list[Path]:
     return [path for _, path in sorted(chosen)]
 
 
+def _check_is_file(path: Path) -> None:
+    """See that something beside pictures is a regular file, or a link to one."""
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        found = "a link to nothing"
+    else:
+        found = kind_of(status)
+    if found != FILE:
+        raise InputError(f"{path}: expected only pictures in {path.parent.name}/, found {found}")
+
+
 def find_dark_frame(folder: Path) -> Path | None:
     """The picture of no light that lies beside `images/` as `dark.*`, whatever its format.
 
@@ -133,9 +152,9 @@ def find_dark_frame(folder: Path) -> Path | None:
     found = sorted(
         path
         for path in folder.iterdir()
-        if path.is_file()
-        and path.stem.lower() == DARK_FRAME
+        if path.stem.lower() == DARK_FRAME
         and path.suffix.lower() not in NOT_PICTURES
+        and not path.is_dir()
     )
     if len(found) > 1:
         raise InputError(
@@ -153,7 +172,7 @@ def input_files(folder: Path) -> list[Path]:
     found = [*find_pictures(folder), *find_normals(folder), *(folder / part for part in PARTS)]
     single = (find_depth(folder), find_lamps(folder), find_dark_frame(folder))
     found += [path for path in single if path is not None]
-    return [*(path for path in found if path.exists()), *truth_files(folder)]
+    return [*filter(there, found), *truth_files(folder)]
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -183,12 +202,14 @@ def warn_of_near_misses(folder: Path) -> None:
 def read_settings(path: Path) -> Settings:
     """Read `scene.toml`, if it is there.
 
-    Raises InputError if it is not TOML, or has other keys or values.
+    Raises InputError if it is not TOML, or has other keys or values; OSError if it cannot be read.
     """
-    if not path.exists():
+    if not there(path):
         return Settings()
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(read_text(path, SETTINGS_BYTES))
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError
         raise InputError(f"{path}: expected TOML, found {shown(error)}") from None
     known = [field.name for field in fields(Settings)]
@@ -276,4 +297,4 @@ def truth_files(folder: Path) -> list[Path]:
     """Files of the ground truth that are there."""
     truth = folder / "truth"
     found = [truth / "materials.exr", truth / "lighting.json", truth / "relight" / "lighting.json"]
-    return [path for path in found if path.exists()] + sorted((truth / "relight").glob("*.exr"))
+    return [*filter(there, found), *sorted((truth / "relight").glob("*.exr"))]

@@ -16,9 +16,9 @@ from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
+from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.normal_files import UNCERTAINTY, find_normals, read_normals, read_uncertainty
-from pbrfit.io.output import digest
 from pbrfit.io.quoting import quoted
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
@@ -78,7 +78,7 @@ class _Notes:
     def has(self, name: str) -> bool:
         """Whether there is a file of that name; if so, it is an input."""
         path = self.folder / name
-        if path.exists():
+        if there(path):
             self.inputs[name] = digest(path)
         return name in self.inputs
 
@@ -614,7 +614,7 @@ def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> 
         return None
     lighting_path = folder / "lighting.json"
     lighting = None  # of pictures whose lights are not spherical harmonics
-    if lighting_path.exists():
+    if there(lighting_path):
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
     relight = folder / "relight"
     if not relight.is_dir():

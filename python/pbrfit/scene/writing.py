@@ -19,12 +19,12 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import write_materials
 from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
-from pbrfit.scene.folder import CONTAINS, MAX_ID, SEGMENT_FILE
+from pbrfit.scene.folder import MAX_ID, SCENE_FOLDER, SEGMENT_FILE
 
 
 def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
     """Write a scene folder; see `Scene.save`."""
-    with new_folder(path, overwrite=overwrite, contains=CONTAINS) as folder:
+    with new_folder(path, overwrite=overwrite, form=SCENE_FOLDER) as folder:
         (folder / "images").mkdir()
         for i, (name, image) in enumerate(zip(scene.names, scene.images, strict=True)):
             limits = None if scene.limits is None else scene.limits[i]

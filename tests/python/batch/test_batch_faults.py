@@ -23,9 +23,8 @@ import pytest
 from command_runs import Ran, ran
 from pbrfit.batch import place
 from pbrfit.batch.executors import Processes
-from pbrfit.io.output import new_folder
-from pbrfit.result.result import CONTAINS
-from processes import alive, as_nobody_special, closed, until
+from pbrfit.result.result import RESULT_FOLDER
+from processes import NOBODY, ROOT, alive, as_nobody_special, closed, until
 from scene_files import write_folder
 
 FEW = ("--iterations", 2, "--refine-normals", "off")
@@ -34,17 +33,22 @@ FEW = ("--iterations", 2, "--refine-normals", "off")
 def result_folder(path: Path, word: str) -> Path:
     """What looks like a result."""
     path.mkdir(parents=True)
-    for name in CONTAINS:
+    for name in RESULT_FOLDER.contains:
         (path / name).write_text(word)
     return path
 
 
+def names(folder: Path) -> set[str]:
+    """What is in it."""
+    return {path.name for path in folder.iterdir()}
+
+
 def set_aside(temporaries: Path, result: Path) -> None:
     """As a worker leaves it that is killed between the two renames of `new_folder`."""
-    (temporaries / "1234").mkdir()
-    (temporaries / "1234" / "result.json").write_text("new")
-    (temporaries / "1234-old").mkdir()
-    result.rename(temporaries / "1234-old" / result.name)
+    (temporaries / "123456789abc").mkdir()
+    (temporaries / "123456789abc" / "result.json").write_text("new")
+    (temporaries / "123456789abc-old").mkdir()
+    result.rename(temporaries / "123456789abc-old" / result.name)
 
 
 @pytest.mark.parametrize("of", [place.of_batch, place.of_one])
@@ -68,7 +72,7 @@ def test_what_a_straggler_sets_aside_meanwhile_is_put_back(
 ) -> None:
     """A worker may outlive a batch that was killed, and replace its result while all is cleared."""
     old = result_folder(tmp_path / "out" / "one", "old")
-    aside = tmp_path / "out" / ".pbrfit" / "1234-old"
+    aside = tmp_path / "out" / ".pbrfit" / "123456789abc-old"
     aside.mkdir(parents=True)
     looked = Path.iterdir
     told: list[Path] = []
@@ -98,7 +102,7 @@ def test_what_cannot_be_put_back_stays_for_the_next_batch(
             raise PermissionError
 
         patched.setattr(Path, "rename", rename)
-    assert (temporaries / "1234-old" / "one" / "result.json").read_text() == "old"
+    assert (temporaries / "123456789abc-old" / "one" / "result.json").read_text() == "old"
     with place.of_batch(tmp_path / "out"):
         assert (old / "result.json").read_text() == "old"
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
@@ -117,7 +121,7 @@ def test_the_end_of_a_batch_leaves_the_next_one_alone(
         if path.name == place.LOCK and not began:
             other = place.of_batch(out)
             began.append(other)
-            (other.__enter__() / "half").mkdir()
+            (other.__enter__() / "0123456789ab").mkdir()
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "unlink", unlink)
@@ -126,27 +130,144 @@ def test_the_end_of_a_batch_leaves_the_next_one_alone(
     if sys.platform != "win32":  # no flock there
         with pytest.raises(FileExistsError, match="found one at work"), place.of_batch(out):
             pass
-    assert (out / place.NAME / "half").is_dir()
+    assert (out / place.NAME / "0123456789ab").is_dir()
     began[0].__exit__(None, None, None)
     assert not list(out.iterdir())
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
-def test_a_result_that_is_a_link_is_replaced_where_it_lies(tmp_path: Path) -> None:
-    """Perhaps on another file system, where nothing can be renamed to."""
-    out, elsewhere = tmp_path / "out", result_folder(tmp_path / "elsewhere" / "other", "old")
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+
+
+@POSIX
+def test_a_place_that_is_a_link_is_refused(tmp_path: Path) -> None:
+    write_folder(tmp_path / "scenes" / "one")
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs" / "0123456789ab").mkdir()
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / place.NAME).symlink_to(tmp_path / "theirs")
+    found = ran("decompose", tmp_path / "scenes", "--out", out, *FEW, "--quiet")
+    assert found == Ran(
+        2,
+        "",
+        f"pbrfit: {out / place.NAME}: expected the folder of a batch or nothing, found a link to "
+        f"{tmp_path / 'theirs'}\n",
+    )
+    assert (tmp_path / "theirs" / "0123456789ab").is_dir()
+    assert names(out) == {place.NAME}
+
+
+@POSIX
+@pytest.mark.parametrize("kind", ["pipe", "link", "folder"])
+def test_a_lock_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
+    lock = tmp_path / "out" / place.NAME / place.LOCK
+    lock.parent.mkdir(parents=True)
+    victim = tmp_path / "victim"
+    victim.write_text("theirs")
+    {"pipe": os.mkfifo, "link": lambda at: at.symlink_to(victim), "folder": Path.mkdir}[kind](lock)
+    expected = rf"lock: expected a file or nothing, found a {kind}"
+    with pytest.raises(FileExistsError, match=expected), place.of_batch(tmp_path / "out"):
+        pass
+    assert os.path.lexists(lock)
+    assert victim.read_text() == "theirs"
+
+
+@POSIX
+def test_a_lock_that_becomes_a_pipe_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock = tmp_path / "out" / place.NAME / place.LOCK
+    lock.parent.mkdir(parents=True)
+    os.mkfifo(lock)
+    monkeypatch.setattr(place, "_check_ours", lambda *_: None)
+    with pytest.raises(FileExistsError, match="no regular file"), place.of_batch(tmp_path / "out"):
+        pass
+
+
+@POSIX
+def test_only_what_batches_make_is_removed_from_their_place(tmp_path: Path) -> None:
+    held = tmp_path / "out" / place.NAME
+    theirs = tmp_path / "theirs"
+    result_folder(theirs / "one", "theirs")
+    for name in ("mine", "x-old", "0123456789AB", "0123456789abc"):
+        (held / name).mkdir(parents=True)
+        (held / name / "notes.txt").write_text("mine")
+    (held / "0123456789ab").write_text("a file of that name")
+    (held / "abcdef012345").symlink_to(theirs)
+    (held / "abcdef012345-old").symlink_to(theirs)
+    before = names(held)
+    (held / "fedcba987654" / "half").mkdir(parents=True)
+    (held / "fedcba987654-ended").mkdir()
+    with place.of_batch(tmp_path / "out") as temporaries:
+        assert names(temporaries) == {*before, place.LOCK}
+    assert names(held) == before
+    assert (held / "mine" / "notes.txt").read_text() == "mine"
+    assert (theirs / "one" / "result.json").read_text() == "theirs"
+    assert names(tmp_path / "out") == {place.NAME}
+
+
+@POSIX
+@pytest.mark.skipif(not ROOT, reason="gives a folder to somebody else, which takes root")
+def test_the_place_of_somebody_else_is_refused(tmp_path: Path) -> None:
+    held = tmp_path / "out" / place.NAME
+    (held / "0123456789ab").mkdir(parents=True)
+    os.chown(held, NOBODY, NOBODY)
+    expected = rf"\.pbrfit: expected your own folder or nothing, found one of user {NOBODY}; "
+    with pytest.raises(FileExistsError, match=expected), place.of_batch(tmp_path / "out"):
+        pass
+    assert (held / "0123456789ab").is_dir()
+    os.chown(held.parent, NOBODY, NOBODY)  # whose folder it is may have it there
+    with place.of_batch(tmp_path / "out"):
+        pass
+    assert names(held.parent) == set()
+
+
+@POSIX
+@pytest.mark.parametrize("how", ["--resume", "--overwrite"])
+def test_a_result_that_is_a_link_is_refused(tmp_path: Path, how: str) -> None:
+    """What it leads to may be anybody's."""
+    write_folder(tmp_path / "scenes" / "one")
+    out, elsewhere = tmp_path / "out", result_folder(tmp_path / "elsewhere", "old")
     out.mkdir()
     (out / "one").symlink_to(elsewhere)
-    with place.of_batch(out) as temporaries:
-        replacing = new_folder(
-            out / "one", overwrite=True, contains=CONTAINS, temporaries=temporaries
-        )
-        with replacing as folder:
-            assert folder.parent == elsewhere.parent
-            (folder / "result.json").write_text("new")
+    found = ran("decompose", tmp_path / "scenes", "--out", out, *FEW, how, "--quiet")
+    assert found.code == 2
+    assert found.err == (
+        f"pbrfit: {out / 'one'}: expected a folder or nothing, found a link to {elsewhere}\n"
+    )
     assert (out / "one").is_symlink()
-    assert (elsewhere / "result.json").read_text() == "new"
-    assert [path.name for path in elsewhere.parent.iterdir()] == ["other"]
+    assert (elsewhere / "result.json").read_text() == "old"
+
+
+@pytest.mark.parametrize("how", ["--resume", "--overwrite"])
+@pytest.mark.parametrize("one", [False, True])
+def test_what_somebody_put_into_a_result_is_not_lost(tmp_path: Path, how: str, one: bool) -> None:
+    scenes, out = tmp_path / "scenes", tmp_path / "out"
+    for name in ("one", "two", "three"):
+        write_folder(scenes / name)
+    arguments = ("decompose", scenes, "--out", out, "--quiet", "--refine-normals", "off")
+    assert ran(*arguments, "--iterations", 2).code == 0
+    (out / "one" / "notes.txt").write_text("mine")
+    (out / "one" / "renders").mkdir()
+    (out / "one" / ".DS_Store").touch()  # of a system: no reason
+    (out / "two" / ".DS_Store").touch()
+    before = {path.name: (path / "result.json").read_bytes() for path in out.iterdir()}
+    assert ran(*arguments, "--iterations", 2, "--resume").code == 0  # results that stay may have it
+    if one:
+        arguments = (*arguments[:1], scenes / "one", "--out", out / "one", *arguments[4:])
+    found = ran(*arguments, "--iterations", 3, how)
+    first, *others = found.err.splitlines()
+    assert first == (
+        f"pbrfit: {out / 'one'}: expected nothing but an earlier output to replace, found "
+        "notes.txt, renders besides; move it away first"
+    )
+    assert others == ([] if one else [f"pbrfit: 1 of 3 scenes failed: {scenes / 'one'}"])
+    assert found.code == (2 if one else 1)
+    after = {path.name: (path / "result.json").read_bytes() for path in out.iterdir()}
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == (set() if one else {"two", "three"})
+    assert (out / "one" / "notes.txt").read_text() == "mine"
+    assert (out / "one" / "renders").is_dir()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="rights are of another kind there")

@@ -523,5 +523,5 @@ def test_places_that_cannot_be_written_show_before_the_work(folder: Path) -> Non
     for out in places:
         said = refused("decompose", folder, "--out", out, "--iterations", 10**9)
         assert str(out) in said
-    preview = folder / "none" / "preview.png"
+    preview = folder / "scene.toml" / "preview.png"
     assert "preview.png" in ran("inspect", folder, "--preview", preview).err

@@ -719,7 +719,7 @@ def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
     for read in (images.read_picture, images.read_data, images.read_ids, images.read_channels):
         with pytest.raises(FileNotFoundError):
             read(tmp_path / "none.png")
-        with pytest.raises(OSError, match="directory"):
+        with pytest.raises(InputError, match="expected a regular file, found a folder"):
             read(tmp_path)
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import errno
+import functools
+import os
+import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -10,8 +13,10 @@ from typing import NoReturn
 
 import pytest
 
-from pbrfit.io.output import new_file, new_folder
+from pbrfit.io.output import FolderForm, check_free, new_file, new_folder
 from scene_files import tree
+
+FORM = FolderForm(contains=("old.txt",), holds=("*.txt",))
 
 New = Callable[..., AbstractContextManager[Path]]
 
@@ -41,7 +46,7 @@ def test_an_existing_folder_is_refused(old: Path) -> None:
 
 
 def test_an_existing_folder_is_replaced_when_asked(old: Path) -> None:
-    with new_folder(old, overwrite=True) as folder:
+    with new_folder(old, overwrite=True, form=FORM) as folder:
         (folder / "new.txt").write_text("new")
         assert (old / "old.txt").exists()
     assert tree(old.parent) == {"out": "", "out/new.txt": "new"}
@@ -63,7 +68,7 @@ def test_an_interrupt_between_the_renames_leaves_the_old_folder(
     monkeypatch.setattr(Path, "rename", interrupted)
 
     def replace() -> None:
-        with new_folder(old, overwrite=True) as folder:
+        with new_folder(old, overwrite=True, form=FORM) as folder:
             (folder / "new.txt").write_text("new")
 
     with pytest.raises(KeyboardInterrupt):
@@ -141,7 +146,8 @@ def test_a_failure_leaves_all_as_it_was(
     before = tree(tmp_path)
 
     def fail() -> None:
-        with new(path, overwrite=True) as temporary:
+        replacing = {"form": FORM} if new is new_folder else {}
+        with new(path, overwrite=True, **replacing) as temporary:
             (temporary / "half.txt" if new is new_folder else temporary).write_text("half")
             raise error
 
@@ -163,14 +169,117 @@ def test_an_existing_file_is_replaced_only_when_asked(old: Path) -> None:
     assert tree(old) == {"old.txt": "new"}
 
 
-@pytest.mark.parametrize("name", ["old.txt", ""])
-def test_a_link_stays_one_and_what_it_leads_to_is_replaced(old: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["old.txt", "", "nowhere"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_link_is_refused_and_what_it_leads_to_stays(
+    old: Path, name: str, overwrite: bool
+) -> None:
     link = old.parent / "link"
     link.symlink_to(old / name)
-    with (new_file if name else new_folder)(link, overwrite=True) as temporary:
-        (temporary if name else temporary / "old.txt").write_text("new")
+    for new, what in ((new_file, "file"), (functools.partial(new_folder, form=FORM), "folder")):
+        expected = re.escape(f"{link}: expected a {what} or nothing, found a link to {old / name}")
+        with pytest.raises(FileExistsError, match=expected):
+            new(link, overwrite=overwrite).__enter__()
     assert link.is_symlink()
-    assert tree(old) == {"old.txt": "new"}
+    assert tree(old) == {"old.txt": "old"}
+
+
+def test_a_link_above_an_output_is_followed(old: Path) -> None:
+    """The folder of all results may lie on another disk."""
+    (old.parent / "link").symlink_to(old)
+    with new_file(old.parent / "link" / "a.txt") as file:
+        file.write_text("new")
+    with new_folder(old.parent / "link" / "b") as folder:
+        assert folder.parent == old
+    assert tree(old) == {"old.txt": "old", "a.txt": "new", "b": ""}
+
+
+def test_a_link_that_comes_meanwhile_is_not_followed(old: Path) -> None:
+    path = old.parent / "page"
+
+    def make() -> None:
+        with new_file(path, overwrite=True):
+            path.symlink_to(old / "old.txt")
+
+    with pytest.raises(FileExistsError, match="found a link to"):
+        make()
+    assert tree(old) == {"old.txt": "old"}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
+@pytest.mark.parametrize("new", [new_file, new_folder])
+def test_a_pipe_is_refused(tmp_path: Path, new: New) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileExistsError, match="or nothing, found a pipe"):
+        new(tmp_path / "pipe", overwrite=True).__enter__()
+
+
+# What is not ours in a folder
+
+OURS = FolderForm(
+    contains=("a.txt",), holds=("a.txt", "in/*.exr", "in/deep/b.txt"), listed=lambda _: ["c[1].txt"]
+)
+
+
+def output(folder: Path, *more: str) -> Path:
+    """A folder of that form, and some files."""
+    for name in ("a.txt", "in/1.exr", "in/deep/b.txt", "c[1].txt", *more):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    return folder
+
+
+def test_an_earlier_output_is_replaced_with_what_systems_and_killed_runs_leave(
+    tmp_path: Path,
+) -> None:
+    left = (".DS_Store", "in/Thumbs.db", "in/deep/._b.txt", ".pbrfit-0123456789ab.html")
+    with new_folder(output(tmp_path / "out", *left), overwrite=True, form=OURS):
+        pass
+    assert tree(tmp_path) == {"out": ""}
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["notes.txt", "c1.txt", "in/notes.txt", "in/more/1.exr", "in/deep/deeper/b.txt", ".git/x"],
+)
+def test_what_somebody_else_put_there_keeps_a_folder(tmp_path: Path, name: str) -> None:
+    folder = output(tmp_path / "out", name)
+    told = name.rpartition("/")[0] if name.count("/") and "notes" not in name else name
+    with pytest.raises(FileExistsError, match=rf"out: .*, found {re.escape(told)} besides; move"):
+        new_folder(folder, overwrite=True, form=OURS).__enter__()
+    assert name in tree(folder)
+
+
+@pytest.mark.parametrize("kind", ["empty folder", "link for a file", "link for a folder", "folder"])
+def test_what_has_one_of_our_names_and_is_something_else_keeps_a_folder(
+    tmp_path: Path, kind: str
+) -> None:
+    folder = output(tmp_path / "out")
+    name = {"link for a file": "a.txt", "link for a folder": "in"}.get(kind, "renders")
+    if kind.startswith("link"):
+        (folder / name).rename(tmp_path / "elsewhere")
+        (folder / name).symlink_to(tmp_path / "elsewhere")
+    elif kind == "folder":
+        name = "in/deep/b.txt"
+        (folder / name).unlink()
+        (folder / name).mkdir()
+    else:
+        (folder / name).mkdir()
+    with pytest.raises(FileExistsError, match=rf"found {name} besides"):
+        check_free(folder, overwrite=True, form=OURS)
+
+
+def test_what_comes_into_a_folder_meanwhile_keeps_it(tmp_path: Path) -> None:
+    folder = output(tmp_path / "out")
+
+    def make() -> None:
+        with new_folder(folder, overwrite=True, form=OURS):
+            (folder / "notes.txt").write_text("mine")
+
+    with pytest.raises(FileExistsError, match=r"found notes\.txt besides"):
+        make()
+    assert tree(tmp_path)["out/notes.txt"] == "mine"
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_a_place_where_no_file_can_be_made(old: Path) -> None:

@@ -502,7 +502,7 @@ def test_names_in_any_script_and_other_files_beside_pictures(tmp_path: Path) -> 
     (folder / "images" / "light_00.exr").rename(folder / "images" / "ночь.exr")
     (folder / "images" / ".DS_Store").write_bytes(b"?")
     (folder / "images" / "notes.txt").write_text("?")
-    (folder / "images" / "thumbnails").mkdir()
+    (folder / "images" / ".thumbnails").mkdir()
     assert Scene.load(folder).names == ("light_01", "light_02", "ночь")
 
 

@@ -16,7 +16,7 @@ from pbrfit.acquire.prompts import Catalogue
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.display import encoded
-from pbrfit.io.output import digest
+from pbrfit.io.input_files import digest
 
 ASPECT_TOLERANCE = 0.01
 """Sizes a model rounds to multiples of 8 or 16 differ from the photo's shape by no more."""

@@ -1,0 +1,151 @@
+"""Users' files, read so that it ends: regular files alone, and no more than a bound.
+
+A pipe has no end that is known, a device may have none, and to open either may wait for ever.
+Whatever reads what somebody else may have put there reads it by these functions.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import stat
+from collections.abc import Callable
+from io import BufferedReader
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from pbrfit._core import InputError
+
+PICTURE_BYTES = 2**34
+"""Largest picture file, in bytes: a result of the most pixels, with all its layers, is of that
+order."""
+
+TEXT_BYTES = 2**26
+"""Largest JSON, CSV or LP file, in bytes: lights of 40,000 pictures."""
+
+SETTINGS_BYTES = 2**20
+"""Largest TOML file, in bytes: people write them, and reading takes a second for each million."""
+
+FILE, FOLDER, LINK = "a file", "a folder", "a link"
+"""Regular files, folders and symbolic links in words."""
+
+_KINDS = (
+    (stat.S_ISREG, FILE),
+    (stat.S_ISDIR, FOLDER),
+    (stat.S_ISLNK, LINK),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+)
+
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""Flags with which opening a file waits for nobody, and Windows changes no byte."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def there(path: Path) -> bool:
+    """Whether something has this name, be it a link that leads nowhere.
+
+    Raises OSError if nobody may look.
+    """
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+def kind_of(status: os.stat_result) -> str:
+    """What something is, in words."""
+    return next((words for of, words in _KINDS if of(status.st_mode)), "a device")
+
+
+def open_file(path: Path) -> BufferedReader:
+    """Open a regular file, or a link to one, for reading.
+
+    Raises InputError if it is something else; OSError if it cannot be read.
+    """
+    try:
+        _check_regular(path, path.stat())  # first, as to open a device may already do something
+    except FileNotFoundError:
+        if path.is_symlink():
+            raise InputError(
+                f"{path}: expected a file, found a link to {path.readlink()}, where nothing is"
+            ) from None
+        raise
+    file = os.fdopen(os.open(path, os.O_RDONLY | _AT_ONCE), "rb")
+    try:
+        _check_regular(path, os.fstat(file.fileno()))
+    except InputError:
+        file.close()
+        raise
+    return file
+
+
+def content_of(file: BufferedReader, path: Path, most: int) -> bytes:
+    """All bytes of an open file.
+
+    Raises InputError if there are more than `most`; MemoryError, with the name, if they do not fit.
+    """
+    size = _bounded(file, path, most)
+    file.seek(0)
+    try:
+        return file.read(size)
+    except MemoryError:
+        raise MemoryError(
+            f"{path}: expected {size >> 20} MiB of memory to read it, found less"
+        ) from None
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """Content of a file; raises as `open_file` and `content_of`."""
+    with open_file(path) as file:
+        return content_of(file, path, most)
+
+
+def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
+    """Text of a file; UnicodeDecodeError if it is in another encoding, else as `read_bytes`."""
+    return read_bytes(path, most).decode(encoding)
+
+
+def digest(path: Path) -> str:
+    """sha256 of a file, hexadecimal; raises as `read_bytes`, with the bound of pictures."""
+    with open_file(path) as file:
+        _bounded(file, path, PICTURE_BYTES)
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def names_file(read: Callable[P, R]) -> Callable[P, R]:
+    """Let a MemoryError of a function that reads a file, its argument `path`, name it."""
+
+    @functools.wraps(read)
+    def named(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return read(*args, **kwargs)
+        except MemoryError as error:
+            path, words = args[0] if args else kwargs["path"], str(error)
+            if words.startswith(str(path)):
+                raise
+            found = f": {words}" if words else ""
+            raise MemoryError(
+                f"{path}: expected memory for what it holds, found too little{found}"
+            ) from None
+
+    return named
+
+
+def _bounded(file: BufferedReader, path: Path, most: int) -> int:
+    """Size of an open file, in bytes."""
+    size = os.fstat(file.fileno()).st_size
+    if size > most:
+        raise InputError(
+            f"{path}: expected a file of at most {most >> 20} MiB, found {-(-size >> 20)} MiB"
+        )
+    return size
+
+
+def _check_regular(path: Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path}: expected a regular file, found {kind_of(status)}")

@@ -1,0 +1,229 @@
+"""Users' files are regular files of bounded size; whatever else is there is refused at once."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from command_runs import refused
+from pbrfit import InputError, Scene, _core
+from pbrfit.acquire.prompts import read_prompts
+from pbrfit.batch.prediction import picture_size
+from pbrfit.commands.messages import message_of
+from pbrfit.io import images, input_files
+from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, read_bytes, read_text
+from pbrfit.io.json_files import read_json
+from pbrfit.io.lamp_files import LAMP_SUFFIXES, read_lamps
+from pbrfit.io.npy_files import read_npy
+from pbrfit.model.panorama import read as read_panorama
+from pbrfit.result.history import History
+from pbrfit.scene.folder import find_pictures, read_settings
+from pbrfit.synthetic import make_scene
+from scene_files import write_folder
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices there")
+
+
+def read_anything_json(path: Path) -> object:
+    return read_json(path, "anything")
+
+
+READERS: tuple[Callable[[Path], object], ...] = (
+    *(images.read_picture, images.read_data, images.read_ids, images.read_channels),
+    *(read_panorama, picture_size, digest),
+    *(read_anything_json, read_npy, History.load, read_settings, read_prompts),
+)
+
+
+@POSIX
+@pytest.mark.parametrize("read", READERS, ids=lambda read: read.__qualname__)
+def test_what_is_no_regular_file_is_refused_at_once(
+    tmp_path: Path, read: Callable[[Path], object]
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    (tmp_path / "folder").mkdir()
+    for name, found in (("pipe", "pipe"), ("link", "pipe"), ("zero", "device"), ("folder",) * 2):
+        with pytest.raises(InputError) as caught:
+            read(tmp_path / name)
+        assert str(caught.value) == f"{tmp_path / name}: expected a regular file, found a {found}"
+    (tmp_path / "lost").symlink_to("nowhere")
+    with pytest.raises(InputError, match=r"lost: expected a file, found a link to nowhere, where"):
+        read(tmp_path / "lost")
+
+
+@POSIX
+@pytest.mark.parametrize("suffix", LAMP_SUFFIXES)
+def test_lamps_in_a_pipe_are_refused(tmp_path: Path, suffix: str) -> None:
+    os.mkfifo(tmp_path / f"lamps{suffix}")
+    with pytest.raises(InputError, match="expected a regular file, found a pipe"):
+        read_lamps(tmp_path / f"lamps{suffix}")
+
+
+@POSIX
+def test_a_file_that_becomes_a_pipe_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    was = (tmp_path / "file").stat()
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "stat", lambda _: was)
+        with pytest.raises(InputError, match="expected a regular file, found a pipe"):
+            read_bytes(tmp_path / "pipe", 1)
+
+
+@POSIX
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("mask.png", "normals.exr", "normals.png", "segments.png", "weights.exr", "scene.toml"),
+        *("lighting.json", "lights.json", "lights.csv", "lamps.lp", "depth.exr", "depth.npy"),
+        *("dark.png", "images/light_00.exr", "images/lamps.lp", "truth/materials.exr"),
+        *("truth/lighting.json", "truth/relight/relight_00.exr"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["pipe", "lost link"])
+def test_a_scene_with_something_else_in_place_of_a_file_is_refused(
+    tmp_path: Path, name: str, kind: str
+) -> None:
+    folder = tmp_path / "scene"
+    make_scene("room", size=16, lights=3, held_out=1).save(folder)
+    path = folder / name
+    if name == "normals.png":
+        (folder / "normals.exr").unlink()
+    path.unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("nowhere")
+    said = refused("inspect", folder)
+    assert said.startswith(f"pbrfit: {path}: expected ")
+    assert ("a pipe" if kind == "pipe" else "a link to") in said
+
+
+@POSIX
+@pytest.mark.parametrize("kind", ["a pipe", "a folder", "a link to nothing", "a device"])
+@pytest.mark.parametrize("name", ["light_09.exr", "more", "notes.txt"])
+def test_whatever_is_no_file_beside_pictures_is_named(tmp_path: Path, name: str, kind: str) -> None:
+    folder = write_folder(tmp_path / "scene")
+    path = folder / "images" / name
+    if kind == "a pipe":
+        os.mkfifo(path)
+    elif kind == "a folder":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/null" if kind == "a device" else "nowhere")
+    assert refused("inspect", folder) == (
+        f"pbrfit: {path}: expected only pictures in images/, found {kind}\n"
+    )
+    path.rename(path.with_name(f".{name}"))  # hidden
+    assert len(find_pictures(folder)) == 3
+
+
+@POSIX
+def test_links_to_files_are_files(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene")
+    for name in ("images/light_00.exr", "normals.exr", "scene.toml"):
+        moved = tmp_path / Path(name).name
+        (folder / name).rename(moved)
+        (folder / name).symlink_to(moved)
+    assert len(Scene.load(folder).images) == 3
+
+
+# Bounds
+
+
+def sparse(path: Path, start: bytes, size: int) -> Path:
+    """A file that takes no room on disk."""
+    path.write_bytes(start)
+    os.truncate(path, size)
+    return path
+
+
+@pytest.mark.parametrize("over", [0, 1])
+def test_a_text_is_read_up_to_its_bound(tmp_path: Path, over: int) -> None:
+    path = sparse(tmp_path / "scene.toml", b"#", SETTINGS_BYTES + over)
+    if over:
+        with pytest.raises(InputError, match="expected a file of at most 1 MiB, found 2 MiB"):
+            read_text(path, SETTINGS_BYTES)
+    else:
+        assert len(read_text(path, SETTINGS_BYTES)) == SETTINGS_BYTES
+
+
+@pytest.mark.parametrize(
+    ("read", "most"),
+    [(read_settings, SETTINGS_BYTES), (read_prompts, SETTINGS_BYTES)]
+    + [(read, TEXT_BYTES) for read in (read_anything_json, History.load)],
+)
+def test_a_text_beyond_its_bound_is_refused(
+    tmp_path: Path, read: Callable[[Path], object], most: int
+) -> None:
+    path = sparse(tmp_path / "file", b"", 2 * most)
+    with pytest.raises(
+        InputError, match=f"file: expected a file of at most {most >> 20} MiB, found {most >> 19} "
+    ):
+        read(path)
+
+
+def test_a_large_file_that_is_no_picture_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = sparse(tmp_path / "mask.png", b"", 2**36)
+    monkeypatch.setattr(images, "content_of", lambda *_: pytest.fail("it was read"))
+    with pytest.raises(InputError, match=r"mask\.png: expected EXR, HDR, PNG, JPEG or TIFF, found"):
+        images.read_data(path)
+
+
+def test_a_picture_beyond_its_bound_is_refused(tmp_path: Path) -> None:
+    path = sparse(tmp_path / "mask.png", b"\x89PNG\r\n\x1a\n", 2**35)
+    with pytest.raises(
+        InputError, match=r"mask\.png: expected a file of at most 16384 MiB, found 32768 MiB"
+    ):
+        images.read_data(path)
+    with pytest.raises(InputError, match="at most 16384 MiB, found 32768 MiB"):
+        digest(path)
+
+
+@pytest.mark.parametrize("words", ["", "Unable to allocate 3. GiB"])
+def test_too_little_memory_names_the_file(
+    tmp_path: Path, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = write_folder(tmp_path / "scene")
+    (folder / "mask.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+
+    def decode_raster(*_: object, **__: object) -> NoReturn:
+        raise MemoryError(*filter(None, [words]))
+
+    monkeypatch.setattr(_core, "decode_raster", decode_raster)
+    said = refused("inspect", folder)
+    expected = "expected memory for what it holds, found too little" + (
+        f": {words}" if words else ""
+    )
+    assert said == f"pbrfit: {folder / 'mask.png'}: {expected}\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="addresses are bounded there")
+def test_a_file_that_does_not_fit_into_memory_is_named(tmp_path: Path) -> None:
+    import resource
+
+    path = sparse(tmp_path / "file", b"", 2**33)
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (2**33, before[1]))
+    try:
+        with pytest.raises(
+            MemoryError, match="file: expected 8192 MiB of memory to read it, found"
+        ):
+            read_bytes(path, input_files.PICTURE_BYTES)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def test_too_little_memory_is_told_where_nobody_knows_more() -> None:
+    assert message_of(MemoryError()) == "expected more memory, found too little"
