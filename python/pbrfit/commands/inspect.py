@@ -8,6 +8,7 @@ from pathlib import Path
 from pbrfit.commands.arguments import DONE, add_flags, add_scene, value
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
+from pbrfit.io.quoting import visible
 from pbrfit.report import inspection
 from pbrfit.result import preview
 
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
     scene = reading(options).load(options.scene)
     for topic, fact in inspection.facts(scene):
-        print(f"{topic:<17} {fact}")
+        print(visible(f"{topic:<17} {fact}"))
     if options.preview is not None:
         images.write_png(options.preview, preview.normals_preview(scene), tag="srgb")
         print(f"{'preview':<17} {options.preview}")
