@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -238,6 +239,7 @@ def test_names_steer_no_terminal(capsys: pytest.CaptureFixture[str], tmp_path: P
     complain(f"{name}: expected a scene")
     scene = tmp_path / "scene"
     make_scene("room", size=12, lights=2).save(scene)
+    shutil.rmtree(scene / "truth")
     first = min((scene / "images").iterdir())
     first.rename(first.with_stem(name))
     inspected = ran("inspect", scene)

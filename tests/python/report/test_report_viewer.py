@@ -106,7 +106,7 @@ def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
     turn = np.array([[1, 0, 0], [0, np.cos(b), np.sin(b)], [0, -np.sin(b), np.cos(b)]])
     d = panorama.directions(12, 24).reshape(-1, 3)
     # Light that came from d comes from turn · d now.
-    solved = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light)[0]
+    solved = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light, None)[0]
     return np.asarray(solved, np.float64)
 
 
