@@ -86,7 +86,7 @@ test-sanitizer:
 # Of test-fuzz and test-reliability what fits into a minute.
 test-short-reliability: $(VENV)/tools
 	PYTHONPATH=tests $(BIN)/python -m fuzz --cases 300
-	$(BIN)/python tests/reliability/kills.py --kills 2 --scenes 2
+	$(BIN)/python tests/reliability/kills.py --kills 1 --scenes 2
 
 test-cluster: $(CLUSTER)/installed
 	$(CLUSTER)/bin/pytest tests/cluster
