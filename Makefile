@@ -6,6 +6,7 @@
 #   (5 GB); they download no weights
 # make test-fuzz: 100,000 damaged files, and inputs led by coverage, in .venv-fuzz; needs a C++ compiler
 #   (FUZZ_CASES, FUZZ_SECONDS for each target that is led, FUZZ_SEED, FUZZ_JOBS)
+# make test-sanitizer: the vector kernels under LLVM's AddressSanitizer; Linux (ten minutes)
 # make test-cluster: the tests that need dask.distributed, in .venv-cluster; schedulers and workers are
 #   processes of this machine
 # make test-arrays: any arrays for any argument, EXAMPLES of them for each call, others in each run
@@ -52,7 +53,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dis
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env site gallery wheel clean
+.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-short-reliability test-sanitizer test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env site gallery wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -75,8 +76,21 @@ test-fuzz: $(FUZZ)/installed target/fuzz/built
 	PYTHONPATH=tests $(FUZZ)/bin/python -m fuzz --cases $(FUZZ_CASES) --seed $(FUZZ_SEED) --jobs $(FUZZ_JOBS)
 	PYTHONPATH=tests $(FUZZ)/bin/python -m fuzz.guided --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS)
 
+# A sanitizer is for nightly compilers, but for this variable.
+test-sanitizer:
+	RUSTC_BOOTSTRAP=1 RUSTFLAGS=-Zsanitizer=address cargo test --target-dir target/sanitizer \
+		--target $$(rustc -vV | sed -n 's/^host: //p') --lib simd
+	RUSTC_BOOTSTRAP=1 RUSTFLAGS=-Zsanitizer=address cargo test --target-dir target/sanitizer \
+		--target $$(rustc -vV | sed -n 's/^host: //p') --test objective --test robust
+
+# Of test-fuzz and test-reliability what fits into a minute.
+test-short-reliability: $(VENV)/tools
+	PYTHONPATH=tests $(BIN)/python -m fuzz --cases 300
+	$(BIN)/python tests/reliability/kills.py --kills 1 --scenes 2
+
 test-cluster: $(CLUSTER)/installed
 	$(CLUSTER)/bin/pytest tests/cluster
+
 test-arrays: $(VENV)/tools
 	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/commands/test_array_interface.py
 

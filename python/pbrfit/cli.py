@@ -23,6 +23,7 @@ from pbrfit.commands.arguments import (
     with_signed_values,
 )
 from pbrfit.commands.messages import in_flags
+from pbrfit.io.quoting import visible
 
 PRINTED_AT_ONCE = ("-h", "--help", "--version")
 """What needs neither a command nor the core, whose start takes longer than all the rest."""
@@ -153,10 +154,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 class _InFlags(logging.Formatter):
-    """What the library says of its options, in flags."""
+    """What the library says of its options, in flags; no name in it steers the terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
-        return in_flags(super().format(record))
+        return visible(in_flags(super().format(record)))
 
 
 @contextmanager

@@ -293,3 +293,25 @@ fn prefetch(address: usize) {
     #[cfg(not(target_arch = "x86_64"))]
     let _ = address;
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Ahead, LINE};
+
+    #[test]
+    fn memory_is_asked_for_up_to_its_end_and_never_read() {
+        let mut ahead = Ahead::default();
+        let values = vec![0.0_f64; 3 * LINE / 8 + 1]; // three lines and a part
+        ahead.push::<f64>(&[]);
+        ahead.push(&values);
+        drop(values); // an address without memory is no harm
+        for left in [1, 0, 0] {
+            ahead.step(2);
+            assert_eq!(ahead.ranges.len(), left);
+        }
+        ahead.push(&[0_u8]);
+        ahead.clear();
+        ahead.step(1);
+        assert!(ahead.ranges.is_empty());
+    }
+}

@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from acquire.image_service import KEY, Answer, Call, Serve, Service, failure, picture
+from acquire.image_service import (
+    KEY,
+    Answer,
+    Call,
+    Serve,
+    Service,
+    as_json,
+    failure,
+    picture,
+)
 from command_runs import ran
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
@@ -121,3 +130,20 @@ def test_a_service_that_fails_in_the_middle_is_not_asked_again_for_what_it_gave(
     assert generate(photo, *options, "--resume") == 0
     assert len(service.calls) == 2
     assert not set(given) & set(prompts_of(service))
+
+
+def test_an_answer_that_cannot_be_read_is_kept_and_never_paid_for_twice(
+    photo: Path, serve: Serve
+) -> None:
+    options = ("--generator", "gpt-image-2", "--count", 2)
+    service = serve(as_json(200, {"data": [{"b64_json": "aGVsbG8="}]}))
+    message = complaint(photo, *options)
+    kept = photo.parent / "scene" / "generation"
+    (answer,) = kept.glob("*.answer")
+    assert f"{answer} holds it, and without that file it is asked for anew" in message
+    assert answer.read_bytes().endswith(b'{"data": [{"b64_json": "aGVsbG8="}]}')
+    assert complaint(photo, *options, "--resume").split(";")[0] == message.split(";")[0]
+    assert len(service.calls) == 1
+    answer.unlink()
+    serve(dimmed)
+    assert generate(photo, *options, "--resume") == 0

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
+import io
 import json
 import logging
+import struct
 import traceback
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +24,14 @@ from acquire.image_service import (
     Answer,
     Call,
     Serve,
+    Service,
     as_json,
     failure,
     picture,
+    running,
 )
 from pbrfit._core import InputError
-from pbrfit.acquire.generators import Refused, Request
+from pbrfit.acquire.generators import Refused, Request, gpt_image
 from pbrfit.acquire.generators.gpt_image import PRICES, PRICES_AS_OF, GptImage, cost
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue, Prompt, read_prompts
@@ -216,6 +223,106 @@ def test_a_service_that_is_not_there_is_told(
 def test_an_answer_without_a_picture_is_told(tmp_path: Path, serve: Serve, answer: Answer) -> None:
     serve(answer)
     assert "expected a picture, found an answer" in error_of(photo(tmp_path))
+
+
+def damaged_png() -> bytes:
+    """A PNG whose data end in the middle, at a chunk whose name is none."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.zeros((64, 64, 3), dtype=np.uint8)).save(buffer, "PNG")
+    png = buffer.getvalue()
+    at = png.index(b"IDAT") + 4
+    return png[: at - 8] + struct.pack(">I", 9) + png[at - 4 : at + 9] + bytes(8) + b"\0\1\2\3"
+
+
+def huge_png() -> bytes:
+    """A small PNG of 8192 × 8192 black pixels."""
+    buffer = io.BytesIO()
+    Image.new("1", (8192, 8192)).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (damaged_png(), "SyntaxError: broken PNG file"),
+        (huge_png(), "8192 × 8192 pixels"),
+        (b"BM" + bytes(100), "no PNG, JPEG or WEBP"),
+    ],
+    ids=["a broken chunk", "huge", "of another format"],
+)
+def test_a_picture_that_cannot_be_read_is_told(
+    tmp_path: Path, serve: Serve, content: bytes, told: str
+) -> None:
+    serve(as_json(200, {"data": [{"b64_json": base64.b64encode(content).decode()}]}))
+    assert told in error_of(photo(tmp_path))
+
+
+@pytest.mark.parametrize("strange", [10**400, -1, "many", 1.5, 2**53 + 1])
+def test_counts_that_are_none_cost_nobody_knows_what(
+    tmp_path: Path, serve: Serve, strange: object
+) -> None:
+    serve(lambda call: picture(call.image, usage={**USAGE, "output_tokens": strange}))
+    generated = GptImage().generate(photo(tmp_path), ASK)
+    assert (generated.record["usage"], generated.record["cost_usd"]) == (None, None)
+
+
+def zipped(answer: Answer) -> Answer:
+    assert answer.body is not None
+    packed = gzip.compress(answer.body)
+    return Answer(answer.status, packed, {**answer.headers, "Content-Encoding": "gzip"})
+
+
+def test_an_answer_that_comes_packed_is_unpacked(tmp_path: Path, serve: Serve) -> None:
+    serve(lambda call: zipped(inverted(call)))
+    taken = photo(tmp_path, 1008, 752)
+    np.testing.assert_array_equal(GptImage().generate(taken, ASK).pixels, 255 - taken.srgb8())
+
+
+@pytest.mark.parametrize("status", [200, 400])
+def test_an_answer_that_unpacks_to_gigabytes_takes_little_memory(
+    tmp_path: Path, serve: Serve, status: int
+) -> None:
+    bomb = zipped(Answer(status, bytes(2**29)))
+    serve(bomb)
+    taken, generator = photo(tmp_path), GptImage(max_retries=0)
+    tracemalloc.start()
+    message = error_of(taken, generator)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**28 + 2**26
+    assert ("more than 128 MiB" if status == 200 else "status 400") in message
+
+
+def test_an_answer_without_an_end_is_cut(
+    tmp_path: Path, serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gpt_image, "MOST_BYTES", 2**20)
+    serve(as_json(200, {"data": "a" * 2**21}))
+    assert "more than 1 MiB" in error_of(photo(tmp_path))
+
+
+@pytest.mark.parametrize("status", [301, 302, 307, 308])
+def test_a_redirection_takes_neither_photo_nor_key_along(
+    tmp_path: Path, serve: Serve, status: int
+) -> None:
+    other = Service(inverted)
+    with running(other) as address:
+        serve(as_json(status, {}, Location=f"{address}/images/edits"))
+        message = error_of(photo(tmp_path))
+    assert f"a redirection ({status}), which is not followed" in message
+    assert other.calls == []
+
+
+def test_what_a_terminal_would_obey_is_not_passed_on(tmp_path: Path, serve: Serve) -> None:
+    said = "\x1b[2J\x1b]0;owned\x07 Paid\u202egnp.exe"
+    serve(failure(400, said))
+    assert error_of(photo(tmp_path)).isprintable()
+    details = {"moderation_stage": said, "categories": [said] * 100}
+    serve(failure(400, said, "moderation_blocked", moderation_details=details))
+    with pytest.raises(Refused) as refused:
+        GptImage().generate(photo(tmp_path), ASK)
+    assert str(refused.value).isprintable()
+    assert len(str(refused.value)) < 2000
 
 
 def test_a_picture_of_another_shape_is_refused(tmp_path: Path, serve: Serve) -> None:

@@ -87,7 +87,7 @@ def test_light_is_that_of_least_squares(scene: Scene, weighted: bool) -> None:
             root = np.sqrt(of[..., c].ravel())
             used = root > 0
             rows, samples = root[:, None] * design(scene, c), root * noisy[i, ..., c].ravel()
-            expected = np.linalg.lstsq(rows[used], samples[used])[0]
+            expected = np.linalg.lstsq(rows[used], samples[used], None)[0]
             np.testing.assert_allclose(found[i, :, c], expected, rtol=1e-8, atol=1e-9)
 
 
@@ -290,7 +290,7 @@ def test_bricks_are_bright_where_their_lamp_is(shared_data: Path) -> None:
     for name, picture in zip(loaded.names, loaded.images, strict=True):
         lamp = np.array([float(part) for part in name.split("_")[1:]])
         # Radiance as a linear function of the normal; the mean of n nᵀ is not the same all around.
-        towards = np.linalg.lstsq(loaded.normals[valid], picture[valid].mean(axis=-1))[0]
+        towards = np.linalg.lstsq(loaded.normals[valid], picture[valid].mean(axis=-1), None)[0]
         towards /= np.linalg.norm(towards)
         # The lamps are near (x, y, 2).
         expected = np.array([*lamp, 2.0]) / np.hypot(2.0, np.hypot(*lamp))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -39,6 +40,14 @@ def executable() -> str:
     if found is None:
         pytest.skip(f"no browser: none of {', '.join(NAMES)}, and PBRFIT_CHROMIUM is not set")
     return found
+
+
+def wait_until(page: Page, condition: str, arg: object = None) -> None:
+    """Wait for a condition; Playwright's own wait evaluates text, which pages forbid."""
+    end = time.monotonic() + 30
+    while not page.evaluate(condition, arg):
+        assert time.monotonic() < end, f"not within 30 s: {condition}"
+        page.wait_for_timeout(20)
 
 
 @contextmanager

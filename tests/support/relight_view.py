@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from browser import Visit, visit
+from browser import Visit, visit, wait_until
 from pbrfit import DirectionalLight, Environment, Result, decompose, relight
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model.materials import Materials
+from pbrfit.report import viewer
 from pbrfit.report.html import document
 from pbrfit.report.viewer import film, fragment, maps
 from pbrfit.report.viewer.film import Tile
@@ -28,15 +29,6 @@ from pbrfit.synthetic.lights import random_lights
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
-
-PAGE = (
-    document("view", "{}")
-    .replace("{}", "\0")
-    .replace("{", "{{")
-    .replace("}", "}}")
-    .replace("\0", "{}")
-)
-"""A page to be filled with a fragment by `format`."""
 
 Light = NDArray[np.float64] | DirectionalLight | Environment | LampLight
 """As `relight` takes it."""
@@ -224,17 +216,27 @@ class View:
         """Choose a panorama; return what the view says about it."""
         before = self.message()
         self.page.locator('input[type="file"]').set_input_files(list(files))
-        self.page.wait_for_function(
+        wait_until(
+            self.page,
             "before => document.querySelector('.relight-message').textContent !== before",
             arg=before,
         )
-        self.page.wait_for_function(
-            "!document.querySelector('.relight-message').textContent.startsWith('Reading')"
+        wait_until(
+            self.page,
+            "!document.querySelector('.relight-message').textContent.startsWith('Reading')",
         )
         return self.message()
 
     def message(self) -> str:
         return self.page.locator(".relight-message").first.inner_text()
+
+
+def page_of(
+    result: Result, max_side: int = 1024, tiles: Sequence[Tile] | None = None, before: str = ""
+) -> str:
+    """A page that holds the view alone; `before` is a script that runs first."""
+    view = f"<script>{before}</script>" + fragment(result, max_side, tiles)
+    return document("view", view, within=[before, viewer.script(result.model)])
 
 
 @contextmanager
@@ -248,7 +250,7 @@ def opened(
 ) -> Iterator[View]:
     """The view of a result in a page of its own; nothing may go wrong there meanwhile."""
     file = folder / "page.html"
-    file.write_text(PAGE.format(fragment(result, max_side, tiles)), encoding="utf-8")
+    file.write_text(page_of(result, max_side, tiles), encoding="utf-8")
     visited: Visit
     with visit(browser, file, width=width) as visited:
         visited.page.wait_for_selector(READY)

@@ -33,10 +33,13 @@ class Cluster:
 
     def __init__(self, address: str, jobs: int | None = None) -> None:
         try:
+            import cryptography  # noqa: F401 - without it there are no certificates
             import dask
-            from distributed import Client, LocalCluster
+            from distributed import Client
             from distributed.comm import get_address_host_port
             from distributed.scheduler import KilledWorker
+
+            from pbrfit.batch import local_cluster
         except ImportError as error:
             raise InputError(
                 f"--cluster: expected dask.distributed, found {error}; "
@@ -54,13 +57,7 @@ class Cluster:
             self.threads = share(jobs)
             # What kills a worker is tried again by whoever hands out tasks, alone.
             with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-                self._cluster = LocalCluster(
-                    n_workers=jobs,
-                    threads_per_worker=1,
-                    memory_limit=0,  # tasks are not begun beyond what there is
-                    dashboard_address=None,
-                    silence_logs=logging.CRITICAL,
-                )
+                self._cluster = local_cluster.start(jobs)
         try:
             if self._cluster is None:
                 get_address_host_port(address)  # a client that fails at it never quite ends

@@ -12,6 +12,7 @@ from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io.output import check_free
+from pbrfit.io.quoting import visible
 from pbrfit.result.result import Result
 
 
@@ -86,4 +87,4 @@ def _print_files(exported: Exported, out: Path) -> None:
     lines.append((f"lights/*.exr ({len(of_lights)})", size, f"a panorama a light{remark}"))
     width = max(len(path) for path, _, _ in lines)
     for path, size, holds in lines:
-        print(f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}")
+        print(visible(f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}"))

@@ -22,6 +22,7 @@ from pbrfit.commands.network_options import NORMAL_SOURCES, normal_source, sourc
 from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.output import new_file
+from pbrfit.io.quoting import visible
 
 MAX_SIZE = 1024
 """Longer side in pixels that larger photographs are averaged down to."""
@@ -269,4 +270,4 @@ def _print_summary(report: GenerationReport) -> None:
     scene, out = (shlex.quote(str(path)) for path in (report.out, result))
     facts.append(("next", f"pbrfit decompose {scene} --out {out}"))
     for topic, fact in facts:
-        print(f"{topic:<12}{fact}")
+        print(visible(f"{topic:<12}{fact}"))

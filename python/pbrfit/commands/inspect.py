@@ -9,6 +9,7 @@ from pbrfit.commands.arguments import DONE, add_flags, add_scene, value
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
 from pbrfit.io.output import new_file
+from pbrfit.io.quoting import visible
 from pbrfit.report import inspection
 from pbrfit.result import preview
 
@@ -28,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
     scene = reading(options).load(options.scene)
     for topic, fact in inspection.facts(scene):
-        print(f"{topic:<17} {fact}")
+        print(visible(f"{topic:<17} {fact}"))
     if options.preview is not None:
         with new_file(options.preview, overwrite=True) as path:
             images.write_png(path, preview.normals_preview(scene), tag="srgb")

@@ -15,6 +15,7 @@ from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import Flags, asked_for, source
 from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.output import new_file
+from pbrfit.io.quoting import visible
 from pbrfit.model.lamps import Lamps
 from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene import ball as balls
@@ -96,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
         with cli.unread_is_no_failure():
             print(f"{path}: {lines[0]}")
             for line in lines[1:]:
-                print(line)
+                print(visible(line))
             if options.preview is not None:
                 print(f"look at them: {options.preview}")
     return cli.DONE

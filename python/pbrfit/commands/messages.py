@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from pbrfit.io.quoting import visible
+
 OPTIONS = ("fov", "iterations", "time_limit", "white")
 """Options that the library speaks of, as Python names them."""
 
@@ -26,12 +28,12 @@ def unread_is_no_failure() -> Iterator[None]:
 def complain(message: str) -> None:
     """Say what is wrong, in one line on stderr; where nobody can be told, work goes on.
 
-    What the library says of its options is said in flags.
+    What the library says of its options is said in flags, and no name in it steers the terminal.
     """
     if sys.stderr is None:
         return  # it was closed by whoever called
     try:
-        print(f"pbrfit: {in_flags(message)}", file=sys.stderr, flush=True)
+        print(f"pbrfit: {visible(in_flags(message))}", file=sys.stderr, flush=True)
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # as above
 

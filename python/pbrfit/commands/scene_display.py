@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
@@ -19,6 +19,7 @@ from pbrfit.batch.scenes import SceneOutcome, SceneTask, rmse_in_words
 from pbrfit.commands.messages import complain, in_flags, unread_is_no_failure
 from pbrfit.commands.progress import progress_bar
 from pbrfit.commands.terminal import DIM, columns_of, marked, painted, verdict_lines
+from pbrfit.io.quoting import shown
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
 
 
@@ -151,6 +152,7 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
 
     Verdicts are told by their first words where a line would not fit into the terminal.
     """
+    rows = sorted((replace(row, name=shown(row.name)) for row in rows), key=lambda row: row.name)
     of_name = max(len("scene"), *(len(row.name) for row in rows))
 
     def line(name: str, status: str, residual: str, levels: Sequence[str], last: str) -> str:
@@ -166,7 +168,7 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
         words = {level: level.split()[0] for level in LEVELS}
         of_level = max(map(len, PARAMETERS)) - 2
     lines = [painted(head(of_level), DIM, sys.stdout)]
-    for row in sorted(rows, key=lambda one: one.name):
+    for row in rows:
         levels = [_cell(level, of_level, words) for level in row.levels]
         lines.append(line(row.name, row.status, row.residual, levels, f"{row.seconds:.1f}"))
     counts = Counter(row.status for row in rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from collections.abc import Iterable
 
@@ -11,6 +12,13 @@ LONGEST = 200
 MOST = 12
 """Names of a list that are shown."""
 
+TURNING = (0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+"""Letters that turn the direction of writing, so that a text reads as another one."""
+
+CONTROLS = (*range(9), *range(11, 13), *range(14, 32), *range(0x7F, 0xA0))
+"""Letters that a terminal obeys, but for line ends and tabs."""
+
+_UNSEEN = re.compile(f"[{re.escape(''.join(map(chr, (*TURNING, *CONTROLS))))}]")
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxstring, _short.maxlong, _short.maxother = 4, 60, 40, 60
 
@@ -22,6 +30,11 @@ def shown(text: object) -> str:
         letter if letter.isprintable() else repr(letter)[1:-1] for letter in words[:LONGEST]
     )
     return clean + "…" * (len(words) > LONGEST)
+
+
+def visible(text: str) -> str:
+    """Whole text of any length with \ufffd for each of `TURNING` and `CONTROLS`."""
+    return _UNSEEN.sub("\ufffd", text)
 
 
 def quoted(value: object) -> str:

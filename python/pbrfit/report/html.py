@@ -1,16 +1,19 @@
 """HTML that every page of the package is made of: one look, tables, pictures inside.
 
-All text is escaped here, and nothing refers to another file or to the network.
+All text is escaped here, and nothing refers to another file or to the network. Browsers hold a page
+to that: they run the scripts that it was made with and no other, and load nothing.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Literal
 
+from pbrfit.io.quoting import visible
 from pbrfit.report import theme
 
 Look = Literal["", "name", "number", "best", "pass", "fail", "note", "why", "hash"]
@@ -47,16 +50,28 @@ class Table:
     caption: str = ""
 
 
-def document(title: str, body: str, *, style: str = "", script: str = "", look: str = "") -> str:
+def document(
+    title: str,
+    body: str,
+    *,
+    style: str = "",
+    script: str = "",
+    within: Sequence[str] = (),
+    look: str = "",
+) -> str:
     """Whole page; `style` comes after the common one, `script` runs when the page is read.
 
-    A body of its own `look`, a class of `style`, has the theme's button in its own place.
+    `within` are the scripts that stand in the body; no other runs there. A body of its own `look`,
+    a class of `style`, has the theme's button in its own place. Letters that turn the direction of
+    writing, and controls, are shown as \ufffd.
     """
+    scripts = [theme.script(), *within, *([script] if script else [])]
     head = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{policy(scripts)}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         # No icon: a browser would look for one beside the page.
-        f'<title>{escape(title)}</title>\n<link rel="icon" href="data:,">',
+        f'<title>{escape(visible(title))}</title>\n<link rel="icon" href="data:,">',
         # First of all, so that no page is shown in the other theme before.
         f"<script>{theme.script()}</script>",
         f"<style>{theme.style()}{style}</style>\n</head>",
@@ -65,7 +80,22 @@ def document(title: str, body: str, *, style: str = "", script: str = "", look: 
         else f'<body>\n<div class="page-theme">{theme.button()}</div>',
     ]
     tail = [f"<script>{script}</script>"] if script else []
-    return "\n".join([*head, body, *tail, "</body>\n</html>\n"])
+    return "\n".join([*head, visible(body), *tail, "</body>\n</html>\n"])
+
+
+def policy(scripts: Sequence[str]) -> str:
+    """What a page may do (W3C, Content Security Policy Level 3): these scripts, nothing loaded."""
+    digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
+    return "; ".join(
+        [
+            "default-src 'none'",
+            "script-src " + " ".join(f"'sha256-{in_base64(digest)}'" for digest in digests),
+            "style-src 'unsafe-inline'",  # widths and colours stand in attributes
+            "img-src data: blob:",
+            "base-uri 'none'",
+            "form-action 'none'",
+        ]
+    )
 
 
 def paragraph(text: str, look: str = "") -> str:

@@ -154,7 +154,14 @@ def _document(result: Result, sections: Mapping[str, str]) -> str:
     here = Path(__file__).parent
     style = (here / "style.css").read_text(encoding="utf-8")
     script = (here / "enlarge.js").read_text(encoding="utf-8")
-    return document(_title(result), "\n".join(body), style=style, script=script, look="report")
+    return document(
+        _title(result),
+        "\n".join(body),
+        style=style,
+        script=script,
+        within=[viewer.script(result.model)],
+        look="report",
+    )
 
 
 def _head(result: Result) -> str:

@@ -323,7 +323,7 @@ def _normal_equations(known: Array, wanted: Array, weights: Array) -> tuple[Arra
 
 
 def _f(found: Array, covariance: Array) -> float:
-    return float(found @ np.linalg.lstsq(covariance, found)[0]) / len(found)
+    return float(found @ np.linalg.lstsq(covariance, found, None)[0]) / len(found)
 
 
 def _windows(length: int, count: int, side: int) -> NDArray[np.intp]:

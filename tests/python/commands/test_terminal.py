@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from pbrfit.commands.messages import OPTIONS, complain, in_flags
 from pbrfit.commands.scene_display import Row, batch_table
 from pbrfit.commands.terminal import CUBE, verdict_lines
 from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
+from pbrfit.synthetic import make_scene
 from scene_files import write_folder
 
 VERDICTS = {
@@ -229,3 +231,20 @@ def test_a_terminal_has_a_bar_and_quiet_nothing(monkeypatch: pytest.MonkeyPatch)
 def test_a_terminal_is_told_from_a_pipe() -> None:
     assert terminal.columns_of(Stream(terminal=True)) == 80
     assert terminal.columns_of(Stream(terminal=False)) is None
+
+
+def test_names_steer_no_terminal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A name with escapes clears no screen, and one with U+202E reads as what it is."""
+    name = "\x1b[2J\u202egnp.exe\u2067\x9b"
+    complain(f"{name}: expected a scene")
+    scene = tmp_path / "scene"
+    make_scene("room", size=12, lights=2).save(scene)
+    shutil.rmtree(scene / "truth")
+    first = min((scene / "images").iterdir())
+    first.rename(first.with_stem(name))
+    inspected = ran("inspect", scene)
+    assert inspected.code == 0
+    rows = [Row(name, "done", "0.1", (None,) * 3, 1.0)]
+    for said in (capsys.readouterr().err, inspected.out, "\n".join(batch_table(rows, 1.0))):
+        assert "gnp.exe" in said
+        assert not set(said) & set("\x1b\u202e\u2067\x9b")

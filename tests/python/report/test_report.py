@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import errno
+import hashlib
 import itertools
 import json
 import math
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import pytest
 
-from browser import launched, visit
+from browser import launched, visit, wait_until
 from command_runs import done, refused
 from page_reader import Page, decoded
 from pbrfit import InputError, Materials, Result, Scene, decompose, sh_basis
@@ -398,6 +399,55 @@ def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
     )
 
 
+def test_names_turn_no_text_around(tmp_path: Path) -> None:
+    turned = "\u202egnp.exe\u2066\u200e\u061c\x1b[2J"
+    scene, result = in_memory(names=(turned, "b", "c"), assumed={turned: turned})
+    written(result, tmp_path / "page.html", scene)
+    content = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert not set(content) & set(turned[0] + turned[8:-3])
+    assert "\ufffdgnp.exe\ufffd\ufffd\ufffd\ufffd[2J" in content
+
+
+def policy_of(page: Page) -> dict[str, str]:
+    [meta] = [e for e in page.all("meta") if "http-equiv" in e.attributes]
+    assert meta.attributes["http-equiv"] == "Content-Security-Policy"
+    parts = (part.partition(" ") for part in meta.attributes["content"].split("; "))
+    return {name: value for name, _, value in parts}
+
+
+@pytest.mark.parametrize("alone", [True, False], ids=["any page", "report"])
+def test_a_page_allows_its_own_scripts_by_digest_and_loads_nothing(page: Page, alone: bool) -> None:
+    found = Page(document("Title", "<h1>Title</h1>", script="1;")) if alone else page
+    policy = policy_of(found)
+    scripts = [e.text for e in found.all("script") if "type" not in e.attributes]
+    assert len(scripts) == (2 if alone else 3)
+    digests = (base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts)
+    assert set(policy.pop("script-src").split()) == {f"'sha256-{digest}'" for digest in digests}
+    assert policy == {
+        "default-src": "'none'",
+        "style-src": "'unsafe-inline'",
+        "img-src": "data: blob:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+
+
+def test_a_script_that_got_into_a_page_does_not_run(chromium: Browser, tmp_path: Path) -> None:
+    """Were text ever not escaped, its scripts would still be none of the page's."""
+    intruder = (
+        "<script>document.title = 'taken'</script>"
+        '<img src="x:" alt="" onerror="document.title = \'taken\'">'
+        '<img src="https://example.invalid/secret" alt="">'
+    )
+    file = tmp_path / "page.html"
+    file.write_text(document("Title", f"<h1>Title</h1>{intruder}"), encoding="utf-8")
+    with visit(chromium, file) as visited:
+        assert visited.page.title() == "Title"
+        refused = [one for one in visited.troubles if "Content Security Policy" in one]
+        assert len(refused) >= 3
+        assert any("example.invalid" in one for one in refused)
+
+
 def test_pixels_outside_the_mask_are_transparent(tmp_path: Path) -> None:
     mask = np.ones((SIZE, SIZE), bool)
     mask[3:9, 4:15] = False
@@ -731,7 +781,7 @@ def test_a_link_unfolds_its_section_and_verdicts_close(
         lights = visited.page.locator("#lights details").first
         assert lights.get_attribute("open") is None
         visited.page.evaluate("location.hash = 'lights'")
-        visited.page.wait_for_function("document.querySelector('#lights details').open")
+        wait_until(visited.page, "document.querySelector('#lights details').open")
         visited.page.evaluate("window.scrollTo(0, 0)")
         chips = visited.page.locator("details.verdict")
         chips.nth(0).locator("summary").click()

@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from browser import launched, visit
+from browser import launched, visit, wait_until
 from page_reader import Page
 from pbrfit import Result
 from pbrfit.model.lamps import Lamps
@@ -144,7 +144,7 @@ def test_a_browser_shows_lamps_without_complaint(
     write_report(result, tmp_path / "page.html")
     with launched() as browser, visit(browser, tmp_path / "page.html", width=width) as visited:
         visited.page.evaluate("location.hash = 'lamps'")
-        visited.page.wait_for_function("document.querySelector('#lamps details').open")
+        wait_until(visited.page, "document.querySelector('#lamps details').open")
         inside = visited.page.evaluate("document.documentElement.scrollWidth")
         drawn = visited.page.locator("#lamps svg").bounding_box()
         lights = visited.page.locator(".relight-film img + span").all_inner_texts()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from browser import launched, visit
+from browser import launched, visit, wait_until
 from pbrfit import DirectionalLight, Environment, Result, relight, sh_basis
 from pbrfit.io.display import ToneMap, encoded
 from pbrfit.model import panorama
@@ -24,7 +25,6 @@ from pbrfit.report.viewer import fragment, maps
 from pbrfit.report.viewer.lights import AMBIENT
 from pbrfit.result.relighting import own_light
 from relight_view import (
-    PAGE,
     READY,
     Light,
     View,
@@ -33,6 +33,7 @@ from relight_view import (
     expected,
     made,
     opened,
+    page_of,
     pixels_of_png,
     room,
     tiles_of,
@@ -105,7 +106,7 @@ def tilted(light: NDArray[np.float64], degrees: float) -> NDArray[np.float64]:
     turn = np.array([[1, 0, 0], [0, np.cos(b), np.sin(b)], [0, -np.sin(b), np.cos(b)]])
     d = panorama.directions(12, 24).reshape(-1, 3)
     # Light that came from d comes from turn · d now.
-    solved = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light)[0]
+    solved = np.linalg.lstsq(sh_basis(d @ turn.T), sh_basis(d) @ light, None)[0]
     return np.asarray(solved, np.float64)
 
 
@@ -296,7 +297,7 @@ def test_the_picture_can_be_saved(browser: Browser, furnished: Result, tmp_path:
         view.adjust()
         view.choose(furnished.pictures[0])
         view.control("rotate").fill("-20")
-        view.page.wait_for_function("location.hash.includes('rotate=-20')")
+        wait_until(view.page, "location.hash.includes('rotate=-20')")
         with view.page.expect_download() as download:
             view.page.get_by_role("button", name="Save PNG").click()
         assert download.value.suggested_filename == f"relit-{furnished.pictures[0]}--20.png"
@@ -462,6 +463,48 @@ def test_broken_panoramas_are_refused_in_words_and_change_nothing(
         assert tiles == 1 + len(furnished.pictures)
 
 
+def grey_rows(width: int) -> bytes:
+    """Rows of old runs, twelve bytes each whatever the width."""
+    more = width - 1
+    row = b"\x60\x60\x60\x80\1\1\1" + bytes([more & 255]) + b"\1\1\1" + bytes([more >> 8])
+    return row * (width // 2)
+
+
+@pytest.mark.slow
+def test_a_small_file_of_many_pixels_takes_hardly_longer(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    """49 kB are 8192 × 4096 pixels."""
+    seconds = []
+    for width in (1024, 8192):
+        file = tmp_path / f"{width}.hdr"
+        file.write_bytes(hdr(grey_rows(width), width, width // 2))
+        with opened(browser, furnished, tmp_path) as view:
+            began = time.monotonic()
+            assert view.open(file) == f"{width}.hdr: {width} × {width // 2}."
+            seconds.append(time.monotonic() - began)
+    assert seconds[1] < 1.5 * seconds[0] + 2
+
+
+def test_a_panorama_that_takes_too_long_is_refused(
+    browser: Browser, furnished: Result, tmp_path: Path
+) -> None:
+    file = tmp_path / "slow.hdr"
+    file.write_bytes(hdr(grey_rows(1024), 1024, 512))
+    with opened(browser, furnished, tmp_path) as view:
+        view.page.evaluate(
+            """() => {
+                const now = performance.now.bind(performance);
+                let slow = 0;
+                performance.now = () => now() + 1000 * slow++;
+            }"""
+        )
+        assert view.open(file).startswith(
+            "slow.hdr: expected a panorama that is read within 20 s, found 1024 × 512 pixels"
+        )
+        assert view.state()["light"] == ""
+
+
 def test_a_panorama_can_be_dropped_on_the_picture(
     browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
@@ -479,8 +522,9 @@ def test_a_panorama_can_be_dropped_on_the_picture(
         canvas.dispatch_event("dragover", {"dataTransfer": transfer})
         assert view.page.locator(".relight-drop").is_visible()
         canvas.dispatch_event("drop", {"dataTransfer": transfer})
-        view.page.wait_for_function(
-            "document.querySelector('.relight-message').textContent.startsWith('dropped.hdr: 16')"
+        wait_until(
+            view.page,
+            "document.querySelector('.relight-message').textContent.startsWith('dropped.hdr: 16')",
         )
         assert not view.page.locator(".relight-drop").is_visible()
         assert view.state()["light"] == "dropped.hdr"
@@ -504,7 +548,7 @@ def test_the_lamp_goes_where_the_pointer_is(
         placed = view.state()
         assert placed["elevation"] == pytest.approx(44, abs=0.2)
         lamp = DirectionalLight(placed["azimuth"], placed["elevation"])
-        view.page.wait_for_function("location.hash.includes('elevation')")
+        wait_until(view.page, "location.hash.includes('elevation')")
         address = view.page.url.partition("#")[2]
         assert shown_off(view, f"{address}&ambient=0", furnished, lamp) <= AT_MOST
         # Beside the picture it stays at the edge.
@@ -560,7 +604,7 @@ def test_keys_move_the_light_and_home_brings_it_back(
         for key in keys:
             view.page.keyboard.press(key)
         assert (view.state()["rotate"], view.state()["tilt"]) == (9, 4)
-        view.page.wait_for_function("document.querySelector('[name=rotate]').value === '9'")
+        wait_until(view.page, "document.querySelector('[name=rotate]').value === '9'")
         assert view.control("rotate").get_attribute("aria-valuetext") == "+9°"
         view.page.keyboard.press("Home")
         assert (view.state()["rotate"], view.state()["tilt"]) == (0, 0)
@@ -614,7 +658,7 @@ def test_keys_do_everything(browser: Browser, furnished: Result, tmp_path: Path)
         press("Escape")
         assert not view.page.locator(".relight-keys").is_visible()
         press("r")
-        view.page.wait_for_function("location.hash === ''")
+        wait_until(view.page, "location.hash === ''")
 
 
 def test_the_wheel_zooms_about_the_pointer_and_the_hand_moves_the_picture(
@@ -678,16 +722,17 @@ def test_a_picture_is_compared_up_to_a_border_that_moves(
         view.page.mouse.up()
         assert border.get_attribute("aria-valuenow") == "25"
         assert "inset(0" in before.evaluate("image => image.style.clipPath")
-        view.page.wait_for_function("location.hash.includes('picture=')")
+        wait_until(view.page, "location.hash.includes('picture=')")
         # Any picture can be chosen.
         view.adjust()
         view.control("picture").select_option(furnished.pictures[2])
-        view.page.wait_for_function(
+        wait_until(
+            view.page,
             "name => document.querySelector('.relight-before').alt === `Picture ${name}`",
             arg=furnished.pictures[2],
         )
         view.control("picture").select_option("")
-        view.page.wait_for_function("document.querySelector('.relight-before').hidden")
+        wait_until(view.page, "document.querySelector('.relight-before').hidden")
 
 
 def test_without_pictures_nothing_is_compared(
@@ -708,12 +753,14 @@ def test_deviations_are_shown_where_there_are_some(
         shown = view.page.locator(".relight-deviation")
         for name in ("roughness", "metallic", "albedo"):
             menu.select_option(name)
-            view.page.wait_for_function(
-                "name => document.querySelector('.relight-deviation').alt.endsWith(name)", arg=name
+            wait_until(
+                view.page,
+                "name => document.querySelector('.relight-deviation').alt.endsWith(name)",
+                arg=name,
             )
             assert shown.evaluate("image => [image.naturalWidth, image.hidden]") == [24, False]
         view.page.get_by_role("radio", name="relit").check()
-        view.page.wait_for_function("document.querySelector('.relight-deviation').hidden")
+        wait_until(view.page, "document.querySelector('.relight-deviation').hidden")
     without = dataclasses.replace(furnished, uncertainty=None)
     with opened(browser, without, tmp_path) as view:
         assert not view.page.get_by_role("radio", name="uncertainty").is_visible()
@@ -779,7 +826,7 @@ def test_one_finger_moves_the_lamp_on_a_phone_and_two_zoom(
     browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
     file = tmp_path / "page.html"
-    file.write_text(PAGE.format(fragment(furnished)), encoding="utf-8")
+    file.write_text(page_of(furnished), encoding="utf-8")
     context = browser.new_context(
         viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
     )
@@ -795,7 +842,7 @@ def test_one_finger_moves_the_lamp_on_a_phone_and_two_zoom(
     fingers(session, "touchMove", [(x + 20, y - 5)])
     fingers(session, "touchMove", [(x + box["width"] / 4, y)])
     fingers(session, "touchEnd", [])
-    page.wait_for_function("document.querySelector('.relight-view').view.state.azimuth > 40")
+    wait_until(page, "document.querySelector('.relight-view').view.state.azimuth > 40")
     state = page.evaluate("document.querySelector('.relight-view').view.state")
     assert state["azimuth"] == pytest.approx(44, abs=1)
     assert state["elevation"] == pytest.approx(0, abs=1)
@@ -822,12 +869,12 @@ def test_the_address_says_what_is_shown_and_brings_it_back(
         view.choose(result.pictures[1])
         view.control("rotate").fill("30")
         view.control("tone").select_option("none")
-        view.page.wait_for_function("location.hash.includes('tone')")
+        wait_until(view.page, "location.hash.includes('tone')")
         address = view.page.url.partition("#")[2]
         assert address == f"light={result.pictures[1]}&rotate=30&tone=none"
         before = view.saved()
         view.page.get_by_role("button", name="Reset").click()
-        view.page.wait_for_function("location.hash === ''")
+        wait_until(view.page, "location.hash === ''")
         assert view.state()["light"] == ""
         view.go(address)
         np.testing.assert_array_equal(view.saved(), before)
@@ -887,11 +934,11 @@ def test_a_lost_context_comes_back_with_the_same_picture(
                 window.extension.loseContext();
             }"""
         )
-        view.page.wait_for_function("document.querySelector('.relight-message').textContent !== ''")
+        wait_until(view.page, "document.querySelector('.relight-message').textContent !== ''")
         assert "waiting for it" in view.message()
         view.go("azimuth=30")  # a change meanwhile does no harm
         view.page.evaluate("window.extension.restoreContext()")
-        view.page.wait_for_function("document.querySelector('.relight-message').textContent === ''")
+        wait_until(view.page, "document.querySelector('.relight-message').textContent === ''")
         view.go("azimuth=-35")
         np.testing.assert_array_equal(view.saved(), before)
 
@@ -913,8 +960,7 @@ def test_where_the_view_cannot_run_there_are_a_message_and_one_picture(
     browser: Browser, furnished: Result, tmp_path: Path, missing: str, said: str
 ) -> None:
     file = tmp_path / "page.html"
-    head = f"<script>{missing}</script>"
-    file.write_text(PAGE.format(head + fragment(furnished)), encoding="utf-8")
+    file.write_text(page_of(furnished, before=missing), encoding="utf-8")
     with visit(browser, file) as visited:
         page = visited.page
         page.wait_for_selector('.relight-view[data-state="static"]')

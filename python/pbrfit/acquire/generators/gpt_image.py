@@ -1,17 +1,20 @@
 """GPT-Image-2 through OpenAI's client: the photo is sent to OpenAI, and every picture costs money.
 
 The key comes from the environment and is kept nowhere else: not in settings, not in records, not in
-messages. Facts about the API are of OpenAI's image generation guide and of the client's own
-documentation (openai 3.52).
+messages. An answer is bounded before it is held, and leads neither photo nor key elsewhere. Facts
+about the API are of OpenAI's image generation guide and of the client's own documentation (openai
+3.52).
 """
 
 from __future__ import annotations
 
 import base64
-import binascii
-import io
+import importlib
+import json
 import os
 import time
+import zlib
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -19,19 +22,20 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit._core import InputError
-from pbrfit.acquire.generators import Generated, Refused, Request, requests_from
+from pbrfit.acquire.generators import Answer, Generated, Refused, Request, requests_from
 from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, resized_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
+from pbrfit.acquire.received import read_srgb8
 from pbrfit.acquire.weights import need
 from pbrfit.io import images
+from pbrfit.io.json_files import UNFIT, table, text, whole
+from pbrfit.io.quoting import listed, shown
 
 if TYPE_CHECKING:
     import openai
-    from openai.types import ImagesResponse
 
 KEY = "OPENAI_API_KEY"
 """Where the key is looked for, and nowhere else."""
@@ -47,9 +51,24 @@ TIMEOUT = 600.0
 RETRIES = 4
 """How often the client asks again after 408, 409, 429, 5xx and broken connections."""
 
+MOST_BYTES = 2**27
+"""Length of an answer, as sent and unpacked. The largest picture of the service, 3840 × 2160 of 16
+bits a channel, takes 71 MB in base64 where nothing can be compressed."""
+
+GZIP = b"\x1f\x8b"
+"""How what gzip made begins."""
+
+MOST_BYTES_OF_FAILURE = 2**16
+"""Length of what is read where the service says that it failed."""
+
 SAME_SHAPE = 0.01
 """A picture of another size whose sides are in the proportion that was asked for, up to this, is
 scaled. Services that stand in for OpenAI's may round sizes their own way."""
+
+TOTALS = ("input_tokens", "output_tokens", "total_tokens")
+DETAILS = ("input_tokens_details", "output_tokens_details")
+KINDS = ("text_tokens", "image_tokens")
+"""Counts in an answer's usage, and those in its details."""
 
 PRICES = dict.fromkeys(
     (
@@ -113,11 +132,15 @@ class GptImage:
         return [replace(request, seed=seed) for request in requests_from(catalogue, count, seed)]
 
     def generate(self, photo: Photo, request: Request) -> Generated:
-        """Ask for one picture.
+        """Ask for one picture and read it; raises what `ask` and `read` raise."""
+        return self.read(photo, self.ask(photo, request))
+
+    def ask(self, photo: Photo, request: Request) -> Answer:
+        """Ask for one picture; the answer as it came, cut after `MOST_BYTES`.
 
         Raises Refused if the service's moderation refuses the prompt, the photo or what came out;
-        InputError if the key is refused, the service is out of reach or out of quota after all
-        retries, or answers with something that is no picture of the size that was asked for.
+        InputError if the key is refused, or the service is out of reach or out of quota after all
+        retries.
         """
         import openai
 
@@ -126,7 +149,7 @@ class GptImage:
         height, width = around.padded
         start = time.monotonic()
         try:
-            answer = self._client.images.edit(
+            answer = self._client.images.with_raw_response.edit(
                 model=self.model,
                 image=("photo.png", sent, "image/png"),
                 prompt=_with_negative(request),
@@ -136,12 +159,20 @@ class GptImage:
             )
         except openai.OpenAIError as error:
             self._explain(error)
-        except ValueError:  # what the client lets through of a body that is no JSON
-            raise InputError(
-                f"{self._service}: expected a picture, found an answer that is no JSON"
-            ) from None
-        pixels, given = self._picture(answer, around)
-        usage = answer.usage.model_dump(mode="json", exclude_none=True) if answer.usage else None
+        return Answer(answer.http_response.content, time.monotonic() - start)
+
+    def read(self, photo: Photo, answer: Answer) -> Generated:
+        """Take the picture out of an answer of `ask`.
+
+        Raises Refused if its shape is not the one that was asked for; InputError if there is no
+        picture that can be read.
+        """
+        around = frame(photo.size, GPT_IMAGE_2)
+        height, width = around.padded
+        content = self._content(answer.body)
+        pixels, given = self._picture(content, around)
+        usage = _usage(content.get("usage"))
+        quality = content.get("quality")
         return Generated(
             pixels=pixels,
             record={
@@ -150,8 +181,8 @@ class GptImage:
                 "seed": None,  # the API takes none
                 "size": [width, height],
                 "size_given": given,
-                "quality": answer.quality or self.quality,
-                "seconds": round(time.monotonic() - start, 3),
+                "quality": quality if quality in QUALITIES else self.quality,
+                "seconds": round(answer.seconds, 3),
                 "usage": usage,
                 "cost_usd": cost(self.model, usage),
                 "prices_as_of": PRICES_AS_OF,
@@ -172,7 +203,15 @@ class GptImage:
             raise InputError(f"{KEY}: expected ASCII without blanks, found other characters")
         if ADDRESS in os.environ:  # the client takes an empty one at its word too
             _check_address(os.environ[ADDRESS])
-        return openai.OpenAI(api_key=key, max_retries=self.max_retries, timeout=self.timeout)
+        return openai.OpenAI(
+            api_key=key,
+            max_retries=self.max_retries,
+            timeout=self.timeout,
+            default_headers={"Accept-Encoding": "identity"},
+            http_client=openai.DefaultHttpxClient(
+                follow_redirects=False, event_hooks={"response": [_bound]}
+            ),
+        )
 
     @property
     def _service(self) -> str:
@@ -180,21 +219,32 @@ class GptImage:
         parts = urlsplit(str(self._client.base_url))
         return f"{parts.hostname}:{parts.port}" if parts.port else str(parts.hostname)
 
+    def _content(self, body: bytes) -> dict[str, Any]:
+        """The JSON object that an answer is."""
+        try:
+            return table(json.loads(_unpacked(body)))
+        except (zlib.error, *UNFIT) as error:
+            raise InputError(
+                f"{self._service}: expected a picture, found an answer that is no JSON object: "
+                f"{shown(error)}"
+            ) from None
+
     def _picture(
-        self, answer: ImagesResponse, around: Frame
+        self, content: dict[str, Any], around: Frame
     ) -> tuple[NDArray[np.uint8], list[int]]:
         """The picture in an answer at the photo's size, and the (width, height) it came in."""
-        # A body that is no JSON arrives as the text it is.
-        data = getattr(answer, "data", None)
-        encoded = getattr(data[0], "b64_json", None) if isinstance(data, list) and data else None
-        if not isinstance(encoded, str):
-            raise InputError(f"{self._service}: expected a picture, found an answer without one")
         try:
-            with Image.open(io.BytesIO(base64.b64decode(encoded, validate=True))) as picture:
-                pixels = np.asarray(picture.convert("RGB"))
-        except (binascii.Error, OSError, ValueError, Image.DecompressionBombError):
+            encoded = text(content["data"][0]["b64_json"])
+        except (IndexError, *UNFIT):
             raise InputError(
-                f"{self._service}: expected a picture, found an answer with one that cannot be read"
+                f"{self._service}: expected a picture, found an answer without one"
+            ) from None
+        try:
+            pixels = read_srgb8(base64.b64decode(encoded, validate=True))
+        except ValueError as error:
+            raise InputError(
+                f"{self._service}: expected a picture, found an answer with one that cannot be "
+                f"read: {shown(error)}"
             ) from None
         height, width = pixels.shape[:2]
         if (height, width) != around.padded:
@@ -229,6 +279,8 @@ class GptImage:
             problem = f"too many requests or no credit left (429), {tries} times: {said}"
         elif isinstance(error, openai.InternalServerError):
             problem = f"a failure there ({error.status_code}), {tries} times: {said}"
+        elif isinstance(error, openai.APIStatusError) and error.response.has_redirect_location:
+            problem = f"a redirection ({error.status_code}), which is not followed"
         elif isinstance(error, openai.APIStatusError):
             problem = f"status {error.status_code}: {said}"
         else:
@@ -236,9 +288,36 @@ class GptImage:
         raise InputError(f"{self._service}: expected a picture, found {problem}") from None
 
     def _clean(self, text: str) -> str:
-        """One line, not endless, without the key."""
-        text = " ".join(text.replace(self._client.api_key, "***").split())
-        return text if len(text) <= 300 else text[:299] + "…"
+        """One line that a terminal can print, not endless, without the key."""
+        return shown(" ".join(text.replace(self._client.api_key, "***").split()))
+
+
+def _bound(response: Any) -> None:
+    """Hold so much of an answer and no more, packed as it came: what reads it knows no bound."""
+    # Clients were made of httpx, and are of httpx2.
+    http = importlib.import_module(type(response).__module__.partition(".")[0])
+    most = MOST_BYTES if response.is_success else MOST_BYTES_OF_FAILURE
+    body = bytearray()
+    with closing(response.stream) as stream:
+        for chunk in stream:
+            body += chunk
+            if len(body) > most:
+                break
+    response.headers.pop("Content-Encoding", None)
+    response.stream = http.ByteStream(bytes(body[: most + 1]))
+
+
+def _unpacked(body: bytes) -> bytes:
+    """The body of an answer without the compression that a service used unasked.
+
+    Raises ValueError if it is longer than `MOST_BYTES`; zlib.error if it is damaged.
+    """
+    unpacked = body
+    if body.startswith(GZIP):
+        unpacked = zlib.decompressobj(wbits=31).decompress(body, MOST_BYTES + 1)
+    if max(len(body), len(unpacked)) > MOST_BYTES:
+        raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
+    return unpacked
 
 
 def _check_address(address: str) -> None:
@@ -250,6 +329,20 @@ def _check_address(address: str) -> None:
         sound = False
     if not sound:
         raise InputError(f"{ADDRESS}: expected http:// or https:// and a host, found neither")
+
+
+def _usage(told: object) -> dict[str, Any] | None:
+    """Counts of tokens by the service's names; None where they are no counts."""
+    try:
+        counts = {key: n for key, n in table(told).items() if n is not None}
+        usage: dict[str, Any] = {key: whole(counts[key]) for key in TOTALS if key in counts}
+        for name in DETAILS:
+            if name in counts:
+                kinds = table(counts[name])
+                usage[name] = {k: whole(kinds[k]) for k in KINDS if kinds.get(k) is not None}
+    except UNFIT:
+        return None
+    return usage
 
 
 def cost(model: str, usage: dict[str, Any] | None) -> float | None:
@@ -275,9 +368,10 @@ def _refusal(body: object, said: str) -> str:
     details = body.get("moderation_details") if isinstance(body, dict) else None
     if not isinstance(details, dict):
         return f"refused by moderation: {said}"
-    stage = details.get("moderation_stage", "unknown")
-    categories = ", ".join(str(each) for each in details.get("categories") or ()) or "none named"
-    return f"refused by moderation ({stage}; categories: {categories}): {said}"
+    stage = shown(details.get("moderation_stage", "unknown"))
+    named = details.get("categories")
+    categories = listed(map(str, named)) if isinstance(named, list) else ""
+    return f"refused by moderation ({stage}; categories: {categories or 'none named'}): {said}"
 
 
 def _root(error: BaseException) -> str:

@@ -110,16 +110,21 @@ def fragment(
         data=_json(data),
         maps=in_base64(maps.packed(shown)),
     )
-    script = "\n".join(
+    style = f"<style>\n{_text('viewer.css')}</style>\n"
+    return f"{style}{markup}<script>{script(result.model)}</script>\n"
+
+
+def script(model: Model) -> str:
+    """The script in a `fragment`, for the page's `html.policy`."""
+    return "\n".join(
         [
-            "(() => {",
+            "\n(() => {",
             '"use strict";',
-            f"const SHADERS = {_json(_shaders(result.model))};",
+            f"const SHADERS = {_json(_shaders(model))};",
             *map(_text, SCRIPTS),
-            "})();",
+            "})();\n",
         ]
     )
-    return f"<style>\n{_text('viewer.css')}</style>\n{markup}<script>\n{script}\n</script>\n"
 
 
 def _tile(name: str, tile: Tile) -> str:

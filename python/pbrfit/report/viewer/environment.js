@@ -29,10 +29,13 @@ function shares(from, to, wraps) {
 /** One row of RGB on the columns of the sharpest level; `across` are its `shares`. */
 function narrowedRow(row, width, across) {
   const narrow = new Float64Array(3 * COLUMNS);
-  across.forEach(({ first, weights }, i) => weights.forEach((weight, j) => {
-    const from = 3 * ((((first + j) % width) + width) % width);
-    for (let c = 0; c < 3; c++) narrow[3 * i + c] += weight * row[from + c];
-  }));
+  for (let i = 0; i < COLUMNS; i++) {
+    const { first, weights } = across[i];
+    for (let j = 0; j < weights.length; j++) {
+      const from = 3 * ((((first + j) % width) + width) % width);
+      for (let c = 0; c < 3; c++) narrow[3 * i + c] += weights[j] * row[from + c];
+    }
+  }
   return narrow;
 }
 

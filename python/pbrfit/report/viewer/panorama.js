@@ -3,12 +3,17 @@
 
 const FEWEST_ROWS = 7; // as pbrfit.model.panorama
 const MOST_ROWS = 4096; // finer ones would only take time: the sharpest level has 512
+const MOST_SECONDS = 20; // of reading: runs make a small file one of many pixels
+const TURN = 30; // milliseconds after which the page may answer
+const SCALES = Float64Array.from({ length: 256 }, (_, exponent) =>
+  exponent === 0 ? 0 : 2 ** (exponent - 136));
 
 /**
  * @param {Uint8Array} bytes content of the file
- * @returns {{rows: Float64Array[], width: number, height: number}} rows of `narrowedRow`
+ * @returns {Promise<{rows: Float64Array[], width: number, height: number}>} rows of `narrowedRow`;
+ *   the page may answer in between
  */
-function readPanorama(bytes) {
+async function readPanorama(bytes) {
   const header = readHeader(bytes);
   const { width, height } = header;
   if (width !== 2 * height) {
@@ -22,15 +27,26 @@ function readPanorama(bytes) {
   const reader = new RowReader(bytes, header);
   const across = shares(width, COLUMNS, true);
   const row = new Float64Array(3 * width);
-  const rows = Array.from({ length: height }, () => {
+  const rows = [];
+  const began = performance.now();
+  let answered = began;
+  while (rows.length < height) {
     const codes = reader.next();
     for (let j = 0; j < width; j++) {
-      const exponent = codes[4 * j + 3];
-      const scale = exponent === 0 ? 0 : 2 ** (exponent - 136);
+      const scale = SCALES[codes[4 * j + 3]];
       for (let c = 0; c < 3; c++) row[3 * j + c] = codes[4 * j + c] * scale;
     }
-    return narrowedRow(row, width, across);
-  });
+    rows.push(narrowedRow(row, width, across));
+    const now = performance.now();
+    if (now - began > 1000 * MOST_SECONDS) {
+      throw new Error(`expected a panorama that is read within ${MOST_SECONDS} s, found `
+        + `${width} × ${height} pixels, of which ${rows.length} rows were read`);
+    }
+    if (now - answered > TURN) {
+      await new Promise((done) => setTimeout(done));
+      answered = performance.now();
+    }
+  }
   return { rows, width, height };
 }
 
@@ -67,6 +83,7 @@ class RowReader {
   constructor(bytes, { width, height, start }) {
     Object.assign(this, { bytes, width, height, position: start, index: 0 });
     this.row = new Uint8Array(4 * width);
+    this.pixels = new Uint32Array(this.row.buffer);
   }
 
   next() {
@@ -108,7 +125,7 @@ class RowReader {
   }
 
   runsOfPixels() {
-    const { row, width } = this;
+    const { row, pixels, width } = this;
     let column = 0;
     let shift = 0;
     while (column < width) {
@@ -116,9 +133,8 @@ class RowReader {
       if (pixel[0] === 1 && pixel[1] === 1 && pixel[2] === 1) { // repeat the one before
         const count = pixel[3] * 2 ** shift;
         if (column === 0 || column + count > width) throw this.tooLong();
-        for (let i = 0; i < count; i++, column++) {
-          row.copyWithin(4 * column, 4 * column - 4, 4 * column);
-        }
+        pixels.fill(pixels[column - 1], column, column + count);
+        column += count;
         shift += 8;
       } else {
         row.set(pixel, 4 * column++);

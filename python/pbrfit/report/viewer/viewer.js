@@ -506,7 +506,8 @@ class View {
   async open(file) {
     try {
       this.say(`Reading ${file.name} …`);
-      const { rows, width, height } = readPanorama(new Uint8Array(await file.arrayBuffer()));
+      const { rows, width, height } = await readPanorama(
+        new Uint8Array(await file.arrayBuffer()));
       const environment = await blurred(rows);
       environment.unit = halfUnit(environment);
       const taken = this.lights.some(({ name }) => name === file.name);
