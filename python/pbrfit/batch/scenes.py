@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
     from pbrfit.result.result import Result
     from pbrfit.scene.scene import Scene
+
+log = logging.getLogger("pbrfit")
 
 LIBRARIES_BYTES = 200 * 2**20
 """Bytes a process with numpy, scipy and the rest takes: whole processes took 103 to 158 MiB more
@@ -88,6 +91,7 @@ def decompose_scene(
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.result import advice
+    from pbrfit.result.data import Status
     from pbrfit.result.result import CONTAINS
     from pbrfit.scene.registration import aligned
 
@@ -125,6 +129,9 @@ def decompose_scene(
         )
         result.write(folder, scene, task.output)
         wanted.check()
+    if result.status is Status.TIME_LIMIT:
+        reason = result.stop_reason
+        log.warning("%s: unfinished: %s; the best state so far is written", task.output, reason)
     peak = process_memory.peak_kib() if fresh else None
     return SceneOutcome(
         "done",
