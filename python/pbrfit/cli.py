@@ -53,6 +53,14 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     if not given:
         _parser().print_help()
         return DONE
+    if given[0] not in PRINTED_AT_ONCE:
+        from pbrfit import address_space
+
+        try:
+            address_space.check_libraries()
+        except MemoryError as error:
+            complain(str(error))
+            return UNUSABLE
     options = _parser().parse_args(with_signed_values(given))
     from pbrfit import ending
     from pbrfit._core import InputError, last_word

@@ -30,6 +30,7 @@ class Cluster:
     apart = True
     patience: float | None = 1.0
     threads: int | None = None
+    watch = None
 
     def __init__(self, address: str, jobs: int | None = None) -> None:
         try:

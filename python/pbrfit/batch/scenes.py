@@ -10,7 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from pbrfit import address_space
 from pbrfit._core import InputError
+from pbrfit.batch import heartbeat
 from pbrfit.batch.settings import Reading
 from pbrfit.result.options import FitOptions
 from pbrfit.result.verdict import Verdict, verdicts_of
@@ -95,6 +97,7 @@ def decompose_scene(
     from pbrfit.result.result import CONTAINS
     from pbrfit.scene.registration import aligned
 
+    address_space.reserve_blas()
     wanted = _Wanted(task, show)
     wanted.check()
     if not task.overwrite and task.output.is_dir():
@@ -122,11 +125,14 @@ def decompose_scene(
         temporaries=task.temporaries,
     ) as folder:
         scene = task.reading.load(task.scene)
+        heartbeat.step()
         if task.options.align == "auto":
             scene = aligned(scene)
+            heartbeat.step()
         result = decompose(
             scene, task.options, threads=task.threads or threads, progress=wanted.show
         )
+        heartbeat.step()
         result.write(folder, scene, task.output)
         wanted.check()
     if result.status is Status.TIME_LIMIT:
@@ -162,6 +168,7 @@ class _Wanted:
         self._task, self._show, self._asked = task, show, time.monotonic()
 
     def show(self, progress: Progress) -> None:
+        heartbeat.step()
         if time.monotonic() - self._asked > LOOK_EVERY:
             self.check()
             self._asked = time.monotonic()

@@ -12,6 +12,7 @@ from pbrfit._core import InputError
 from pbrfit.batch import place
 from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
+from pbrfit.batch.heartbeat import PATIENCE
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
@@ -43,6 +44,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
     cli.add_cluster(parser)
+    cli.add_flags(
+        parser,
+        patience=cli.value(
+            "SECONDS",
+            cli.whole_number,
+            "end the process of a scene that makes no step for so long, and let the scene fail; "
+            f"0 = never (default: {PATIENCE:.0f}; without --jobs, none: one process does all)",
+        ),
+    )
     add_input(parser)
     add_fit_options(parser)
     cli.add_quiet(parser)
@@ -113,7 +123,7 @@ def _run_all(
             _task(path, output, options, temporaries)
             for path, output in zip(scenes, outputs, strict=True)
         ]
-        done_by = workers(options.jobs, options.cluster, most=len(tasks))
+        done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=options.patience)
         beside = done_by.apart and options.cluster in (None, LOCAL)
 
         def here(task: SceneTask, threads: int) -> SceneOutcome:
