@@ -21,6 +21,10 @@ LIBRARIES_BYTES = 512 * 2**20
 """Address space in bytes of a process with all libraries of a fit: 305 MiB were measured with one
 BLAS thread, two buffers among them; 3 more buffers and the stacks of 4 threads take 128 MiB."""
 
+STACK_BYTES = 4 * 2**20
+"""Least stack in bytes of the main thread, which takes its share of the core's work: blocks of
+pixels among surroundings take 2 MiB there."""
+
 LIBRARIES = ("fft", "linalg", "ndimage", "optimize", "sparse.csgraph", "sparse.linalg", "spatial")
 """Parts of scipy that a fit loads as it comes to them, `special` with them."""
 
@@ -38,6 +42,24 @@ that each holds a buffer while the others want one."""
 def left() -> int | None:
     """Bytes of address space that this process may still take; None where nothing limits it."""
     return min((most - used for most, used in _limits()), default=None)
+
+
+def check_stack() -> None:
+    """Have as much stack as is allowed, up to `STACK_BYTES`; raise MemoryError if that is less."""
+    try:
+        import resource
+    except ImportError:
+        return  # Windows
+    soft, hard = resource.getrlimit(resource.RLIMIT_STACK)
+    if soft == resource.RLIM_INFINITY or soft >= STACK_BYTES:
+        return
+    if hard != resource.RLIM_INFINITY and hard < STACK_BYTES:
+        raise MemoryError(
+            f"stack (ulimit -s): expected {STACK_BYTES >> 10} KiB of memory or more, found "
+            f"{soft >> 10} KiB"
+        )
+    resource.setrlimit(resource.RLIMIT_STACK, (STACK_BYTES, hard))
+    threading.stack_size(STACK_BYTES)  # else what the limit was when the process began
 
 
 def check_libraries() -> None:

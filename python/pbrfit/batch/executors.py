@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -176,6 +177,7 @@ def _deaf() -> Iterator[None]:
 
 def _begin_worker(rows: Any) -> None:
     heartbeat.share(rows)
+    logging.captureWarnings(True)  # as in the parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it could not be blocked
     parent = multiprocessing.parent_process()
     if parent is not None:

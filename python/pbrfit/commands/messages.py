@@ -19,7 +19,14 @@ def unread_is_no_failure() -> Iterator[None]:
         yield
         sys.stdout.flush()
     except OSError:
-        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
+        unread()
+
+
+def unread() -> None:
+    """Let what nobody reads go nowhere, if stdout fails: or Python would fail when it ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

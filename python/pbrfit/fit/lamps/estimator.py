@@ -378,8 +378,8 @@ class LampFit:
         if not self.clock.rows:
             self.clock.record(fit, few.scale, samples)
         for number in range(ROUNDS):
-            if self.clock.out_of_time():
-                break
+            if self.clock.steps >= self.options.iterations or (number and self.clock.late()):
+                break  # lamps as they began leave too much to be a result
             if number in LOOKS:
                 factors, degrees = LOOKS[number]
                 fields: tuple[float, ...] = FIELDS_OF_VIEW
