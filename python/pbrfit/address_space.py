@@ -44,6 +44,14 @@ def left() -> int | None:
     return min((most - used for most, used in _limits()), default=None)
 
 
+def too_little(error: MemoryError) -> str:
+    """What a MemoryError says, in one line that has the word."""
+    words = " ".join(str(error).split())
+    if "memory" in words:
+        return words
+    return f"not enough memory: {words}" if words else "not enough memory"
+
+
 def check_stack() -> None:
     """Have as much stack as is allowed, up to `STACK_BYTES`; raise MemoryError if that is less."""
     try:

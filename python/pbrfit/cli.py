@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, NoReturn
 
 from pbrfit.commands import add_commands
@@ -38,7 +37,7 @@ def run() -> NoReturn:
     """Be the process of a command: it ends within a second of Ctrl-C, whatever it is doing."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # it was closed; a file would take its number
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     watched = len(sys.argv) > 1 and sys.argv[1] not in PRINTED_AT_ONCE
     if watched:
         from pbrfit import ending

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
 from pbrfit.batch.cluster import Cluster, threads_of_worker
@@ -22,6 +23,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 DIED = "its process died"
+PERHAPS_MEMORY = "; memory may be too short (ulimit -v)"
+"""Where address space is limited the core may find none, which ends a process."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,9 @@ def in_one_line(failure: BaseException) -> str:
     words = " ".join(str(failure).split())
     if isinstance(failure, OSError) and failure.strerror and failure.filename:
         return f"{failure.filename}: {failure.strerror}"
-    if isinstance(failure, (InputError, OSError, MemoryError)) and words:
+    if isinstance(failure, MemoryError):
+        return address_space.too_little(failure)
+    if isinstance(failure, (InputError, OSError)) and words:
         return words
     name = type(failure).__name__
     return f"{name}: {words}" if words else name
@@ -212,7 +217,8 @@ def _outcome(
     if failure is None:
         return future.result(), False
     if isinstance(failure, (BrokenExecutor, CancelledError, *deaths)):
-        return Attempt(None, DIED), True
+        limited = address_space.left() is not None
+        return Attempt(None, DIED + PERHAPS_MEMORY * limited), True
     if not isinstance(failure, Exception):
         raise failure
     return Attempt(None, in_one_line(failure)), False  # such as a value that cannot be pickled

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import place
 from pbrfit.batch.cluster import LOCAL
@@ -65,7 +66,10 @@ def run(options: argparse.Namespace) -> int:
     scenes, one = _find_scenes(options.scenes)
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
-    if one and options.cluster is None:
+    # Where address space is limited a process may find none in the midst of a step, and ends: then
+    # another one has to tell, and to take away what was begun.
+    safe = address_space.left() is None and options.patience is None
+    if one and options.cluster is None and safe:
         return _run_one(_task(scenes[0], outputs[0], options), options)
     return _run_all(scenes, outputs, options, one=one)
 
@@ -123,7 +127,10 @@ def _run_all(
             _task(path, output, options, temporaries)
             for path, output in zip(scenes, outputs, strict=True)
         ]
-        done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=options.patience)
+        patience = options.patience
+        if patience is None and options.cluster is None and address_space.left() is not None:
+            patience = PATIENCE
+        done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=patience)
         beside = done_by.apart and options.cluster in (None, LOCAL)
 
         def here(task: SceneTask, threads: int) -> SceneOutcome:

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from pbrfit import address_space
+
 OPTIONS = ("fov", "iterations", "time_limit", "white")
 """Options that the library speaks of, as Python names them."""
 
@@ -47,6 +49,8 @@ def message_of(error: Exception) -> str:
     """One line that names the file."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return address_space.too_little(error)
     return " ".join(str(error).split())
 
 

@@ -689,8 +689,8 @@ class LampFit:
         if clock.late_in is not None:
             status = Status.TIME_LIMIT
             reason = (
-                f"time limit of {limit:g} s reached in stage {clock.late_in}; pixels that were left "
-                "were fitted once, under the lamps so far"
+                f"time limit of {limit:g} s reached in stage {clock.late_in}; pixels that were "
+                "left were fitted once, under the lamps so far"
             )
         elif clock.steps >= self.options.iterations:
             status = Status.ITERATION_LIMIT
