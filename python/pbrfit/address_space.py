@@ -32,7 +32,7 @@ M_ARENA_MAX = -8
 """Of glibc's `mallopt`: how many heaps threads have; each takes 64 MiB of address space."""
 
 BUFFER_BYTES = 32 * 2**20
-"""Of a buffer of OpenBLAS, as numpy and scipy build it."""
+"""Address space in bytes of a buffer of OpenBLAS, as numpy and scipy build it."""
 
 GEMM_SIDE = 400
 """Of matrices whose product takes a core some milliseconds: as long as threads take to start, so

@@ -60,10 +60,13 @@ def _loaded() -> int:
 
 def outcomes(least: int, times: int, *, from_there_on: bool) -> Counter[str]:
     """How often each outcome came, of so many allocations."""
+    from pbrfit.address_space import reserve_blas
     from pbrfit.synthetic import make_scene
 
     # A limit that nothing reaches has buffers of linear algebra made.
     resource.setrlimit(resource.RLIMIT_AS, (1 << 42, resource.RLIM_INFINITY))
+    reserve_blas()
+    resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     library = ctypes.CDLL(os.environ["LD_PRELOAD"])
     library.allocations.restype = ctypes.c_long
     found = Counter[str]()
