@@ -52,7 +52,7 @@ def _loaded() -> int:
     """This program again, with the library that lets allocations fail."""
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "failing_allocations.so"
-        cc = ["cc", "-O1", "-shared", "-fPIC", "-o", library, SOURCE]
+        cc = ["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(SOURCE)]
         subprocess.run(cc, check=True)
         os.environ["LD_PRELOAD"] = str(library)
         return subprocess.run([sys.executable, *sys.argv], check=False).returncode
