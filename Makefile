@@ -105,6 +105,7 @@ test-reliability: $(VENV)/tools
 	$(BIN)/python tests/reliability/kills.py
 	$(BIN)/python tests/reliability/signals.py batches
 	$(BIN)/pytest tests/reliability
+	$(BIN)/python tests/reliability/allocations.py
 
 lint: lint-rust lint-python
 

@@ -6,6 +6,7 @@ import argparse
 import difflib
 import io
 import logging
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +23,7 @@ from pbrfit.commands.arguments import (
     message_of,
     with_signed_values,
 )
-from pbrfit.commands.messages import in_flags
+from pbrfit.commands.messages import in_flags, unread
 from pbrfit.io.quoting import visible
 
 PRINTED_AT_ONCE = ("-h", "--help", "--version")
@@ -35,6 +36,9 @@ of the other: of eight letters two may be wrong."""
 
 def run() -> NoReturn:
     """Be the process of a command: it ends within a second of Ctrl-C, whatever it is doing."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # it was closed; a file would take its number
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     watched = len(sys.argv) > 1 and sys.argv[1] not in PRINTED_AT_ONCE
     if watched:
         from pbrfit import ending
@@ -54,6 +58,15 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     if not given:
         _parser().print_help()
         return DONE
+    if given[0] not in PRINTED_AT_ONCE:
+        from pbrfit import address_space
+
+        try:
+            address_space.check_stack()
+            address_space.check_libraries()
+        except MemoryError as error:
+            complain(str(error))
+            return UNUSABLE
     options = _parser().parse_args(with_signed_values(given))
     from pbrfit import ending
     from pbrfit._core import InputError, last_word
@@ -67,9 +80,16 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     try:
         with _logging_to_stderr(quiet=getattr(options, "quiet", False)), unwinding:
             command: Callable[[argparse.Namespace], int] = options.command
-            return command(options)
+            code = command(options)
+            sys.stdout.flush()
+            return code
+    except BrokenPipeError:  # whoever read has read enough
+        unread()
+        return DONE
     except (InputError, OSError, MemoryError) as error:
         end_with(message_of(error))
+        if isinstance(error, OSError):
+            unread()
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
         end_with(str(interrupt) or ending.WORD)
@@ -167,9 +187,11 @@ def _logging_to_stderr(*, quiet: bool) -> Iterator[None]:
     handler.setLevel(logging.ERROR if quiet else logging.WARNING)
     logger = logging.getLogger("pbrfit")
     logger.addHandler(handler)
+    logging.captureWarnings(True)  # what libraries warn of is said to programmers alone
     try:
         yield
     finally:
+        logging.captureWarnings(False)
         logger.removeHandler(handler)
 
 

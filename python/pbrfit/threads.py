@@ -26,15 +26,21 @@ def processors() -> int:
 def in_pieces(threads: int, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
     """What `work` makes of each piece, in their order; 0 threads = one for each processor.
 
-    For work that numpy and the core do with the interpreter unlocked. An exception, or Ctrl-C, ends
-    it after the pieces that have begun.
+    For work that numpy and the core do with the interpreter unlocked, and that may be done twice:
+    where the system gives no thread, this one does all. An exception, or Ctrl-C, ends it after the
+    pieces that have begun.
     """
     threads = min(threads or processors(), AT_ONCE_MAX, len(pieces))
     if threads < 2:
         return [work(piece) for piece in pieces]
     executor = ThreadPoolExecutor(threads)
     try:
-        return list(executor.map(work, pieces))
+        try:
+            results = executor.map(work, pieces)
+        except RuntimeError:  # of `Thread.start`; what `work` raises comes with its result
+            executor.shutdown(cancel_futures=True)
+            return [work(piece) for piece in pieces]
+        return list(results)
     finally:
         executor.shutdown(cancel_futures=True)
 

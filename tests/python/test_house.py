@@ -16,7 +16,7 @@ PACKAGE = ROOT / "python" / "pbrfit"
 EVALUATION = ROOT / "evaluation" / "pbrfit_evaluation"
 
 FLOORS = (
-    ("lazy", "ending", "threads"),
+    ("lazy", "ending", "threads", "address_space"),
     ("io",),
     ("model",),
     ("scene",),

@@ -11,6 +11,7 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.batch.executors import share
+from pbrfit.batch.heartbeat import Watch
 
 ANSWERS_WITHIN = 10
 """Seconds that a scheduler may take to answer, and then its first worker to be there."""
@@ -30,6 +31,7 @@ class Cluster:
     apart = True
     patience: float | None = 1.0
     threads: int | None = None
+    watch: Watch | None = None
 
     def __init__(self, address: str, jobs: int | None = None) -> None:
         try:

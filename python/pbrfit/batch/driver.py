@@ -11,7 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from pbrfit import address_space
 from pbrfit._core import InputError
+from pbrfit.batch import heartbeat
 from pbrfit.batch.cluster import Cluster, threads_of_worker
 from pbrfit.batch.executors import Here, Processes, Workers
 
@@ -21,6 +23,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 DIED = "its process died"
+PERHAPS_MEMORY = "; memory may be too short (ulimit -v)"
+"""Where address space is limited the core may find none, which ends a process."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +43,20 @@ class Attempt(Generic[R]):
     """What it logged in another process: level and message."""
 
 
-def workers(jobs: int | None, cluster: str | None, *, most: int) -> Workers:
+def workers(
+    jobs: int | None, cluster: str | None, *, most: int, patience: float | None = None
+) -> Workers:
     """Make the workers for so many tasks at the same time, of whom no more than `most` are of use.
 
     Without a cluster (see `pbrfit.batch.cluster.Cluster`) `jobs` of 1 or None are done in this
-    process, with all processors; on one, None is one job for each worker. Raises InputError if
-    there is no such cluster.
+    process, with all processors, unless `patience` of `Processes` is given; on one, None is one job
+    for each worker. Raises InputError if there is no such cluster.
     """
     jobs = None if jobs is None else min(jobs, most)
     if cluster is not None:
         return Cluster(cluster, jobs)
+    if patience is not None:
+        return Processes(jobs or 1, patience)
     return Here() if jobs in (None, 1) else Processes(jobs)
 
 
@@ -66,7 +74,8 @@ def drive(
 
     Whoever runs when a worker dies is suspected of it. Suspects are tried again in the end, one at
     a time, which shows whose process dies; the death may also have been another's doing, who took
-    all memory.
+    all memory. A task that makes no step has its process ended and fails at once; those that ran
+    beside it are done again as if nothing had been.
 
     Parameters
     ----------
@@ -114,39 +123,54 @@ def _one_pool(
 ) -> None:
     """Hand over tasks until there are none, or the pool breaks; without `suspects` one by one."""
     executor, broken = workers.start(), False
-    running: dict[Future[Attempt[R]], T] = {}
+    running: dict[Future[Attempt[R]], tuple[T, int | None]] = {}
+    watch, stalled = workers.watch, set[int]()
     while running or (queue and not broken):
         at_once = workers.slots() if suspects is not None else 1
         while queue and not broken and len(running) < at_once and room.admits(queue[0]):
             task = queue[0]
+            slot = None if watch is None else watch.begin()
             try:
-                future = executor.submit(attempt, work, task, workers.threads, workers.apart)
+                future = executor.submit(attempt, work, task, workers.threads, workers.apart, slot)
             except BrokenExecutor:
                 broken = True  # it was not handed over
+                if watch is not None and slot is not None:
+                    watch.end(slot)
             else:
-                running[future] = queue.popleft()
+                running[future] = queue.popleft(), slot
                 room.take(task)
         if not running:
             continue
         meanwhile(len(running))
         done, _ = wait(running, timeout=workers.patience, return_when=FIRST_COMPLETED)
+        if watch is not None and not stalled:
+            stalled = watch.kill_stalled()
         for future in sorted(done, key=lambda one: _failure(one) is not None):
-            task = running.pop(future)
+            task, slot = running.pop(future)
             room.give_back(task)
             found, died = _outcome(future, workers.deaths)
             broken = broken or (died and isinstance(_failure(future), BrokenExecutor))
-            if died and suspects is not None:
+            if watch is not None and slot is not None:
+                watch.end(slot)
+            if died and watch is not None and slot in stalled:
+                ended(task, Attempt(None, watch.words))
+            elif died and stalled:
+                queue.append(task)  # nobody suspects it: another one was at fault
+            elif died and suspects is not None:
                 suspects.append(task)
             else:
                 ended(task, found)
 
 
-def attempt(work: Callable[[T, int], R], task: T, threads: int | None, apart: bool) -> Attempt[R]:
-    """Do a task where it runs; whatever it raises becomes a line."""
+def attempt(
+    work: Callable[[T, int], R], task: T, threads: int | None, apart: bool, slot: int | None = None
+) -> Attempt[R]:
+    """Do a task where it runs; what it raises becomes a line. `slot` is of `heartbeat.Watch`."""
     from pbrfit.threads import one_blas_thread
 
     if threads is None:
         threads = threads_of_worker()
+    heartbeat.take(slot)
     began = time.perf_counter()
     value, error, raised = None, None, None
     with _listening(apart) as said:
@@ -164,7 +188,9 @@ def in_one_line(failure: BaseException) -> str:
     words = " ".join(str(failure).split())
     if isinstance(failure, OSError) and failure.strerror and failure.filename:
         return f"{failure.filename}: {failure.strerror}"
-    if isinstance(failure, (InputError, OSError, MemoryError)) and words:
+    if isinstance(failure, MemoryError):
+        return address_space.too_little(failure)
+    if isinstance(failure, (InputError, OSError)) and words:
         return words
     name = type(failure).__name__
     return f"{name}: {words}" if words else name
@@ -191,7 +217,8 @@ def _outcome(
     if failure is None:
         return future.result(), False
     if isinstance(failure, (BrokenExecutor, CancelledError, *deaths)):
-        return Attempt(None, DIED), True
+        limited = address_space.left() is not None
+        return Attempt(None, DIED + PERHAPS_MEMORY * limited), True
     if not isinstance(failure, Exception):
         raise failure
     return Attempt(None, in_one_line(failure)), False  # such as a value that cannot be pickled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -13,6 +14,8 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any, ParamSpec, Protocol, TypeVar
 
+from pbrfit.batch import heartbeat
+from pbrfit.batch.heartbeat import Watch
 from pbrfit.threads import processors
 
 P = ParamSpec("P")
@@ -31,6 +34,8 @@ class Workers(Protocol):
     patience: float | None
     """Seconds to wait for a task to end before looking around: whether there are more slots, and to
     tell that work goes on. None = until one ends."""
+    watch: Watch | None
+    """Of tasks that make no step; None = nobody looks."""
 
     def start(self) -> Executor:
         """Give an executor that works: a new one where the last one broke."""
@@ -49,6 +54,7 @@ class Here:
     threads: int | None = 0
     deaths: tuple[type[BaseException], ...] = ()
     patience: float | None = None
+    watch: Watch | None = None
 
     def start(self) -> Executor:
         """Give an executor whose `submit` does the task."""
@@ -76,15 +82,16 @@ class Processes:
     """Processes of this machine, started afresh (spawn).
 
     So nothing is inherited from a process whose threads may hold locks. Processors are shared out
-    among them.
+    among them. A process whose task makes no step for `patience` seconds is ended; 0 = none is.
     """
 
     apart = True
     deaths: tuple[type[BaseException], ...] = ()
     patience: float | None = 1.0
 
-    def __init__(self, jobs: int) -> None:
+    def __init__(self, jobs: int, patience: float = heartbeat.PATIENCE) -> None:
         self._jobs = jobs
+        self.watch = Watch(jobs, patience) if patience else None
         self._pool: ProcessPoolExecutor | None = None
         self._others: set[BaseProcess] = set()
         self.threads: int | None = share(jobs)
@@ -99,6 +106,7 @@ class Processes:
                 self._jobs,
                 mp_context=multiprocessing.get_context("spawn"),
                 initializer=_begin_worker,
+                initargs=(None if self.watch is None else self.watch.rows,),
             )
         return self._pool
 
@@ -167,7 +175,9 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin_worker() -> None:
+def _begin_worker(rows: Any) -> None:
+    heartbeat.share(rows)
+    logging.captureWarnings(True)  # as in the parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it could not be blocked
     parent = multiprocessing.parent_process()
     if parent is not None:

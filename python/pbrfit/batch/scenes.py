@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import platform
 import time
 from collections.abc import Callable, Mapping
@@ -9,7 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from pbrfit import address_space
 from pbrfit._core import InputError
+from pbrfit.batch import heartbeat
 from pbrfit.batch.settings import Reading
 from pbrfit.result.options import FitOptions
 from pbrfit.result.verdict import Verdict, verdicts_of
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
     from pbrfit.result.result import Result
     from pbrfit.scene.scene import Scene
+
+log = logging.getLogger("pbrfit")
 
 LIBRARIES_BYTES = 200 * 2**20
 """Bytes a process with numpy, scipy and the rest takes: whole processes took 103 to 158 MiB more
@@ -88,9 +93,11 @@ def decompose_scene(
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.result import advice
+    from pbrfit.result.data import Status
     from pbrfit.result.result import RESULT_FOLDER
     from pbrfit.scene.registration import aligned
 
+    address_space.reserve_blas()
     wanted = _Wanted(task, show)
     wanted.check()
     if not task.overwrite and task.output.is_dir():
@@ -118,13 +125,19 @@ def decompose_scene(
         temporaries=task.temporaries,
     ) as folder:
         scene = task.reading.load(task.scene)
+        heartbeat.step()
         if task.options.align == "auto":
             scene = aligned(scene)
+            heartbeat.step()
         result = decompose(
             scene, task.options, threads=task.threads or threads, progress=wanted.show
         )
+        heartbeat.step()
         result.write(folder, scene, task.output)
         wanted.check()
+    if result.status is Status.TIME_LIMIT:
+        reason = result.stop_reason
+        log.warning("%s: unfinished: %s; the best state so far is written", task.output, reason)
     peak = process_memory.peak_kib() if fresh else None
     return SceneOutcome(
         "done",
@@ -155,6 +168,7 @@ class _Wanted:
         self._task, self._show, self._asked = task, show, time.monotonic()
 
     def show(self, progress: Progress) -> None:
+        heartbeat.step()
         if time.monotonic() - self._asked > LOOK_EVERY:
             self.check()
             self._asked = time.monotonic()

@@ -8,10 +8,12 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import place
 from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
+from pbrfit.batch.heartbeat import PATIENCE
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
@@ -43,6 +45,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
     cli.add_cluster(parser)
+    cli.add_flags(
+        parser,
+        patience=cli.value(
+            "SECONDS",
+            cli.whole_number,
+            "end the process of a scene that makes no step for so long, and let the scene fail; "
+            f"0 = never (default: {PATIENCE:.0f}; without --jobs, none: one process does all)",
+        ),
+    )
     add_input(parser)
     add_fit_options(parser)
     cli.add_quiet(parser)
@@ -55,7 +66,10 @@ def run(options: argparse.Namespace) -> int:
     scenes, one = _find_scenes(options.scenes)
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
-    if one and options.cluster is None:
+    # Where address space is limited a process may find none in the midst of a step, and ends: then
+    # another one has to tell, and to take away what was begun.
+    safe = address_space.left() is None and options.patience is None
+    if one and options.cluster is None and safe:
         return _run_one(_task(scenes[0], outputs[0], options), options)
     return _run_all(scenes, outputs, options, one=one)
 
@@ -114,7 +128,10 @@ def _run_all(
             _task(path, output, options, temporaries)
             for path, output in zip(scenes, outputs, strict=True)
         ]
-        done_by = workers(options.jobs, options.cluster, most=len(tasks))
+        patience = options.patience
+        if patience is None and options.cluster is None and address_space.left() is not None:
+            patience = PATIENCE
+        done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=patience)
         beside = done_by.apart and options.cluster in (None, LOCAL)
 
         def here(task: SceneTask, threads: int) -> SceneOutcome:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from pbrfit import address_space
 from pbrfit.io.quoting import visible
 
 OPTIONS = ("fov", "iterations", "time_limit", "white")
@@ -21,7 +22,14 @@ def unread_is_no_failure() -> Iterator[None]:
         yield
         sys.stdout.flush()
     except OSError:
-        # What is still in the buffer goes nowhere, or Python would fail on it when it ends.
+        unread()
+
+
+def unread() -> None:
+    """Let what nobody reads go nowhere, if stdout fails: or Python would fail when it ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -42,9 +50,9 @@ def message_of(error: Exception) -> str:
     """One line that names the file."""
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror}"
-    words = " ".join(str(error).split())
-    short_of_memory = isinstance(error, MemoryError) and not words
-    return "expected more memory, found too little" if short_of_memory else words
+    if isinstance(error, MemoryError):
+        return address_space.too_little(error)
+    return " ".join(str(error).split())
 
 
 def in_flags(message: str) -> str:

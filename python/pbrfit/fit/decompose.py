@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.fit import memory
 from pbrfit.fit.bar import notebook_bar
@@ -102,6 +103,8 @@ def decompose(
         If an option or the scene cannot be used or read, or `start` is a result of another model.
     TypeError
         If there is no option of a name.
+    MemoryError
+        If memory runs short.
     """
     options = _overridden(options, overrides)
     if progress is True:
@@ -114,6 +117,7 @@ def decompose(
     # Here and not above: scipy would double the time of `import pbrfit`. Before the clock starts:
     # loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
+    address_space.reserve_blas()
     from pbrfit.fit.lamps.dispatch import fit_if_lit
 
     began = time.perf_counter()

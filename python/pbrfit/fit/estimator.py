@@ -49,6 +49,8 @@ from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
+AS_FAR = "; all pixels were fitted once, under the lights so far"
+
 
 def solve(
     run: Run, x: Array, *, start_given: bool, lights: Lights | None = None
@@ -92,7 +94,8 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
         if run.goes_on:
             x = fit_all_pixels(run, x, lights, prior)
     if len(run.rows) == rows:  # lights without materials that were fitted under them
-        return start, *run.ended("", "; kept the start: there was no time to fit all pixels")
+        ended = run.ended("", AS_FAR)
+        return fit_once(run, start, x), *ended
     if not _beyond_squares(run, prior):
         return x, *run.ended("no joint step lowers the sum further")
     why = "the loss falls no further"
@@ -105,6 +108,21 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
         # Squares know nothing of penalties, and there was no time to lower these.
         return start, *run.ended(why, "; kept the start, whose loss is lower")
     return x, *run.ended(why)
+
+
+def fit_once(run: Run, start: Array, x: Array) -> Array:
+    """X of a fit that a limit stopped before all pixels had their turn under the lights of x.
+
+    They have it now, as long as it takes: lights alone are no result. The start stays where its
+    loss is lower.
+    """
+    loss = run.evaluate(start)[0]
+    x = x.copy() if x is start else x
+    with run.stage("all pixels, once"):
+        fit_all(run.objective, x, starts=1)
+        run.iteration += run.left > 0
+        run.record(x, run.evaluate(x)[0])
+    return x if run.rows[-1].loss <= loss else start
 
 
 def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:

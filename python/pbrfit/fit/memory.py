@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import (
@@ -320,10 +321,10 @@ def plan(
 def available() -> int | None:
     """Bytes that this process may still take without swapping; None where the system does not say.
 
-    The least of what the machine has left and what the process's control groups (containers, batch
-    jobs) still allow.
+    The least of what the machine has left, what the process's control groups (containers, batch
+    jobs) still allow, and what is left of its address space.
     """
-    limits = [_machine_has(), *_groups_allow()]
+    limits = [_machine_has(), *_groups_allow(), address_space.left()]
     return min((limit for limit in limits if limit is not None), default=None)
 
 

@@ -189,7 +189,9 @@ class Run:
     def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
         """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
         if self.out_of_time():
-            return Status.TIME_LIMIT, f"time limit of {self.options.time_limit:g} s reached{kept}"
+            where = f" in stage {self.stages[-1].name}" if self.stages else ""
+            limit = f"time limit of {self.options.time_limit:g} s reached{where}"
+            return Status.TIME_LIMIT, f"{limit}{kept}"
         if self.left <= 0:
             return Status.ITERATION_LIMIT, f"{self._iteration_limit} iterations done{kept}"
         return Status.CONVERGED, why

@@ -14,11 +14,18 @@ REAL = "buif"
 
 
 def any_array(name: str, values: Any) -> NDArray[Any]:
-    """As an array of whatever it holds; InputError where its rows differ in length."""
+    """As an array of whatever it holds; InputError where it is masked or its rows differ."""
+    refuse_masked(name, values)
     try:
         return np.asarray(values)
     except ValueError as error:
         raise InputError(f"{name}: expected an array, found {error}") from None
+
+
+def refuse_masked(name: str, values: Any) -> None:
+    """Raise InputError for a masked array: what its mask leaves out would count as numbers."""
+    if np.ma.is_masked(values):
+        raise InputError(f"{name}: expected an array without a mask, found a masked one")
 
 
 def reals(name: str, values: Any) -> NDArray[Any]:
@@ -31,6 +38,7 @@ def reals(name: str, values: Any) -> NDArray[Any]:
 
 def real_array(name: str, values: Any) -> NDArray[np.float64]:
     """As a float64 array; what can be read as a number is one, complex numbers are not."""
+    refuse_masked(name, values)
     try:
         array = np.asarray(values)
         if np.iscomplexobj(array):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import limits as file_limits
-from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals
+from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals, refuse_masked
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
@@ -95,7 +95,9 @@ class SceneArrays:
     Attributes
     ----------
     images
-        (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit. Negative values,
+        (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit. What a
+        `numpy.ma.MaskedArray` masks, in any channel, has weight 0; no other array may be masked.
+        Negative values,
         which noise around black and other primaries lead to, are fitted as they are, because a mean
         without them would be too bright; `assumed` says how many there are.
     normals
@@ -184,7 +186,9 @@ class SceneArrays:
     normals_known: bool = True
 
     def __post_init__(self) -> None:
-        images = any_array("images", self.images)
+        for name in ("normals", "depth", "segments"):
+            refuse_masked(name, getattr(self, name))
+        images = any_array("images", np.ma.getdata(self.images))
         if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
             raise InputError(f"images: expected shape (N, H, W, 3), found {images.shape}")
         if images.dtype not in (np.float32, np.float64):
@@ -199,6 +203,10 @@ class SceneArrays:
         geometry.check_fov(fov)
         mask = _mask(self.mask, (height, width))
         weights = _weights(self.weights, names, (height, width), mask)
+        if np.ma.is_masked(self.images):
+            masked = np.ma.getmaskarray(self.images).any(axis=-1)
+            weights = np.where(masked, np.float32(0), 1 if weights is None else weights)
+            weights = _weights(weights, names, (height, width), mask)
         _check_finite(images, names, mask, weights)
         if n == 1 and self.lighting is None:
             raise InputError(

@@ -354,3 +354,28 @@ def test_a_signal_while_a_worker_starts_waits_until_somebody_knows_of_it(
     assert set(processes) <= set(known)
     workers.stop()
     until(lambda: not any(alive(process) for process in processes))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_a_scene_that_makes_no_step_fails_alone(tmp_path: Path) -> None:
+    for name in ("a", "hangs", "z"):
+        write_folder(tmp_path / "scenes" / name)
+    (tmp_path / "scenes" / "hangs" / "mask.png").unlink(missing_ok=True)
+    os.mkfifo(tmp_path / "scenes" / "hangs" / "mask.png")  # nobody ever writes to it
+    found = ran(
+        *("decompose", tmp_path / "scenes", "--out", tmp_path / "out", *FEW),
+        *("--jobs", 2, "--patience", 10, "--json"),
+    )
+    assert found.code == 1
+    assert found.err.splitlines()[0] == (
+        f"pbrfit: {tmp_path / 'scenes' / 'hangs'}: expected a step within 10 s, found none; its "
+        "process was ended"
+    )
+    lines = map(json.loads, found.out.splitlines())
+    assert {Path(line["scene"]).name: line["status"] for line in lines} == {
+        "a": "done",
+        "hangs": "failed",
+        "z": "done",
+    }
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "z"]

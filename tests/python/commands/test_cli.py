@@ -525,3 +525,79 @@ def test_places_that_cannot_be_written_show_before_the_work(folder: Path) -> Non
         assert str(out) in said
     preview = folder / "scene.toml" / "preview.png"
     assert "preview.png" in ran("inspect", folder, "--preview", preview).err
+
+
+def in_shell(tmp_path: Path, words: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a line for the shell, in which `$pbrfit` is the command."""
+    pbrfit_ = f"{sys.executable} -m pbrfit"
+    found = subprocess.run(
+        ["bash", "-c", words.replace("$pbrfit", pbrfit_)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return found.returncode, found.stdout, found.stderr
+
+
+needs_shell = pytest.mark.skipif(sys.platform != "linux", reason="made for Linux")
+
+
+@needs_shell
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_closed_streams_change_no_exit_code(tmp_path: Path, closed: str) -> None:
+    write_folder(tmp_path / "scene")
+    fit = f"$pbrfit decompose scene --out out --iterations 2 --refine-normals off {closed}"
+    code, _, errors = in_shell(tmp_path, fit)
+    assert code == 0
+    assert "Traceback" not in errors
+    assert in_shell(tmp_path, f"$pbrfit inspect nothing {closed}")[0] == 2
+
+
+@needs_shell
+def test_whoever_reads_no_more_is_no_failure(tmp_path: Path) -> None:
+    write_folder(tmp_path / "scene")
+    words = "$pbrfit inspect scene | true; exit ${PIPESTATUS[0]}"
+    assert in_shell(tmp_path, words) == (0, "", "")
+    code, _, errors = in_shell(tmp_path, "$pbrfit inspect scene >/dev/full")
+    assert (code, errors) == (2, "pbrfit: [Errno 28] No space left on device\n")
+
+
+@needs_shell
+@pytest.mark.parametrize(
+    ("limit", "said"),
+    [
+        ("-v 350000", "address space (ulimit -v, ulimit -d): expected 512 MiB of memory or more, "),
+        ("-s 128", "stack (ulimit -s): expected 4096 KiB of memory or more, found 128 KiB\n"),
+    ],
+)
+def test_too_little_for_the_libraries_is_one_line(tmp_path: Path, limit: str, said: str) -> None:
+    write_folder(tmp_path / "scene")
+    code, out, errors = in_shell(tmp_path, f"ulimit {limit}; $pbrfit decompose scene --out out")
+    assert (code, out) == (2, "")
+    assert errors.startswith(f"pbrfit: {said}")
+    assert errors.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@needs_shell
+@pytest.mark.slow
+def test_a_small_soft_limit_of_the_stack_is_raised(tmp_path: Path) -> None:
+    write_folder(tmp_path / "scene")
+    words = "ulimit -S -s 128; $pbrfit decompose scene --out out --iterations 2 --quiet"
+    assert in_shell(tmp_path, words) == (0, "", "")
+
+
+@pytest.mark.filterwarnings("default")
+def test_what_libraries_warn_of_stays_off_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def warns(_: Any) -> int:
+        np.float64(1) / np.float64(0)
+        return 0
+
+    write_folder(tmp_path / "scene")
+    monkeypatch.setattr("pbrfit.commands.inspect.run", warns)
+    found = ran("inspect", tmp_path / "scene")
+    assert (found.code, found.err) == (0, "")

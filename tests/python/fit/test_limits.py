@@ -127,6 +127,24 @@ def test_whenever_time_is_up_little_is_done_from_there_on(
     assert max(done.values()) <= passes < undisturbed.done / SIZE**2 / 3, done
 
 
+@pytest.mark.parametrize("looks", [0, 1, 6])
+def test_a_limit_while_lights_are_sought_leaves_all_pixels_fitted_under_them(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        Clock(patch, looks)
+        result = fit()
+    assert result.status is Status.TIME_LIMIT
+    assert result.stop_reason == (
+        "time limit of 1e+06 s reached in stage lights; all pixels were fitted once, under the "
+        "lights so far"
+    )
+    assert [stage.name for stage in result.stages] == ["lights", "all pixels, once"]
+    assert result.history.iterations == 1
+    start, end = result.history["recon_rmse"][[0, -1]]
+    assert end < 0.8 * start
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("refine_normals", ["off", "on"])

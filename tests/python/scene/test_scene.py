@@ -332,3 +332,29 @@ def test_negative_values_are_fitted_as_they_are_and_counted() -> None:
     x = Objective(clipped).start()
     losses = [Objective(one).value_and_grad(x)[0] for one in (whole, clipped)]
     assert losses[0] > losses[1]
+
+
+def test_masked_samples_of_pictures_have_no_weight() -> None:
+    plain = scene()
+    images = np.ma.array(plain.images)
+    images[1, 0, 1, 2] = np.ma.masked
+    found = scene(images=images)
+    assert not isinstance(found.images, np.ma.MaskedArray)
+    assert found.weights is not None
+    expected = np.ones(plain.images.shape[:3])
+    expected[1, 0, 1] = 0
+    np.testing.assert_array_equal(found.weights, expected)
+    assert scene(images=np.ma.array(plain.images)).weights is None
+
+
+@pytest.mark.parametrize(
+    "name", ["normals", "depth", "segments", "mask", "weights", "lighting", "normal_sigma"]
+)
+def test_other_masked_arrays_are_refused_by_name(name: str) -> None:
+    plain = scene()
+    n, height, width, _ = plain.images.shape
+    shape = {"normals": (height, width, 3), "lighting": (n, 16, 3)}.get(name, (height, width))
+    values = np.ma.array(np.ones(shape, int if name == "segments" else float))
+    values[0, 0] = np.ma.masked
+    with pytest.raises(InputError, match=f"^{name}: expected an array without a mask"):
+        scene(**{name: values})

@@ -150,6 +150,8 @@ class _Clock:
         self.rows: list[HistoryRow] = []
         self.steps = 0
         self.unmeasured = 0.0
+        self.late_in: str | None = None
+        """The stage in which the time limit was reached."""
 
     @property
     def elapsed(self) -> float:
@@ -158,9 +160,12 @@ class _Clock:
 
     def out_of_time(self) -> bool:
         """Whether the limits of time or steps are reached."""
+        return self.late() or self.steps >= self.setup.options.iterations
+
+    def late(self) -> bool:
+        """Whether the time limit is reached."""
         limit = self.setup.options.time_limit
-        late = limit is not None and self.elapsed >= limit
-        return late or self.steps >= self.setup.options.iterations
+        return limit is not None and self.elapsed >= limit
 
     @contextmanager
     def stage(self, name: str) -> Iterator[list[str]]:
@@ -168,6 +173,8 @@ class _Clock:
         began, notes = self.elapsed, list[str]()
         yield notes
         self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
+        if self.late_in is None and self.late():
+            self.late_in = name
 
     def record(self, fit: JointLamps, scale: float, samples: int) -> None:
         """A row of the history, and a call of `progress`."""
@@ -369,8 +376,8 @@ class LampFit:
         if not self.clock.rows:
             self.clock.record(fit, few.scale, samples)
         for number in range(ROUNDS):
-            if self.clock.out_of_time():
-                break
+            if self.clock.steps >= self.options.iterations or (number and self.clock.late()):
+                break  # lamps as they began leave too much to be a result
             if number in LOOKS:
                 factors, degrees = LOOKS[number]
                 fields: tuple[float, ...] = FIELDS_OF_VIEW
@@ -636,6 +643,7 @@ class LampFit:
                     scene.width,
                     metals=self.options.metallic is None,
                     uncertain=self._covariance(fit) if self.options.uncertainty else None,
+                    once=self.clock.late(),
                 )
             )
         return found
@@ -676,8 +684,12 @@ class LampFit:
         row = HistoryRow(seconds, clock.steps, clock.steps, loss, rmse, **errors)
         limit = self.options.time_limit
         status, reason = Status.CONVERGED, "lamps, ambient light and surfaces change no more"
-        if limit is not None and seconds >= limit:
-            status, reason = Status.TIME_LIMIT, f"the time limit of {limit:g} s was reached"
+        if clock.late_in is not None:
+            status = Status.TIME_LIMIT
+            reason = (
+                f"time limit of {limit:g} s reached in stage {clock.late_in}; pixels that were "
+                "left were fitted once, under the lamps so far"
+            )
         elif clock.steps >= self.options.iterations:
             status = Status.ITERATION_LIMIT
             reason = f"{clock.steps} iterations were made"
