@@ -96,8 +96,7 @@ class SceneArrays:
     ----------
     images
         (N, H, W, 3) float32 or float64, linear Rec.709 radiance in any one unit. What a
-        `numpy.ma.MaskedArray` masks, in any channel, has weight 0; no other array may be masked.
-        Negative values,
+        `numpy.ma.MaskedArray` masks has weight 0; no other array may be masked. Negative values,
         which noise around black and other primaries lead to, are fitted as they are, because a mean
         without them would be too bright; `assumed` says how many there are.
     normals
@@ -204,7 +203,7 @@ class SceneArrays:
         mask = _mask(self.mask, (height, width))
         weights = _weights(self.weights, names, (height, width), mask)
         if np.ma.is_masked(self.images):
-            masked = np.ma.getmaskarray(self.images).any(axis=-1)
+            masked = np.ma.getmaskarray(self.images)
             weights = np.where(masked, np.float32(0), 1 if weights is None else weights)
             weights = _weights(weights, names, (height, width), mask)
         _check_finite(images, names, mask, weights)

@@ -152,10 +152,12 @@ def test_a_signal_stops_within_a_second_and_leaves_what_was_there(
     scene: Path, tmp_path: Path, command: str, old: bool, number: signal.Signals
 ) -> None:
     out = tmp_path / "out"
-    parts = ("result.json", "materials.exr") if command == "decompose" else ("scene", "result")
+    parts: tuple[str, ...] = ("result.json", "materials.exr")
+    if command == "demo":
+        parts = ("scene/scene.toml", "result/result.json")
     if old:
-        out.mkdir()
         for part in parts:
+            (out / part).parent.mkdir(parents=True, exist_ok=True)
             (out / part).write_text("old")
     arguments: tuple[str | Path, ...] = ("decompose", scene, "--out", out)
     if command == "demo":
@@ -179,8 +181,9 @@ def test_a_signal_stops_within_a_second_and_leaves_what_was_there(
     assert stdout == ""
     if number == signal.SIGINT:
         assert stderr == "pbrfit: interrupted; no unfinished result was left behind\n"
-    found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")}
-    assert found == ({"out", *(f"out/{part}" for part in parts)} if old else set())
+    found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    assert found == ({f"out/{part}" for part in parts} if old else set())
+    assert old or not list(tmp_path.iterdir())
 
 
 # Forks

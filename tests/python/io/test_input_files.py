@@ -226,4 +226,4 @@ def test_a_file_that_does_not_fit_into_memory_is_named(tmp_path: Path) -> None:
 
 
 def test_too_little_memory_is_told_where_nobody_knows_more() -> None:
-    assert message_of(MemoryError()) == "expected more memory, found too little"
+    assert message_of(MemoryError()) == "not enough memory"

@@ -334,15 +334,15 @@ def test_negative_values_are_fitted_as_they_are_and_counted() -> None:
     assert losses[0] > losses[1]
 
 
-def test_masked_samples_of_pictures_have_no_weight() -> None:
+def test_masked_values_of_pictures_have_no_weight() -> None:
     plain = scene()
     images = np.ma.array(plain.images)
     images[1, 0, 1, 2] = np.ma.masked
     found = scene(images=images)
     assert not isinstance(found.images, np.ma.MaskedArray)
     assert found.weights is not None
-    expected = np.ones(plain.images.shape[:3])
-    expected[1, 0, 1] = 0
+    expected = np.ones(plain.images.shape)
+    expected[1, 0, 1, 2] = 0
     np.testing.assert_array_equal(found.weights, expected)
     assert scene(images=np.ma.array(plain.images)).weights is None
 
