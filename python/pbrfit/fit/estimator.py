@@ -119,7 +119,7 @@ def fit_once(run: Run, start: Array, x: Array) -> Array:
     loss = run.evaluate(start)[0]
     x = x.copy() if x is start else x
     with run.stage("all pixels, once"):
-        fit_all(run.objective, x, starts=1)
+        fit_all(run.objective, x, starts=1, steps=settings.LATE_STEPS)
         run.iteration += run.left > 0
         run.record(x, run.evaluate(x)[0])
     return x if run.rows[-1].loss <= loss else start
@@ -245,9 +245,9 @@ def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
     """Lights with their scale and its deviation."""
     assert lights.shared is not None
     strength, variance = run.options.priors.material, lights.misfit.of_likelihood
-    objective = reweighted(run, run.objective, lights.x)
     found = None
     if not run.out_of_time():
+        objective = reweighted(run, run.objective, lights.x)
         found = scale.find(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
     if found is None:
         notes.append("stopped before it was found")
@@ -269,6 +269,8 @@ def discrepancy_of(run: Run, objective: Objective, x: Array) -> Discrepancy:
 def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, GaussianPrior] | None:
     """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
     strength, x = run.options.priors.material, lights.x
+    if run.out_of_time():
+        return None
     objective = reweighted(run, run.objective, x)
     if run.shared_state is not None:
         assert run.shared_state.material is not None
