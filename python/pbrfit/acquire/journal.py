@@ -28,6 +28,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.generators import Answer, Generated, Refused, Request
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.received import opened, read_srgb8
+from pbrfit.io.input_files import PICTURE_BYTES, open_file, read_bytes
 from pbrfit.io.json_files import (
     UNFIT,
     json_text,
@@ -133,7 +134,7 @@ class Journal:
         path = self._answers.get(_key(request))
         if path is None:
             return None
-        head, _, body = path.read_bytes().partition(b"\n")
+        head, _, body = read_bytes(path, PICTURE_BYTES).partition(b"\n")
         return Answer(body, number(json.loads(head)["seconds"]))
 
     def answer_file(self, request: Request) -> Path:
@@ -166,7 +167,7 @@ class Journal:
         Raises InputError if the file is not the one that was received.
         """
         path = self.folder / f"{entry.stem}.png"
-        data = path.read_bytes() if path.is_file() else b""
+        data = read_bytes(path, PICTURE_BYTES) if path.is_file() else b""
         if hashlib.sha256(data).hexdigest() != entry.sha256:
             there = "another file" if data else "none"
             raise InputError(
@@ -274,7 +275,7 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
 
 def _orphan(path: Path) -> Iterator[tuple[object, Entry]]:
     """A picture whose entry was not written any more, or somebody's own, which is none."""
-    data = path.read_bytes()
+    data = read_bytes(path, PICTURE_BYTES)
     try:
         with opened(data, ("PNG",)) as picture:
             content = json.loads(picture.info[TEXT])
@@ -292,7 +293,7 @@ def _unread(folder: Path) -> Iterator[tuple[object, Request, Path]]:
         if path.name.startswith(".") or entered:
             continue
         try:
-            with path.open("rb") as file:
+            with open_file(path) as file:
                 content = json.loads(file.readline(MOST_HEAD))
             request, run = _request(content["request"]), content["about"]
             number(content["seconds"])

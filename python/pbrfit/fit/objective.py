@@ -190,13 +190,9 @@ class Objective:
         # Where the pixels that take part are in a picture, row by row; None = all valid ones.
         self._places: NDArray[np.intp] | None = None
         self._factors = self._ordinary()
-        weights = self.sample_weights
-        self.samples, self.total_weight = layout.pictures * self.pixels * self.channels, 0.0
-        if weights is not None:
-            of_each = self.channels // weights.shape[-1]
-            self.samples = of_each * int(np.count_nonzero(weights))
-            self.total_weight = of_each * float(weights.sum(dtype=np.float64))
-        self.total_weight = self.total_weight or float(self.samples)
+        self.samples = layout.pictures * self.pixels * self.channels
+        self.total_weight = float(self.samples)
+        self._count_weights()
         self.scale, self.exposures = units.scale, units.exposures
         exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
@@ -360,14 +356,19 @@ class Objective:
         elif self.weights is not None:
             factors = factors * self.weights
         found._factors = factors
-        weights = found.sample_weights
+        if found.sample_weights is not None:
+            found._count_weights()
+            found.layout = replace(self.layout, weighted=True)
+        found.problem = found._problem(found.sample_weights)
+        return found
+
+    def _count_weights(self) -> None:
+        """Let `samples` and `total_weight` be those of the weights, where there are any."""
+        weights = self.sample_weights
         if weights is not None:
             of_each = self.channels // weights.shape[-1]
-            found.samples = of_each * int(np.count_nonzero(weights))
-            found.total_weight = of_each * float(weights.sum(dtype=np.float64))
-            found.layout = replace(self.layout, weighted=True)
-        found.problem = found._problem(weights)
-        return found
+            self.samples = of_each * int(np.count_nonzero(weights))
+            self.total_weight = of_each * float(weights.sum(dtype=np.float64))
 
     def _ordinary(self) -> NDArray[np.float32] | None:
         """(N, P, C): weights as given, 0 at limits; None where no sample is at one."""

@@ -285,36 +285,13 @@ def fit_band(
 
     `once` leaves them as one fit finds them, dielectrics alone, in an eighth of the time.
     """
-    free = freedom.normals
-
-    def fitted(begin: LampState, rounds: int, width: int | None = None) -> tuple[LampState, Array]:
-        found = robust_surfaces(
-            pixels, begin, noise, prior, rounds=rounds, free_normals=free, width=width
-        )
-        return found[0], found[4]
-
-    state, weights, cost, information, left = robust_surfaces(
-        pixels, state, noise, prior, rounds=1, free_normals=free
+    state, weights, _, _, left = robust_surfaces(
+        pixels, state, noise, prior, rounds=1, free_normals=freedom.normals
     )
-    for roughness in ROUGHNESS_STARTS if not (free or once) else ():
-        same = np.full(len(pixels), roughness)
-        begin = state.with_surface(state.normals, state.albedo, same, state.metallic)
-        state, left = better_of(state, left, *fitted(begin, 1))
-    if free and not once:
-        state, left = better_of(state, left, *fitted(facing_highlights(pixels, state), 1))
-        for _ in range(NEIGHBOUR_ROUNDS):
-            moved, _ = from_neighbours(pixels, state, left, noise, prior, width)
-            state, left = better_of(state, left, *fitted(moved, 1))
     if not once:
-        state, weights, cost, information, left = robust_surfaces(
-            pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
+        state, weights = _from_more_starts(
+            pixels, state, left, noise, prior, width, free=freedom.normals, metals=metals
         )
-    if metals and not once:
-        state = _with_metals(
-            pixels, state, weights, prior, width, cost, information, freedom.normals
-        )
-    if free and not once:
-        state = _as_seen(pixels, state, prior)
     residual = pixels.residuals(radiance(pixels, state))
     zeros = np.zeros((len(pixels), 7))
     variance, marginal = zeros, zeros
@@ -327,6 +304,43 @@ def fit_band(
         float((pixels.weights * residual**2).sum()),
         float(pixels.weights.sum()),
     )
+
+
+def _from_more_starts(
+    pixels: LampPixels,
+    state: LampState,
+    left: Array,
+    noise: Noise,
+    prior: SurfacePrior,
+    width: int,
+    *,
+    free: bool,
+    metals: bool,
+) -> tuple[LampState, Array]:
+    """Surfaces, and weights of samples, where one fit may have ended in a wrong minimum."""
+
+    def fitted(begin: LampState) -> tuple[LampState, Array]:
+        found = robust_surfaces(pixels, begin, noise, prior, rounds=1, free_normals=free)
+        return found[0], found[4]
+
+    if free:
+        state, left = better_of(state, left, *fitted(facing_highlights(pixels, state)))
+        for _ in range(NEIGHBOUR_ROUNDS):
+            moved, _ = from_neighbours(pixels, state, left, noise, prior, width)
+            state, left = better_of(state, left, *fitted(moved))
+    else:
+        for roughness in ROUGHNESS_STARTS:
+            same = np.full(len(pixels), roughness)
+            begin = state.with_surface(state.normals, state.albedo, same, state.metallic)
+            state, left = better_of(state, left, *fitted(begin))
+    state, weights, cost, information, _ = robust_surfaces(
+        pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
+    )
+    if metals:
+        state = _with_metals(pixels, state, weights, prior, width, cost, information, free)
+    if free:
+        state = _as_seen(pixels, state, prior)
+    return state, weights
 
 
 def _as_seen(pixels: LampPixels, state: LampState, prior: SurfacePrior) -> LampState:
