@@ -411,6 +411,16 @@ def test_a_broken_answer_of_the_journal_is_told(make: Make, tmp_path: Path) -> N
             make(Paid(), resume=True)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+@pytest.mark.parametrize("suffix", [".answer", ".png"])
+def test_a_pipe_in_the_journal_is_told(make: Make, tmp_path: Path, suffix: str) -> None:
+    with pytest.raises(InputError, match="expected a picture"):
+        make(Paid())
+    os.mkfifo(tmp_path / "scene" / "generation" / f"light_3-9{suffix}")
+    with pytest.raises(InputError, match=r"light_3-9\.(answer|png): expected"):
+        make(Paid(), resume=True)
+
+
 def test_a_broken_journal_is_told(make: Make, tmp_path: Path) -> None:
     make(Counting())
     entry = tmp_path / "scene" / "generation" / "light_1-1.json"
