@@ -84,7 +84,7 @@ def explain(
     """
     common = partial(decompose, scene, sh_order=sh_order, model=model, threads=threads)
     ours = partial(common, iterations=iterations, refine_normals=refine_normals)
-    fixed = partial(common, refine_normals="off", light="sh")
+    fixed = partial(common, refine_normals="off", light="sh", uncertainty=False)
     by_lbfgsb = partial(fixed, solver="lbfgsb", iterations=iterations)
     match recipe:
         case "default":

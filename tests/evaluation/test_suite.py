@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,17 @@ SUITE = Suite(
     verdict_rows=True,
 )
 
+OPTIONS = argparse.Namespace(
+    scenes=2,
+    size=64,
+    effort="full",
+    quick=False,
+    part=None,
+    spelled={"scenes": "--scenes", "size": "--size", "part": "--part", "folders": ""},
+    folders=[Path("somewhere/pictures")],
+    defaults={"scenes": 2, "size": 64, "part": None, "folders": []},
+)
+
 
 def run(suite: Suite, monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     module = type("Module", (), {"SUITE": suite})
@@ -128,7 +140,10 @@ def test_parts_options_and_files(
     }  # fmt: skip
     content = summary(out)
     assert content["protocol"] == "nothing-1, 1 scenes, quick"
-    assert set(content) == {"protocol", "version", "machine", "rows"}
+    assert content["command"] == f"pbrfit evaluate nothing --quick --data {tmp_path.name} --threads 2"
+    assert set(content) == {
+        "protocol", "command", "date", "version", "machine", "rows", "tables",
+    }  # fmt: skip
     assert [row["name"] for row in content["rows"]] == [
         "quiet: threads", "loud: threads", "quiet", "loud",
     ]  # fmt: skip
@@ -325,9 +340,19 @@ def test_a_page_holds_its_plots(tmp_path: Path) -> None:
     plot = Plot("curve", "Error & time.", [Panel("lines", SERIES)])
     section = Section("A & B", "Said.\n\nTwice.", [Table(["n"], [[1.0], [None]])], [plot])
     found = report.Outcome([], [], [section], {}, [])
-    report.write(tmp_path, SUITE, argparse.Namespace(scenes=1, effort="full"), found)
+    report.write(tmp_path, SUITE, OPTIONS, found)
     assert (tmp_path / "curve.png").exists()
     page = Page((tmp_path / "report.html").read_text("utf-8"))
     assert [image.attributes["alt"] for image in page.all("img")] == ["Error & time."]
     assert [cell.text for cell in page.all("td")] == ["1", "–"]
     assert (tmp_path / "nothing.md").read_text("utf-8").startswith("### A & B\n")
+
+
+def test_a_summary_says_how_to_make_it_again_and_holds_the_tables(tmp_path: Path) -> None:
+    sections = [Section("A & B", tables=[Table(["n"], [[1.0]]), Table(["m"], [[0.25]])])]
+    report.write(tmp_path, SUITE, OPTIONS, report.Outcome([], [], sections, {}, []))
+    summary = json.loads((tmp_path / "summary.json").read_text("utf-8"))
+    assert summary["command"] == "pbrfit evaluate nothing --scenes 2 pictures"
+    assert summary["date"] == f"{datetime.now(UTC):%Y-%m-%d}"
+    assert [table["title"] for table in summary["tables"]] == ["A & B", "A & B 2"]
+    assert summary["tables"][1]["markdown"] == "| m |\n| ---: |\n| 0.250 |\n"

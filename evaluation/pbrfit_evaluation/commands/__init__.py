@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from pbrfit.commands.arguments import (
@@ -91,12 +92,23 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
     for add in suite.options:
         add(parser)
     parser.add_argument("--quick", action="store_true", help=suite.quick)
+    parser.add_argument(
+        "--docs",
+        metavar="DIR",
+        type=Path,
+        help="documentation of a checkout: bring its tables and plots of this suite up to date",
+    )
     for action in parser._actions:
         full, quick = suite.effort.get(action.dest, (None, None))
         if isinstance(full, (int, float)) and action.default is None and action.help:
             less = f", with --quick {quick}" if quick != full else ""
             action.help += f" (default: {full}{less})"
-    parser.set_defaults(command=partial(run, suite))
+    told = [action for action in parser._actions if action.dest != "help"]
+    parser.set_defaults(
+        command=partial(run, suite),
+        spelled={one.dest: max(one.option_strings, key=len, default="") for one in told},
+        defaults={one.dest: one.default for one in told},
+    )
 
 
 def _refused(_: str) -> NoReturn:
@@ -112,6 +124,7 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
         With a message that says how to go on.
     """
     from pbrfit_evaluation import jobs, report
+    from pbrfit_evaluation.report import evidence
 
     options.effort = "quick" if options.quick else "full"
     for name, of_effort in suite.effort.items():
@@ -142,6 +155,8 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
     found = _outcome(suite, parts, options, done)
     with jobs.publish(options.out) as folder:
         report.write(folder, suite, options, found)
+    if options.docs is not None:
+        evidence.publish(options.docs, suite.name, options.out)
     if not options.quiet:
         with unread_is_no_failure():
             print("\n".join(report.lines(found)))

@@ -31,7 +31,10 @@ from pbrfit_evaluation.tables import write_csv
 PAGE = "report.html"
 
 UNTOLD = frozenset(
-    {"command", "out", "overwrite", "resume", "quiet", "default_jobs", "part", "effort", "quick"}
+    {
+        *("command", "out", "overwrite", "resume", "quiet", "default_jobs", "part", "effort"),
+        *("quick", "docs", "jobs", "cluster", "cycles_cache", "spelled", "defaults"),
+    }
 )
 """Options that a reader of a report does not ask for, or finds elsewhere in it."""
 
@@ -56,13 +59,41 @@ def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcom
     (folder / PAGE).write_text(
         _page(folder, suite.title, _opening(suite, options, found), sections), encoding="utf-8"
     )
-    tables = (_titled(section, one) for section in sections for one in section.tables)
-    (folder / f"{suite.name}.md").write_text("\n".join(tables), encoding="utf-8")
+    texts = (_titled(section, one) for section in sections for one in section.tables)
+    (folder / f"{suite.name}.md").write_text("\n".join(texts), encoding="utf-8")
     for name, lines in found.csvs.items():
         columns = list(dict.fromkeys(column for line in lines for column in line))
         write_csv(folder / name, columns, ([line.get(c) for c in columns] for line in lines))
     judged = [verdict.row for verdict in found.verdicts] if suite.verdict_rows else []
-    write_summary(folder, suite.protocol_of(options), [*judged, *found.rows])
+    write_summary(
+        folder,
+        suite.protocol_of(options),
+        [*judged, *found.rows],
+        command=command_of(suite, options),
+        tables=_by_title(sections),
+    )
+
+
+def command_of(suite: Suite, options: argparse.Namespace) -> str:
+    """What makes the figures again: options that are not the defaults, folders by name."""
+    words = ["pbrfit", "evaluate", suite.name, *(["--quick"] if options.quick else [])]
+    for name, spelled in options.spelled.items():
+        value = getattr(options, name)
+        full, quick = suite.effort.get(name, (options.defaults[name],) * 2)
+        if name in UNTOLD - {"part"} or value in (quick if options.quick else full, None, False):
+            continue
+        words += [spelled] if spelled else []
+        words += [] if value is True else [_told(value)]
+    return " ".join(words)
+
+
+def _by_title(sections: Iterable[Section]) -> dict[str, str]:
+    """Tables as Markdown; of several in a section, those after the first have a number."""
+    found = {}
+    for section in sections:
+        for i, table in enumerate(section.tables):
+            found[f"{section.title} {i + 1}" if i else section.title] = markdown(table)
+    return found
 
 
 def lines(found: Outcome) -> list[str]:

@@ -7,6 +7,7 @@ import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
@@ -18,7 +19,14 @@ from pbrfit_evaluation.suite import Row
 CPUINFO = Path("/proc/cpuinfo")
 
 
-def write_summary(folder: Path, protocol: str, rows: Sequence[Row]) -> None:
+def write_summary(
+    folder: Path,
+    protocol: str,
+    rows: Sequence[Row],
+    *,
+    command: str,
+    tables: Mapping[str, str],
+) -> None:
     """Write `summary.json` into an existing folder.
 
     Parameters
@@ -29,9 +37,15 @@ def write_summary(folder: Path, protocol: str, rows: Sequence[Row]) -> None:
         Name and version of how things were measured: results under one name compare.
     rows
         The results.
+    command
+        What makes them again, without names of this machine.
+    tables
+        Those of the page as Markdown, by title.
     """
     content = {
         "protocol": protocol,
+        "command": command,
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "version": version("pbrfit"),
         "machine": machine(),
         "rows": [
@@ -45,6 +59,7 @@ def write_summary(folder: Path, protocol: str, rows: Sequence[Row]) -> None:
             }
             for row in rows
         ],
+        "tables": [{"title": title, "markdown": text} for title, text in tables.items()],
     }
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")

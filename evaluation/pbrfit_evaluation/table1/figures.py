@@ -31,16 +31,11 @@ from pbrfit_evaluation.table1.rows import COLUMNS, ROWS, Row
 METRICS = tuple(f.name for f in fields(Scores))
 
 SOLVERS: dict[Recipe, str] = {
-    "plain": "gauss-newton, no priors",
     "default": "gauss-newton, default",
     "paper": "lbfgsb, paper's recipe",
     "paper-priors": "lbfgsb, paper's recipe and priors",
     "constant": "constant guess",
-    "start": "start, not optimised",
 }
-
-GUESSES: tuple[Recipe, ...] = ("constant", "start")
-"""What is not fitted."""
 
 FACTS = {
     "metal_share": "share of\nmetal pixels",
@@ -77,7 +72,7 @@ def figures(results: Results[Task]) -> list[Figures]:
             rows.append(Figures(name, 0, None, {}, paper, status))
         else:
             metrics = of.metrics(METRICS, "recipes", recipe)
-            guess = recipe in GUESSES
+            guess = recipe == "constant"
             scenes = len(of.finished)
             rows.append(Figures(name, scenes, SOLVERS[recipe], metrics, paper, status, guess))
     return rows

@@ -1,0 +1,155 @@
+"""Measured tables in the documentation: filled from summaries, and held against them.
+
+Each suite and benchmark leaves its `summary.json` in `docs/evidence/NAME.json`. A page shows a
+table of it between two comments, and a plot of it as a picture in that folder:
+
+    <!-- evidence: NAME/TITLE -->
+    (the table, and how it was measured)
+    <!-- /evidence -->
+
+    ![What it shows](evidence/NAME-PLOT.png)
+
+So no number is copied by hand, and a test fails where page and summary differ.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pbrfit._core import InputError
+
+FOLDER = "evidence"
+"""In the folder of the documentation."""
+
+BLOCK = re.compile(
+    r"(?P<head><!-- evidence: (?P<name>[a-z0-9-]+)/(?P<title>[^\n]+?) -->\n)"
+    r"(?P<body>.*?)"
+    r"(?P<foot><!-- /evidence -->)",
+    re.DOTALL,
+)
+
+_MENTION = re.compile(rf"\b{FOLDER}/(?P<file>[A-Za-z0-9._-]+\.(?:png|webp|csv))\b")
+
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?!\w)")
+
+
+def pages(docs: Path) -> list[Path]:
+    """Markdown files that may show evidence: the documentation, and README beside its folder."""
+    return [docs.parent / "README.md", *sorted(docs.rglob("*.md"))]
+
+
+def publish(docs: Path, name: str, folder: Path) -> None:
+    """Take over a suite's summary, the plots and CSV files that pages show, and fill the pages.
+
+    Parameters
+    ----------
+    docs
+        Folder of the documentation, with README.md beside it.
+    name
+        Of the suite or benchmark.
+    folder
+        What it wrote: `summary.json` and perhaps PNG and CSV files.
+
+    Raises
+    ------
+    InputError
+        If there is no documentation there, or a page asks for a table that the summary lacks.
+    """
+    if not docs.is_dir():
+        raise InputError(f"{docs}: expected the documentation's folder, found none")
+    to = docs / FOLDER
+    to.mkdir(exist_ok=True)
+    shutil.copyfile(folder / "summary.json", to / f"{name}.json")
+    for page in pages(docs):
+        for mention in _MENTION.finditer(page.read_text(encoding="utf-8")):
+            of, _, file = mention["file"].partition("-")
+            while of != name and "-" in file:
+                more, _, file = file.partition("-")
+                of = f"{of}-{more}"
+            if of == name and (folder / file).is_file():
+                shutil.copyfile(folder / file, to / mention["file"])
+    fill(docs, name)
+
+
+def fill(docs: Path, name: str | None = None) -> None:
+    """Write the tables of a summary, or of all, into the pages that show them."""
+    for page in pages(docs):
+        text = page.read_text(encoding="utf-8")
+        filled = _filled(text, docs, page, name)
+        if filled != text:
+            page.write_text(filled, encoding="utf-8")
+
+
+def differences(docs: Path) -> Iterator[str]:
+    """Pages whose tables are not what the summaries say, in a line each."""
+    for page in pages(docs):
+        for block in BLOCK.finditer(page.read_text(encoding="utf-8")):
+            if block["body"] != shown(docs, page, block["name"], block["title"]):
+                yield f"{page.name}: {block['name']}/{block['title']} is not as measured"
+
+
+def _filled(text: str, docs: Path, page: Path, name: str | None) -> str:
+    def replaced(block: re.Match[str]) -> str:
+        if name not in (None, block["name"]):
+            return block[0]
+        return block["head"] + shown(docs, page, block["name"], block["title"]) + block["foot"]
+
+    return BLOCK.sub(replaced, text)
+
+
+def shown(docs: Path, page: Path, name: str, title: str) -> str:
+    """What stands between the comments: the table, and how it was measured.
+
+    Raises
+    ------
+    InputError
+        If the summary is absent or lacks the table.
+    """
+    summary = read(docs, name)
+    found = [table for table in summary["tables"] if table["title"] == title]
+    if not found:
+        titles = ", ".join(table["title"] for table in summary["tables"])
+        raise InputError(f"{page}: expected a table of {name} ({titles}), found {title}")
+    return f"\n{found[0]['markdown']}\n*{provenance(summary)}*\n\n"
+
+
+def read(docs: Path, name: str) -> Mapping[str, Any]:
+    """A summary that the documentation keeps.
+
+    Raises
+    ------
+    InputError
+        If it is absent.
+    """
+    path = docs / FOLDER / f"{name}.json"
+    if not path.is_file():
+        raise InputError(f"{path}: expected the summary of {name}, found none")
+    content: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return content
+
+
+def provenance(summary: Mapping[str, Any]) -> str:
+    """Command, date, version and machine, in a line of Markdown."""
+    on = summary["machine"]
+    return (
+        f"`{summary['command']}`, {summary['date']}, pbrfit {summary['version']}, "
+        f"{on['processor']}, {on['cores']} cores."
+    )
+
+
+def figures(summary: Mapping[str, Any]) -> list[float]:
+    """Every number that a summary has, in its rows and in its tables."""
+    numbers = [
+        value
+        for row in summary["rows"]
+        for of in (row["metrics"], row["paper"] or {})
+        for value in of.values()
+        if value is not None
+    ]
+    texts = (table["markdown"] for table in summary["tables"])
+    return numbers + [float(number) for text in texts for number in _NUMBER.findall(text)]

@@ -1,0 +1,163 @@
+"""Measured numbers of README and documentation: as the summaries of their commands say."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pbrfit._core import InputError
+from pbrfit_evaluation.report import evidence
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+
+SUMMARY: dict[str, Any] = {
+    "protocol": "p-1",
+    "command": "pbrfit evaluate race",
+    "date": "2026-11-25",
+    "version": "0.1.0",
+    "machine": {"processor": "A processor", "cores": 2},
+    "rows": [{"name": "a", "metrics": {"x": 0.12345, "none": None}, "paper": {"x": 0.5}}],
+    "tables": [{"title": "Times", "markdown": "| ms |\n| ---: |\n| 3.25 |\n"}],
+}
+
+PAGE = """# A page
+
+Before.
+
+<!-- evidence: race/Times -->
+old
+<!-- /evidence -->
+
+![Curve](evidence/race-curve.png) and [lines](evidence/race-all.csv)
+"""
+
+
+@pytest.fixture
+def docs(tmp_path: Path) -> Path:
+    """Documentation of one page, and a README."""
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    (docs / "race.md").write_text(PAGE, encoding="utf-8")
+    (tmp_path / "README.md").write_text("# r\n", encoding="utf-8")
+    return docs
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """What a suite wrote."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "summary.json").write_text(json.dumps(SUMMARY), encoding="utf-8")
+    for name in ("curve.png", "all.csv", "unseen.png"):
+        (out / name).write_bytes(name.encode())
+    return out
+
+
+# --------------------------------------------------------------------------------- the mechanism
+
+
+def test_pages_are_filled_with_the_table_and_its_provenance(docs: Path, out: Path) -> None:
+    evidence.publish(docs, "race", out)
+    page = (docs / "race.md").read_text("utf-8")
+    line = "*`pbrfit evaluate race`, 2026-11-25, pbrfit 0.1.0, A processor, 2 cores.*"
+    assert f"-->\n\n| ms |\n| ---: |\n| 3.25 |\n\n{line}\n\n<!-- /" in page
+    assert page.startswith("# A page\n\nBefore.\n")
+    assert list(evidence.differences(docs)) == []
+    kept = sorted(path.name for path in (docs / "evidence").iterdir())
+    assert kept == ["race-all.csv", "race-curve.png", "race.json"]
+
+
+def test_a_number_changed_by_hand_is_told(docs: Path, out: Path) -> None:
+    evidence.publish(docs, "race", out)
+    page = docs / "race.md"
+    page.write_text(page.read_text("utf-8").replace("3.25", "2.25"), encoding="utf-8")
+    assert list(evidence.differences(docs)) == ["race.md: race/Times is not as measured"]
+
+
+def test_the_tables_of_other_summaries_stay(docs: Path, out: Path) -> None:
+    (docs / "race.md").write_text(PAGE.replace("race/", "walk/"), encoding="utf-8")
+    evidence.publish(docs, "race", out)
+    assert "old" in (docs / "race.md").read_text("utf-8")
+
+
+def test_what_is_absent_is_an_error(docs: Path, out: Path) -> None:
+    with pytest.raises(InputError, match="expected the summary of race, found none"):
+        list(evidence.differences(docs))
+    (docs / "race.md").write_text(PAGE.replace("/Times", "/Speeds"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"expected a table of race \(Times\), found Speeds"):
+        evidence.publish(docs, "race", out)
+    shutil.rmtree(docs)
+    with pytest.raises(InputError, match="expected the documentation's folder, found none"):
+        evidence.publish(docs, "race", out)
+
+
+# --------------------------------------------------------------------------------- our own pages
+
+GIVEN = {
+    "conventions.md": "constants of colour spaces and of geometry",
+    "formats.md": "examples of files",
+    "generate-models.md": "sizes and terms of models, from their makers",
+    "generate.md": "thresholds of the review",
+    "model.md": "the paper's constants",
+}
+"""Pages whose numbers are definitions or quotations, and why."""
+
+DATED = "decisions"
+"""Folder of records of a day, which keep what was found then."""
+
+
+def our_pages() -> Iterator[tuple[str, str]]:
+    """Name and text of every page whose numbers are of today."""
+    for page in evidence.pages(DOCS):
+        name = page.relative_to(ROOT if page.name == "README.md" else DOCS).as_posix()
+        if not name.startswith(DATED):
+            yield name, page.read_text(encoding="utf-8")
+
+
+def test_tables_are_as_measured() -> None:
+    assert list(evidence.differences(DOCS)) == []
+
+
+def test_summaries_are_of_this_version_and_shown_somewhere() -> None:
+    shown = {block["name"] for _, text in our_pages() for block in evidence.BLOCK.finditer(text)}
+    for path in (DOCS / evidence.FOLDER).glob("*.json"):
+        assert path.stem in shown, path.name
+        assert evidence.read(DOCS, path.stem)["version"] == version("pbrfit"), path.name
+
+
+def test_no_page_excuses_its_figures() -> None:
+    for name, text in our_pages():
+        assert not re.search(r"measured\s+(on\s+\S+,\s+)?before|It was before", text, re.I), name
+
+
+DECIMAL = re.compile(r"(?<![\w.·^-])\d*\.\d{2,}(?![\w.]|·10)")
+
+
+def _prose(text: str) -> str:
+    """Without code, filled tables, comments and addresses."""
+    text = evidence.BLOCK.sub("", text)
+    text = re.sub(r"^```.*?^```|^    .*?$", "", text, flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"`[^`]*`|\]\([^)]*\)|<!--.*?-->|\$[^$]*\$", "", text)
+
+
+def test_numbers_in_tables_and_text_are_measured() -> None:
+    """Two decimals or more: each a rounding of a figure of a summary that the page shows."""
+    strange = []
+    for name, text in our_pages():
+        if name in GIVEN:
+            continue
+        cited = {block["name"] for block in evidence.BLOCK.finditer(text)}
+        known = [f for of in cited for f in evidence.figures(evidence.read(DOCS, of))]
+        for found in DECIMAL.findall(_prose(text)):
+            digits = len(found.partition(".")[2])
+            if not any(abs(abs(figure) - float(found)) <= 0.501 * 10**-digits for figure in known):
+                strange.append(f"{name}: {found}")
+    assert strange == []
