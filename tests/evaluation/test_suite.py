@@ -140,7 +140,9 @@ def test_parts_options_and_files(
     }  # fmt: skip
     content = summary(out)
     assert content["protocol"] == "nothing-1, 1 scenes, quick"
-    assert content["command"] == f"pbrfit evaluate nothing --quick --data {tmp_path.name} --threads 2"
+    assert (
+        content["command"] == f"pbrfit evaluate nothing --quick --data {tmp_path.name} --threads 2"
+    )
     assert set(content) == {
         "protocol", "command", "date", "version", "machine", "rows", "tables",
     }  # fmt: skip

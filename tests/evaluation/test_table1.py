@@ -128,7 +128,7 @@ def test_work_scores_every_recipe_of_its_row() -> None:
         assert ("normals_mean" in of["facts"]) == (BY_KEY[key].normals == "predicted")
         assert ("refined_mean" in of["facts"]) == (BY_KEY[key].refine_normals != "off")
         json.dumps(of)
-    recon = [found[key]["recipes"]["start"]["recon"] for key in ("base", "sh2")]
+    recon = [found[key]["recipes"]["constant"]["recon"] for key in ("base", "sh2")]
     assert recon[0] < recon[1]  # lights of order 2 explain less
 
 
@@ -190,12 +190,12 @@ def test_means_are_over_finished_scenes() -> None:
     pairs.append((Task("base", 1002, 16, 4, 3, model="paper"), "ValueError: no"))
     asked = {"rows": ["base", "cycles-brdf"], "model": "paper", "quick": True}
     rows = figures(recorded(*pairs, **asked))
-    assert [row.name for row in rows] == ["Base, paper"] * 5 + [
+    assert [row.name for row in rows] == ["Base, paper"] * 3 + [
         "Cycles, panorama: BRDF alone, paper"
     ]
     assert rows[0].metrics["albedo"] == pytest.approx(0.15)
-    assert {row.status for row in rows[:5]} == {"1 of 3 scenes failed"}
-    assert [row.guess for row in rows] == [False, False, False, True, True, False]
+    assert {row.status for row in rows[:3]} == {"1 of 3 scenes failed"}
+    assert [row.guess for row in rows] == [False, False, True, False]
     assert rows[-1].status == "not run: --quick leaves Cycles out"
     assert (rows[-1].scenes, rows[-1].metrics) == (0, {})
 
