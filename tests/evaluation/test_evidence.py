@@ -14,6 +14,7 @@ import pytest
 
 from pbrfit._core import InputError
 from pbrfit_evaluation.report import evidence
+from pbrfit_evaluation.suite import Table
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -73,6 +74,14 @@ def test_pages_are_filled_with_the_table_and_its_provenance(docs: Path, out: Pat
     assert list(evidence.differences(docs)) == []
     kept = sorted(path.name for path in (docs / "evidence").iterdir())
     assert kept == ["race-all.csv", "race-curve.png", "race.json"]
+
+
+def test_a_benchmark_records_its_tables(docs: Path) -> None:
+    tables = {"Times": Table(["ms"], [[4.5]])}
+    files = {"curve.png": b"curve"}
+    evidence.record(docs, "race", command="make race", protocol="p", tables=tables, files=files)
+    assert "| 4.50 |\n\n*`make race`, " in (docs / "race.md").read_text("utf-8")
+    assert (docs / "evidence" / "race-curve.png").read_bytes() == b"curve"
 
 
 def test_a_number_changed_by_hand_is_told(docs: Path, out: Path) -> None:

@@ -17,11 +17,16 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 from pbrfit._core import InputError
+from pbrfit_evaluation.report import markdown
+from pbrfit_evaluation.report.summary import write_summary
+from pbrfit_evaluation.suite import Row, Table
 
 FOLDER = "evidence"
 """In the folder of the documentation."""
@@ -41,6 +46,26 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?!\w)")
 def pages(docs: Path) -> list[Path]:
     """Markdown files that may show evidence: the documentation, and README beside its folder."""
     return [docs.parent / "README.md", *sorted(docs.rglob("*.md"))]
+
+
+def record(
+    docs: Path,
+    name: str,
+    *,
+    command: str,
+    protocol: str,
+    tables: Mapping[str, Table],
+    rows: Sequence[Row] = (),
+    files: Mapping[str, bytes] = MappingProxyType({}),
+) -> None:
+    """As `publish`, for a benchmark or tool that is no suite: its tables, rows and plots."""
+    with TemporaryDirectory() as name_of_folder:
+        folder = Path(name_of_folder)
+        for file, content in files.items():
+            (folder / file).write_bytes(content)
+        texts = {title: markdown(table) for title, table in tables.items()}
+        write_summary(folder, protocol, rows, command=command, tables=texts)
+        publish(docs, name, folder)
 
 
 def publish(docs: Path, name: str, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Table 1 as rows, tables, a plot and CSV files."""
+"""Table 1 as rows, tables, a plot and CSV files; the tables that pages of the docs show."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from pbrfit_evaluation.suite import (
     Series,
     Table,
     Value,
+    digits,
 )
 from pbrfit_evaluation.suite import Row as Figures
 from pbrfit_evaluation.table1.measure import Task, why_not
@@ -89,7 +90,7 @@ def csvs(results: Results[Task], _: Sequence[Figures]) -> Mapping[str, Sequence[
 
 
 def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Section]:
-    """Tables, the plot, the setups and the first scene of each."""
+    """Tables, where ours is not the best, the plot, the setups and the first scene of each."""
     effort = ("seconds", "evaluations")
     rest = [
         Column(name, best=None if name in effort else better(name))
@@ -97,11 +98,18 @@ def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Sectio
         if name not in COLUMNS
     ]
     plots = [_plot(results, rows)] if results.finished else []
+    columns = [Column(name, best="low") for name in COLUMNS]
+    yield Section("The paper's columns", "RMSE, linear values.", [Table.of(rows, columns)], plots)
     yield Section(
-        "The paper's columns",
-        "RMSE, linear values.",
-        [Table.of(rows, [Column(name, best="low") for name in COLUMNS])],
-        plots,
+        "In short",
+        "The same without intervals: ours / the paper's recipe / the constant guess / what the "
+        "paper reports of its own scenes.",
+        [_in_short(results, model) for model in models(results.options)],
+    )
+    yield Section(
+        "Where ours is not the best",
+        "Of the setups in which ours is compared.",
+        [_not_the_best(rows)],
     )
     yield Section(
         "More of the same results",
@@ -122,6 +130,50 @@ def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Sectio
     ]
     if examples:
         yield Section("Examples", "The first scene of each setup.", figures=examples)
+
+
+def _in_short(results: Results[Task], model: Model) -> Table:
+    """A line a setup; in a cell the error of each recipe, and the paper's number."""
+    lines: list[list[Value]] = []
+    for row in asked_rows(results.options):
+        of = results.of(row=row.key, model=model)
+        if not of.finished:
+            continue
+        line: list[Value] = [row.name, float(len(of.finished))]
+        for metric in COLUMNS[1:]:
+            found = {
+                recipe: of.mean("recipes", recipe, metric).mean
+                for recipe in ("default", *_RECIPE_OF.get(row.key, ("paper",)), "constant")
+            }
+            line.append(" / ".join([*map(_shown, found.values()), _shown(row.paper.get(metric))]))
+        lines.append(line)
+    heads = [f"{metric}: ours / recipe / guess / paper" for metric in COLUMNS[1:]]
+    return Table([f"model {model}", "scenes", *heads], lines)
+
+
+_RECIPE_OF: dict[str, tuple[Recipe, ...]] = {"regularized": ("paper-priors",)}
+"""What stands for the paper's recipe, by setup, where it is another."""
+
+
+def _shown(value: float | None) -> str:
+    return "–" if value is None or value != value else digits(value)
+
+
+def _not_the_best(rows: Sequence[Figures]) -> Table:
+    """Setups and columns in which the recipe or the guess has less error than ours."""
+    lines: list[list[Value]] = []
+    for ours in (row for row in rows if row.solver == SOLVERS["default"]):
+        others = [row for row in rows if row.name == ours.name and row is not ours]
+        for metric in COLUMNS:
+            mine = ours.metrics.get(metric)
+            known = {row.solver: row.metrics.get(metric) for row in others}
+            better = {name: v for name, v in known.items() if v is not None and v == v}
+            if mine is None or mine != mine or not better:
+                continue
+            name = min(better, key=lambda one: better[one])
+            if better[name] < mine:
+                lines.append([ours.name, metric, mine, name or "", better[name]])
+    return Table(["setup", "column", "ours", "the best", "its error"], lines)
 
 
 def _setups(results: Results[Task]) -> Table:
