@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation.convergence import figures
-from pbrfit_evaluation.convergence.cases import CASES, Case, chosen, make, true_lighting
+from pbrfit_evaluation.convergence.cases import CASES, Case, chosen, trial, true_lighting
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Task
-from pbrfit_evaluation.options import count
+from pbrfit_evaluation.jobs import digest_of_files
+from pbrfit_evaluation.options import count, option
+from pbrfit_evaluation.real.sources import find_sources
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 FIRST_SEED = 100
@@ -22,7 +25,7 @@ FIRST_SEED = 100
 
 MOST_SEEDS = 100
 
-REHEARSAL = Case("rehearsal", 8, 0.0, "typical")
+REHEARSAL = Case("rehearsal", 8)
 REHEARSAL_BUDGET = Budget(iterations=3, evaluations=3, seconds=60.0)
 
 
@@ -30,25 +33,30 @@ def tasks(options: Options) -> list[Task]:
     """All runs that are possible here, those of a seed one after the other.
 
     So a run that is broken off and resumed with fewer seeds is complete in those. `options.seconds`
-    is where any run is cut off, for a picture of 64²; larger pictures have as much more as they
-    have pixels. On a quiet machine of two cores none is: iterations and evaluations are the limits,
-    so that only a busy one makes results depend on its speed.
+    is where any run is cut off. On a quiet machine of two cores almost none is: iterations and
+    evaluations are the limits, so that only a busy one makes results depend on its speed.
 
     Raises
     ------
     InputError
-        If there are too many seeds.
+        If there are too many seeds, or not one set of real pictures where there should be.
     """
     if options.seeds > MOST_SEEDS:
         raise InputError(f"--seeds: expected at most {MOST_SEEDS}, found {options.seeds}")
+    inputs = ""
+    if options.real is not None:
+        if not options.real.is_dir() or len(find_sources(options.real)) != 1:
+            raise InputError(
+                f"{options.real}: expected a folder of one view's pictures, found none"
+            )
+        inputs = digest_of_files(options.real)
+    budget = Budget(options.iterations, options.evaluations, options.seconds)
     return [
-        Task(case, solver.name, FIRST_SEED + i, budget)
+        Task(case, solver.name, FIRST_SEED + i, budget, inputs if case.folder else "")
         for i in range(options.seeds)
         for case in chosen(options)
-        for seconds in [options.seconds * max(1.0, (case.size / 64) ** 2)]
-        for budget in [Budget(options.iterations, options.evaluations, seconds)]
         for solver in SOLVERS
-        if not solver.why_not(case.model, case.size)
+        if not solver.why_not(case.model)
     ]
 
 
@@ -56,15 +64,16 @@ def run(task: Task, threads: int) -> dict[str, Any]:
     """Do one run, after a rehearsal off the clock that loads libraries and wakes threads."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     solver = BY_NAME[task.solver]
-    rehearsal = make(replace(REHEARSAL, model=task.case.model), seed=0)
-    solver.run(rehearsal, REHEARSAL_BUDGET, Tracker(rehearsal, threads), threads)
-    scene = make(task.case, task.seed)
-    tracker = Tracker(scene, threads)
+    scene, errors = trial(replace(REHEARSAL, model=task.case.model), 0, threads)
+    solver.run(scene, REHEARSAL_BUDGET, Tracker(errors), threads)
+    scene, errors = trial(task.case, task.seed, threads)
+    tracker = Tracker(errors)
     reason = solver.run(scene, task.budget, tracker, threads)
+    known = scene.truth is not None
     return {
         "points": tracker.points,
         "stop_reason": reason,
-        "condition": condition(true_lighting(scene)),
+        "condition": condition(true_lighting(scene)) if known else math.nan,
         "threads": threads,
         "load": load,
     }
@@ -78,7 +87,7 @@ SUITE = Suite(
     "a plot a quantity, convergence.md, curves.csv and summary.json. Exit code 1 if the "
     "second-order solver is not as much sooner than others as it must be. Peers need PyTorch: pip "
     "install pbrfit-evaluation[peers]; they know the paper's model alone.",
-    protocol="pbrfit-convergence-1, {effort}",
+    protocol="pbrfit-convergence-2, {effort}",
     parts=[
         Part(
             "runs",
@@ -93,24 +102,39 @@ SUITE = Suite(
     options=(
         lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, "paper"),
         count("--seeds", "K", "scenes of a case"),
+        option(
+            "--cases",
+            metavar="NAME",
+            nargs="+",
+            choices=list(CASES),
+            help=f"only these cases: {', '.join(CASES)} (default: all but the last two)",
+        ),
+        option(
+            "--real",
+            metavar="DIR",
+            type=Path,
+            help="pictures of one view, whose truth nobody knows: a case for each size",
+        ),
+        count("--seconds", "S", "after which a run is cut off"),
     ),
     effort={
         "cases": (tuple(CASES)[:-2], tuple(CASES)[-2:]),
-        "seeds": (3, 1),
+        "seeds": (2, 1),
         "iterations": (500, 200),
         "evaluations": (2000, 200),
-        "seconds": (60.0, 20.0),
+        "seconds": (100, 20),
     },
     quick="half a minute: two cases of 24 × 24 pixels, few steps",
     about=(
         "Errors are RMSE in float64, measured from the maps and lights of a run at numbers of "
         "evaluations that grow by 12 %, for all solvers by the same function; “recon” against the "
-        "pictures that were fitted, noise included, “relight” under the true held-out lights. The "
-        "clock does not run meanwhile, nor while libraries and a start that is handed in are made.",
+        "pictures that were fitted, noise included, “relight” under the true held-out lights. Of "
+        "real pictures a quarter is held out, and errors are relative. The clock does not run "
+        "meanwhile, nor while libraries and a start that is handed in are made.",
         "A run of ours ends after so many iterations, one of a peer after so many evaluations, and "
-        "any after so many seconds (more above 64², in proportion to the pixels).",
-        "At 512² the second-order solver is held against the others by when it reaches the "
-        "reconstruction error that the paper's recipe ends at.",
+        "any after so many seconds.",
+        "At 512² the default is held against the others by when it reaches the reconstruction "
+        "error that the paper's recipe ends at.",
     ),
     jobs=1,  # times mean something only if nothing else runs
     timed=True,

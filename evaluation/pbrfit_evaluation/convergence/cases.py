@@ -1,19 +1,27 @@
-"""The scenes that solvers run on: sizes, noise, and how well the lights determine the fit."""
+"""The scenes that solvers run on: clean, noisy, stiff, of another model, and real ones."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, render, sh_basis
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit.synthetic.lights import SHARP, even_directions, zonal
+from pbrfit_evaluation.convergence.measure import held_out_errors, measure
+from pbrfit_evaluation.real.held_out import part, split
+from pbrfit_evaluation.real.sources import find_sources, load
+from pbrfit_evaluation.recipes import OTHER
 from pbrfit_evaluation.suite import Options
 
 Array = NDArray[np.float64]
@@ -43,24 +51,44 @@ class Case:
     lights
         Which training lights. The held-out lights are always typical ones.
     model
-        That pictures are rendered with and that is fitted.
+        That is fitted, and that pictures are rendered with.
+    misfit
+        Whether they are rendered with the other model.
+    folder
+        Of real pictures, whose truth nobody knows; `size` is then their longer side.
     """
 
     name: str
     size: int
-    noise: float
-    lights: Lights
+    noise: float = 0.0
+    lights: Lights = "typical"
     model: Model = "paper"
+    misfit: bool = False
+    folder: Path | None = None
+
+    @property
+    def judged(self) -> Literal["recon", "held_out"]:
+        """Which error tells how far a fit has come."""
+        return "held_out" if self.folder else "recon"
+
+    @property
+    def floor(self) -> float:
+        """Reconstruction error of the truth, 0 where nothing but rounding is in it."""
+        return 0.0 if self.misfit else self.noise * MEAN_RADIANCE
 
     @property
     def title(self) -> str:
         """For tables and plots."""
+        if self.folder:
+            return f"{self.folder.name}, {self.size} pixels"
+        if self.misfit:
+            return f"{self.size}², pictures of the other model"
         noise = f"noise {100 * self.noise:g} %" if self.noise else "no noise"
         return f"{self.size}², {noise}, lights {self.lights}"
 
 
 def make(case: Case, seed: int) -> Scene:
-    """Make a room of the case, 16 training and 16 held-out pictures.
+    """Make a room of a synthetic case, 16 training and 16 held-out pictures.
 
     "typical" lights are those of `pbrfit.synthetic`: a key light and fills of several colours with
     an ambient term. With their mean L̄, L̄ + ε (L − L̄) has a condition number about 1/ε times as
@@ -69,8 +97,9 @@ def make(case: Case, seed: int) -> Scene:
     positive light of l ≤ 3 allows, because the sharpest such lobe has a sixteenth of its band 0 in
     band 3.
     """
+    model = OTHER[case.model] if case.misfit else case.model
     scene = make_scene(
-        "room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed, model=case.model
+        "room", size=case.size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model
     )
     truth, images, lighting = scene.truth, scene.images, true_lighting(scene)
     assert truth is not None
@@ -109,24 +138,49 @@ def _lit_evenly(scene: Scene, truth: Truth) -> tuple[Truth, Array]:
     return replace(truth, lighting=exposure * lighting), exposure * images
 
 
+Errors = Callable[[Materials, Array], Mapping[str, float]]
+"""Measures maps and lights (N, 16, 3)."""
+
+
+def trial(case: Case, seed: int, threads: int = 0) -> tuple[Scene, Errors]:
+    """The scene to fit, and what measures a fit of it.
+
+    Of real pictures a quarter is held out, another one for each seed.
+    """
+    if case.folder is None:
+        scene = make(case, seed)
+        fitted = replace(scene, model=case.model)
+        return fitted, partial(measure, fitted, threads=threads)
+    [source] = find_sources(case.folder)
+    whole = load(source, case.size)
+    which = split(len(whole.images), fold=seed % 2)
+    kept = part(whole, which.kept)
+    errors = partial(held_out_errors, whole, which, model=case.model, threads=threads)
+    return kept, errors
+
+
 CASES = {
     case.name: case
     for case in (
-        Case("typical-32", 32, 0.0, "typical"),
-        Case("typical-64", 64, 0.0, "typical"),
-        Case("typical-128", 128, 0.0, "typical"),
-        Case("typical-512", 512, 0.0, "typical"),
-        Case("noise-64", 64, 0.01, "typical"),
-        Case("spread-64", 64, 0.0, "spread"),
-        Case("nearly-one-64", 64, 0.0, "nearly one"),
-        Case("alike-noise-64", 64, 0.01, "alike"),
-        Case("typical-24", 24, 0.0, "typical"),
-        Case("alike-noise-24", 24, 0.01, "alike"),
+        Case("clean-128", 128),
+        Case("noisy-128", 128, 0.01),
+        Case("stiff-128", 128, 0.01, "alike"),
+        Case("misfit-128", 128, 0.01, misfit=True),
+        Case("clean-512", 512),
+        Case("noisy-512", 512, 0.01),
+        Case("stiff-512", 512, 0.01, "alike"),
+        Case("misfit-512", 512, 0.01, misfit=True),
+        Case("clean-24", 24),
+        Case("stiff-24", 24, 0.01, "alike"),
     )
 }
 """By name; the last two are those of `--quick`."""
 
 
 def chosen(options: Options) -> list[Case]:
-    """The cases of a run."""
-    return [replace(CASES[name], model=options.model) for name in options.cases]
+    """The cases of a run, real ones last."""
+    cases = [CASES[name] for name in options.cases]
+    if options.real is not None:
+        for size in sorted({case.size for case in cases}):
+            cases.append(Case(f"real-{size}", size, folder=options.real))
+    return [replace(case, model=options.model) for case in cases]

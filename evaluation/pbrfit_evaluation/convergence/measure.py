@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -11,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import chosen_model, render
+from pbrfit.model.reflection import Model, chosen_model, render
 from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.real.held_out import Split, explained_by, picture_scores, relative_error
 
 Array = NDArray[np.float64]
 
-Quantity = Literal["recon", "albedo", "albedo_scaled", "roughness", "metallic", "relight"]
+Quantity = Literal[
+    "recon", "albedo", "albedo_scaled", "roughness", "metallic", "relight", "held_out"
+]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 CHECKPOINT_RATIO = 1.12
@@ -28,8 +33,8 @@ State = Callable[[], tuple[Materials, Array]]
 """Gives the maps and lights (N, 16, 3) as they are now."""
 
 Point = Mapping[str, float]
-"""A checkpoint: what it had cost by then, as seconds of wall time without measuring, iteration and
-evaluations; and each of `QUANTITIES`."""
+"""A checkpoint: what it had cost by then, as seconds of wall time and of processors without
+measuring, iteration and evaluations; and each of `QUANTITIES`, NaN where it cannot be known."""
 
 
 @dataclass(frozen=True)
@@ -74,20 +79,54 @@ def measure(
         "roughness": metrics.rmse(found.roughness, true.roughness),
         "metallic": metrics.rmse(found.metallic, true.metallic),
         "relight": metrics.rmse(rendered(truth.relight_lighting), truth.relight_images),
+        "held_out": math.nan,
     }
+
+
+def held_out_errors(
+    scene: Scene, which: Split, materials: Materials, _: Array, *, model: Model, threads: int = 0
+) -> dict[str, float]:
+    """Relative RMSE of real pictures that were fitted, and of those that were held out.
+
+    The light of each is fitted to the materials, so that both mean the same; see `real.held_out`.
+    """
+    found = Materials(
+        *(np.clip(m, 0, 1) for m in (materials.albedo, materials.roughness, materials.metallic))
+    )
+
+    def error(pictures: tuple[int, ...]) -> float:
+        rendered = explained_by(found, scene, pictures, threads, model=model)
+        return relative_error(picture_scores(scene, pictures, rendered, looks=False))
+
+    unknown: dict[str, float] = dict.fromkeys(map(str, QUANTITIES), math.nan)
+    return {**unknown, "recon": error(which.kept), "held_out": error(which.held_out)}
 
 
 class Tracker:
     """Measures a run at numbers of evaluations that grow by 12 %, the first and the last included.
 
-    A solver calls `visit` whenever it has a state, with the clock stopped.
+    A solver calls `start` when its clock starts, and `visit` whenever it has a state, with the
+    clock stopped.
     """
 
-    def __init__(self, scene: Scene, threads: int = 0) -> None:
-        self._scene = scene
-        self._threads = threads
+    def __init__(self, errors: Callable[[Materials, Array], Mapping[str, float]]) -> None:
+        self._errors = errors
         self._next = 0.0
+        self._began = time.process_time()
         self.points: list[Point] = []
+
+    def start(self) -> None:
+        """From here on processor seconds count."""
+        self._began = time.process_time()
+
+    @contextmanager
+    def off_the_clock(self) -> Iterator[None]:
+        """What is done inside takes no processor seconds."""
+        before = time.process_time()
+        try:
+            yield
+        finally:
+            self._began += time.process_time() - before
 
     def visit(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
         """Measure, if it is time to."""
@@ -101,8 +140,11 @@ class Tracker:
         self._measure(seconds, iteration, evaluations, state)
 
     def _measure(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
-        cost = {"seconds": seconds, "iteration": iteration, "evaluations": evaluations}
-        self.points.append({**cost, **measure(self._scene, *state(), threads=self._threads)})
+        processor = time.process_time() - self._began
+        cost = {"seconds": seconds, "processor": processor}
+        cost |= {"iteration": iteration, "evaluations": evaluations}
+        with self.off_the_clock():
+            self.points.append({**cost, **self._errors(*state())})
         self._next = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
 
 

@@ -1,32 +1,24 @@
 """Every way to fit a scene that the suite compares. A new solver is one more entry in `SOLVERS`.
 
-All minimise the same objective, that without priors: otherwise a lower loss would say nothing.
+All but the first minimise the same objective, that without priors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
-from numpy.typing import NDArray
-
 from pbrfit.fit.decompose import Progress
-from pbrfit.fit.objective import Objective
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
-from pbrfit_evaluation.convergence.cases import Case, true_lighting
+from pbrfit_evaluation.convergence.cases import Case
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.recipes import fit, paper_start
-
-Start = Materials | tuple[Materials, NDArray[Any]]
-
-RACE_SIZE = 512
-"""Side of pictures from which only those run whose times are held against each other."""
 
 Run = Callable[[Scene, Budget, Tracker, int], str]
 """Fits a scene with so many threads, shows the tracker its states, returns why it ended."""
@@ -36,22 +28,18 @@ Run = Callable[[Scene, Budget, Tracker, int], str]
 class Solver:
     """One of those that are compared: a name for files and tables, a sentence, and what runs it.
 
-    `torch`: whether it is one of PyTorch's, which know the paper's model alone. `raced`: whether it
-    runs on large pictures too.
+    `torch`: whether it is one of PyTorch's, which know the paper's model alone.
     """
 
     name: str
     what: str
     run: Run
     torch: bool = False
-    raced: bool = False
 
-    def why_not(self, model: Model, size: int = 0) -> str:
-        """Why it does not fit pictures of a model and size here; empty if it does."""
+    def why_not(self, model: Model) -> str:
+        """Why it does not fit pictures of a model here; empty if it does."""
         if self.torch and model != "paper":
             return f"not run: it knows no model {model}"
-        if size >= RACE_SIZE and not self.raced:
-            return f"not run: too slow at {size}²"
         absent = self.torch and find_spec("torch") is None
         return "not run: torch is not installed" if absent else ""
 
@@ -62,27 +50,28 @@ def fit_with_ours(
     tracker: Tracker,
     threads: int,
     *,
-    solver: Any = "lbfgsb",
-    start: Callable[[Scene], Start] | None = None,
-    known_lights: bool = False,
-    times_iterations: int = 1,
+    solver: Any = "gauss-newton",
+    start: Callable[[Scene], Materials] | None = None,
+    **options: Any,
 ) -> str:
-    """Run `pbrfit.decompose`: from its own start, or in one stage from that of `start`."""
-    if known_lights:
-        scene = replace(scene, lighting=true_lighting(scene))
+    """Run `pbrfit.decompose`, lights as harmonics: from its own start, or from that of `start`."""
 
     def visit(progress: Progress) -> None:
         tracker.visit(progress.elapsed_s, progress.iteration, progress.evaluations, progress.state)
 
+    begin = None if start is None else start(scene)
+    tracker.start()
     result = fit(
         scene,
         solver=solver,
-        iterations=times_iterations * budget.iterations,
+        light="sh",
+        uncertainty=False,
+        iterations=budget.iterations,
         time_limit=budget.seconds,
-        start=None if start is None else start(scene),
+        start=begin,
         threads=threads,
-        priors=None,
         progress=visit,
+        **options,
     )
     iterations = int(result.history["iteration"][-1])
     tracker.end(
@@ -91,42 +80,28 @@ def fit_with_ours(
     return result.stop_reason
 
 
-def default_start(scene: Scene) -> Start:
-    """Where `pbrfit.decompose` starts if it is told nothing, lights included."""
-    objective = Objective(scene)
-    return objective.unpack(objective.start())
-
-
 SOLVERS: tuple[Solver, ...] = (
     Solver(
-        "lbfgsb",
-        "pbrfit.decompose without priors: scipy's L-BFGS-B in three stages that keep off "
-        "roughness 0.",
+        "default",
+        "pbrfit.decompose with its priors, told the segments where there are some.",
         fit_with_ours,
-        raced=True,
-    ),
-    Solver(
-        "lbfgsb-long",
-        "The same with four times as many iterations. Its stages are as much longer.",
-        partial(fit_with_ours, times_iterations=4),
-    ),
-    Solver(
-        "lbfgsb-one-stage",
-        "From the default start, without stages and restarts.",
-        partial(fit_with_ours, start=default_start),
-    ),
-    Solver(
-        "lbfgsb-paper",
-        "The paper's recipe as we read it: one stage from the mean picture exposed to a mean of "
-        "0.4, roughness 0.5, metallic 0.1.",
-        partial(fit_with_ours, start=paper_start),
-        raced=True,
     ),
     Solver(
         "gauss-newton",
-        "Lights and some pixels' materials together, restarts pixel by pixel, then all pixels.",
-        partial(fit_with_ours, solver="gauss-newton"),
-        raced=True,
+        "The same without priors, as all below: lights and some pixels' materials together, then "
+        "all pixels.",
+        partial(fit_with_ours, priors=None),
+    ),
+    Solver(
+        "lbfgsb",
+        "scipy's L-BFGS-B in three stages that keep off roughness 0.",
+        partial(fit_with_ours, solver="lbfgsb", priors=None),
+    ),
+    Solver(
+        "lbfgsb-paper",
+        "The paper's recipe as we read it: one run of L-BFGS-B from the mean picture exposed to a "
+        "mean of 0.4, roughness 0.5, metallic 0.1.",
+        partial(fit_with_ours, solver="lbfgsb", start=paper_start, priors=None),
     ),
     Solver(
         "torch-lbfgs",
@@ -134,7 +109,6 @@ SOLVERS: tuple[Solver, ...] = (
         "default start; float32, automatic differentiation.",
         partial(torch_peer.fit, optimiser="lbfgs"),
         torch=True,
-        raced=True,
     ),
     Solver(
         "torch-adam",
@@ -142,13 +116,6 @@ SOLVERS: tuple[Solver, ...] = (
         "default start; float32, automatic differentiation.",
         partial(torch_peer.fit, optimiser="adam"),
         torch=True,
-    ),
-    Solver(
-        "lbfgsb-known-lights",
-        "L-BFGS-B, staged, given the true lights, so that only materials are fitted: what is slow "
-        "or caught here is so for each pixel by itself. No solver of the whole problem, and no "
-        "bound on those: they can end lower.",
-        partial(fit_with_ours, known_lights=True),
     ),
 )
 
@@ -164,6 +131,8 @@ class Task:
     solver: str
     seed: int
     budget: Budget
+    inputs: str = ""
+    """Digest of real pictures."""
 
     @property
     def key(self) -> str:

@@ -77,6 +77,7 @@ def fit(
     problem = Problem(scene, objective, x, light_unit)
     _choose_threads(problem, threads)
     clock = _Clock()
+    tracker.start()
     if not problem.compiled:  # else it would be compiled again
         problem = Problem(scene, objective, x, light_unit)
     run = _lbfgs if optimiser == "lbfgs" else _adam
@@ -218,7 +219,8 @@ def _lbfgs(
             # Each call of `step` begins by evaluating again where the last one ended. That is a
             # price of looking in on it, not of the method: off the clock and not counted.
             clock.stop()
-            loss = problem.evaluate(problem.samples)
+            with tracker.off_the_clock():
+                loss = problem.evaluate(problem.samples)
             clock.go_on()
             repeated = False
             return loss

@@ -21,12 +21,12 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import World, draw, make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.recipes import explain
+from pbrfit_evaluation.recipes import OTHER, explain
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.scores import METAL, score
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1.normals import estimated
-from pbrfit_evaluation.table1.rows import BY_KEY, OTHER, Row
+from pbrfit_evaluation.table1.rows import BY_KEY, Row
 
 TRUE_FOV = 60.0
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from pbrfit.model.reflection import Model
 from pbrfit.result.refinement import RefineNormals
 from pbrfit_evaluation.recipes import Recipe
 
@@ -192,7 +191,5 @@ ROWS = (
         paper=_paper(0.010, 0.066, 0.241, 0.248, 0.160),
     ),
 )
-
-OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
 
 BY_KEY = {row.key: row for row in ROWS}

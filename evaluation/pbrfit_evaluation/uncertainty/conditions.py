@@ -37,7 +37,7 @@ from pbrfit_evaluation.everyday.disturbances import (
 )
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.normals.disturbances import MEAN_OF_THETA, disturbed
-from pbrfit_evaluation.table1.rows import OTHER
+from pbrfit_evaluation.recipes import OTHER
 
 Array = NDArray[np.float64]
 
