@@ -223,6 +223,11 @@ COLUMNS = (
 def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
     """Tables of the maps, reliability, verdicts, and the scale with seconds."""
     yield Section(
+        "In short",
+        "Errors within two deviations, and RMSE in brackets, of each map.",
+        [_in_short(of_rows)],
+    )
+    yield Section(
         "Coverage and errors",
         "Means over scenes; of Gaussian errors 68 % are within one deviation and 95 % within two. "
         "The interval is from the 2.5 % to the 97.5 % quantile. The guess is one material "
@@ -257,6 +262,18 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
         "errors together.",
         [Table.of(of_rows, columns)],
     )
+
+
+def _in_short(of_rows: Sequence[Row]) -> Table:
+    def of_map(row: Row, name: str) -> str:
+        within, error = (row.metrics.get(f"{name}_{one}") for one in ("within_2", "rmse"))
+        return "–" if within is None or error is None else f"{within:.3f} ({digits(error)})"
+
+    lines: list[list[Value]] = [
+        [row.name, float(row.scenes), *(of_map(row, name) for name in PARAMETERS)]
+        for row in of_rows
+    ]
+    return Table(["", "scenes", *PARAMETERS], lines)
 
 
 def _of_one_map(of_rows: Sequence[Row], name: str) -> Table:
