@@ -126,8 +126,9 @@ SUITE = Suite(
     },
     quick="half a minute: two cases of 24 × 24 pixels, few steps",
     about=(
-        "Errors are RMSE in float64, measured from the maps and lights of a run at numbers of "
-        "evaluations that grow by 12 %, for all solvers by the same function; “recon” against the "
+        "Errors are RMSE in float64, measured from the maps and lights of a run whenever "
+        "evaluations or seconds have grown by 12 %, for all solvers by the same function; "
+        "“recon” against the "
         "pictures that were fitted, noise included, “relight” under the true held-out lights. Of "
         "real pictures a quarter is held out, and errors are relative. The clock does not run "
         "meanwhile, nor while libraries and a start that is handed in are made.",

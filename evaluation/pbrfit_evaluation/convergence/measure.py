@@ -26,8 +26,8 @@ Quantity = Literal[
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 CHECKPOINT_RATIO = 1.12
-"""Evaluations from one checkpoint to the next: twenty a decade. Times to reach an error can be
-late by as much, never early."""
+"""Evaluations, or seconds, from one checkpoint to the next: twenty a decade. Times to reach an
+error can be late by as much, never early."""
 
 State = Callable[[], tuple[Materials, Array]]
 """Gives the maps and lights (N, 16, 3) as they are now."""
@@ -103,7 +103,9 @@ def held_out_errors(
 
 
 class Tracker:
-    """Measures a run at numbers of evaluations that grow by 12 %, the first and the last included.
+    """Measures a run whenever evaluations or seconds have grown by 12 %, and at both ends.
+
+    Joint steps of Gauss-Newton count as no evaluation, so seconds tell them apart.
 
     A solver calls `start` when its clock starts, and `visit` whenever it has a state, with the
     clock stopped.
@@ -111,7 +113,7 @@ class Tracker:
 
     def __init__(self, errors: Callable[[Materials, Array], Mapping[str, float]]) -> None:
         self._errors = errors
-        self._next = 0.0
+        self._next_evaluations = self._next_seconds = 0.0
         self._began = time.process_time()
         self.points: list[Point] = []
 
@@ -130,12 +132,13 @@ class Tracker:
 
     def visit(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
         """Measure, if it is time to."""
-        if evaluations >= self._next:
+        if evaluations >= self._next_evaluations or seconds >= self._next_seconds:
             self._measure(seconds, iteration, evaluations, state)
 
     def end(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
         """Measure what the solver hands back; it takes the place of a checkpoint just before."""
-        if self.points and self.points[-1]["evaluations"] == evaluations:
+        last = self.points[-1] if self.points else {}
+        if last.get("evaluations") == evaluations and last["iteration"] == iteration:
             self.points.pop()
         self._measure(seconds, iteration, evaluations, state)
 
@@ -145,7 +148,8 @@ class Tracker:
         cost |= {"iteration": iteration, "evaluations": evaluations}
         with self.off_the_clock():
             self.points.append({**cost, **self._errors(*state())})
-        self._next = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
+        self._next_evaluations = max(evaluations + 1, CHECKPOINT_RATIO * evaluations)
+        self._next_seconds = CHECKPOINT_RATIO * seconds
 
 
 def first_reached(points: Sequence[Point], quantity: Quantity, target: float) -> Point | None:
