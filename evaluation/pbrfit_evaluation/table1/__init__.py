@@ -118,8 +118,8 @@ SUITE = Suite(
         ),
         cycles_cache,
     ),
-    effort={"scenes": (67, 4), "slow_scenes": (20, 1), "size": (64, 32)},
-    quick="two minutes: few and small scenes, without Cycles",
+    effort={"scenes": (67, 4), "slow_scenes": (20, 0), "size": (64, 32)},
+    quick="two minutes: few and small scenes, without Cycles, refined normals, large pictures",
     about=(
         "Figures are means over scenes, with 95 % intervals by bootstrap over scenes in brackets; "
         "the best of the fits of a setup is bold. The paper's numbers are of other scenes: "

@@ -156,9 +156,9 @@ def _world(task: Task, row: Row) -> World:
 
 def why_not(row: Row, options: Options) -> str:
     """Why a row cannot be run; empty if it can."""
-    if row.renderer == "own":
-        return ""
-    return "--quick leaves Cycles out" if options.quick else cycles.why_not() or ""
+    if options.quick and row.slow:
+        return "--quick leaves out what takes minutes"
+    return (cycles.why_not() or "") if row.renderer == "cycles" else ""
 
 
 @cache
