@@ -11,12 +11,13 @@ from __future__ import annotations
 from typing import get_args
 
 from pbrfit.acquire.weights import Device
-from pbrfit_evaluation.options import count, option
+from pbrfit_evaluation.options import absolute, count, cycles_cache, option
 from pbrfit_evaluation.peers import marigold, rgbx
 from pbrfit_evaluation.peers.figures import csvs, figures, sections
-from pbrfit_evaluation.peers.measure import METHODS, Task, why_not, work
+from pbrfit_evaluation.peers.measure import METHODS, Task, no_cycles, why_not, work
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
+from pbrfit_evaluation.table1.rows import Renderer
 
 FIRST_SEED = 6000
 """Seed of the first scene; nothing was tuned on seeds from there on."""
@@ -24,11 +25,14 @@ FIRST_SEED = 6000
 
 def cases(options: Options) -> list[Task]:
     """Every scene by every method that can run."""
+    rooms: list[tuple[Renderer, int, int]] = [("own", options.scenes, options.size)]
+    if not no_cycles(options):
+        rooms.append(("cycles", options.cycles_scenes, options.cycles_size))
     return [
         Task(
             method,
             FIRST_SEED + i,
-            options.size,
+            size,
             options.lights,
             options.iterations,
             options.samples,
@@ -37,10 +41,13 @@ def cases(options: Options) -> list[Task]:
             shown=i < options.shown,
             model=getattr(options, method, None),
             device=options.device,
+            renderer=renderer,
+            cycles_cache=absolute(options.cycles_cache),
         )
+        for renderer, scenes, size in rooms
         for method in METHODS
         if not why_not(method, options)
-        for i in range(options.scenes)
+        for i in range(scenes)
     ]
 
 
@@ -51,7 +58,7 @@ SUITE = Suite(
     "in all pictures; errors of the maps and of pictures relit with them. A peer whose packages "
     "(pbrfit[diffusion]) or weights are missing is left out, and the report says why. Writes "
     "report.html, pictures, scenes.csv and summary.json.",
-    protocol="pbrfit-peers-1: synthetic rooms; peers see one picture, the most evenly lit, in "
+    protocol="pbrfit-peers-2: synthetic rooms; peers see one picture, the most evenly lit, in "
     "8-bit sRGB with its 98th percentile at white, our fit all pictures, with noise of 0.01, and "
     f"normals as an estimator gives them, with which all are relit; {SCORES.partition(': ')[2]}",
     parts=[
@@ -68,6 +75,9 @@ SUITE = Suite(
     options=(
         count("--scenes", "K", "how many"),
         count("--size", "PIXELS", "of the pictures"),
+        count("--cycles-scenes", "K", "rendered by Blender Cycles, where it is set up"),
+        count("--cycles-size", "PIXELS", "of their pictures"),
+        cycles_cache,
         option(
             "--marigold",
             metavar="ID|FOLDER",
@@ -87,6 +97,8 @@ SUITE = Suite(
     effort={
         "scenes": (10, 2),
         "size": (256, 64),
+        "cycles_scenes": (5, 0),
+        "cycles_size": (128, 32),
         "lights": (16, 8),
         "iterations": (500, 60),
         "samples": (5, 1),
@@ -100,9 +112,9 @@ SUITE = Suite(
         "scenes. So this is no race: it says what several pictures are worth beside one. A single "
         "picture cannot tell how bright the lamp was, so albedo and relit pictures are also "
         "compared after the best factor a channel (“scaled”).",
-        "In whose favour: the pictures are those of our model, lights of low order without "
-        "shadows or light between surfaces, which our fit expects and which peers, trained on "
-        "path-traced or real rooms, have never seen.",
+        "In whose favour: our renders are of our model, lights of low order without shadows or "
+        "light between surfaces, which our fit expects and which peers, trained on path-traced or "
+        "real rooms, have never seen. The rooms by Cycles have both, and no depth is given.",
     ),
     timed=True,
 )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 
-from pbrfit_evaluation.peers.measure import METHODS, Method, Task, why_not
+from pbrfit_evaluation.peers.measure import METHODS, Method, Task, no_cycles, why_not
 from pbrfit_evaluation.scores import Scores, better
 from pbrfit_evaluation.suite import Column, Line, Picture, Results, Row, Section, Table
+from pbrfit_evaluation.table1.rows import Renderer
 
 IN_WORDS: dict[Method, str] = {
     "pbrfit": "pbrfit, all pictures",
@@ -16,6 +17,8 @@ IN_WORDS: dict[Method, str] = {
     "marigold": "Marigold-IID, one picture",
     "rgbx": "RGB-X, one picture",
 }
+
+ROOMS: dict[Renderer, str] = {"own": "our renders", "cycles": "rooms by Cycles"}
 
 SHOWN = (
     *("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled"),
@@ -27,21 +30,31 @@ SHOWN = (
 def figures(results: Results[Task]) -> list[Row]:
     """A row for each method, with the reason where it cannot run."""
     rows = []
-    for method in METHODS:
-        of = results.of(method=method)
-        why = why_not(method, results.options)
-        names = [field.name for field in fields(Scores)] if of.finished else []
-        solver = "gauss-newton" if method == "pbrfit" else None
-        metrics = of.metrics(names, "scores")
-        status = f"not run: {why}" if why else next((r.error or "" for r in of.failed), "ok")
-        rows.append(Row(IN_WORDS[method], len(of.finished), solver, metrics, status=status))
+    for renderer, where in ROOMS.items():
+        for method in METHODS:
+            of = results.of(method=method, renderer=renderer)
+            why = why_not(method, results.options)
+            if renderer == "cycles":
+                why = why or no_cycles(results.options)
+            names = [field.name for field in fields(Scores)] if of.finished else []
+            metrics = of.metrics(names, "scores")
+            status = f"not run: {why}" if why else next((r.error or "" for r in of.failed), "ok")
+            guess = method == "constant"
+            found = len(of.finished)
+            rows.append(Row(where, found, IN_WORDS[method], metrics, status=status, guess=guess))
     return rows
 
 
 def csvs(results: Results[Task], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
     """Every scene by every method."""
     lines = [
-        {"method": task.method, "seed": task.seed, "picture": found["picture"], **found["scores"]}
+        {
+            "rooms": task.renderer,
+            "method": task.method,
+            "seed": task.seed,
+            "picture": found["picture"],
+            **found["scores"],
+        }
         for task, found in results.finished
     ]
     return {"scenes.csv": lines}
@@ -50,21 +63,24 @@ def csvs(results: Results[Task], _: Sequence[Row]) -> Mapping[str, Sequence[Line
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     """Errors, and the maps of the first scenes."""
     columns = [Column(name, best=better(name)) for name in SHOWN]
-    shown = [replace(row, name="mean over scenes", solver=row.name, scenes=0) for row in rows]
     yield Section(
         "Errors",
         "RMSE unless a column says otherwise, linear values; PSNR in dB and SSIM in sRGB. "
         "Intervals of 95 % over scenes.",
-        [Table.of(shown, columns)],
+        [Table.of(rows, columns)],
     )
     pictures = [
         Picture(
-            f"scene-{task.seed}-{task.method}",
-            f"Scene of seed {task.seed}, {IN_WORDS[task.method]}.",
+            f"scene-{task.renderer}-{task.seed}-{task.method}",
+            f"{ROOMS[task.renderer]}, seed {task.seed}, {IN_WORDS[task.method]}.",
             base64.b64decode(found["sheet"]),
         )
-        for task, found in sorted(results.finished, key=lambda pair: pair[0].seed)
+        for task, found in sorted(results.finished, key=lambda pair: _place(pair[0]))
         if "sheet" in found
     ]
     if pictures:
         yield Section("Maps", figures=pictures)
+
+
+def _place(task: Task) -> tuple[bool, int]:
+    return task.renderer == "cycles", task.seed

@@ -6,6 +6,7 @@ import base64
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -19,10 +20,14 @@ from pbrfit.result.preview import preview
 from pbrfit.result.sheet import as_png
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import cycles
 from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.scores import score
 from pbrfit_evaluation.suite import Options
+from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.normals import estimated
+from pbrfit_evaluation.table1.rows import BY_KEY as ROWS
+from pbrfit_evaluation.table1.rows import Renderer
 
 Method = Literal["pbrfit", "constant", "marigold", "rgbx"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -52,6 +57,10 @@ class Task:
         Whether to keep a sheet of the result.
     model, device
         Of a peer: its checkpoint, and where it computes.
+    renderer
+        Whose pictures: our forward model's, or those of Blender Cycles with shadows and bounces.
+    cycles_cache
+        Where its renders are kept.
     """
 
     method: Method
@@ -65,11 +74,13 @@ class Task:
     shown: bool = False
     model: str | None = None
     device: str = field(default="auto", repr=False)
+    renderer: Renderer = "own"
+    cycles_cache: Path | None = field(default=None, repr=False)
 
     @property
     def key(self) -> str:
         """Name of the record."""
-        return f"{self.method}_{self.seed}"
+        return f"{self.renderer}_{self.method}_{self.seed}"
 
 
 Peer = Callable[[NDArray[np.uint8], Task], Materials]
@@ -78,7 +89,7 @@ Peer = Callable[[NDArray[np.uint8], Task], Materials]
 
 def work(task: Task, threads: int) -> dict[str, Any]:
     """Errors of a method on a scene, and pictures of the first few."""
-    scene = given(task.seed, task.size, task.lights)
+    scene = given(task, threads)
     at = evenly_lit(scene)
     if task.method in PEERS:
         import torch
@@ -118,11 +129,20 @@ def within(maps: Materials, valid: NDArray[np.bool_]) -> Materials:
     return Materials(kept(maps.albedo), kept(maps.roughness), kept(maps.metallic))
 
 
-def given(seed: int, size: int, lights: int) -> Scene:
+def given(task: Task, threads: int = 0) -> Scene:
     """A scene as every method has it: noisy pictures, and normals of an estimator's quality."""
-    exact = make_scene(
-        "furnished", size=size, lights=lights, held_out=lights, noise=NOISE, seed=seed
-    )
+    lights, seed = task.lights, task.seed
+    if task.renderer == "own":
+        exact = make_scene(
+            "furnished", size=task.size, lights=lights, held_out=lights, noise=NOISE, seed=seed
+        )
+    else:
+        room = table1.Task(
+            "cycles-panorama", seed, task.size, lights, 0, cycles_cache=task.cycles_cache
+        )
+        exact = table1.cycles_scene(room, ROWS["cycles-panorama"], threads)
+        noise = np.random.default_rng(seed).normal(scale=NOISE, size=exact.images.shape)
+        exact = replace(exact, depth=None, images=exact.images + noise)
     return replace(exact, normals=estimated(exact, seed))
 
 
@@ -144,6 +164,11 @@ def shown_picture(scene: Scene, picture: int) -> NDArray[np.uint8]:
     image = np.where(np.isfinite(scene.images[picture]), scene.images[picture], 0.0)
     white = metrics.white_of(image[scene.valid])
     return np.rint(255 * metrics.display(image, white)).astype(np.uint8)
+
+
+def no_cycles(options: Options) -> str:
+    """Why there are no rooms by Cycles; empty if there are."""
+    return "--quick leaves Cycles out" if options.quick else cycles.why_not() or ""
 
 
 def why_not(method: Method, options: Options) -> str:
