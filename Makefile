@@ -18,6 +18,8 @@
 # make site: the documentation as pages in out/site, in .venv-site; the notebooks are executed for it
 # make gallery DATA=DIR: fits of public sets of pictures with their live pages, which make site takes
 #   up; half an hour
+# make evidence DATA=DIR: every suite, one after the other, and the tables of the documentation from
+#   them; a day on two cores, or SUITES="table1 solvers"; goes on where it was interrupted
 # make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
 VENV := .venv
@@ -36,6 +38,12 @@ DEMO ?= out/demo
 NOTEBOOKS := $(wildcard docs/notebooks/*.ipynb)
 # of gallery: the folder of the public sets
 DATA ?= $(PBRFIT_DATA)
+# of evidence
+SUITES ?= table1 convergence solvers ablation normals uncertainty everyday transport lamps photographs real review gap stability peers
+OF_table1 = --textures $(DATA)
+OF_convergence = --real $(DATA)/visiont3lab_shrek
+OF_photographs = $(DATA)
+OF_real = $(DATA)
 # of bench-peers: threads of every peer, and what else `python -m peers --help` lists
 THREADS ?= 2
 PEERS_OPTIONS ?=
@@ -53,7 +61,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dis
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-short-reliability test-sanitizer test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env site gallery wheel clean
+.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-short-reliability test-sanitizer test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env evidence site gallery wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -127,6 +135,11 @@ bench-needs: $(VENV)/installed
 
 bench-growth: $(VENV)/installed
 	$(BIN)/python benches/growth.py
+
+evidence: $(VENV)/tools
+	@test -n "$(DATA)" || { echo "evidence: where are the public sets? set DATA=..."; exit 1; }
+	@$(foreach suite,$(SUITES),$(BIN)/pbrfit evaluate $(suite) $(OF_$(suite)) --out out/evidence/$(suite) \
+		--resume --docs docs || echo "evidence: $(suite) says more above";)
 
 bench-peers: $(PEERS)/installed
 	mkdir -p out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from pbrfit_evaluation.peers.measure import METHODS, Method, Task, no_cycles, why_not
 from pbrfit_evaluation.scores import Scores, better
@@ -69,6 +69,12 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
         "Intervals of 95 % over scenes.",
         [Table.of(rows, columns)],
     )
+    few = [Column(name, best=better(name)) for name in SHOWN[:6]]
+    plain = [
+        replace(row, metrics={one.metric: row.metrics.get(one.metric) for one in few})
+        for row in rows
+    ]
+    yield Section("In short", "RMSE without intervals.", [Table.of(plain, few)])
     pictures = [
         Picture(
             f"scene-{task.renderer}-{task.seed}-{task.method}",
