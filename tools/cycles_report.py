@@ -1,6 +1,6 @@
-"""Print the figures of docs/cycles.md: checks, noise, times, and how far the models are off.
+"""The tables of docs/cycles.md: checks, noise, and how far the models are off.
 
-    python tools/cycles_report.py [--size 64] [--scenes 3] [--kind furnished] [--threads 1]
+    python tools/cycles_report.py [--size 64] [--scenes 3] [--kind furnished] [--docs docs]
 
 Renders are kept in the user's cache, or in the folder that --cache names. Needs the environment of
 `make cycles-env`.
@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "evaluation"))
 
-from test_cycles import sphere_errors, truth_errors
+from test_cycles import sphere_errors
 
 from pbrfit import Scene, render
 from pbrfit.io.color import encode_srgb
@@ -27,19 +28,32 @@ from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.cycles.job import Job, rendered
 from pbrfit_evaluation.cycles.scene import inner_pixels
 from pbrfit_evaluation.cycles.spheres import relative_rmse
+from pbrfit_evaluation.report import evidence, markdown
+from pbrfit_evaluation.suite import Table, Value
 
 FIRST_SEED = 9000  # tuned on by nobody
 
+SPHERES = {
+    "diffuse": "white, diffuse, four SH lights",
+    "metal": "white metal, polished",
+    "point light": "white, diffuse, one point light",
+    "mirrored": "a mirrored axis would show as, at least",
+    "paper": "plastic, beside the paper's model",
+    "principled": "plastic, beside the principled model",
+    "normals": "normals, degrees",
+}
+"""What `sphere_errors` names, in words."""
+
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and tell."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--size", type=int, default=64)
     parser.add_argument("--scenes", type=int, default=3)
     parser.add_argument("--kind", default="furnished")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--cache", type=Path)
-    parser.add_argument("--only", choices=["checks", "noise", "gap"])
+    parser.add_argument("--docs", type=Path, help="fill the page's tables there")
     parser.add_argument("--picture", type=Path, help="write a comparison of pictures and stop")
     chosen = parser.parse_args()
     size, cache, threads = chosen.size, chosen.cache, chosen.threads
@@ -52,54 +66,72 @@ def main() -> None:
     if chosen.picture is not None:
         draw_pictures(worlds[FIRST_SEED], size, cache, threads, chosen.picture)
         return
-    if chosen.only in (None, "checks"):
-        print(sphere_errors(64, 1024, cache, threads))
-        for world in worlds.values():
-            print(truth_errors(world, size, cache, threads))
+    tables = {
+        "Spheres": checked(cache, threads),
+        "Noise": noises(worlds[FIRST_SEED], size, cache, threads),
+        "How far the models are off": gaps(list(worlds.items()), size, cache, threads),
+    }
+    for title, table in tables.items():
+        print(f"{title}\n\n{markdown(table)}")
+    if chosen.docs is not None:
+        evidence.record(
+            chosen.docs,
+            "cycles",
+            command=f"python tools/cycles_report.py --size {size} --scenes {chosen.scenes}",
+            protocol="pbrfit-cycles-1: RMSE over the mean radiance",
+            tables=tables,
+        )
 
-    if chosen.only in (None, "noise"):
-        lights = random_lights(16, np.random.default_rng(0))
-        stage = export(worlds[FIRST_SEED], size, 60.0)
-        for light, transport in SAMPLES:
-            if light == "panorama":
-                job = [
-                    Job(stage, None, transport, SAMPLES[light, transport], seed) for seed in (1, 2)
-                ]
-                two = [rendered(j, cache=cache, threads=threads) for j in job]
-                inner = inner_pixels(two[0].segments, two[0].normals, 60.0)
-                a, b = (np.einsum("kpc,nkc->npc", r.radiance[:, inner], lights) for r in two)
-                noise = np.sqrt(np.mean((a - b) ** 2, axis=(1, 2)) / 2) / a.mean(axis=(1, 2))
-                print(f"noise, {transport}, {SAMPLES[light, transport]} samples:", end=" ")
-                print(f"{noise.mean():.4f} ({noise.min():.4f} to {noise.max():.4f})", end="; ")
-                print(f"{two[0].cpu_seconds:.1f} s of one processor", flush=True)
 
-    if chosen.only in (None, "gap"):
-        for light, transport in SAMPLES:
-            for shell in ("stage", "open") if transport != "brdf" else ("stage",):
-                if (light, transport) == ("points", "full") or (light, shell) == ("points", "open"):
-                    continue
-                scenes = []
-                for seed, world in worlds.items():
-                    scenes.append(
-                        render_scene(
-                            world,
-                            size,
-                            light=light,
-                            transport=transport,
-                            seed=seed,
-                            shell=shell,
-                            cache=cache,
-                            threads=threads,
-                        )
-                    )
-                for model in MODELS:
-                    gaps = [reflection_gap(scene, model) for scene in scenes]
-                    known = [f"{true:.3f}" for true, _ in gaps if true is not None]
-                    best = [f"{least:.3f}" for _, least in gaps]
-                    print(f"gap, {model}, {light}, {transport}, {shell}:", end=" ")
-                    print(
-                        f"true lights {', '.join(known)}; best lights {', '.join(best)}", flush=True
-                    )
+def checked(cache: Path | None, threads: int) -> Table:
+    """Spheres whose pictures are known."""
+    errors = sphere_errors(64, 1024, cache, threads)
+    return Table(["sphere", "off by"], [[SPHERES.get(n, n), e] for n, e in errors.items()])
+
+
+def noises(world: World, size: int, cache: Path | None, threads: int) -> Table:
+    """Standard deviation over the mean of a picture, by two seeds of the renderer."""
+    lines: list[list[Value]] = []
+    lights = random_lights(16, np.random.default_rng(0))
+    stage = export(world, size, 60.0)
+    for (light, transport), samples in SAMPLES.items():
+        if light != "panorama":
+            continue
+        jobs = [Job(stage, None, transport, samples, seed) for seed in (1, 2)]
+        two = [rendered(job, cache=cache, threads=threads) for job in jobs]
+        inner = inner_pixels(two[0].segments, two[0].normals, 60.0)
+        a, b = (np.einsum("kpc,nkc->npc", r.radiance[:, inner], lights) for r in two)
+        noise = np.sqrt(np.mean((a - b) ** 2, axis=(1, 2)) / 2) / a.mean(axis=(1, 2))
+        found = [float(of) for of in (noise.mean(), noise.min(), noise.max())]
+        lines.append([transport, float(samples), *found])
+    return Table(["step", "samples", "noise, mean over lights", "least", "largest"], lines)
+
+
+def gaps(worlds: Sequence[tuple[int, World]], size: int, cache: Path | None, threads: int) -> Table:
+    """Models beside Cycles, with the true materials; means over the rooms."""
+    lines: list[list[Value]] = []
+    for light, transport in SAMPLES:
+        if (light, transport) == ("points", "full"):
+            continue
+        scenes = [
+            render_scene(
+                world,
+                size,
+                light=light,
+                transport=transport,
+                seed=seed,
+                cache=cache,
+                threads=threads,
+            )
+            for seed, world in worlds
+        ]
+        for model in MODELS:
+            found = [reflection_gap(scene, model) for scene in scenes]
+            known = [true for true, _ in found if true is not None]
+            true = float(np.mean(known)) if known else None
+            best = float(np.mean([least for _, least in found]))
+            lines.append([f"{light}, {transport}", model, true, best])
+    return Table(["pictures", "model", "true lights", "best lights"], lines)
 
 
 def reflection_gap(scene: Scene, model: Model) -> tuple[float | None, float]:

@@ -1,6 +1,6 @@
 """How far a sphere under a panorama is from Cycles: the table and the figure of docs/relight.md.
 
-    python tools/environment_in_cycles.py PANORAMA... [--samples 1024] [--side 64] [--figure FILE]
+    python tools/environment_in_cycles.py PANORAMA... [--samples 1024] [--side 64] [--docs docs]
 
 Needs the environment of `make cycles-env`. Differences are RMSE over RMS radiance, up to 80 degrees
 from the middle of the sphere, of the principled model, without light between surfaces.
@@ -9,6 +9,7 @@ from the middle of the sphere, of the principled model, without light between su
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import sys
 import tempfile
@@ -23,6 +24,8 @@ from pbrfit.io.display import encoded
 from pbrfit.model.environment import render_environment
 from pbrfit.result.metrics import white_of
 from pbrfit_evaluation.cycles.process import find_python, run_worker
+from pbrfit_evaluation.report import evidence, markdown
+from pbrfit_evaluation.suite import Table, Value
 
 Array = NDArray[np.floating[Any]]
 
@@ -65,7 +68,7 @@ def main() -> None:
     parser.add_argument("panoramas", nargs="+", type=Path)
     parser.add_argument("--samples", type=int, default=1024)
     parser.add_argument("--side", type=int, default=64)
-    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--docs", type=Path, help="write table and figure there")
     chosen = parser.parse_args()
     paths = {path.stem: path.resolve() for path in chosen.panoramas}
     job = {
@@ -74,29 +77,41 @@ def main() -> None:
         "panoramas": {name: str(path) for name, path in paths.items()},
         "surfaces": SURFACES,
     }
-    print("| panorama | " + " | ".join(SURFACES) + " |")
-    print("|---" * (len(SURFACES) + 1) + "|")
-    rows = []
+    rows: list[list[tuple[Array, Array]]] = []
+    lines: list[list[Value]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run_worker(find_python(), folder, 3600, json.dumps(job), worker=WORKER)
         for panorama, path in paths.items():
             light = Environment.read(path)
-            cells, pairs = [], []
+            line: list[Value] = [panorama]
+            pairs = []
             for surface, numbers in SURFACES.items():
                 theirs = np.load(folder / f"{panorama}-{surface}.npy").astype(np.float64)
                 found = ours(numbers, light, chosen.side)
                 known = np.isfinite(found)
                 error = np.sqrt(np.mean((found - theirs)[known] ** 2) / np.mean(theirs[known] ** 2))
-                cells.append(f"{error:.3f}")
+                line.append(float(error))
                 pairs.append((found, np.where(known, theirs, np.nan)))
-            print(f"| {panorama} | " + " | ".join(cells) + " |", flush=True)
+            lines.append(line)
             rows.append(pairs)
-    if chosen.figure is not None:
-        draw(rows, chosen.figure)
+    errors = [value for line in lines for value in line if isinstance(value, float)]
+    lines.append(["mean of all", float(np.mean(errors)), *[""] * (len(SURFACES) - 1)])
+    table = Table(["panorama", *SURFACES], lines)
+    print(markdown(table))
+    if chosen.docs is not None:
+        evidence.record(
+            chosen.docs,
+            "relight",
+            command="python tools/environment_in_cycles.py PANORAMA... "
+            f"--samples {chosen.samples} --side {chosen.side}",
+            protocol="pbrfit-environment-1: RMSE over RMS radiance, to 80 degrees from the middle",
+            tables={"Spheres under panoramas": table},
+            files={"spheres.png": drawn(rows)},
+        )
 
 
-def draw(rows: list[list[tuple[Array, Array]]], path: Path) -> None:
+def drawn(rows: list[list[tuple[Array, Array]]]) -> bytes:
     """Ours above Cycles', a panorama after the other."""
     from PIL import Image
 
@@ -107,7 +122,10 @@ def draw(rows: list[list[tuple[Array, Array]]], path: Path) -> None:
             panels = [encoded(pair[which], exposure, "neutral") for pair in pairs]
             strips.append(np.concatenate([np.nan_to_num(one, nan=1.0) for one in panels], axis=1))
     picture = Image.fromarray(np.rint(255 * np.concatenate(strips)).astype(np.uint8))
-    picture.resize((2 * picture.width, 2 * picture.height), Image.Resampling.BICUBIC).save(path)
+    large = picture.resize((2 * picture.width, 2 * picture.height), Image.Resampling.BICUBIC)
+    file = io.BytesIO()
+    large.save(file, "png")
+    return file.getvalue()
 
 
 if __name__ == "__main__":

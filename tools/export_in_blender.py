@@ -3,7 +3,7 @@
     python tools/export_in_blender.py [--samples 256]
 
 Needs the environment of `make cycles-env` and, for the row of a photographed panorama, the test
-data (PBRFIT_DATA). Writes docs/images/export-blender.png.
+data (PBRFIT_DATA). Fills the page's table.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ from blender_card import Rendering, in_blender, lopsided_lights, relief  # noqa:
 from pbrfit import Environment, Result, relight  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
 from pbrfit.export.view_mesh import Geometry  # noqa: E402
-from pbrfit.io import images  # noqa: E402
 from pbrfit.result.differences import blue_to_yellow  # noqa: E402
-from pbrfit.result.sheet import OUTSIDE, Key, Panel, Row, displayed, sheet  # noqa: E402
+from pbrfit.result.sheet import OUTSIDE, Key, Panel, Row, as_png, displayed, sheet  # noqa: E402
 from pbrfit.synthetic import make_scene  # noqa: E402
+from pbrfit_evaluation.report import evidence, markdown  # noqa: E402
+from pbrfit_evaluation.suite import Table, Value  # noqa: E402
 
 HDRI = "hdri/venice_sunset_1k.hdr"
 SPAN = 0.5
@@ -54,6 +55,7 @@ CASES: dict[Geometry, dict[str, dict[str, Any]]] = {
 }
 
 Picture = NDArray[np.floating]
+Line = list[Value]
 
 
 def main() -> None:
@@ -72,8 +74,8 @@ def main() -> None:
         fov=made.fov,
         lighting=lopsided_lights(),
     )
-    print(f"{'':<8}{'':<8}{'':<44}{'all':>8}{'dielectric':>12}{'metal':>8}")
     rows: list[Row] = []
+    told: list[Line] = []
     with tempfile.TemporaryDirectory() as name:
         drawn: tuple[tuple[str, Result, Geometry], ...] = (
             ("wall", wall, "card"),
@@ -82,27 +84,35 @@ def main() -> None:
             ("room", room, "facets"),
         )
         for title, result, geometry in drawn:
-            ours, found = compared(Path(name), title, result, geometry, samples)
+            ours, found, lines = compared(Path(name), title, result, geometry, samples)
+            told += lines
             if (title, geometry) != ("wall", "facets"):
                 rows.append(row(title, ours, found, f"Blender: {geometry}"))
         data = Path(os.environ.get("PBRFIT_DATA", REPOSITORY.parent / "shared" / "data"))
         if (data / HDRI).is_file():
-            photographed(Path(name) / "hdri", wall, data / HDRI, samples)
+            told += photographed(Path(name) / "hdri", wall, data / HDRI, samples)
     key = Key(
         "|difference| / mean radiance",
         blue_to_yellow(np.linspace(0, 1, 256)),
         {share / SPAN: f"{share:g}" for share in (0, 0.1, 0.2, 0.3, 0.4, 0.5)},
         {"outside the mask": (OUTSIDE,) * 3},
     )
-    path = REPOSITORY / "docs" / "images" / "export-blender.png"
-    images.write_png(path, sheet(rows, keys=[key]), tag="srgb")
-    print(f"\nfigure: {path}")
+    table = Table(["scene", "geometry", "Blender's material", "all", "dielectrics", "metals"], told)
+    print(markdown(table))
+    evidence.record(
+        REPOSITORY / "docs",
+        "export",
+        command=f"python tools/export_in_blender.py --samples {samples}",
+        protocol="pbrfit-export-1: RMSE over mean radiance, without bounces",
+        tables={"In Cycles": table},
+        files={"blender.png": as_png(sheet(rows, keys=[key]))},
+    )
 
 
 def compared(
     folder: Path, title: str, result: Result, geometry: Geometry, samples: int
-) -> tuple[Picture, Picture]:
-    """Our picture under the first light, and Blender's as imported; prints differences."""
+) -> tuple[Picture, Picture, list[Line]]:
+    """Our picture under the first light, and Blender's as imported; and differences."""
     folder = folder / f"{title} {geometry}"
     exported = export_result(result, folder / "out", format="gltf", geometry=geometry)
     light = folder / "out" / "lights" / exported.panoramas[0].file
@@ -117,15 +127,19 @@ def compared(
     )
     ours = relight(result, result.lighting[0])
     flat = np.broadcast_to([0.0, 0.0, 1.0], result.normals.shape)
+    lines = []
     for case, of in cases.items():
         expected = diffuse(result, flat if "flat" in of else result.normals)
         found = blender.pictures[case]
-        tell(title, geometry, case, found, expected if "diffuse" in of else ours, result)
-    return ours, blender.pictures["as imported"]
+        lines.append(
+            told_of(title, geometry, case, found, expected if "diffuse" in of else ours, result)
+        )
+    return ours, blender.pictures["as imported"], lines
 
 
-def photographed(folder: Path, result: Result, file: Path, samples: int) -> None:
+def photographed(folder: Path, result: Result, file: Path, samples: int) -> list[Line]:
     """The same for a photographed panorama: whole, and as the SH light that we make of it."""
+    lines = []
     environment = Environment.read(file)
     light = environment.harmonics
     for name in ("its SH light", "itself"):
@@ -141,16 +155,17 @@ def photographed(folder: Path, result: Result, file: Path, samples: int) -> None
         )
         ours = relight(of, environment if name == "itself" else light)
         found = blender.pictures["as imported"]
-        tell("wall", "card", f"under {file.stem}, {name}", found, ours, of)
+        lines.append(told_of("wall", "card", f"under {file.stem}, {name}", found, ours, of))
+    return lines
 
 
-def tell(
+def told_of(
     title: str, geometry: str, case: str, found: Picture, expected: Picture, result: Result
-) -> None:
-    """Print a line of differences."""
+) -> Line:
+    """A line of differences: of all pixels, dielectrics and metals."""
     metal = result.metallic > 0.5
     parts = [difference(found, expected, result.mask & of) for of in (True | metal, ~metal, metal)]
-    print(f"{title:<8}{geometry:<8}{case:<44}{parts[0]:>8.4f}{parts[1]:>12.4f}{parts[2]:>8.4f}")
+    return [title, geometry, case, *(f"{100 * part:.1f} %" for part in parts)]
 
 
 def row(title: str, ours: Picture, found: Picture, caption: str) -> Row:
