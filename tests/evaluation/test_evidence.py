@@ -123,10 +123,15 @@ SETTINGS = {
     "README.md": ("3.11",),
     "ablation.md": ("0.01", "0.03", "0.08", "0.12", "1.25"),
     "benchmarks/normals.md": ("0.01", "0.79", "1.03", "1.25"),
+    "cycles.md": ("3.11",),
     "everyday.md": ("0.01",),
+    "priors.md": ("0.001", "0.05", "0.22", "0.82"),
+    "report.md": ("0.001", "0.083", "0.16", "0.18", "0.19", "0.21", "0.25"),
+    "solver.md": ("0.44", "0.45", "0.46", "0.50", "1.345", "1.4826", "2.385"),
     "solvers.md": ("0.004", "0.01", "1.001", "1.02"),
+    "synthetic.md": ("0.12", "0.15", "0.85"),
 }
-"""Versions, sizes of scenes and bars that pages state beside what was measured."""
+"""Versions, constants, sizes of scenes and bars that pages state beside what was measured."""
 
 DATED = "decisions"
 """Folder of records of a day, which keep what was found then."""
