@@ -131,7 +131,7 @@ bench:
 	cargo bench
 
 bench-needs: $(VENV)/installed
-	$(BIN)/python benches/needs.py --out docs/benchmarks/needs.md
+	$(BIN)/python benches/needs.py --docs docs
 
 bench-growth: $(VENV)/installed
 	$(BIN)/python benches/growth.py

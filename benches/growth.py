@@ -1,7 +1,8 @@
 """How time and memory of `pbrfit decompose` grow: `make bench-growth`.
 
-It writes docs/benchmarks/growth.md, .json and .png. Each case is a scene folder of float32 EXR and
-one run of the command in a process of its own, files read and result written. Scenes are a
+It fills the table of docs/benchmarks/growth.md. Each case is a scene folder of float32 EXR and one
+run of the command in a process of its own, files read and result written; `--only` names some, and
+those of an earlier run are kept in out/growth.json. Scenes are a
 synthetic room of 512² whose pixels are repeated, each with noise of its own, so that drawing them
 takes no longer than they need to be written; 16 MP with 16 pictures take 3.2 GB on disk.
 """
@@ -9,6 +10,7 @@ takes no longer than they need to be written; 16 MP with 16 pictures take 3.2 GB
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import resource
 import shutil
@@ -25,7 +27,8 @@ import numpy as np
 
 import pbrfit
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.report.summary import machine
+from pbrfit_evaluation.report import evidence, markdown
+from pbrfit_evaluation.suite import Table, Value
 
 BASE = 512
 NOISE = 0.01
@@ -42,28 +45,33 @@ GIB = 2**30
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure the cases that the file does not have yet, and write the page."""
+    """Measure the cases that the file does not have yet, and fill the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks"))
+    parser.add_argument("--out", type=Path, default=Path("out/growth.json"))
+    parser.add_argument("--docs", type=Path, default=Path("docs"))
     parser.add_argument("--again", action="store_true", help="measure all cases anew")
-    parser.add_argument("--beside", default="", help="what else the machine did, for the page")
     parser.add_argument("--only", nargs="*", metavar="K,N", help="cases to measure")
     options = parser.parse_args(arguments)
-    file = options.out / "growth.json"
     rows: list[dict[str, Any]] = []
-    if file.exists() and not options.again:
-        rows = json.loads(file.read_text(encoding="utf-8"))["rows"]
+    if options.out.exists() and not options.again:
+        rows = json.loads(options.out.read_text(encoding="utf-8"))
     known = {(row["repeated"], row["pictures"]) for row in rows}
     asked = [tuple(map(int, one.split(","))) for one in options.only or []] or CASES
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     for repeated, pictures in asked:
         if (repeated, pictures) not in known:
             rows.append(measure(repeated, pictures))
             rows.sort(key=lambda row: (row["pictures"], row["repeated"]))
-            content = {"machine": machine(), "rows": rows}
-            file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-            print(rows_as_text([row for row in rows if row["repeated"] == repeated]))
-    plot(rows, options.out / "growth.png")
-    (options.out / "growth.md").write_text(page(rows, options.beside), encoding="utf-8")
+            options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+            print(markdown(table_of(rows[-1:])))
+    evidence.record(
+        options.docs,
+        "growth",
+        command="make bench-growth",
+        protocol="pbrfit-growth-1: one run each of the command with its defaults",
+        tables={"Time and memory": table_of(rows)},
+        files={"curves.png": plot(rows)},
+    )
 
 
 def measure(repeated: int, pictures: int) -> dict[str, Any]:
@@ -117,42 +125,21 @@ def larger(values: np.ndarray[Any, Any], repeated: int) -> np.ndarray[Any, Any]:
     return values.repeat(repeated, axis=0).repeat(repeated, axis=1)
 
 
-def rows_as_text(rows: Sequence[dict[str, Any]]) -> str:
-    """A Markdown table."""
-    lines = [
-        "| megapixels | pictures | time (s) | of it the fit (s) | µs a pixel | peak (GiB) "
-        "| pictures alone (GiB) | |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+def table_of(rows: Sequence[dict[str, Any]]) -> Table:
+    """A line a case."""
+    columns = ["megapixels", "pictures", "time, s", "of it the fit, s", "µs a pixel"]
+    columns += ["peak, GiB", "pictures alone, GiB"]
+    lines: list[list[Value]] = []
     for row in rows:
-        own = row["megapixels"] * 1e6 * row["pictures"] * 12 / GIB
-        lines.append(
-            f"| {row['megapixels']:.2g} | {row['pictures']} | {row['seconds']:.0f} "
-            f"| {row['seconds_of_fit']:.0f} | {row['seconds'] / row['megapixels']:.0f} "
-            f"| {row['peak_bytes'] / GIB:.2f} | {own:.2f} | {row.get('note', '')} |"
-        )
-    return "\n".join(lines)
+        size, pictures = row["megapixels"], row["pictures"]
+        own = size * 1e6 * pictures * 12 / GIB
+        seconds = [row["seconds"], row["seconds_of_fit"], row["seconds"] / size]
+        lines.append([size, float(pictures), *seconds, row["peak_bytes"] / GIB, own])
+    return Table(columns, lines)
 
 
-def page(rows: Sequence[dict[str, Any]], beside: str) -> str:
-    """docs/benchmarks/growth.md."""
-    on = machine()
-    return f"""\
-# How time and memory grow
-
-{on["processor"]}, {on["cores"]} cores, Python {on["python"]}. `make bench-growth` writes this page:
-the command `pbrfit decompose SCENE --out RESULT` with its defaults, one run each in a
-process of its own, float32 EXR read and the result written. Above 2 MP a scene is fitted in tiles.
-{beside}
-
-![Time and memory over megapixels, for 4, 16 and 64 pictures](growth.png)
-
-{rows_as_text(rows)}
-"""
-
-
-def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Time and memory by megapixels, a line for each number of pictures."""
+def plot(rows: Sequence[dict[str, Any]]) -> bytes:
+    """Time and memory by megapixels, a line for each number of pictures; as PNG."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4), layout="constrained")
@@ -177,7 +164,9 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     of_memory.text(0.27, 8.3, "8 GiB", color="0.3")
     of_time.text(2.2, of_time.get_ylim()[0] * 1.15, "in tiles", color="0.4")
     of_time.legend(frameon=False)
-    figure.savefig(path, dpi=120)
+    file = io.BytesIO()
+    figure.savefig(file, dpi=120)
+    return file.getvalue()
 
 
 if __name__ == "__main__":

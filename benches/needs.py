@@ -1,4 +1,4 @@
-"""What leaving out parts saves: `make bench-needs` writes docs/benchmarks/needs.md.
+"""What leaving out parts saves: `make bench-needs` fills docs/benchmarks/needs.md.
 
 One evaluation of loss and gradient of the same pictures, with everything and without one part, or
 with one penalty more. Cases take turns, so that a machine that slows down slows all of them.
@@ -20,27 +20,13 @@ import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.report.summary import machine
+from pbrfit_evaluation.report import evidence, markdown
+from pbrfit_evaluation.suite import Table, Value
 
 ROUNDS = 41
 """Turns of each case; a median is taken."""
 
 BASE = "all"
-
-INTRODUCTION = """\
-# What leaving out parts saves
-
-One evaluation of loss and gradient from Python, on one thread, with {pictures} pictures of a
-synthetic room. Every row has the pictures of the first one, with one part left out or one penalty
-added. Medians of {rounds} turns of processor time; rows took turns, so they can be compared with
-each other. {machine}. `make bench-needs` writes this page.
-
-One light for all channels saves unknowns, not time: x is copied with the light in every channel.
-
-Penalties always take one thread. Where the evaluation has two, their share of the time is nearly
-twice as large.
-
-"""
 
 
 def cases(scene: pbrfit.Scene) -> dict[str, Objective]:
@@ -80,30 +66,24 @@ def medians(objectives: dict[str, Objective], rounds: int) -> dict[str, float]:
     return {name: statistics.median(times) for name, times in found.items()}
 
 
-def page(found: dict[int, dict[str, float]], pictures: int, rounds: int) -> str:
-    """Markdown: milliseconds, and the difference from the first row as a share of it."""
+def table_of(found: dict[int, dict[str, float]]) -> Table:
+    """Milliseconds, and the difference from the first row as a share of it."""
     sizes = list(found)
-    lines = [
-        "| | " + " | ".join(f"{size}², ms | change" for size in sizes) + " |",
-        "|---|" + "---|---|" * len(sizes),
-    ]
+    columns = ["", *(head for size in sizes for head in (f"{size}², ms", "change"))]
+    lines: list[list[Value]] = []
     for name in found[sizes[0]]:
-        cells = []
+        line: list[Value] = [name]
         for size in sizes:
             taken, base = found[size][name], found[size][BASE]
-            change = "" if name == BASE else f"{100 * (taken / base - 1):+.0f} %"
-            cells += [f"{taken:.3g}", change]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    introduction = INTRODUCTION.format(
-        pictures=pictures, machine=machine()["processor"], rounds=rounds
-    )
-    return introduction + "\n".join(lines) + "\n"
+            line += [taken, "" if name == BASE else f"{100 * (taken / base - 1):+.0f} %"]
+        lines.append(line)
+    return Table(columns, lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and write."""
+    """Measure and tell."""
     parser = argparse.ArgumentParser(description="Time what leaving out parts saves.")
-    parser.add_argument("--out", type=Path, help="page to write (default: standard output)")
+    parser.add_argument("--docs", type=Path, help="documentation whose table to fill")
     parser.add_argument("--sizes", type=int, nargs="+", default=[128, 512])
     parser.add_argument("--pictures", type=int, default=16)
     parser.add_argument("--rounds", type=int, default=ROUNDS)
@@ -112,11 +92,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for size in options.sizes:
         scene = make_scene("room", size=size, lights=options.pictures, held_out=1, seed=2000)
         found[size] = medians(cases(scene), options.rounds)
-    text = page(found, options.pictures, options.rounds)
-    if options.out is None:
-        print(text, end="")
-    else:
-        options.out.write_text(text, encoding="utf-8")
+    table = table_of(found)
+    print(markdown(table))
+    if options.docs is not None:
+        evidence.record(
+            options.docs,
+            "needs",
+            command=f"make bench-needs ({options.rounds} turns)",
+            protocol="pbrfit-needs-1: medians of processor time, one thread, cases in turn",
+            tables={"Parts left out": table},
+        )
 
 
 if __name__ == "__main__":
