@@ -20,7 +20,7 @@
 #   up; half an hour
 # make evidence DATA=DIR: every suite, one after the other, and the tables of the documentation from
 #   them; a day on two cores, or SUITES="table1 solvers"; goes on where it was interrupted
-# make bench-peers: our objective beside PyTorch, JAX and numpy, in .venv-peers (5 GB)
+# make bench-peers: our objective beside PyTorch, JAX, numba and numpy, in .venv-peers (5 GB)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -44,8 +44,7 @@ OF_table1 = --textures $(DATA)
 OF_convergence = --real $(DATA)/visiont3lab_shrek
 OF_photographs = $(DATA)
 OF_real = $(DATA)
-# of bench-peers: threads of every peer, and what else `python -m peers --help` lists
-THREADS ?= 2
+# of bench-peers: what `python -m peers --help` lists
 PEERS_OPTIONS ?=
 FUZZ_CASES ?= 100000
 FUZZ_SECONDS ?= 30
@@ -143,8 +142,8 @@ evidence: $(VENV)/tools
 
 bench-peers: $(PEERS)/installed
 	mkdir -p out
-	cargo bench --bench machine -- --threads $(THREADS) --json > out/machine.json
-	PYTHONPATH=benches $(PEERS)/bin/python -m peers --threads $(THREADS) --machine out/machine.json $(PEERS_OPTIONS)
+	cargo bench --bench machine -- --json > out/machine.json
+	PYTHONPATH=benches $(PEERS)/bin/python -m peers --machine out/machine.json --docs docs $(PEERS_OPTIONS)
 
 cycles-env: $(CYCLES)/installed
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import platform
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 CPU_INFO = Path("/proc/cpuinfo")
@@ -20,39 +21,39 @@ class Machine:
     Attributes
     ----------
     fma_peak_gflops
-        float32 multiply-adds from registers, 10⁹ operations a second (two each); all threads.
+        float32 multiply-adds from registers, 10⁹ operations a second (two each), by threads.
     memory_gbs
-        Memory read, 10⁹ bytes a second; all threads.
+        Memory read, 10⁹ bytes a second, likewise.
     load
         Processes that wanted to run in the last minute before the start, on average.
     """
 
     name: str
-    threads: int
     load: float | None
     vector_bits: int | None = None
-    fma_peak_gflops: float | None = None
-    memory_gbs: float | None = None
+    fma_peak_gflops: Mapping[int, float] = field(default_factory=dict)
+    memory_gbs: Mapping[int, float] = field(default_factory=dict)
+
+    def fraction(self, operations: float, ms: float, threads: int) -> float | None:
+        """Operations a second over the peak; None where that was not measured."""
+        peak = self.fma_peak_gflops.get(threads)
+        return None if peak is None else operations / (1e6 * ms * peak)
 
     @classmethod
-    def find(cls, measured: Path | None, threads: int) -> Machine:
+    def find(cls, measured: Path | None, threads: Sequence[int]) -> Machine:
         """The machine that runs this; `measured` is a JSON file that the machine bench wrote."""
         load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-        here = cls(_name(), threads, load)
+        here = cls(_name(), load)
         if measured is None:
             return here
         bench = json.loads(measured.read_text(encoding="utf-8"))
-        for row in bench["measured"]:
-            if row["threads"] == threads:
-                return cls(
-                    here.name,
-                    threads,
-                    load,
-                    bench["vector_bits"],
-                    row["fma_gflops"],
-                    row["memory_gbs"],
-                )
-        raise SystemExit(f"{measured}: expected figures for {threads} threads, found none")
+        rows = {row["threads"]: row for row in bench["measured"]}
+        for count in threads:
+            if count not in rows:
+                raise SystemExit(f"{measured}: expected figures for {count} threads, found none")
+        peaks = {count: rows[count]["fma_gflops"] for count in threads}
+        memory = {count: rows[count]["memory_gbs"] for count in threads}
+        return cls(here.name, load, bench["vector_bits"], peaks, memory)
 
 
 def _name() -> str:

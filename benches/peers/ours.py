@@ -6,15 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.model.reflection import Model
 from peers.case import Case
 
 
 class Ours:
     """The peer."""
 
-    def __init__(self, case: Case, threads: int) -> None:
+    def __init__(self, case: Case, threads: int, model: Model = "paper") -> None:
         self._problem = _core.Problem(
-            case.images, case.normals, case.views, threads=threads, model="paper"
+            case.images, case.normals, case.views, threads=threads, model=model
         )
         self._x = case.x
         self._gradient = np.empty(0)

@@ -1,4 +1,4 @@
-"""What came out of the race: a row a peer, relative to ours and to the machine."""
+"""What came out of the race, relative to ours and to the machine."""
 
 from __future__ import annotations
 
@@ -7,109 +7,65 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from peers.machine import Machine
-from peers.race import KEEP_FREED_MEMORY, Settings, Standing, Times, race
-from peers.roster import OURS, ROSTER, Entry
+from peers.race import Settings, Standing
+from peers.roster import OURS, ROSTER
 
 FLOPS = 99
 """Of the matrix form, for one pixel, picture and channel: three products of 32 operations, the
 residual and its square."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """One peer. Times are None where there are none.
-
-    Attributes
-    ----------
-    tuned
-        With freed memory kept by the process (glibc only), which helps most peers.
-    installed
-        With the system's memory allocation as it comes. Where there is no glibc, `tuned` is this.
-    """
-
-    name: str
-    status: str
-    tuned: Standing
-    installed: Standing
-
-    @property
-    def times(self) -> Times | None:
-        """The times that count: the tuned ones."""
-        return self.tuned.times
+def operations(pixels: int, pictures: int) -> int:
+    """That an evaluation needs."""
+    return FLOPS * 3 * pixels * pictures
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """All rows: ours and those with times from fast to slow, then the others."""
+    """All standings, by number of threads."""
 
     settings: Settings
     machine: Machine
-    rows: tuple[Row, ...]
-    tuned: bool
-    """Whether there were two passes."""
+    standings: tuple[Standing, ...]
 
-    @classmethod
-    def of_race(cls, entries: Sequence[Entry], settings: Settings, machine: Machine) -> Outcome:
-        """Run it: once as installed and, where there is glibc, once more with memory kept."""
-        installed = race(entries, settings, {}, "as installed")
-        tuned = platform.libc_ver()[0] == "glibc"
-        standings = (
-            race(entries, settings, KEEP_FREED_MEMORY, "memory kept") if tuned else installed
-        )
-        return cls.of_standings(standings, installed, settings, machine, tuned=tuned)
+    def of(self, name: str, threads: int) -> Standing:
+        """That of a peer."""
+        return next(s for s in self.standings if (s.name, s.threads) == (name, threads))
 
-    @classmethod
-    def of_standings(
-        cls,
-        standings: Sequence[Standing],
-        installed: Sequence[Standing],
-        settings: Settings,
-        machine: Machine,
-        *,
-        tuned: bool,
-    ) -> Outcome:
-        """From both passes over the same peers."""
-        rows = [
-            Row(kept.name, kept.status if kept.status != "ok" else plain.status, kept, plain)
-            for kept, plain in zip(standings, installed, strict=True)
-        ]
-        rows.sort(key=lambda row: row.times.median_ms if row.times else float("inf"))
-        return cls(settings, machine, tuple(rows), tuned)
-
-    @property
-    def ours(self) -> Row:
-        """Our own row."""
-        return next(row for row in self.rows if row.name == OURS)
-
-    def ratio(self, row: Row) -> float | None:
-        """Time over ours."""
-        return _ratio(row.tuned, self.ours.tuned)
-
-    def ratio_installed(self, row: Row) -> float | None:
-        """Time over ours, both as installed."""
-        return _ratio(row.installed, self.ours.installed)
-
-    def fraction_of_peak(self, row: Row) -> float | None:
-        """Useful operations a second over the machine's multiply-add peak."""
-        if row.times is None or self.machine.fma_peak_gflops is None:
+    def ratio(self, standing: Standing) -> float | None:
+        """Time over ours with as many threads."""
+        ours = self.of(OURS, standing.threads)
+        if standing.times is None or ours.times is None:
             return None
-        flops = FLOPS * 3 * self.settings.pixels * self.settings.pictures
-        return flops / (1e6 * row.times.median_ms * self.machine.fma_peak_gflops)
+        return standing.times.median_ms / ours.times.median_ms
+
+    def best(self, threads: int) -> Standing | None:
+        """The fastest but ours."""
+        found = [s for s in self.standings if s.threads == threads and s.name != OURS and s.times]
+        return min(found, key=lambda s: s.times.median_ms if s.times else 0.0, default=None)
+
+    def fraction_of_peak(self, standing: Standing) -> float | None:
+        """Useful operations a second over the machine's multiply-add peak."""
+        if standing.times is None:
+            return None
+        done = operations(self.settings.pixels, self.settings.pictures)
+        return self.machine.fraction(done, standing.times.median_ms, standing.threads)
 
     @property
     def versions(self) -> dict[str, str]:
-        """Of Python, of each package that took part, and of the libraries below numpy."""
-        found = {row.tuned.package: row.tuned for row in self.rows if row.tuned.version}
-        versions = {"python": platform.python_version()}
-        for package in dict.fromkeys(entry.package for entry in ROSTER):
-            if package in found:
-                versions[package] = found[package].version or ""
-        if "numpy" in found:
-            versions["numpy's libraries"] = ", ".join(found["numpy"].libraries)
-        return versions
+        """Of Python, and of each package that took part."""
+        found = {s.package: s.version for s in self.standings if s.version}
+        packages = dict.fromkeys(entry.package for entry in ROSTER)
+        versions = {package: found[package] for package in packages if package in found}
+        return {"python": platform.python_version(), **versions}
 
 
-def _ratio(standing: Standing, ours: Standing) -> float | None:
-    if standing.times is None or ours.times is None:
-        return None
-    return standing.times.median_ms / ours.times.median_ms
+def names(standings: Sequence[Standing]) -> list[str]:
+    """Ours first, then by the best time at any number of threads; those without times last."""
+
+    def fastest(name: str) -> float:
+        times = [s.times.median_ms for s in standings if s.name == name and s.times]
+        return min(times, default=float("inf"))
+
+    others = dict.fromkeys(s.name for s in standings if s.name != OURS)
+    return [OURS, *sorted(others, key=fastest)]

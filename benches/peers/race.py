@@ -1,11 +1,14 @@
-"""The race: every peer in a process of its own, checked, then timed round by round."""
+"""The race: every peer, at every number of threads, in a process of its own, checked, then timed.
+
+All take turns in every round, so that a machine that slows down slows all of them.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -31,6 +34,7 @@ THREAD_VARIABLES = (
     "MKL_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
     "NPROC",  # XLA's thread pool
+    "NUMBA_NUM_THREADS",
 )
 
 KEEP_FREED_MEMORY = {
@@ -47,7 +51,7 @@ class Settings:
 
     size: int
     pictures: int
-    threads: int
+    threads: tuple[int, ...]
     rounds: int
     seed: int = 0
 
@@ -75,6 +79,7 @@ class Standing:
 
     name: str
     package: str
+    threads: int
     status: str = "ok"
     version: str | None = None
     libraries: tuple[str, ...] = ()
@@ -96,13 +101,11 @@ class WithdrawnError(Exception):
 class Seat:
     """A peer's process, seen from here."""
 
-    def __init__(self, entry: Entry, settings: Settings) -> None:
+    def __init__(self, entry: Entry, settings: Settings, threads: int) -> None:
         context = multiprocessing.get_context("spawn")
         self.entry = entry
         self._connection, theirs = context.Pipe()
-        assignment = Assignment(
-            entry, settings.pixels, settings.pictures, settings.seed, settings.threads
-        )
+        assignment = Assignment(entry, settings.pixels, settings.pictures, settings.seed, threads)
         self._process = context.Process(target=work, args=(theirs, assignment), daemon=True)
         self._process.start()
         theirs.close()
@@ -152,70 +155,68 @@ class Seat:
         return WithdrawnError(f"its process ended with code {self._process.exitcode}")
 
 
-def race(
-    entries: Sequence[Entry], settings: Settings, environment: Mapping[str, str], title: str
-) -> list[Standing]:
+def race(entries: Sequence[Entry], settings: Settings) -> list[Standing]:
     """All peers against each other: one works while the others wait.
 
-    `environment` is added to that of the peers' processes.
+    Where there is glibc, freed memory stays with the processes, which helps most peers.
     """
     case = Case.make(settings.pixels, settings.pictures, settings.seed)
-    problem = _core.Problem(
-        case.images, case.normals, case.views, threads=settings.threads, model="paper"
-    )
+    problem = _core.Problem(case.images, case.normals, case.views, model="paper")
     loss, gradient = problem.value_and_grad(case.x)
     del problem
 
-    standings: dict[str, Standing] = {}
-    seats: dict[str, Seat] = {}
-    turns: dict[str, list[Turn]] = {}
+    standings: dict[tuple[str, int], Standing] = {}
+    seats: dict[tuple[str, int], Seat] = {}
+    turns: dict[tuple[str, int], list[Turn]] = {}
 
-    def withdraw(name: str, reason: str) -> None:
-        standings[name] = replace(standings[name], status=reason)
-        seats.pop(name).leave()
+    def withdraw(key: tuple[str, int], reason: str) -> None:
+        standings[key] = replace(standings[key], status=reason)
+        seats.pop(key).leave()
 
+    runners = [(entry, threads) for entry in entries for threads in settings.threads]
     try:
-        for entry in tqdm(entries, desc=f"{title}: start and check", disable=None):
-            name = entry.name
-            standings[name] = Standing(name, entry.package)
-            with _environment(settings.threads, environment):
-                seats[name] = Seat(entry, settings)
+        for entry, threads in tqdm(runners, desc="start and check", disable=None):
+            key = entry.name, threads
+            standings[key] = Standing(entry.name, entry.package, threads)
+            with _environment(threads):
+                seats[key] = Seat(entry, settings, threads)
             try:
-                ready = seats[name].ready()
+                ready = seats[key].ready()
             except WithdrawnError as reason:
-                withdraw(name, str(reason))
+                withdraw(key, str(reason))
                 continue
-            standings[name] = checked(standings[name], ready, loss, gradient, case.pixels)
-            if standings[name].status != "ok":
-                withdraw(name, standings[name].status)
-        for _ in tqdm(range(settings.rounds), desc=f"{title}: rounds", disable=None):
-            for name in list(seats):
+            standings[key] = checked(standings[key], ready, loss, gradient, case.pixels)
+            if standings[key].status != "ok":
+                withdraw(key, standings[key].status)
+        for _ in tqdm(range(settings.rounds), desc="rounds", disable=None):
+            for key in list(seats):
                 try:
-                    turns.setdefault(name, []).append(seats[name].turn())
+                    turns.setdefault(key, []).append(seats[key].turn())
                 except WithdrawnError as reason:
-                    withdraw(name, str(reason))
-        for name in list(seats):
+                    withdraw(key, str(reason))
+        for key in list(seats):
             try:
-                peak = seats[name].peak_kib()
+                peak = seats[key].peak_kib()
             except WithdrawnError as reason:
-                withdraw(name, str(reason))
+                withdraw(key, str(reason))
                 continue
-            standings[name] = replace(
-                standings[name],
-                times=_times(turns[name]),
+            standings[key] = replace(
+                standings[key],
+                times=_times(turns[key]),
                 peak_mib=None if peak is None else peak / 1024,
             )
     finally:
         for seat in seats.values():
             seat.leave()
-    return [standings[entry.name] for entry in entries]
+    return list(standings.values())
 
 
 @contextmanager
-def _environment(threads: int, more: Mapping[str, str]) -> Iterator[None]:
-    """For processes started meanwhile: so many threads, and the variables in `more`."""
+def _environment(threads: int) -> Iterator[None]:
+    """For processes started meanwhile: so many threads, and freed memory kept."""
     before = dict(os.environ)
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)) | dict(more))
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+    os.environ.update(KEEP_FREED_MEMORY)
     try:
         yield
     finally:

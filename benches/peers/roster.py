@@ -44,13 +44,12 @@ ROSTER = tuple(
     Entry(*row)
     for row in (
         (OURS, "pbrfit", "peers.ours", "Ours"),
-        ("numpy whole arrays", "numpy", "peers.with_numpy", "Whole"),
-        ("numpy blocks", "numpy", "peers.with_numpy", "Blocks"),
-        ("torch eager einsum", "torch", "peers.with_torch", "EagerEinsum"),
-        ("torch eager matrix", "torch", "peers.with_torch", "EagerMatrix"),
-        ("torch.compile einsum", "torch", "peers.with_torch", "CompiledEinsum"),
-        ("torch.compile matrix", "torch", "peers.with_torch", "CompiledMatrix"),
-        ("jax jit einsum", "jax", "peers.with_jax", "JitEinsum"),
-        ("jax jit matrix", "jax", "peers.with_jax", "JitMatrix"),
+        ("numpy, blocks by hand", "numpy", "peers.with_numpy", "Blocks"),
+        ("numba, blocks by hand", "numba", "peers.with_numba", "ByHand"),
+        ("torch.compile, automatic", "torch", "peers.with_torch", "Automatic"),
+        ("torch.compile, blocks by hand", "torch", "peers.with_torch", "OnItsOwn"),
+        ("the same on a pool", "torch", "peers.with_torch", "OnPool"),
+        ("jax.jit, automatic", "jax", "peers.with_jax", "Automatic"),
+        ("jax.jit, blocks by hand", "jax", "peers.with_jax", "ByHand"),
     )
 )

@@ -1,16 +1,7 @@
-"""numpy with a hand-written gradient, in the matrix form.
-
-For one channel, with W (16, P), lights L (N, 16) and targets T (N, P):
-
-    e = L W − T        ∂/∂W = Lᵀ e        ∂/∂L = e Wᵀ        (of ½ Σ e²)
-
-Twice: whole arrays and BLAS's own threads, which is how one writes it first; and pixels in blocks
-small enough for the cache, blocks on a pool of threads with one BLAS thread each.
-"""
+"""numpy with the gradient by hand, as in `by_hand`: blocks on a pool, one BLAS thread each."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +12,14 @@ from peers.case import BANDS, DIELECTRIC_F0, DIFFUSE, Case, Float32, band_polyno
 FIRST_OF_BAND = [band.start for band in BANDS]
 
 
-class Numpy:
-    """The peer: `block` pixels at a time (None: all), on `workers` threads of our own."""
+BLOCK = 8192
+"""Pixels; the fastest of 1024 to 32768."""
 
-    def __init__(self, case: Case, threads: int, *, block: int | None) -> None:
+
+class Blocks:
+    """The peer."""
+
+    def __init__(self, case: Case, threads: int) -> None:
         self._albedo, self._roughness, self._metallic, lights = case.unpack()
         self._lights = np.ascontiguousarray(lights.transpose(2, 0, 1))
         self._targets = np.ascontiguousarray(case.images.transpose(2, 0, 1))
@@ -40,19 +35,18 @@ class Numpy:
         self._scale = 2 / case.images.size
         self._maps = np.empty((5, case.pixels), dtype=np.float32)
         self._by_lights = np.empty(0)
-        self._block_size = block or case.pixels
-        self._workers, self._blas_threads = (threads, 1) if block else (1, threads)
+        self._workers = threads
         self._pool = ThreadPoolExecutor(self._workers)
         self._blas = ThreadpoolController()
 
     def evaluate(self) -> float:
         """The loss; the gradient is kept."""
-        size = self._block_size
         blocks = [
-            slice(start, min(start + size, self._pixels)) for start in range(0, self._pixels, size)
+            slice(start, min(start + BLOCK, self._pixels))
+            for start in range(0, self._pixels, BLOCK)
         ]
         shares = [blocks[i :: self._workers] for i in range(self._workers)]
-        with self._blas.limit(limits=self._blas_threads):
+        with self._blas.limit(limits=1):
             parts = list(self._pool.map(self._share, shares))
         self._by_lights = self._scale * np.sum([by_lights for _, by_lights in parts], axis=0)
         return sum(squares for squares, _ in parts) * self._scale / 2
@@ -119,7 +113,3 @@ class Numpy:
             np.multiply(powers[j - 1], powers[1], out=powers[j])
         both = self._bands @ powers
         return both[:4], both[4:]
-
-
-Whole = partial(Numpy, block=None)
-Blocks = partial(Numpy, block=8192)

@@ -1,32 +1,28 @@
-"""PyTorch with automatic differentiation: two forms of the loss, each eager and compiled."""
+"""PyTorch, compiled: by automatic differentiation, and by hand in blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pbrfit_evaluation.torch_loss import Factors, matrix_form, one_hot
-from peers.case import DIFFUSE, Case
+from pbrfit_evaluation.torch_loss import matrix_form
+from peers.by_hand import Constants, block_of, constants, ordered, unknowns
+from peers.case import Case
+
+BLOCK = 4096
+"""Pixels; the fastest of 1024 to 16384."""
 
 
-class Torch:
-    """The peer: `form` makes the loss from the constants, `compiled` sends it through inductor."""
+class Automatic:
+    """The matrix form of the whole picture, differentiated automatically."""
 
-    def __init__(
-        self,
-        case: Case,
-        threads: int,
-        *,
-        form: Callable[[Case], Callable[..., torch.Tensor]],
-        compiled: bool,
-    ) -> None:
+    def __init__(self, case: Case, threads: int) -> None:
         torch.set_num_threads(threads)
-        loss = form(case)
-        self._loss = torch.compile(loss, dynamic=False) if compiled else loss
+        self._loss = torch.compile(matrix_form(case), dynamic=False)
         self._unknowns = [torch.tensor(part, requires_grad=True) for part in case.unpack()]
 
     def evaluate(self) -> float:
@@ -44,32 +40,50 @@ class Torch:
         )
 
 
-def einsum_form(view: Case) -> Callable[..., torch.Tensor]:
-    """As one reads it from the paper: a diffuse and a specular sum over coefficients a picture.
+class ByHand:
+    """Blocks with the gradient by hand, compiled; on a pool of threads, or on torch's own."""
 
-    Of the possible orders of the axes the fastest: "pnc" takes 1.2 times as long eager, 2.5 times
-    compiled.
-    """
-    factors = Factors(view)
-    diffuse_basis = torch.tensor(view.diffuse_basis.T.copy())  # (9, P)
-    mirror_basis = torch.tensor(view.mirror_basis.T.copy())  # (16, P)
-    bands = one_hot()
-    targets = torch.tensor(view.images.transpose(2, 0, 1).copy())  # (3, N, P)
+    def __init__(self, case: Case, threads: int, *, pool: bool) -> None:
+        self._workers = threads if pool else 1
+        torch.set_num_threads(1 if pool else threads)
+        self._pool = ThreadPoolExecutor(self._workers)
+        maps, lights = unknowns(case)
+        self._lights = torch.from_numpy(lights)
+        self._blocks = []
+        for start in range(0, case.pixels, BLOCK):
+            cut = np.s_[..., start : start + BLOCK]
+            given = Constants(*(_own(part[cut]) for part in constants(case)))
+            self._blocks.append((_own(maps[cut]), given))
+        self._evaluate = torch.compile(partial(block_of, torch), dynamic=False)
+        self._scale = 2 / case.images.size
+        self._found: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
 
-    def loss(
-        albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, lights: torch.Tensor
-    ) -> torch.Tensor:
-        kd, ks, h = factors(albedo, roughness, metallic)
-        diffuse = torch.einsum("kp,nkc->cnp", diffuse_basis, lights[:, :DIFFUSE])
-        specular_basis = (bands @ h) * mirror_basis
-        specular = torch.einsum("kp,nkc->cnp", specular_basis, lights)
-        image = kd[:, None] * diffuse + ks[:, None] * specular
-        return torch.mean((image - targets) ** 2)
+    def evaluate(self) -> float:
+        """The loss; the gradient is kept, a block each."""
+        shares = [self._blocks[i :: self._workers] for i in range(self._workers)]
+        done = list(self._pool.map(self._share, shares))
+        found = [None] * len(self._blocks)
+        for i, share in enumerate(done):
+            found[i :: self._workers] = share  # type: ignore[assignment]
+        self._found = found  # type: ignore[assignment]
+        return sum(float(squares) for squares, *_ in self._found) * self._scale / 2
 
-    return loss
+    def _share(
+        self, blocks: list[tuple[torch.Tensor, Constants]]
+    ) -> list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
+        with torch.no_grad():
+            return [self._evaluate(maps, self._lights, given) for maps, given in blocks]
+
+    def gradient(self) -> NDArray[np.float64]:
+        """Of the last evaluation, in the order of x."""
+        maps = np.concatenate([of_maps.numpy() for _, of_maps, _ in self._found], axis=1)
+        lights = np.sum([lights.numpy() for *_, lights in self._found], axis=0)
+        return ordered(maps, lights, self._scale)
 
 
-EagerEinsum = partial(Torch, form=einsum_form, compiled=False)
-EagerMatrix = partial(Torch, form=matrix_form, compiled=False)
-CompiledEinsum = partial(Torch, form=einsum_form, compiled=True)
-CompiledMatrix = partial(Torch, form=matrix_form, compiled=True)
+def _own(part: NDArray[np.float32]) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(part))
+
+
+OnPool = partial(ByHand, pool=True)
+OnItsOwn = partial(ByHand, pool=False)

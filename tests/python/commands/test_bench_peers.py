@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 import pbrfit
 from pbrfit import _core
-from peers import race, scaling
+from peers import kernel, race, report
 from peers.case import BAND_OF, BANDS, Case, band_polynomials
 from peers.machine import Machine
-from peers.outcome import Outcome
+from peers.outcome import Outcome, names
 from peers.race import Settings, Standing
-from peers.roster import ROSTER, Entry
-from peers.scaling import Point
+from peers.roster import OURS, ROSTER, Entry
 from peers.worker import Ready
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -39,11 +38,12 @@ def test_bands_hold_their_coefficients() -> None:
     assert found == list(BAND_OF)
 
 
-@pytest.mark.parametrize("name", ["numpy whole arrays", "numpy blocks"])
-@pytest.mark.parametrize("pixels", [37, 9000])
+@pytest.mark.parametrize("name", [name for name in ENTRIES if name != OURS])
+@pytest.mark.parametrize(("pixels", "pictures"), [(37, 3), (9000, 6)])
 @pytest.mark.parametrize("threads", [1, 2])
-def test_numpy_peers_agree_with_the_core(name: str, pixels: int, threads: int) -> None:
-    case = Case.make(pixels, 3, seed=pixels)
+def test_peers_agree_with_the_core(name: str, pixels: int, pictures: int, threads: int) -> None:
+    pytest.importorskip(ENTRIES[name].package)
+    case = Case.make(pixels, pictures, seed=pixels)
     problem = _core.Problem(case.images, case.normals, case.views, threads=1)
     loss, gradient = problem.value_and_grad(case.x)
     peer = ENTRIES[name].load()(case, threads)
@@ -97,7 +97,7 @@ def test_peers_that_cannot_take_part_are_named_with_the_reason() -> None:
         own("Fails"),
         own("Dies"),
     ]
-    ours, absent, wrong, fails, dies = race.race(entries, Settings(16, 2, 1, 2), {}, "test")
+    ours, absent, wrong, fails, dies = race.race(entries, Settings(16, 2, (1,), 2))
     assert ours.status == "ok"
     assert ours.times is not None
     assert ours.times.median_ms > 0
@@ -113,7 +113,7 @@ def test_peers_that_cannot_take_part_are_named_with_the_reason() -> None:
 
 
 def test_a_peer_that_ends_between_turns_withdraws() -> None:
-    seat = race.Seat(ENTRIES["pbrfit"], Settings(8, 2, 1, 2))
+    seat = race.Seat(ENTRIES[OURS], Settings(8, 2, (1,), 2), 1)
     try:
         seat.ready()
         seat._process.kill()
@@ -129,7 +129,7 @@ def test_tolerances_at_their_borders() -> None:
     case = Case.make(2, 1)
     assert case.x.size == 10 + 48
     ready = Ready(1.0, gradient.copy(), "1", ())
-    standing = Standing("peer", "package")
+    standing = Standing("peer", "package", 1)
     assert race.checked(standing, ready, 1.0, gradient, 2).status == "ok"
     for loss, status in ((1 + 0.9e-4, "ok"), (1 + 1.1e-4, "disagrees"), (np.nan, "disagrees")):
         off = Ready(loss, gradient.copy(), "1", ())
@@ -151,96 +151,83 @@ def run(*arguments: str | Path, without: Path | None = None) -> subprocess.Compl
 
 
 @pytest.mark.slow
-def test_command_reports_a_missing_peer(tmp_path: Path) -> None:
-    hidden = tmp_path / "hidden"
+def test_command_reports_a_missing_peer_and_fills_the_pages(tmp_path: Path) -> None:
+    hidden, docs = tmp_path / "hidden", tmp_path / "docs"
     hidden.mkdir()
+    docs.mkdir()
     (hidden / "torch.py").write_text("raise ImportError('torch is not here')\n", encoding="utf-8")
+    (tmp_path / "README.md").write_text("", encoding="utf-8")
+    page = docs / "race.md"
+    page.write_text(
+        "<!-- evidence: race/The race -->\n<!-- /evidence -->\n![](evidence/race-times.png)\n",
+        encoding="utf-8",
+    )
     bench = tmp_path / "machine.json"
     measured = {"threads": 1, "fma_gflops": 100.0, "memory_gbs": 10.0}
     bench.write_text(json.dumps({"vector_bits": 256, "measured": [measured]}), encoding="utf-8")
     ran = run(
         *("--quick", "--size", "24", "--pictures", "3", "--threads", "1", "--rounds", "2"),
-        *("--machine", bench, "--out", tmp_path / "out"),
-        *("--peers", "numpy blocks", "torch eager matrix"),
+        *("--machine", bench, "--docs", docs),
+        *("--peers", "numpy, blocks by hand", "torch.compile, automatic"),
         without=hidden,
     )
     assert ran.returncode == 0, ran.stderr
     assert "ImportError: torch is not here" in ran.stdout
-    found = json.loads((tmp_path / "out" / "peers.json").read_text(encoding="utf-8"))
-    told = {"size": 24, "pictures": 3, "threads": 1, "rounds": 2}
-    assert (told | {"fma_peak_gflops": 100.0, "memory_gbs": 10.0}).items() <= found.items()
-    *there, torch = found["rows"]
-    assert sorted(row["name"] for row in there) == ["numpy blocks", "pbrfit"]
-    assert torch["name"] == "torch eager matrix"
-    assert torch["status"] == "ImportError: torch is not here"
-    assert torch["median_ms"] is None
-    [ours] = [row for row in there if row["name"] == "pbrfit"]
-    for row in there:
-        assert row["status"] == "ok"
-        lower, upper = row["quartiles_ms"]
-        assert 0 < lower <= row["median_ms"] <= upper
-        assert row["ratio_to_ours"] == pytest.approx(row["median_ms"] / ours["median_ms"], rel=1e-2)
-        operations = 99 * 3 * 24 * 24 * 3
-        assert row["fraction_of_peak"] == pytest.approx(
-            operations / (row["median_ms"] * 1e-3 * 100e9), rel=1e-2
-        )
-        if sys.platform == "linux":
-            assert row["peak_mib"] > 0
-    page = (tmp_path / "out" / "peers.md").read_text(encoding="utf-8")
-    assert "torch eager matrix: ImportError: torch is not here" in page
-    assert str(tmp_path) not in page
-    assert (tmp_path / "out" / "peers.png").read_bytes().startswith(b"\x89PNG")
+    found = json.loads((docs / "evidence" / "race.json").read_text(encoding="utf-8"))
+    assert found["command"] == "make bench-peers (24², 3 pictures, 2 rounds)"
+    rows = {row["name"]: row for row in found["rows"]}
+    ours = rows["pbrfit, 1 thread"]["metrics"]
+    other = rows["numpy, blocks by hand, 1 thread"]["metrics"]
+    assert other["times_ours"] == pytest.approx(other["ms"] / ours["ms"])
+    operations = 99 * 3 * 24 * 24 * 3
+    assert ours["of_peak"] == pytest.approx(operations / (ours["ms"] * 1e-3 * 100e9))
+    assert rows["torch.compile, automatic, 1 thread"]["status"] == "ImportError: torch is not here"
+    assert rows["principled, 64², 16 pictures, 1 thread"]["metrics"]["ms"] > 0
+    assert "| **pbrfit** |" in page.read_text("utf-8")
+    assert str(tmp_path) not in page.read_text("utf-8")
+    assert (docs / "evidence" / "race-times.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_command_wants_figures_for_its_own_number_of_threads(tmp_path: Path) -> None:
+def test_command_wants_figures_for_its_own_numbers_of_threads(tmp_path: Path) -> None:
     bench = tmp_path / "machine.json"
     bench.write_text(json.dumps({"vector_bits": 256, "measured": []}), encoding="utf-8")
-    ran = run("--quick", "--machine", bench, "--out", tmp_path / "out")
+    ran = run("--quick", "--machine", bench)
     assert ran.returncode != 0
-    assert ran.stderr.strip() == f"{bench}: expected figures for 2 threads, found none"
+    assert ran.stderr.strip().endswith(f"{bench}: expected figures for 1 threads, found none")
 
 
-def test_rows_without_times_come_last() -> None:
-    def standing(name: str, ms: float | None) -> Standing:
-        times = None if ms is None else race.Times(ms, (ms, ms), 1.0, 0.0)
-        return Standing(name, "package", "ok" if ms else "lost", times=times)
-
-    outcome = Outcome.of_standings(
-        [standing("b", None), standing("pbrfit", 2.0), standing("a", 1.0)],
-        [standing("b", None), standing("pbrfit", 4.0), standing("a", None)],
-        Settings(10, 1, 1, 1),
-        Machine("test", 1, None, 256, 1.0, 1.0),
-        tuned=True,
-    )
-    assert [row.name for row in outcome.rows] == ["a", "pbrfit", "b"]
-    assert [row.status for row in outcome.rows] == ["lost", "ok", "lost"]
-    assert outcome.ratio(outcome.rows[0]) == 0.5
-    assert outcome.ratio_installed(outcome.rows[0]) is None
-    assert outcome.fraction_of_peak(outcome.rows[1]) == pytest.approx(99 * 300 / 2e6)
+def standing(name: str, threads: int, ms: float | None) -> Standing:
+    times = None if ms is None else race.Times(ms, (ms, ms), 1.0, 0.0)
+    return Standing(name, "package", threads, "ok" if ms else "lost", times=times)
 
 
-def test_scaling_recovers_its_law() -> None:
-    def ms(side: int, pictures: int) -> float:
-        return 1e-6 * side * side * (20.0 + 3.0 * pictures)
-
-    sizes = [(128, 16), (512, 16), (256, 8), (256, 64)]
-    points = [Point(s, n, ms(s, n), (0.0, 0.0)) for s, n in sizes]
-    fitted = scaling.fit(points, threads=1, rounds=1)
-    assert fitted.per_pixel_ns == pytest.approx(20.0)
-    assert fitted.per_sample_ns == pytest.approx(3.0)
-    assert abs(fitted.deviation(fitted.worst)) < 1e-9
-    off = [*points[:-1], Point(256, 64, 1.2 * ms(256, 64), (0.0, 0.0))]
-    fitted = scaling.fit(off, threads=1, rounds=1)
-    worst = abs(fitted.deviation(fitted.worst))
-    assert worst == max(abs(fitted.deviation(point)) for point in off)
-    assert 0.02 < worst < 0.2
+OUTCOME = Outcome(
+    Settings(10, 1, (1, 2), 1),
+    Machine("test", None, 256, {1: 1.0, 2: 2.0}, {1: 1.0, 2: 1.0}),
+    (
+        *(standing("b", 1, None), standing("b", 2, None)),
+        *(standing(OURS, 1, 2.0), standing(OURS, 2, 1.0)),
+        *(standing("a", 1, 4.0), standing("a", 2, 6.0)),
+        *(standing("c", 1, 8.0), standing("c", 2, 3.0)),
+    ),
+)
 
 
-def test_scaling_command_writes_points_and_picture(tmp_path: Path) -> None:
-    ran = run("--scaling", "--quick", "--rounds", "1", "--threads", "1", "--out", tmp_path)
-    assert ran.returncode == 0, ran.stderr
-    found = json.loads((tmp_path / "scaling.json").read_text(encoding="utf-8"))
-    points = {(p["size"], p["pictures"]) for p in found["points"]}
-    assert points == {(64, 16), (128, 16), (256, 8), (256, 16)}
-    assert max(abs(p["deviation"]) for p in found["points"]) == abs(found["worst_deviation"])
-    assert (tmp_path / "scaling.png").read_bytes().startswith(b"\x89PNG")
+def test_peers_compare_with_ours_at_as_many_threads_and_the_best_counts() -> None:
+    assert names(OUTCOME.standings) == [OURS, "c", "a", "b"]
+    assert OUTCOME.ratio(OUTCOME.of("a", 1)) == 2.0
+    assert OUTCOME.ratio(OUTCOME.of("b", 1)) is None
+    best = [OUTCOME.best(threads) for threads in (1, 2)]
+    assert [one.name for one in best if one] == ["a", "c"]
+    assert OUTCOME.fraction_of_peak(OUTCOME.of(OURS, 2)) == pytest.approx(99 * 300 / 2e6)
+    table = report.tables(OUTCOME, [])["The best peer"]
+    assert [list(row) for row in table.rows] == [["1 thread", "a", 2.0], ["2 threads", "c", 3.0]]
+
+
+def test_the_kernel_is_timed_at_every_size() -> None:
+    asked = [point for point in kernel.points([1], quick=True) if point.pictures == 4]
+    found = kernel.measure(asked, 1)
+    assert {(point.model, point.side) for point in found} == {("paper", 64), ("principled", 64)}
+    assert all(point.median_ms > 0 for point in found)
+    full = {(point.side, point.pictures) for point in kernel.points([1, 2], quick=False)}
+    assert {(512, 4), (512, 16), (512, 64)} < full
