@@ -19,6 +19,10 @@ from numpy.typing import NDArray
 from peers.case import BANDS, DIELECTRIC_F0, DIFFUSE, Case, band_polynomials
 
 
+POLYNOMIALS: list[list[float]] = band_polynomials().astype(np.float32).tolist()
+"""Plain numbers, which compilers take in."""
+
+
 class Constants(NamedTuple):
     """What a block needs beside the unknowns; the last axis is pixels.
 
@@ -93,11 +97,11 @@ def _band_weights(r: Any) -> tuple[list[Any], list[Any]]:
     """h_l and dh_l/dr, four of each, by Horner's rule."""
     s = 2 * r - 1
     values, slopes = [], []
-    for polynomial in band_polynomials().astype(np.float32):
-        value, slope = float(polynomial[-1]), 0.0
+    for polynomial in POLYNOMIALS:
+        value, slope = polynomial[-1], 0.0
         for coefficient in polynomial[-2::-1]:
             slope = slope * s + value
-            value = value * s + float(coefficient)
+            value = value * s + coefficient
         values.append(value)
         slopes.append(2 * slope)
     return values, slopes

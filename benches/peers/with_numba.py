@@ -62,7 +62,8 @@ def _all(  # type: ignore[no-untyped-def]
     pixels = maps.shape[1]
     blocks = (pixels + BLOCK - 1) // BLOCK
     squares = np.zeros(shares)
-    by_lights = np.zeros((shares, *lights.shape))
+    channels, pictures, coefficients = lights.shape
+    by_lights = np.zeros((shares, channels, pictures, coefficients))
     for share in prange(shares):
         for block in range(share * blocks // shares, (share + 1) * blocks // shares):
             start, end = block * BLOCK, min((block + 1) * BLOCK, pixels)
