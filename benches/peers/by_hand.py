@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from peers.case import BANDS, DIELECTRIC_F0, DIFFUSE, Case, band_polynomials
 
-
 POLYNOMIALS: list[list[float]] = band_polynomials().astype(np.float32).tolist()
 """Plain numbers, which compilers take in."""
 

@@ -1,4 +1,4 @@
-"""Our own core through Python, as the solver calls it: x and gradient in float64."""
+"""Our own core through Python: x and gradient in float64, the gradient's memory used again."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Ours:
             case.images, case.normals, case.views, threads=threads, model=model
         )
         self._x = case.x
-        self._gradient = np.empty(0)
+        self._gradient = np.empty_like(case.x)
 
     def evaluate(self) -> float:
         """The loss; the gradient is kept."""
-        value, self._gradient = self._problem.value_and_grad(self._x)
+        value, _ = self._problem.value_and_grad(self._x, out=self._gradient)
         return value
 
     def gradient(self) -> NDArray[np.float64]:

@@ -251,12 +251,17 @@ class Problem:
     @property
     def coefficients(self) -> int: ...
     def value_and_grad(
-        self, x: NDArray[np.float64], robust: tuple[str, float] | None = None
+        self,
+        x: NDArray[np.float64],
+        robust: tuple[str, float] | None = None,
+        out: NDArray[np.float64] | None = None,
     ) -> tuple[float, NDArray[np.float64]]:
-        """Loss at x and its gradient.
+        """Loss at x and its gradient, which is `out` where that is given.
 
         `robust` is a loss instead of the square, "huber" or "cauchy", and its scale, from 1e-15
-        to 1e15 in the unit of the images.
+        to 1e15 in the unit of the images. `out` is as long as x, contiguous, and may be x itself;
+        its memory is warm at the second call, which a new array's never is. After an error it
+        holds nothing that means anything.
         """
     def residuals(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
         """Rendered minus given radiance (N, len(pixels), C) at some pixels, whatever the weights.

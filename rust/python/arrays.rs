@@ -6,8 +6,8 @@ use bytemuck::cast_slice;
 use glam::DVec3;
 use numpy::ndarray::{ArrayView, Dimension};
 use numpy::{
-    Element, PyArrayDescrMethods, PyReadonlyArray, PyReadonlyArray1, PyReadonlyArray2,
-    PyUntypedArray, PyUntypedArrayMethods, dtype,
+    Element, Ix1, PyArray1, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
+    PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods, dtype,
 };
 use pyo3::prelude::*;
 
@@ -43,6 +43,23 @@ pub(super) fn collect<T>(
         .map_err(|_| Error::Memory(name))?;
     collected.extend(values);
     Ok(collected)
+}
+
+/// An argument to write `length` numbers into, in one piece; a refusal names it.
+pub(super) fn writable<'py>(
+    name: &'static str,
+    argument: &Bound<'py, PyAny>,
+    length: usize,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    shape(name, &[length], array::<f64, Ix1>(name, argument)?.shape())?;
+    let given = argument.cast::<PyArray1<f64>>()?;
+    match given.try_readwrite() {
+        Ok(access) if access.as_slice().is_ok() => Ok(given.clone()),
+        Ok(_) => Err(Error::argument(name, "numbers in one piece", "steps between them").into()),
+        Err(_) => {
+            Err(Error::argument(name, "an array that may be written", "one that may not").into())
+        }
+    }
 }
 
 /// An argument as an array of `T` with as many dimensions as `D`; a refusal names it.

@@ -9,7 +9,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors};
+use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors, writable};
 use super::images::Images;
 use super::model::{array2, array3, matrix};
 use super::surroundings::given as given_transfer;
@@ -154,12 +154,13 @@ impl PyProblem {
         self.problem.coefficients()
     }
 
-    #[pyo3(signature = (x, robust = None))]
+    #[pyo3(signature = (x, robust = None, out = None))]
     fn value_and_grad<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         robust: Option<(String, f64)>,
+        out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>)> {
         let robust = robust.map(of_name).transpose()?;
         let x = self.x(x)?;
@@ -167,9 +168,12 @@ impl PyProblem {
         // numpy's memory, because numpy asks the system for large pages: with a vector of ours the
         // first touch of each small page takes a third of the time at 1024². By numpy's function,
         // which raises MemoryError where `PyArray1::zeros` panics.
-        let gradient = get_array_module(py)?
-            .call_method1("zeros", (self.problem.size(),))?
-            .cast_into::<PyArray1<f64>>()?;
+        let gradient = match out {
+            Some(out) => writable("out", out, self.problem.size())?,
+            None => get_array_module(py)?
+                .call_method1("zeros", (self.problem.size(),))?
+                .cast_into::<PyArray1<f64>>()?,
+        };
         let mut access = gradient.readwrite();
         let values = access.as_slice_mut()?;
         let value = py.detach(|| self.problem.value_and_grad(x, robust, values))?;

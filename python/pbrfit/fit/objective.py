@@ -272,28 +272,50 @@ class Objective:
         x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
         return squares
 
-    def value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
-        """Loss at x and its gradient: (float, (size,) float64). x is not changed.
+    def value_and_grad(
+        self, x: ArrayLike, out: NDArray[np.float64] | None = None
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Loss at x and its gradient: (float, (size,) float64).
+
+        Parameters
+        ----------
+        x
+            The unknowns, (size,). It is not changed, unless it is `out`.
+        out
+            Where the gradient goes, (size,) float64, contiguous; None = a new array. Used again
+            from call to call it saves the time in which the system hands out memory.
 
         Raises
         ------
         InputError
-            If x has another length, is not finite, or leaves its bounds.
+            If x has another length, is not finite, or leaves its bounds; if `out` has another
+            length or type, or cannot be written.
         """
         x = real_array("x", x)
-        data, gradient = self.data_value_and_grad(x)
+        if x is out and self.penalties:
+            x = x.copy()  # penalties read it after the gradient is written
+        data, gradient = self.data_value_and_grad(x, out)
         return data + self.add_penalties(x, gradient), gradient
 
-    def data_value_and_grad(self, x: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+    def data_value_and_grad(
+        self, x: ArrayLike, out: NDArray[np.float64] | None = None
+    ) -> tuple[float, NDArray[np.float64]]:
         """As `value_and_grad`, without the penalties."""
+        if self.layout.light_channels == self.channels:
+            return self.problem.value_and_grad(self.for_core(x), self.robust, out)
         loss, gradient = self.problem.value_and_grad(self.for_core(x), self.robust)
-        if self.layout.light_channels < self.channels:
-            # By the chain rule, derivatives by the light in each channel add up.
-            end = self.layout.maps.stop
-            by_light = gradient[end:].reshape(-1, self.channels).sum(axis=-1)
-            gradient = gradient[: self.size]
-            gradient[end:] = by_light
-        return loss, gradient
+        # By the chain rule, derivatives by the light in each channel add up.
+        end = self.layout.maps.stop
+        by_light = gradient[end:].reshape(-1, self.channels).sum(axis=-1)
+        gradient = gradient[: self.size]
+        gradient[end:] = by_light
+        if out is None:
+            return loss, gradient
+        if not isinstance(out, np.ndarray) or out.dtype != np.float64 or out.shape != (self.size,):
+            found = f"{type(out).__name__} {getattr(out, 'dtype', '')} {np.shape(out)}"
+            raise InputError(f"out: expected float64 of shape ({self.size},), found {found}")
+        out[:] = gradient
+        return loss, out
 
     def add_penalties(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         """Sum of the penalties at x; their gradient is added to `gradient`."""
