@@ -103,6 +103,7 @@ def test_what_is_absent_is_an_error(docs: Path, out: Path) -> None:
     (docs / "race.md").write_text(PAGE.replace("/Times", "/Speeds"), encoding="utf-8")
     with pytest.raises(InputError, match=r"expected a table of race \(Times\), found Speeds"):
         evidence.publish(docs, "race", out)
+    assert not (docs / "evidence").exists()  # nothing is half done
     shutil.rmtree(docs)
     with pytest.raises(InputError, match="expected the documentation's folder, found none"):
         evidence.publish(docs, "race", out)

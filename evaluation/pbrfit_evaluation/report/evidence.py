@@ -87,55 +87,49 @@ def publish(docs: Path, name: str, folder: Path) -> None:
     """
     if not docs.is_dir():
         raise InputError(f"{docs}: expected the documentation's folder, found none")
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    texts = {page: page.read_text(encoding="utf-8") for page in pages(docs)}
+    filled = {page: _filled(page, text, name, summary) for page, text in texts.items()}
     to = docs / FOLDER
     to.mkdir(exist_ok=True)
     shutil.copyfile(folder / "summary.json", to / f"{name}.json")
-    for page in pages(docs):
-        for mention in _MENTION.finditer(page.read_text(encoding="utf-8")):
-            of, _, file = mention["file"].partition("-")
-            while of != name and "-" in file:
-                more, _, file = file.partition("-")
-                of = f"{of}-{more}"
-            if of == name and (folder / file).is_file():
+    for page, text in texts.items():
+        for mention in _MENTION.finditer(text):
+            file = mention["file"].removeprefix(f"{name}-")
+            if file != mention["file"] and (folder / file).is_file():
                 shutil.copyfile(folder / file, to / mention["file"])
-    fill(docs, name)
+        if filled[page] != text:
+            page.write_text(filled[page], encoding="utf-8")
 
 
-def fill(docs: Path, name: str | None = None) -> None:
-    """Write the tables of a summary, or of all, into the pages that show them."""
-    for page in pages(docs):
-        text = page.read_text(encoding="utf-8")
-        filled = _filled(text, docs, page, name)
-        if filled != text:
-            page.write_text(filled, encoding="utf-8")
+def _filled(page: Path, text: str, name: str, summary: Mapping[str, Any]) -> str:
+    """The text of a page with the tables of a summary in it."""
+
+    def replaced(block: re.Match[str]) -> str:
+        if block["name"] != name:
+            return block[0]
+        return block["head"] + shown(page, name, summary, block["title"]) + block["foot"]
+
+    return BLOCK.sub(replaced, text)
 
 
 def differences(docs: Path) -> Iterator[str]:
     """Pages whose tables are not what the summaries say, in a line each."""
     for page in pages(docs):
         for block in BLOCK.finditer(page.read_text(encoding="utf-8")):
-            if block["body"] != shown(docs, page, block["name"], block["title"]):
+            name = block["name"]
+            if block["body"] != shown(page, name, read(docs, name), block["title"]):
                 yield f"{page.name}: {block['name']}/{block['title']} is not as measured"
 
 
-def _filled(text: str, docs: Path, page: Path, name: str | None) -> str:
-    def replaced(block: re.Match[str]) -> str:
-        if name not in (None, block["name"]):
-            return block[0]
-        return block["head"] + shown(docs, page, block["name"], block["title"]) + block["foot"]
-
-    return BLOCK.sub(replaced, text)
-
-
-def shown(docs: Path, page: Path, name: str, title: str) -> str:
+def shown(page: Path, name: str, summary: Mapping[str, Any], title: str) -> str:
     """What stands between the comments: the table, and how it was measured.
 
     Raises
     ------
     InputError
-        If the summary is absent or lacks the table.
+        If the summary lacks the table.
     """
-    summary = read(docs, name)
     found = [table for table in summary["tables"] if table["title"] == title]
     if not found:
         titles = ", ".join(table["title"] for table in summary["tables"])
