@@ -110,7 +110,8 @@ def find(
 
     `modes` are those of the lights where these are held, though not known; `refined`, whether
     normals have been found by these pictures. Where samples are no more than unknowns nothing can
-    be left of them, and they are as uncertain as they can be.
+    be left of them, and they are as uncertain as they can be; copies of a
+    picture count once there.
     """
     pairs = neighbours(objective.layout)
     pixels = (
@@ -128,7 +129,8 @@ def find(
         unknowns += (objective.size - objective.layout.maps.stop) * len(pixels) / objective.pixels
     freedom = max(few.samples - unknowns, least)
     variance = max(float(sum_sq.sum()) / freedom, settings.NOISE_VARIANCE_MIN)
-    if objective.samples <= objective.size:
+    maps, copies = objective.layout.maps.stop, objective.copies
+    if objective.samples / copies <= maps + (objective.size - maps) / copies:
         variance = (settings.MISFIT_SHARE_MAX * settings.MEAN_RADIANCE) ** 2
     shared = _shared(few, part, np.searchsorted(pixels, pairs)) if pairs.size else 0.0
     if modes is None:
