@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pbrfit._core import InputError
+from pbrfit.acquire.photo import LEAST_SIDE
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.generated import figures
 from pbrfit_evaluation.generated.measure import Case, run
@@ -26,10 +27,13 @@ def cases(options: Options) -> list[Case]:
     Raises
     ------
     InputError
-        If there are too few pictures for each kind of damage.
+        If there are too few pictures for each kind of damage, or they are too small for a
+        photograph.
     """
     if options.pictures < 6:
         raise InputError(f"--pictures: expected at least 6, found {options.pictures}")
+    if options.size < LEAST_SIDE:
+        raise InputError(f"--size: expected at least {LEAST_SIDE}, found {options.size}")
     by_cycles = not (options.quick or options.no_cycles or cycles.why_not())
     return [
         Case(
@@ -81,8 +85,8 @@ SUITE = Suite(
     effort={
         "ways": (tuple(BY_KEY), FEW),
         "scenes": (4, 1),
-        "size": (64, 48),
-        "pictures": (13, 9),
+        "size": (64, 64),
+        "pictures": (13, 7),
     },
     quick="a minute: one small room by our renderer",
     about=(

@@ -80,7 +80,8 @@ def ratio(results: Of, name: str, way: str, other: str) -> float:
     both = sorted(one.keys() & two.keys())
     if not both:
         return math.nan
-    return sum(one[seed] for seed in both) / sum(two[seed] for seed in both)
+    sums = [float(sum(of[seed] for seed in both)) for of in (one, two)]
+    return sums[0] / sums[1]
 
 
 def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:

@@ -70,7 +70,6 @@ WAYS = (
     Way("align", "all damage: alignment alone", "repainted", {**BARE, **ALIGN}),
     Way("robust", "all damage: robust weights alone", "repainted", {**BARE, **ROBUST}),
     Way("exposure", "all damage: exposure handling alone", "repainted", {**BARE, **EXPOSURE}),
-    Way("fits", "all damage: all but the review", "repainted", TOGETHER),
     Way("together", "all damage: all together", "repainted", TOGETHER, review=True),
     Way(
         "estimated",
@@ -81,7 +80,6 @@ WAYS = (
         normals="estimated",
     ),
     Way("exact-handled", "exact pictures: all together", "exact", TOGETHER, review=True),
-    Way("toned-handled", "tone curves alone: all together", "toned", TOGETHER, review=True),
     Way("path", "all damage: generate, decompose, export", "repainted", {}, True, path=True),
 )
 
