@@ -9,8 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from blender_card import relief
 from evaluation_tasks import recorded
+from pbrfit import relight
+from pbrfit.export import export_result
 from pbrfit.io.color import encode_srgb
+from pbrfit_evaluation import cycles
+from pbrfit_evaluation.cycles.blender import rendered_export
 from pbrfit_evaluation.generated import figures
 from pbrfit_evaluation.generated.measure import Case, given, reviewed
 from pbrfit_evaluation.generated.stand_ins import (
@@ -134,3 +139,20 @@ def test_too_little_is_refused(
 ) -> None:
     assert run("evaluate", "generated", "--out", tmp_path / "o", option, least - 1) == 2
     assert f"{option}: expected at least {least}" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(bool(cycles.why_not()), reason=str(cycles.why_not()))
+def test_an_export_opened_in_blender_is_lit_from_where_pbrfit_lights_it(tmp_path: Path) -> None:
+    result = relief(48, 48)
+    exported = export_result(result, tmp_path / "out", format="gltf")
+    lights = [tmp_path / "out" / "lights" / of.file for of in exported.panoramas]
+    glb = tmp_path / "out" / "material.glb"
+    found = rendered_export(tmp_path / "job", glb, 48, lights, samples=64)
+    relit = relight(result, result.lighting)
+
+    def off(one: Any, other: Any) -> float:
+        squares = np.square(one - other)[result.mask]
+        return float(np.sqrt(squares.mean()) / other[result.mask].mean())
+
+    for i in range(len(lights)):
+        assert off(found[i], relit[i]) < 0.5 * off(found[i], relit[i - 1])
