@@ -38,6 +38,7 @@ SUITES = {
     "convergence": "error against run time, for every solver, start and peer",
     "everyday": "8 bits, JPEG, clipping, bad pictures and unknown cameras beside clean floats",
     "gap": "the reflection models against full reflection integrals and Cycles",
+    "generated": "what faults of generated pictures cost, from photograph to Blender",
     "lamps": "what lamps as such are worth in rooms, and where they are found",
     "normals": "what wrong normals cost, and how much of it refining wins back",
     "peers": "networks that see one picture, beside our fit of all",

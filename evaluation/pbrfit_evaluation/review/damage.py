@@ -66,15 +66,15 @@ def damaged(
     if kind == "shift":
         angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(*SHIFT)
         whole = np.full(image.shape[:2], unit * length)
-        moved = _moved(image, np.sin(angle) * whole, np.cos(angle) * whole)
-        return moved, {"pixels": length}
+        found = moved(image, np.sin(angle) * whole, np.cos(angle) * whole)
+        return found, {"pixels": length}
     if kind == "warp":
         from scipy.ndimage import gaussian_filter
 
         width, length = unit * rng.uniform(25, 60), rng.uniform(*WARP)
         field = [gaussian_filter(rng.normal(size=image.shape[:2]), width) for _ in range(2)]
         most = np.hypot(*field).max() / (unit * length)
-        return _moved(image, field[0] / most, field[1] / most), {"pixels": length, "width": width}
+        return moved(image, field[0] / most, field[1] / most), {"pixels": length, "width": width}
     for _ in range(_TRIES):
         area = _area(kind, segments, rng)
         found = _repainted(image, area, kind, rng)
@@ -89,7 +89,8 @@ def _shown(image: Array) -> Array:
     return encode_srgb(np.clip(image, 0, 1))
 
 
-def _moved(image: Array, down: Array, right: Array) -> Array:
+def moved(image: Array, down: Array, right: Array) -> Array:
+    """Move a picture (H, W, 3) by fields of pixels (H, W); cubic, its edge repeated."""
     from scipy.ndimage import map_coordinates
 
     row, column = np.mgrid[: image.shape[0], : image.shape[1]]

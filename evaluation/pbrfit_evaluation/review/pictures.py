@@ -67,7 +67,7 @@ def relights(
     else:
         linear, scene = _by_cycles(kind, renderer, seed, rng, size, count, cache, threads)
     assert scene.segments is not None
-    return View(np.stack([_exposed(picture, rng) for picture in linear]), scene.segments)
+    return View(np.stack([exposed(picture, rng) for picture in linear]), scene.segments)
 
 
 def camera(linear: Array) -> NDArray[np.float64]:
@@ -124,7 +124,7 @@ def _equal(pictures: Array) -> Array:
     return np.asarray(pictures / bright[:, None, None, None])
 
 
-def _exposed(picture: Array, rng: np.random.Generator) -> Array:
+def exposed(picture: Array, rng: np.random.Generator) -> Array:
     """As a camera would: 3 % of the pixels above 0.6 to 1.1 of white."""
     bright = np.quantile(picture.mean(axis=-1), 0.97)
     return np.asarray(rng.uniform(0.6, 1.1) / max(float(bright), 1e-9) * picture)

@@ -1,0 +1,66 @@
+"""An export opened in Blender, and rendered under panorama light."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit_evaluation.cycles.process import find_python, run_worker
+
+WORKER = Path(__file__).with_name("opened.py")
+
+TURN = -90.0
+"""Degrees about Z by which docs/export.md tells users to turn the world."""
+
+
+def rendered_export(
+    folder: Path,
+    glb: Path,
+    size: int,
+    panoramas: Sequence[Path],
+    *,
+    samples: int = 256,
+    threads: int = 1,
+    timeout: float = 600.0,
+) -> NDArray[np.float64]:
+    """Pictures (M, size, size, 3), linear Rec.709, of an exported square scene.
+
+    Parameters
+    ----------
+    folder
+        For the files exchanged; made here.
+    glb
+        `material.glb` of an export.
+    size
+        Side of the pictures in pixels.
+    panoramas
+        EXR files of light, as `pbrfit export` writes them.
+    samples, threads, timeout
+        Light paths a pixel, threads of the renderer, seconds until it is stopped.
+
+    Raises
+    ------
+    CyclesNotFoundError
+        If there is no Python with bpy.
+    CyclesError
+        If the renderer fails.
+    """
+    folder.mkdir()
+    job = {
+        "glb": str(glb),
+        "size": size,
+        "threads": threads,
+        "seed": 1,
+        "bounces": dict.fromkeys(("all", "diffuse", "glossy"), 0),
+        "panoramas": [str(path) for path in panoramas],
+        "samples": samples,
+        "turn": TURN,
+    }
+    (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    run_worker(find_python(), folder, timeout, worker=WORKER)
+    pictures = [np.load(folder / f"{number}.npy") for number in range(len(panoramas))]
+    return np.stack(pictures)[..., :3].astype(np.float64)

@@ -1,0 +1,238 @@
+"""One room, damaged to a level and handled in a way: errors of what is found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pbrfit.acquire.review import Reviewer
+from pbrfit.cli import main
+from pbrfit.export.lights import write_lights
+from pbrfit.fit.decompose import decompose
+from pbrfit.io.json_files import read_json
+from pbrfit.io.normal_files import write_normals
+from pbrfit.result import metrics
+from pbrfit.result.relighting import relight
+from pbrfit.result.result import Result
+from pbrfit.result.sheet import displayed, outside_grey
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation import cycles
+from pbrfit_evaluation.cycles.blender import rendered_export
+from pbrfit_evaluation.generated.stand_ins import Array, codes, room, segments_of, stand_ins
+from pbrfit_evaluation.generated.ways import BY_KEY, NORMALS_OFF
+from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.normals.disturbances import disturbed
+from pbrfit_evaluation.panels import packed
+from pbrfit_evaluation.recipes import explain
+from pbrfit_evaluation.review.measure import review
+from pbrfit_evaluation.scores import score
+
+
+@dataclass(frozen=True)
+class Case:
+    """A room and a way. `picture`: whether its maps are kept."""
+
+    way: str
+    seed: int
+    size: int
+    pictures: int
+    by_cycles: bool
+    picture: bool = False
+    cycles_cache: Path | None = field(default=None, repr=False)
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        return f"{self.way}_{self.seed}"
+
+
+def run(case: Case, threads: int) -> Values:
+    """Damage, review, fit, compare.
+
+    Returns
+    -------
+    `scores`; `kept`, of how many pictures the fit was; `honest_refused`, `damaged_kept`, of whole
+    pictures by the review; of a path, `blender` with the error of the relit picture in Blender and
+    of the same by pbrfit; for some, panels.
+    """
+    way = BY_KEY[case.way]
+    truth = room(
+        case.seed, case.size, case.pictures, by_cycles=case.by_cycles, cache=case.cycles_cache
+    )
+    pictures, kinds = stand_ins(truth, way.level, case.seed)
+    found: dict[str, Any] = {}
+    kept = list(range(len(pictures)))
+    scene = truth.scene
+    if way.path:
+        result, names, in_blender = through_files(case, scene, pictures)
+        kept = [int(name) for name in names]
+        found["blender"] = in_blender["errors"]
+    else:
+        if way.review:
+            kept = reviewed(pictures)
+        if way.normals == "estimated":
+            wrong = disturbed(scene, "estimator", NORMALS_OFF, case.seed)
+            scene = replace(scene, normals=wrong)
+        scene = given(scene, pictures[kept], as_files=way.level != "exact")
+        if way.guess:
+            result = explain(scene, "constant", threads=threads)
+        else:
+            result = decompose(scene, threads=threads, uncertainty=False, **way.options)
+        in_blender = {}
+    honest = {i for i, kind in enumerate(kinds) if kind == "honest"}
+    found |= {
+        "scores": score(result, scene, threads).as_json(),
+        "kept": len(kept),
+        "honest_refused": len(honest - set(kept)),
+        "damaged_kept": len(set(kept) - honest),
+    }
+    if case.picture:
+        found["maps"] = packed(maps(result, scene, threads))
+        found["inputs"] = packed(inputs(pictures, kinds))
+        found["kinds"] = kinds
+        if "picture" in in_blender:
+            found["in_blender"] = packed({"Blender": in_blender["picture"]})
+    return found
+
+
+def reviewed(pictures: Array) -> list[int]:
+    """Numbers of the pictures that the review of `pbrfit generate` accepts; 0 is the photograph."""
+    photo, *others = np.clip(pictures, 0, 1)
+    verdicts = review(Reviewer(photo), others)
+    accepted = [
+        i + 1
+        for i, (alone, together) in enumerate(verdicts)
+        if alone.accepted and (together is None or together.accepted)
+    ]
+    return [0, *accepted]
+
+
+def given(scene: Scene, pictures: Array, *, as_files: bool) -> Scene:
+    """The scene of these pictures; of 8-bit files, as `Scene.load` reads them, limits included."""
+    names = tuple(f"{i:02d}" for i in range(len(pictures)))
+    scene = replace(scene, images=pictures, names=names, limits=None)
+    if not as_files:
+        return scene
+    with TemporaryDirectory() as parent:
+        folder = Path(parent) / "scene"
+        replace(scene, truth=None).save(folder)
+        for name, picture in zip(names, pictures, strict=True):
+            (folder / "images" / f"{name}.exr").unlink()
+            Image.fromarray(codes(picture)).save(folder / "images" / f"{name}.png")
+        return replace(Scene.load(folder), truth=scene.truth)
+
+
+def through_files(
+    case: Case, scene: Scene, pictures: Array
+) -> tuple[Result, Sequence[str], dict[str, Any]]:
+    """By commands: from a photograph and a folder of pictures to an export, opened by Blender.
+
+    Normals and segments are files too. Returns the result, away from edges; names of its pictures;
+    errors under the first held-out light in Blender and in pbrfit, and Blender's picture.
+    """
+    assert scene.truth is not None
+    assert scene.truth.relight_images is not None
+    assert scene.truth.relight_lighting is not None
+    with TemporaryDirectory() as parent:
+        at = Path(parent)
+        (at / "pictures").mkdir()
+        for i, picture in enumerate(codes(pictures)):
+            Image.fromarray(picture).save(at / ("photo.png" if i == 0 else f"pictures/{i:02d}.png"))
+        write_normals(at / "normals.exr", everywhere(scene))
+        Image.fromarray(segments_of(scene)).save(at / "segments.png")
+        told = ["--normals", str(at / "normals.exr"), "--segments", str(at / "segments.png")]
+        source = ["--generator", f"folder:{at / 'pictures'}", "--fov", f"{scene.fov:g}"]
+        command("generate", at / "photo.png", "--out", at / "scene", *source, *told)
+        command("decompose", at / "scene", "--out", at / "result", "--threads", 1)
+        command("export", at / "result", "--out", at / "export", "--preset", "blender")
+        report = read_json(at / "scene" / "review.json", "a review")
+        accepted = [one["name"] for one in report["pictures"] if one["accepted"]]
+        result = Result.load(at / "result")
+        light = scene.truth.relight_lighting[:1]
+        valid = scene.valid[..., None]
+        true = np.where(valid, scene.truth.relight_images[:1], np.nan)
+        ours = np.where(valid, relight(result, light, 1), np.nan)
+        errors: dict[str, Any] = {"ours": scaled_error(ours, true), "blender": None}
+        found: dict[str, Any] = {"errors": errors}
+        if not cycles.why_not():
+            (at / "lights").mkdir()
+            held_out = replace(result, lighting=light, pictures=("held out",))
+            [panorama] = write_lights(at / "lights", held_out)
+            glb, lights = at / "export" / "material.glb", [at / "lights" / panorama.file]
+            rendered = rendered_export(at / "job", glb, case.size, lights)
+            shown = np.where(valid, rendered, np.nan)
+            errors["blender"] = scaled_error(shown, true)
+            scaled = metrics.scaled_per_channel(shown, true)
+            found["picture"] = displayed(scaled[0], metrics.white_of(true[0]))
+        return away_from_edges(result, scene), ["00", *accepted], found
+
+
+def command(*words: object) -> None:
+    """Run a command of pbrfit; an exit code above 0 is an error."""
+    code = main([*map(str, words), "--quiet"])
+    if code:
+        raise RuntimeError(f"pbrfit {words[0]}: expected exit code 0, found {code}")
+
+
+def scaled_error(found: Array, true: Array) -> float:
+    """RMSE after the best factor a channel."""
+    return metrics.rmse(metrics.scaled_per_channel(found, true), true)
+
+
+def everywhere(scene: Scene) -> Array:
+    """Normals, outside the mask those of the nearest pixel inside."""
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(~scene.valid, return_distances=False, return_indices=True)
+    found: Array = np.asarray(scene.normals, np.float64)[tuple(nearest)]
+    return found
+
+
+def away_from_edges(result: Result, scene: Scene) -> Result:
+    """With NaN where the truth has none."""
+    valid = scene.valid & result.mask
+    of = result.materials
+    cut = [np.where(valid, plane, np.nan) for plane in (of.roughness, of.metallic)]
+    albedo = np.where(valid[..., None], of.albedo, np.nan)
+    return replace(result, materials=replace(of, albedo=albedo, roughness=cut[0], metallic=cut[1]))
+
+
+# ------------------------------------------------------------------------------------- pictures
+
+
+def maps(result: Result, scene: Scene, threads: int) -> dict[str, NDArray[np.floating[Any]]]:
+    """Maps, and the first held-out picture, beside the true ones; albedo and light scaled."""
+    truth = scene.truth
+    assert truth is not None
+    assert truth.relight_images is not None
+    assert truth.relight_lighting is not None
+    valid = scene.valid[..., None]
+    true = np.where(valid, truth.relight_images[0], np.nan)
+    relit = np.where(valid, relight(result, truth.relight_lighting[:1], threads)[0], np.nan)
+    white = metrics.white_of(true)
+    albedo = metrics.scaled_per_channel(result.materials.albedo, truth.materials.albedo)
+    return {
+        "albedo": displayed(albedo),
+        "roughness": outside_grey(result.materials.roughness),
+        "metallic": outside_grey(result.materials.metallic),
+        "relit": displayed(metrics.scaled_per_channel(relit, true), white),
+        "true albedo": displayed(truth.materials.albedo),
+        "true roughness": outside_grey(truth.materials.roughness),
+        "true metallic": outside_grey(truth.materials.metallic),
+        "true picture": displayed(true, white),
+    }
+
+
+def inputs(pictures: Array, kinds: Sequence[str]) -> dict[str, NDArray[np.floating[Any]]]:
+    """The photograph and the first picture of each kind of damage, as files show them."""
+    first = {"photograph": 0}
+    for i, kind in enumerate(kinds[1:], start=1):
+        first.setdefault("tones alone" if kind == "honest" else kind, i)
+    return {name: codes(pictures[i]) / 255 for name, i in first.items()}

@@ -1,0 +1,158 @@
+"""`pbrfit evaluate generated`: damages are what they say, verdicts can fail, files are written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from blender_card import relief
+from evaluation_tasks import recorded
+from pbrfit import relight
+from pbrfit.export import export_result
+from pbrfit.io.color import encode_srgb
+from pbrfit_evaluation import cycles
+from pbrfit_evaluation.cycles.blender import rendered_export
+from pbrfit_evaluation.generated import figures
+from pbrfit_evaluation.generated.measure import Case, given, reviewed
+from pbrfit_evaluation.generated.stand_ins import (
+    LEVELS,
+    Room,
+    codes,
+    drifted,
+    room,
+    stand_ins,
+    toned,
+)
+from pbrfit_evaluation.generated.ways import BY_KEY, FEW
+from scene_files import run
+
+SEED, SIZE, PICTURES = 8701, 48, 13
+
+
+@pytest.fixture(scope="module")
+def truth() -> Room:
+    return room(SEED, SIZE, PICTURES, by_cycles=False, cache=None)
+
+
+def test_levels_build_upon_each_other(truth: Room) -> None:
+    exact, toned_, drifted_, repainted = (stand_ins(truth, level, SEED) for level in LEVELS)
+    np.testing.assert_array_equal(exact[0], truth.pictures)
+    assert [of[1].count("drift") for of in (exact, toned_, drifted_, repainted)] == [0, 0, 3, 3]
+    assert repainted[1].count("repaint") == 2
+    assert repainted[1].count("another") == 1
+    assert set(toned_[1]) == {"honest"}
+    for before, after in ((toned_, drifted_), (drifted_, repainted)):
+        changed = [bool(np.any(a != b)) for a, b in zip(before[0], after[0], strict=True)]
+        more = [a != b for a, b in zip(before[1], after[1], strict=True)]
+        assert changed == more
+
+
+def test_the_photograph_is_a_file_of_8_bits_and_nothing_else(truth: Room) -> None:
+    photo = stand_ins(truth, "repainted", SEED)[0][0]
+    np.testing.assert_array_equal(codes(photo), codes(truth.pictures[0]))
+
+
+def test_tone_curves_are_monotone_and_alike_in_all_channels() -> None:
+    ramp = np.repeat(np.linspace(0, 2, 500)[:, None, None], 3, axis=2)
+    slopes = []
+    for seed in range(30):
+        found = toned(ramp, np.random.default_rng(seed))
+        assert np.diff(found, axis=0).min() >= 0
+        assert np.ptp(found, axis=2).max() == 0
+        assert found.min() >= 0
+        assert found.max() <= 1
+        slopes.append(encode_srgb(found[100, 0, 0]))
+    assert np.ptp(slopes) > 0.1
+
+
+def test_a_drift_moves_edges_by_as_much_as_it_says() -> None:
+    column = np.arange(96)
+    ramp = np.repeat(np.tile(column[None, :, None] / 96.0, (96, 1, 1)), 3, axis=2)
+    lengths = []
+    for seed in range(20):
+        # A ramp to the right moves by its slope times the way to the right.
+        moved = 96 * (ramp - drifted(ramp, np.random.default_rng(seed)))[8:-8, 8:-8]
+        lengths.append(float(np.abs(moved).max()))
+    assert 1.2 < max(lengths) <= 2.5 + 0.01
+
+
+def test_files_tell_which_samples_are_clipped(truth: Room) -> None:
+    pictures = stand_ins(truth, "toned", SEED)[0]
+    scene = given(truth.scene, pictures, as_files=True)
+    np.testing.assert_allclose(scene.images, pictures, atol=1e-6)
+    assert scene.limits is not None
+    white = codes(pictures)[:, scene.valid] == 255
+    np.testing.assert_array_equal(scene.limits[:, scene.valid][white] > 0, True)
+
+
+def test_the_review_refuses_a_picture_of_another_room(truth: Room) -> None:
+    pictures, kinds = stand_ins(truth, "repainted", SEED)
+    kept = reviewed(pictures)
+    assert kept[0] == 0
+    assert kinds.index("another") not in kept
+
+
+def test_verdicts_hold_and_fail_by_the_ratio_of_means() -> None:
+    def case(way: str, error: float, seed: int) -> tuple[Any, Any]:
+        scores = dict.fromkeys(figures.ERRORS, error)
+        return Case(way, seed, 48, 9, by_cycles=False), {"scores": scores}
+
+    of = recorded(
+        *(case("repainted", 2.0, 1), case("repainted", 4.0, 2), case("together", 1.0, 1)),
+        *(case("together", 5.0, 2), case("constant", 1.0, 1), case("constant", 4.0, 2)),
+        ways=("constant", "repainted", "together"),
+    )
+    found = {verdict.what: verdict for verdict in figures.verdicts(of, ())}
+    assert len(found) == 8
+    held = found["all damage, all together over nothing handled: roughness"]
+    assert held.value == pytest.approx(1.0)
+    assert held.holds
+    failed = found["all damage, all together over the constant guess: roughness"]
+    assert failed.value == pytest.approx(1.2)
+    assert not failed.holds
+
+
+def test_the_suite_runs_and_is_written(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code = run("evaluate", "generated", "--out", out, "--quick", "--jobs", 1)
+    assert code in (0, 1)  # one room may miss a bar
+    summary = json.loads((out / "summary.json").read_text())
+    rows = {row["name"].removesuffix(figures.OURS): row for row in summary["rows"]}
+    for key in FEW:
+        row = rows[BY_KEY[key].words]
+        assert row["scenes"] == 1
+        assert row["status"] == "ok"
+        assert 0 < row["metrics"]["albedo_scaled"] < 1
+    assert rows[BY_KEY["constant"].words]["metrics"]["kept"] == 7
+    assert (out / "maps.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "inputs.png").is_file()
+    assert "nothing handled" in (out / "generated.md").read_text()
+
+
+@pytest.mark.parametrize(("option", "least"), [("--pictures", 6), ("--size", 64)])
+def test_too_little_is_refused(
+    option: str, least: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert run("evaluate", "generated", "--out", tmp_path / "o", option, least - 1) == 2
+    assert f"{option}: expected at least {least}" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(bool(cycles.why_not()), reason=str(cycles.why_not()))
+def test_an_export_opened_in_blender_is_lit_from_where_pbrfit_lights_it(tmp_path: Path) -> None:
+    result = relief(48, 48)
+    exported = export_result(result, tmp_path / "out", format="gltf")
+    lights = [tmp_path / "out" / "lights" / of.file for of in exported.panoramas]
+    glb = tmp_path / "out" / "material.glb"
+    found = rendered_export(tmp_path / "job", glb, 48, lights, samples=64)
+    relit = relight(result, result.lighting)
+
+    def off(one: Any, other: Any) -> float:
+        squares = np.square(one - other)[result.mask]
+        return float(np.sqrt(squares.mean()) / other[result.mask].mean())
+
+    for i in range(len(lights)):
+        assert off(found[i], relit[i]) < 0.5 * off(found[i], relit[i - 1])
