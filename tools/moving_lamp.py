@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import cards
@@ -60,35 +61,65 @@ def main() -> None:
     options = parser.parse_args()
     result = Result.load(options.result)
     scene = Scene.load(options.scene, max_size=max(result.mask.shape))
-    lights = [lamp(2 * math.pi * i / FRAMES) for i in range(FRAMES)]
+    pictures = [scene.images[i] for i in options.pictures]
+    names = [f"one of {len(scene.images)} pictures", "another"]
+    frames = frames_of(result, pictures, names)
+    save(frames, options.out.with_suffix(".webp"))
+    frames[STILL].save(options.out.with_suffix(".png"), optimize=True)
+
+
+def frames_of(
+    result: Result,
+    pictures: Sequence[cards.Pixels],
+    names: Sequence[str],
+    *,
+    count: int = FRAMES,
+    height: int = HEIGHT,
+) -> list[Image.Image]:
+    """A result under a lamp that goes round once, beside two pictures and the maps.
+
+    Parameters
+    ----------
+    pictures
+        (H, W, 3) linear radiance, as large as the maps.
+    names
+        What stands below them.
+    count
+        Of frames.
+    height
+        Of the relit surface, in pixels.
+    """
+    lights = [lamp(2 * math.pi * i / count) for i in range(count)]
     around = np.zeros((16, 3))
     around[0] = FILL * math.sqrt(4 * math.pi)  # of the constant harmonic
     faint = relight(result, around)
     relit = [relight(result, light) + faint for light in lights]
     white = float(np.median([cards.white_of(one) for one in relit]))
-    half = (HEIGHT - cards.GAP - cards.CAPTION) // 2
+    half = (height - cards.GAP - cards.CAPTION) // 2
     maps = dict(cards.maps_of(result, height=half))
     given = [
         cards.shown(cards.radiance(one, cards.white_of(one)), result.mask, height=half)
-        for one in (scene.images[i] for i in options.pictures)
+        for one in pictures
     ]
-    names = [f"one of {len(scene.images)} pictures", "another"]
     grid = [[*zip(names, given, strict=True), ("albedo", maps["albedo"])]]
     grid += [[(name, maps[name]) for name in ("roughness", "metallic", "normals")]]
-    frames = []
-    for light, linear in zip(lights, relit, strict=True):
-        surface = cards.shown(cards.radiance(linear, white), result.mask, height=HEIGHT)
-        frames.append(frame(surface, light, grid))
+    return [
+        frame(cards.shown(cards.radiance(linear, white), result.mask, height=height), light, grid)
+        for light, linear in zip(lights, relit, strict=True)
+    ]
+
+
+def save(frames: Sequence[Image.Image], path: Path, quality: int = 80) -> None:
+    """A loop, as WebP."""
     frames[0].save(
-        options.out.with_suffix(".webp"),
+        path,
         save_all=True,
         append_images=frames[1:],
-        duration=MILLISECONDS,
+        duration=MILLISECONDS * FRAMES // len(frames),
         loop=0,
-        quality=80,
+        quality=quality,
         method=4,
     )
-    frames[STILL].save(options.out.with_suffix(".png"), optimize=True)
 
 
 def lamp(phase: float) -> DirectionalLight:
@@ -106,10 +137,11 @@ def frame(
     wide = grid[0][0][1].width
     columns = len(grid[0])
     width = surface.width + columns * wide + (columns + 2) * cards.GAP
-    canvas = Image.new("RGB", (width, HEIGHT + cards.CAPTION + cards.GAP), cards.GROUND)
+    height = surface.height
+    canvas = Image.new("RGB", (width, height + cards.CAPTION + cards.GAP), cards.GROUND)
     canvas.paste(surface, (cards.GAP, cards.GAP))
     dial(canvas, light)
-    foot = cards.GAP + HEIGHT + cards.CAPTION / 2
+    foot = cards.GAP + height + cards.CAPTION / 2
     cards.write(canvas, "under a lamp of your own", (cards.GAP + surface.width / 2, foot))
     top = cards.GAP
     for row in grid:

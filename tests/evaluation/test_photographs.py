@@ -35,6 +35,7 @@ from pbrfit_evaluation.photographs.explanations import IN_WORDS, KNOWING, OURS, 
 from pbrfit_evaluation.photographs.panels import as_colors, height
 from pbrfit_evaluation.photographs.pictures import Known, Photographs
 from pbrfit_evaluation.real.held_out import picture_scores, relative_error, split
+from pbrfit_evaluation.real.lights import nearest
 from pbrfit_evaluation.real.public_sets import Source
 from pbrfit_evaluation.real.sources import find_sources
 from scene_files import run
@@ -153,7 +154,7 @@ def test_black_pixel_faces_the_viewer() -> None:
 def test_nearest_photograph_is_the_one_of_the_nearest_lamp() -> None:
     photographs = matt()
     images = photographs.scene.images
-    found = explanations.nearest(images[1:], images[0], None, photographs.scene.valid)
+    found = nearest(images[1:], images[0], None, photographs.scene.valid)
     left = [np.ptp(found / images[k], axis=(0, 1)).max() for k in (1, 4, 7)]
     assert int(np.argmin(left)) in (0, 2)
     assert min(left) < 1e-9

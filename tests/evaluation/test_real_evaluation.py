@@ -171,6 +171,10 @@ def test_held_out_pictures_are_not_seen_by_the_fit(scene: Scene) -> None:
         for pictures in (scene.images, changed)
     )
     assert [one.explanation for one in first] == list(EXPLANATIONS)
+    errors = {one.explanation: relative_error(one.scores) for one in first}
+    # A sum of all kept pictures holds each of them.
+    assert 0 < errors["combination"] < errors["nearest"]
+    assert errors["rank-three"] < errors["nearest"]
     for one, other in zip(first, second, strict=True):
         if one.materials is not None and other.materials is not None:
             np.testing.assert_array_equal(one.materials.albedo, other.materials.albedo)

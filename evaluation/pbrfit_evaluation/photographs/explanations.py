@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pbrfit_evaluation.photographs import lambertian, ours
 from pbrfit_evaluation.photographs.pictures import Known, Photographs
 from pbrfit_evaluation.real.held_out import Split, part
-from pbrfit_evaluation.real.lights import best_combination
+from pbrfit_evaluation.real.lights import best_combination, nearest
+from pbrfit_evaluation.real.matt import best_light, unknown_lamps
 
 Array = NDArray[np.float64]
 
@@ -88,14 +89,12 @@ def explain(
         return _known(photographs, which, told)
     if way == "lambert":
         kept = scene.images[list(which.kept)][:, scene.valid].astype(np.float64)
-        basis = lambertian.unknown_lamps(kept)
+        basis = unknown_lamps(kept)
 
         def under_three(chosen: tuple[int, ...]) -> Array:
             return np.stack(
                 [
-                    lambertian.best_light(
-                        basis, scene.images[i], scene.channel_weights(i), scene.valid
-                    )
+                    best_light(basis, scene.images[i], scene.channel_weights(i), scene.valid)
                     for i in chosen
                 ]
             )
@@ -114,19 +113,6 @@ def explain(
     return Explained(np.stack(found))
 
 
-def nearest(
-    others: NDArray[np.floating[Any]],
-    image: NDArray[np.floating[Any]],
-    weights: NDArray[np.floating[Any]] | None,
-    valid: NDArray[np.bool_],
-) -> Array:
-    """(H, W, 3): of other pictures, a factor each and channel, the one with the least error."""
-    of = np.ones(image.shape) if weights is None else weights
-    tried = [best_combination(one[None], image, weights, valid) for one in others]
-    errors = [(of[valid] * (one[valid] - image[valid]) ** 2).sum() for one in tried]
-    return tried[int(np.argmin(errors))]
-
-
 def _known(photographs: Photographs, which: Split, known: Known) -> Explained:
     scene, valid = photographs.scene, photographs.scene.valid
     of = list(which.kept)
@@ -141,7 +127,7 @@ def _known(photographs: Photographs, which: Split, known: Known) -> Explained:
     def under(chosen: Sequence[int]) -> Array:
         return np.stack(
             [
-                lambertian.best_light(
+                best_light(
                     matt.under(known.directions[i])[None],
                     scene.images[i],
                     scene.channel_weights(i),

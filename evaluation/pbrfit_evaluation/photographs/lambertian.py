@@ -4,24 +4,19 @@
 
 With known lamps the pseudo-normal, albedo times normal, of each pixel is the least-squares solution
 of all its samples, those in shadow and those in highlights too (Woodham, "Photometric method for
-determining surface orientation from multiple images", Optical Engineering 19, 1980). With unknown
-ones the samples (pictures × pixels) are a product of lamps and pseudo-normals, the best of rank
-three by singular values, and these are known up to a 3 × 3 matrix (Hayakawa, "Photometric stereo
-under a light source with arbitrary motion", JOSA A 11, 1994). That is enough for another picture:
-its light is a vector of three numbers as well.
+determining surface orientation from multiple images", Optical Engineering 19, 1980). Unknown lamps
+are those of `pbrfit_evaluation.real.matt`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit_evaluation.photographs.pictures import Known
-from pbrfit_evaluation.real.lights import best_combination
 
 Array = NDArray[np.float64]
 
@@ -104,32 +99,3 @@ def _pseudo_normals(grey: Array, weights: Array, lamps: Array) -> Array:
     matrices += 1e-9 * np.trace(lamps.T @ lamps) * np.eye(3)
     sums = np.einsum("np,ni,np->pi", weights, lamps, grey)
     return np.asarray(np.linalg.solve(matrices, sums[..., None])[..., 0])
-
-
-def unknown_lamps(samples: Array) -> Array:
-    """(3, P, 3): three pictures of a matt surface, of which all others are sums.
-
-    `samples` (N, P, 3) all count. The colour of a pixel is its factor of the grey product.
-    """
-    grey = samples.mean(axis=-1)
-    left, values, right = np.linalg.svd(grey, full_matrices=False)
-    pseudo = right[:3]
-    product = (left[:, :3] * values[:3]) @ pseudo
-    squares = (product**2).sum(axis=0)
-    color = np.einsum("np,npc->pc", product, samples) / np.where(squares > 0, squares, 1.0)[:, None]
-    return np.asarray(pseudo[..., None] * color)
-
-
-def best_light(
-    basis: Array,
-    picture: NDArray[np.floating[Any]],
-    weights: NDArray[np.floating[Any]] | None,
-    valid: NDArray[np.bool_],
-) -> Array:
-    """(H, W, 3): the sum of pictures (K, P, 3) nearest to another, a factor each and channel.
-
-    Negative radiance, where the lamp is behind the surface, is 0.
-    """
-    planes = np.full((len(basis), *picture.shape), np.nan)
-    planes[:, valid] = basis
-    return np.asarray(np.maximum(best_combination(planes, picture, weights, valid), 0.0))

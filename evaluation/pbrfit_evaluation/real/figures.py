@@ -13,6 +13,7 @@ from pbrfit.report.html import Cell
 from pbrfit_evaluation.real.held_out import (
     EXPLANATIONS,
     IN_WORDS,
+    OF_KEPT_PICTURES,
     Explanation,
     PictureScore,
     relative_error,
@@ -142,7 +143,7 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
 def _overview(errors: dict[tuple[str, Model], dict[Explanation, float]]) -> Table:
     lines: list[list[Value]] = []
     for (source, model), of in errors.items():
-        least = min(error for name, error in of.items() if name != "combination")
+        least = min(error for name, error in of.items() if name not in OF_KEPT_PICTURES)
         cells = [
             Cell(digits(error), "best" if error == least else "number", error)
             for error in of.values()

@@ -8,6 +8,7 @@ materials (and of the model). Real pictures have no other ground truth to compar
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, get_args
@@ -21,10 +22,21 @@ from pbrfit.model.reflection import Model, render
 from pbrfit.result import metrics
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.real.lights import best_combination, fit_lights
+from pbrfit_evaluation.real.lights import best_combination, fit_lights, nearest
+from pbrfit_evaluation.real.matt import best_light, unknown_lamps
 from pbrfit_evaluation.recipes import explain
 
-Explanation = Literal["default", "plain", "paper", "lambertian", "start", "constant", "combination"]
+Explanation = Literal[
+    "default",
+    "plain",
+    "paper",
+    "lambertian",
+    "start",
+    "constant",
+    "rank-three",
+    "nearest",
+    "combination",
+]
 EXPLANATIONS: tuple[Explanation, ...] = get_args(Explanation)
 
 IN_WORDS: dict[Explanation, str] = {
@@ -34,12 +46,17 @@ IN_WORDS: dict[Explanation, str] = {
     "lambertian": "default's albedo, r = 1, m = 0",
     "start": "our start",
     "constant": "constant guess",
+    "rank-three": "Lambert, rank 3",
+    "nearest": "nearest picture",
     "combination": "sum of kept pictures",
 }
 """The constant guess is the start's mean albedo with r = 0.5 and m = 0."""
 
 FITTED: tuple[Literal["default", "plain", "paper"], ...] = ("default", "plain", "paper")
 """Recipes that are fitted; the others only change what these found or begin with."""
+
+OF_KEPT_PICTURES: tuple[Explanation, ...] = ("rank-three", "nearest", "combination")
+"""Those without materials."""
 
 SHARE = 4
 """One picture in so many is held out."""
@@ -223,14 +240,29 @@ def explain_held_out(
                 rendered,
             )
         )
-    combined = np.stack(
-        [
-            best_combination(kept.images, scene.images[i], scene.channel_weights(i), kept.valid)
-            for i in which.held_out
-        ]
-    )
-    scores = picture_scores(scene, which.held_out, combined)
-    return (*found, Explained("combination", scores, None, 0.0, None, combined))
+    for name, rendered in _of_kept_pictures(kept, scene, which).items():
+        scores = picture_scores(scene, which.held_out, rendered)
+        found.append(Explained(name, scores, None, 0.0, None, rendered))
+    return tuple(found)
+
+
+def _of_kept_pictures(
+    kept: Scene, scene: Scene, which: Split
+) -> dict[Explanation, NDArray[np.float64]]:
+    """(M, H, W, 3): the held-out pictures as the kept ones explain them, without materials."""
+    valid = kept.valid
+    basis = unknown_lamps(kept.images[:, valid].astype(np.float64))
+    ways: dict[Explanation, Callable[..., NDArray[np.float64]]] = {
+        "rank-three": partial(best_light, basis),
+        "nearest": partial(nearest, kept.images),
+        "combination": partial(best_combination, kept.images),
+    }
+    return {
+        name: np.stack(
+            [way(scene.images[i], scene.channel_weights(i), valid) for i in which.held_out]
+        )
+        for name, way in ways.items()
+    }
 
 
 def explained_by(

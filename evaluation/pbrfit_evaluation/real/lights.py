@@ -114,3 +114,16 @@ def _solved(
     unknowns = design.shape[1]
     found, *_ = np.linalg.lstsq(triangle[:, :unknowns], triangle[:, unknowns:], UNDETERMINED)
     return np.asarray(found)
+
+
+def nearest(
+    others: NDArray[np.floating[Any]],
+    image: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]] | None,
+    valid: NDArray[np.bool_],
+) -> Array:
+    """(H, W, 3): of other pictures, a factor each and channel, the one with the least error."""
+    of = np.ones(image.shape) if weights is None else weights
+    tried = [best_combination(one[None], image, weights, valid) for one in others]
+    errors = [(of[valid] * (one[valid] - image[valid]) ** 2).sum() for one in tried]
+    return tried[int(np.argmin(errors))]

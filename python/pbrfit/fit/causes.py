@@ -45,6 +45,7 @@ def with_causes(
     verdicts: Mapping[str, Verdict],
     scene: Scene,
     *,
+    normals: NDArray[np.floating[Any]],
     discrepancy: Discrepancy | None,
     camera: Camera,
     transport: Transport,
@@ -55,11 +56,13 @@ def with_causes(
 ) -> dict[str, Verdict]:
     """Verdicts with cause and remedy, where maps are not usable.
 
-    `lighting` is (N, 16, 3), `lamps` whether the pictures were fitted under lamps, `albedo` (H, W,
+    `normals` (H, W, 3) are those of the result, `lighting` is (N, 16, 3), `lamps` whether the pictures were fitted under lamps, `albedo` (H, W,
     3) the map that was found.
     """
     of_all = list(
-        _causes(scene, discrepancy, camera, transport, None if lamps else lighting, lamps=lamps)
+        _causes(
+            scene, normals, discrepancy, camera, transport, None if lamps else lighting, lamps=lamps
+        )
     )
     found = {}
     for name, verdict in verdicts.items():
@@ -78,6 +81,7 @@ def with_causes(
 
 def _causes(
     scene: Scene,
+    normals: NDArray[np.floating[Any]],
     discrepancy: Discrepancy | None,
     camera: Camera,
     transport: Transport,
@@ -87,7 +91,7 @@ def _causes(
 ) -> Iterator[Cause]:
     """From the worst on; the last always holds."""
     count = len(scene.images)
-    if (scene.normals[scene.valid] == (0.0, 0.0, 1.0)).all():
+    if (normals[scene.valid] == (0.0, 0.0, 1.0)).all():
         yield "all normals face the camera", "normals (pbrfit normals) would help"
     if camera.contradicted:
         yield "the pictures contradict the field of view", "the true field of view would help"

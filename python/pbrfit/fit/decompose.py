@@ -207,6 +207,7 @@ def _result(
         verdicts = with_causes(
             uncertainty.verdicts,
             scene,
+            normals=found.normals,
             discrepancy=found.discrepancy,
             camera=found.camera,
             transport=transport,

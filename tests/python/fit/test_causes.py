@@ -36,6 +36,7 @@ def around(count: int) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 def said(scene: Scene, error: float = 0.2, **facts: Any) -> dict[str, Verdict]:
     given: dict[str, Any] = {
+        "normals": scene.normals,
         "discrepancy": NOISE,
         "camera": Camera(60.0, "given"),
         "transport": Transport(),
@@ -69,6 +70,7 @@ def test_flat_normals_are_named(scene: Scene) -> None:
     normals[..., 2] = 1
     flat = dataclasses.replace(scene, normals=normals)
     assert "face the camera" in said(flat)["metallic"].cause
+    assert "face the camera" not in said(flat, normals=scene.normals)["metallic"].cause  # found
 
 
 def test_light_from_one_side_is_named(scene: Scene) -> None:

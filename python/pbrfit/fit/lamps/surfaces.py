@@ -457,6 +457,7 @@ def deviations(
     """(P, 7) variances with lights held, and with lights as uncertain as `covariance`.
 
     At a bound they are those of the same curvature just inside: to the one side that is left.
+    Infinite where samples tell nothing.
     """
     count = len(pixels)
     none = SurfacePrior(np.zeros((count, 7)), np.zeros((count, 7)))
@@ -479,6 +480,8 @@ def deviations(
         marginal[:, :UNKNOWNS] += np.einsum(
             "pum,mn,pun->pu", moves, covariance, moves, optimize=True
         )
+    for found in (variance, marginal):
+        found[~(found > 0)] = np.inf  # singular but for rounding: the samples tell nothing
     chance = state.metallic
     variance[:, 6] = marginal[:, 6] = chance * (1 - chance)
     return variance, marginal

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pbrfit.fit.lamps.joint import Freedom, JointLamps
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
+from pbrfit.fit.lamps.sample_noise import Noise
+from pbrfit.fit.lamps.surfaces import deviations
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.scene.arrays import AT_LEAST, AT_MOST
@@ -166,3 +169,16 @@ def test_clipped_samples_are_bounds() -> None:
     np.testing.assert_array_equal(brighter[1], np.repeat([[0.0], [0.5], [0.5]], 3, axis=1))
     np.testing.assert_array_equal(darker[1], np.repeat([[-0.5], [0.0], [-0.5]], 3, axis=1))
     assert (brighter[0] == 0).all()
+
+
+def test_matrices_that_rounding_made_indefinite_tell_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pixels, state = example("paper")
+    own = np.tile(np.diag([1.0, 1, 1, 1, 1, -1e-3]), (PIXELS, 1, 1))
+    parts = (None, None, own, np.zeros((PIXELS, 6, 0)), None)
+    monkeypatch.setattr(JointLamps, "system", lambda _: parts)
+    noise, weights = Noise(1.0, 0.0, np.zeros(PICTURES)), np.ones((PIXELS, PICTURES, 3))
+    for found in deviations(pixels, state, noise, weights, Freedom(normals=True), None):
+        assert np.isinf(found[:, 5]).all()
+        np.testing.assert_allclose(found[:, :5], 1)
