@@ -1,12 +1,11 @@
-"""Print the table and draw the figure of docs/export.md that have the Blender extension.
+"""Fill the table and draw the figure of docs/export.md that have the Blender extension.
 
     python tools/extension_in_blender.py [--size 128] [--samples 256]
 
 The room of `pbrfit demo`, rendered and fitted with either model, is exported with the preset
 "blender", imported by the extension as a user does, and rendered by Cycles under recovered lights
 and a sun; how far that is from `pbrfit.relight`. Under the panorama of the test data (PBRFIT_DATA),
-too, if it is there. Needs the environment of `make cycles-env`. Writes
-docs/images/blender-extension.png.
+too, if it is there. Needs the environment of `make cycles-env`.
 """
 
 from __future__ import annotations
@@ -27,11 +26,12 @@ sys.path[:0] = [str(REPOSITORY / "tests" / "support")]
 from blender_extension import Import, imported  # noqa: E402
 from pbrfit import Environment, Result, decompose, relight  # noqa: E402
 from pbrfit.export import export_result  # noqa: E402
-from pbrfit.io import images  # noqa: E402
 from pbrfit.result.differences import blue_to_yellow  # noqa: E402
 from pbrfit.result.relighting import DirectionalLight  # noqa: E402
-from pbrfit.result.sheet import Key, Panel, Row, displayed, sheet  # noqa: E402
+from pbrfit.result.sheet import Key, Panel, Row, as_png, displayed, sheet  # noqa: E402
 from pbrfit.synthetic import make_scene  # noqa: E402
+from pbrfit_evaluation.report import evidence, markdown  # noqa: E402
+from pbrfit_evaluation.suite import Table, Value  # noqa: E402
 
 LIGHTS = (0, 3, 5, 9)
 SUN = DirectionalLight(-50.0, 35.0)
@@ -40,6 +40,7 @@ SPAN = 0.2
 """Difference, relative to the RMS radiance, at the end of the scale of colours."""
 
 Picture = NDArray[np.floating[Any]]
+Line = list[Value]
 
 
 def main() -> None:
@@ -48,25 +49,35 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--samples", type=int, default=256)
     chosen = parser.parse_args()
-    print(f"{'RMSE / RMS radiance':<44}{'all':>8}{'dielectric':>12}{'metal':>8}", flush=True)
     rows: list[Row] = []
+    told: list[Line] = []
     with tempfile.TemporaryDirectory() as folder:
         for model in ("principled", "paper"):
             scene = make_scene("room", size=chosen.size, model=model)
             result = decompose(scene, model=model)
-            rows += compared(Path(folder) / model, result, chosen.samples)
+            drawn, lines = compared(Path(folder) / model, result, chosen.samples)
+            rows += drawn
+            told += lines
     key = Key(
         "|difference| / RMS radiance",
         blue_to_yellow(np.linspace(0, 1, 256)),
         {share / SPAN: f"{share:g}" for share in (0, 0.05, 0.1, 0.15, 0.2)},
     )
-    path = REPOSITORY / "docs" / "images" / "blender-extension.png"
-    images.write_png(path, sheet(rows, keys=[key]), tag="srgb")
-    print(f"figure: {path}")
+    table = Table(["model", "import, light", "all", "dielectrics", "metals"], told)
+    print(markdown(table))
+    command = f"python tools/extension_in_blender.py --size {chosen.size}"
+    evidence.record(
+        REPOSITORY / "docs",
+        "extension",
+        command=f"{command} --samples {chosen.samples}",
+        protocol="pbrfit-extension-1: RMSE over RMS radiance, beside pbrfit.relight",
+        tables={"As imported": table},
+        files={"relit.png": as_png(sheet(rows, keys=[key]))},
+    )
 
 
-def compared(folder: Path, result: Result, samples: int) -> list[Row]:
-    """Print a line a light and geometry; rows of the figure for a light and the sun."""
+def compared(folder: Path, result: Result, samples: int) -> tuple[list[Row], list[Line]]:
+    """Rows of the figure for a light and the sun; a line a light and geometry."""
     folder.mkdir()
     export_result(result, folder / "out", preset="blender")
     of_sun = {"sun": True, "azimuth": SUN.azimuth, "elevation": SUN.elevation}
@@ -84,24 +95,23 @@ def compared(folder: Path, result: Result, samples: int) -> list[Row]:
         runs["facets, light 0, Principled"] = ({"own_law": False}, result.lighting[0])
     imports = [Import(name, options, samples=samples) for name, (options, _) in runs.items()]
     _, pictures = imported(folder / "job", folder / "out", imports, timeout=3600)
-    rows = []
+    rows, lines = [], []
     for name, (_, light) in runs.items():
         ours, theirs = relight(result, light), pictures[name][..., :3]
-        error = tell(f"{result.model}, {name}", ours, theirs, result)
+        errors = apart(ours, theirs, result)
+        lines.append([result.model, name, *errors])
         if name in ("facets, light 0", "facets, sun"):
-            rows.append(row(f"{result.model}, {name.partition(', ')[2]}", ours, theirs, error))
-    return rows
+            rows.append(row(f"{result.model}, {name.partition(', ')[2]}", ours, theirs, errors[0]))
+    return rows, lines
 
 
-def tell(title: str, ours: Picture, theirs: Picture, result: Result) -> float:
-    """Print how far the pictures are apart; return it for all pixels."""
+def apart(ours: Picture, theirs: Picture, result: Result) -> list[float]:
+    """How far the pictures are apart: all pixels, dielectrics, metals."""
     metal = result.metallic > 0.5
-    errors = [
+    return [
         float(np.sqrt(np.mean((theirs - ours)[of] ** 2) / np.mean(ours[of] ** 2)))
         for of in (result.mask, result.mask & ~metal, result.mask & metal)
     ]
-    print(f"{title:<44}{errors[0]:>8.4f}{errors[1]:>12.4f}{errors[2]:>8.4f}", flush=True)
-    return errors[0]
 
 
 def row(title: str, ours: Picture, theirs: Picture, error: float) -> Row:
