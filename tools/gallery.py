@@ -408,7 +408,8 @@ HEAD = """# Gallery
 
 Photographs from public sets, each of one view under several lights. Verdicts are the program's own;
 nobody knows the true maps. What can be measured is whether a result explains pictures that it was
-not fitted to.
+not fitted to. Loops show two pictures as the fit explains them; the photographs stay with their
+sources.
 
 <!-- not live -->
 Each fit has a page with the live viewer, where you move the lamp. These pages are not part of the
