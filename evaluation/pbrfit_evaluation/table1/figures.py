@@ -38,6 +38,12 @@ SOLVERS: dict[Recipe, str] = {
     "constant": "constant guess",
 }
 
+EXACT = 1e-6
+"""RMSE below which a map is as good as the rounding of its pictures lets it be."""
+
+LEAST_SHOWN = 1e-3
+"""RMSE at which the plot's axes begin."""
+
 FACTS = {
     "metal_share": "share of\nmetal pixels",
     "condition": "condition\nof the lights",
@@ -156,7 +162,9 @@ _RECIPE_OF: dict[str, tuple[Recipe, ...]] = {"regularized": ("paper-priors",)}
 
 
 def _shown(value: float | None) -> str:
-    return "–" if value is None or value != value else digits(value)
+    if value is None or value != value:
+        return "–"
+    return "exact" if value < EXACT else digits(value)
 
 
 def _not_the_best(rows: Sequence[Figures]) -> Table:
@@ -189,7 +197,7 @@ def _plot(results: Results[Task], rows: Sequence[Figures]) -> Plot:
     lines = [line for line in zip(_lines(results), rows, strict=True) if line[1].scenes]
     return Plot(
         "table1",
-        "The same as a plot, with intervals.",
+        f"With intervals. What is exact stands at {LEAST_SHOWN:g}.",
         [Panel("dots", _series(lines, m), f"{m} RMSE", log="x") for m in COLUMNS],
         columns=len(COLUMNS),
         share_y="all",
@@ -204,7 +212,7 @@ def _series(
     for look, recipe in enumerate(SOLVERS):
         of = [figure for (_, _, used, _), figure in lines if used == recipe]
         mean, low, high = (
-            [figure.metrics[f"{metric}{end}"] or math.nan for figure in of]
+            [max(figure.metrics[f"{metric}{end}"] or math.nan, LEAST_SHOWN) for figure in of]
             for end in ("", "_low", "_high")
         )
         names = [figure.name for figure in of]
