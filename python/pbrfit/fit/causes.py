@@ -56,8 +56,8 @@ def with_causes(
 ) -> dict[str, Verdict]:
     """Verdicts with cause and remedy, where maps are not usable.
 
-    `normals` (H, W, 3) are those of the result, `lighting` is (N, 16, 3), `lamps` whether the pictures were fitted under lamps, `albedo` (H, W,
-    3) the map that was found.
+    `normals` (H, W, 3) are those of the result, `lighting` is (N, 16, 3), `lamps` whether the
+    pictures were fitted under lamps, `albedo` (H, W, 3) the map that was found.
     """
     of_all = list(
         _causes(
