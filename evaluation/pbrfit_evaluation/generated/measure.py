@@ -84,7 +84,13 @@ def run(case: Case, threads: int) -> Values:
         if way.guess:
             result = explain(scene, "constant", threads=threads)
         else:
-            result = decompose(scene, threads=threads, uncertainty=False, **way.options)
+            result = decompose(
+                scene,
+                refine_normals="auto",  # as a user's own fit has it
+                threads=threads,
+                uncertainty=False,
+                **way.options,
+            )
         in_blender = {}
     honest = {i for i, kind in enumerate(kinds) if kind == "honest"}
     found |= {
