@@ -84,12 +84,14 @@ def run(case: Case, threads: int) -> Values:
         if way.guess:
             result = explain(scene, "constant", threads=threads)
         else:
+            others = dict(way.options)
+            refine_normals = others.pop("refine_normals", "auto")
             result = decompose(
                 scene,
-                refine_normals="auto",  # as a user's own fit has it
+                refine_normals=refine_normals,
                 threads=threads,
                 uncertainty=False,
-                **way.options,
+                **others,
             )
         in_blender = {}
     honest = {i for i, kind in enumerate(kinds) if kind == "honest"}
