@@ -19,8 +19,10 @@ from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import recipes
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE
+from pbrfit_evaluation.recipes import Recipe
+from pbrfit_evaluation.suite import Row
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS, figures
+from pbrfit_evaluation.table1.figures import METRICS, SOLVERS, figures, not_the_best
 from pbrfit_evaluation.table1.measure import Task
 from pbrfit_evaluation.table1.normals import disturbed
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
@@ -239,6 +241,24 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert base["metrics"]["albedo"] == pytest.approx(np.mean(albedo))
     assert base["metrics"]["albedo_low"] <= base["metrics"]["albedo"]
     assert all(math.isfinite(float(scene["relight"])) for scene in scenes)
+
+
+def test_what_has_less_error_than_ours_is_named() -> None:
+    def row(name: str, recipe: Recipe, albedo: float | None, relight: float) -> Row:
+        metrics = {"albedo": albedo, "relight": relight}
+        return Row(name, 3, SOLVERS[recipe], metrics, guess=recipe == "constant")
+
+    rows = [
+        row("shadows", "default", 0.25, 0.4),
+        row("shadows", "paper", 0.3, 0.375),
+        row("shadows", "constant", 0.2, 0.5),
+        row("base", "default", 0.0, 0.0),
+        row("base", "paper", 0.1, math.nan),
+        row("base", "constant", None, 0.0),
+    ]
+    assert list(not_the_best(rows).rows) == [
+        ["shadows", "", "0.250, guess 0.200", "", "", "0.400, recipe 0.375"]
+    ]
 
 
 @pytest.mark.slow

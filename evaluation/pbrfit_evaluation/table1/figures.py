@@ -115,7 +115,7 @@ def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Sectio
     yield Section(
         "Where ours is not the best",
         "Of the setups in which ours is compared.",
-        [_not_the_best(rows)],
+        [not_the_best(rows)],
     )
     yield Section(
         "More of the same results",
@@ -167,21 +167,29 @@ def _shown(value: float | None) -> str:
     return "exact" if value < EXACT else digits(value)
 
 
-def _not_the_best(rows: Sequence[Figures]) -> Table:
-    """Setups and columns in which the recipe or the guess has less error than ours."""
+def not_the_best(rows: Sequence[Figures]) -> Table:
+    """Setups where something has less error than ours: in such a column ours, and the best."""
     lines: list[list[Value]] = []
     for ours in (row for row in rows if row.solver == SOLVERS["default"]):
         others = [row for row in rows if row.name == ours.name and row is not ours]
-        for metric in COLUMNS:
-            mine = ours.metrics.get(metric)
-            known = {row.solver: row.metrics.get(metric) for row in others}
-            better = {name: v for name, v in known.items() if v is not None and v == v}
-            if mine is None or mine != mine or not better:
-                continue
-            name = min(better, key=lambda one: better[one])
-            if better[name] < mine:
-                lines.append([ours.name, metric, mine, name or "", better[name]])
-    return Table(["setup", "column", "ours", "the best", "its error"], lines)
+        cells = [_beaten(metric, ours, others) for metric in COLUMNS]
+        if any(cells):
+            lines.append([ours.name, *cells])
+    return Table(["setup", *COLUMNS], lines)
+
+
+def _beaten(metric: str, ours: Figures, others: Sequence[Figures]) -> str:
+    """Our error and the least of the others, if that is less; else nothing."""
+    mine = ours.metrics.get(metric)
+    known = [
+        (error, row.guess)
+        for row in others
+        if (error := row.metrics.get(metric)) is not None and not math.isnan(error)
+    ]
+    if mine is None or math.isnan(mine) or not known or min(known)[0] >= mine:
+        return ""
+    least, guess = min(known)
+    return f"{digits(mine)}, {'guess' if guess else 'recipe'} {digits(least)}"
 
 
 def _setups(results: Results[Task]) -> Table:
