@@ -9,7 +9,8 @@ table of it between two comments, and a plot of it as a picture in that folder:
 
     ![What it shows](evidence/NAME-PLOT.png)
 
-So no number is copied by hand, and a test fails where page and summary differ.
+`NAME/TITLE | HEADING | HEADING` shows these columns after the first, and no others. So no number
+is copied by hand, and a test fails where page and summary differ.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ FOLDER = "evidence"
 """In the folder of the documentation."""
 
 BLOCK = re.compile(
-    r"(?P<head><!-- evidence: (?P<name>[a-z0-9-]+)/(?P<title>[^\n]+?) -->\n)"
+    r"(?P<head><!-- evidence: (?P<name>[a-z0-9-]+)/(?P<title>[^\n|]+?)"
+    r"(?P<columns>( \| [^\n|]+?)*) -->\n)"
     r"(?P<body>.*?)"
     r"(?P<foot><!-- /evidence -->)",
     re.DOTALL,
@@ -111,7 +113,7 @@ def _filled(page: Path, text: str, name: str, summary: Mapping[str, Any]) -> str
     def replaced(block: re.Match[str]) -> str:
         if block["name"] != name:
             return block[0]
-        return block["head"] + shown(page, name, summary, block["title"]) + block["foot"]
+        return block["head"] + shown(page, summary, block) + block["foot"]
 
     return BLOCK.sub(replaced, text)
 
@@ -122,24 +124,45 @@ def differences(docs: Path) -> Iterator[str]:
         for block in BLOCK.finditer(page.read_text(encoding="utf-8")):
             name = block["name"]
             there = (docs / FOLDER / f"{name}.json").is_file()
-            told = shown(page, name, read(docs, name), block["title"]) if there else ABSENT
+            told = shown(page, read(docs, name), block) if there else ABSENT
             if block["body"] != told:
                 yield f"{page.name}: {block['name']}/{block['title']} is not as measured"
 
 
-def shown(page: Path, name: str, summary: Mapping[str, Any], title: str) -> str:
-    """What stands between the comments: the table, and how it was measured.
+def shown(page: Path, summary: Mapping[str, Any], block: re.Match[str]) -> str:
+    """What stands between the comments of a block: the table, and how it was measured.
 
     Raises
     ------
     InputError
-        If the summary lacks the table.
+        If the summary lacks the table, or the table a column.
     """
+    name, title, columns = block["name"], block["title"], block["columns"]
     found = [table for table in summary["tables"] if table["title"] == title]
     if not found:
         titles = ", ".join(table["title"] for table in summary["tables"])
         raise InputError(f"{page}: expected a table of {name} ({titles}), found {title}")
-    return f"\n{found[0]['markdown']}\n*{provenance(summary)}*\n\n"
+    table = found[0]["markdown"]
+    if columns:
+        try:
+            table = _columns(table, columns.split(" | ")[1:])
+        except InputError as error:
+            raise InputError(f"{page}: {name}/{title}: {error}") from None
+    return f"\n{table}\n*{provenance(summary)}*\n\n"
+
+
+_BORDER = re.compile(r"(?<!\\)\|")
+
+
+def _columns(table: str, headings: Sequence[str]) -> str:
+    """The first column of a Markdown table, and those of the headings."""
+    rows = [_BORDER.split(line)[1:-1] for line in table.splitlines()]
+    known = [heading.strip() for heading in rows[0]]
+    for heading in headings:
+        if heading not in known[1:]:
+            raise InputError(f"expected a column ({', '.join(known[1:])}), found {heading}")
+    kept = [0, *(known.index(heading, 1) for heading in headings)]
+    return "".join("|" + "|".join(row[i] for i in kept) + "|\n" for row in rows)
 
 
 def read(docs: Path, name: str) -> Mapping[str, Any]:
