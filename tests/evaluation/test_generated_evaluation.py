@@ -116,6 +116,7 @@ def test_verdicts_hold_and_fail_by_the_ratio_of_means() -> None:
     assert not failed.holds
 
 
+@pytest.mark.slow
 def test_the_suite_runs_and_is_written(tmp_path: Path) -> None:
     out = tmp_path / "out"
     code = run("evaluate", "generated", "--out", out, "--quick", "--jobs", 1)
