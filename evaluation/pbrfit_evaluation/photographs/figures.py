@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.report.html import Cell, Look
 from pbrfit.result.sheet import Panel as SheetPanel
 from pbrfit.result.sheet import Row as SheetRow
 from pbrfit.result.sheet import as_png, sheet
@@ -31,6 +32,7 @@ from pbrfit_evaluation.suite import (
     Table,
     Value,
     Verdict,
+    digits,
 )
 
 COLUMNS = (
@@ -176,15 +178,36 @@ def csvs(results: Of, _: object) -> dict[str, list[Line]]:
     return {"pictures.csv": lines}
 
 
+def _in_short(rows: Sequence[Row]) -> Table:
+    """Errors of held-out pictures, a line a set and a column a way; the least is bold."""
+    errors = {(row.name, row.solver): row.metrics["relative_rmse"] for row in rows}
+    ways = list(dict.fromkeys(row.solver for row in rows))
+    lines: list[list[Value]] = []
+    for name in dict.fromkeys(row.name for row in rows):
+        of = [errors.get((name, way)) for way in ways]
+        least = min(error for error in of if error is not None)
+        looks: list[Look] = ["best" if error == least else "number" for error in of]
+        shown = ["–" if error is None else digits(error) for error in of]
+        lines.append([name, *map(Cell, shown, looks, of)])
+    return Table(["set", *(way or "" for way in ways)], lines)
+
+
 def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
-    """All figures, a plot, a sheet a source and what the sources are."""
+    """The errors in short, all figures, a plot, a sheet a source and what the sources are."""
+    done = [row for row in rows if row.scenes]
+    if done:
+        yield Section(
+            "In short",
+            "Errors of held-out pictures, RMSE over RMS radiance; 1 is that of black.",
+            [_in_short(done)],
+        )
     yield Section(
         "Held-out photographs",
         "Errors are RMSE over RMS radiance, 1 is that of black; angles are to the true normals, "
         "where these are known. Ways that are told the lamps are told those of held-out pictures, "
         "too, and fit their strength and colour.",
         [Table.of(rows, COLUMNS)],
-        [_plot(rows)] if any(row.scenes for row in rows) else [],
+        [_plot(rows)] if done else [],
     )
     for source in _sources(results):
         drawn = _sheet(results.of(source=source))
