@@ -93,6 +93,21 @@ def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> 
     assert scenes[0][1] == scenes[1][1]
 
 
+def test_normals_that_nobody_knows_spoil_no_others() -> None:
+    scene = make_scene("room", size=32, lights=2, held_out=1, seed=3)
+    assert scene.segments is not None
+    unknown = np.zeros(scene.segments.shape, bool)
+    unknown[::3, ::2] = True
+    normals = np.where(unknown[..., None], np.nan, scene.normals)
+    whole, found = (
+        disturbed(given, scene.views, scene.segments, np.random.default_rng(3))
+        for given in (scene.normals, normals)
+    )
+    np.testing.assert_array_equal(np.isnan(found).all(axis=-1), unknown)
+    assert np.isfinite(whole).all()
+    assert np.median(angles_between(found, whole)[~unknown]) < 2.0
+
+
 @pytest.mark.slow
 def test_recipes_hold_normals_unless_told_and_the_papers_always() -> None:
     scene = make_scene("room", size=8, lights=4, held_out=1, seed=3)

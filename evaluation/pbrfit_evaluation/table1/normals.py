@@ -48,7 +48,7 @@ def disturbed(
     Parameters
     ----------
     normals
-        (H, W, 3) unit vectors in camera space.
+        (H, W, 3) unit vectors in camera space; NaN where nobody knows them, which stays.
     views
         (H, W, 3) unit vectors from the surface to the camera.
     segments
@@ -62,12 +62,16 @@ def disturbed(
     Returns
     -------
     ndarray
-        (H, W, 3) unit vectors that face the camera.
+        (H, W, 3) unit vectors that face the camera, and NaN.
     """
     from scipy.ndimage import gaussian_filter
 
     width = segments.shape[1]
-    blurred = gaussian_filter(normals, strength * BLUR * width, axes=(0, 1), mode="nearest")
+    known = np.isfinite(normals).all(axis=-1, keepdims=True)
+    # Of the known ones alone: of their sum only the direction counts.
+    there = np.where(known, normals, 0.0)
+    blurred = gaussian_filter(there, strength * BLUR * width, axes=(0, 1), mode="nearest")
+    blurred = np.where(known, blurred, np.nan)
     turns = rng.standard_t(OBJECT_FREEDOM, size=(int(segments.max()) + 1, 3))
     turns = np.clip(strength * OBJECT_DEGREES * turns, -LARGEST_TURN, LARGEST_TURN)
     omega = turns[segments]
