@@ -60,3 +60,12 @@ def facing(normals: Floats, views: Floats) -> Array:
 def unit(vectors: Floats) -> Array:
     """Vectors (..., 3) of length 1."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def filled(vectors: Floats, valid: NDArray[np.bool_]) -> Array:
+    """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    found: Array = np.asarray(vectors, dtype=np.float64)[tuple(nearest)]
+    return found

@@ -229,7 +229,7 @@ class Table:
             line: list[Value] = [row.name if first else ""]
             line += [float(row.scenes) if first else ""] if scenes else []
             line += [row.solver or ""] if solvers else []
-            line += [_figure(row, one, alike) for one in shown]
+            line += [figure(row, one, alike) for one in shown]
             line += [Cell("" if row.status == "ok" else row.status, "note")] if status else []
             made.append(line)
             if row.paper and (after is None or after.name != row.name):
@@ -241,7 +241,8 @@ class Table:
         return cls([*head, "status"] if status else head, made, caption)
 
 
-def _figure(row: Row, column: Column, alike: Sequence[Row]) -> Cell | None:
+def figure(row: Row, column: Column, alike: Sequence[Row]) -> Cell | None:
+    """A metric of a row with its interval, bold if it is the best of the rows alike."""
     value = row.metrics.get(column.metric)
     if value is None or value != value:
         return None

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.normal_errors import Array, Floats, facing, smooth, turned
+from pbrfit_evaluation.normal_errors import Array, facing, filled, smooth, turned
 from pbrfit_evaluation.table1 import normals as estimator
 
 Disturbance = Literal["correlated", "biased", "estimator"]
@@ -66,8 +66,8 @@ def disturbed(scene: Scene, kind: Disturbance, degrees: float, seed: int) -> Arr
         return np.asarray(scene.normals, dtype=np.float64)
     # A stream of its own, apart from those of the scene and of the table's estimator.
     rng = np.random.default_rng([seed, 2, DISTURBANCES.index(kind)])
-    valid, views = scene.valid, _filled(scene.views, scene.valid)
-    normals = _filled(scene.normals, valid)
+    valid, views = scene.valid, filled(scene.views, scene.valid)
+    normals = filled(scene.normals, valid)
     match kind:
         case "correlated":
             found = facing(turned(normals, _correlated(valid, degrees, rng)), views)
@@ -107,12 +107,3 @@ def _estimated(scene: Scene, normals: Array, views: Array, degrees: float, seed:
     while above(high) < 0 and high < STRONGEST:
         high *= 2
     return by(float(brentq(above, 0.0, high, xtol=1e-3)))
-
-
-def _filled(vectors: Floats, valid: NDArray[np.bool_]) -> Array:
-    """Vectors (H, W, 3), outside the mask those of the nearest pixel inside."""
-    from scipy.ndimage import distance_transform_edt
-
-    nearest = distance_transform_edt(~valid, return_distances=False, return_indices=True)
-    found: Array = np.asarray(vectors, dtype=np.float64)[tuple(nearest)]
-    return found

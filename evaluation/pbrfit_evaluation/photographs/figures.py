@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.report.html import Cell, Look
 from pbrfit.result.sheet import Panel as SheetPanel
 from pbrfit.result.sheet import Row as SheetRow
 from pbrfit.result.sheet import as_png, sheet
@@ -32,11 +31,13 @@ from pbrfit_evaluation.suite import (
     Table,
     Value,
     Verdict,
-    digits,
+    figure,
 )
 
+HELD_OUT = Column("relative_rmse", "error of\nheld-out pictures", best="low")
+
 COLUMNS = (
-    Column("relative_rmse", "error of\nheld-out pictures", best="low"),
+    HELD_OUT,
     Column("kept_relative_rmse", "error of\nkept pictures"),
     Column("psnr", "PSNR, dB", best="high"),
     Column("ssim", "SSIM", best="high"),
@@ -180,15 +181,13 @@ def csvs(results: Of, _: object) -> dict[str, list[Line]]:
 
 def _in_short(rows: Sequence[Row]) -> Table:
     """Errors of held-out pictures, a line a set and a column a way; the least is bold."""
-    errors = {(row.name, row.solver): row.metrics["relative_rmse"] for row in rows}
     ways = list(dict.fromkeys(row.solver for row in rows))
     lines: list[list[Value]] = []
     for name in dict.fromkeys(row.name for row in rows):
-        of = [errors.get((name, way)) for way in ways]
-        least = min(error for error in of if error is not None)
-        looks: list[Look] = ["best" if error == least else "number" for error in of]
-        shown = ["–" if error is None else digits(error) for error in of]
-        lines.append([name, *map(Cell, shown, looks, of)])
+        of = {row.solver: row for row in rows if row.name == name}
+        alike = [row for row in of.values() if not row.guess]
+        cells = [figure(of[way], HELD_OUT, alike) if way in of else None for way in ways]
+        lines.append([name, *cells])
     return Table(["set", *(way or "" for way in ways)], lines)
 
 

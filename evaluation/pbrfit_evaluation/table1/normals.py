@@ -25,7 +25,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.normal_errors import Array, Floats, facing, smooth, turned, unit
+from pbrfit_evaluation.normal_errors import Array, Floats, facing, filled, smooth, turned, unit
 
 BLUR = 0.025
 OBJECT_DEGREES, OBJECT_FREEDOM, LARGEST_TURN = 2.0, 2.0, 60.0
@@ -48,7 +48,7 @@ def disturbed(
     Parameters
     ----------
     normals
-        (H, W, 3) unit vectors in camera space; NaN where nobody knows them, which stays.
+        (H, W, 3) unit vectors in camera space.
     views
         (H, W, 3) unit vectors from the surface to the camera.
     segments
@@ -62,16 +62,12 @@ def disturbed(
     Returns
     -------
     ndarray
-        (H, W, 3) unit vectors that face the camera, and NaN.
+        (H, W, 3) unit vectors that face the camera.
     """
     from scipy.ndimage import gaussian_filter
 
     width = segments.shape[1]
-    known = np.isfinite(normals).all(axis=-1, keepdims=True)
-    # Of the known ones alone: of their sum only the direction counts.
-    there = np.where(known, normals, 0.0)
-    blurred = gaussian_filter(there, strength * BLUR * width, axes=(0, 1), mode="nearest")
-    blurred = np.where(known, blurred, np.nan)
+    blurred = gaussian_filter(normals, strength * BLUR * width, axes=(0, 1), mode="nearest")
     turns = rng.standard_t(OBJECT_FREEDOM, size=(int(segments.max()) + 1, 3))
     turns = np.clip(strength * OBJECT_DEGREES * turns, -LARGEST_TURN, LARGEST_TURN)
     omega = turns[segments]
@@ -82,8 +78,14 @@ def disturbed(
 
 
 def estimated(scene: Scene, seed: int) -> Array:
-    """Normals of a synthetic scene as an estimator would give them, by the scene's seed."""
+    """Normals of a synthetic scene as an estimator would give them, by the scene's seed.
+
+    NaN outside the mask.
+    """
     assert scene.segments is not None
     # A stream of its own, apart from those of the scene.
     rng = np.random.default_rng([seed, 1])
-    return disturbed(scene.normals, scene.views, scene.segments, rng)
+    valid = scene.valid
+    normals, views = (filled(vectors, valid) for vectors in (scene.normals, scene.views))
+    found = disturbed(normals, views, scene.segments, rng)
+    return np.where(valid[..., None], found, np.nan)
