@@ -39,11 +39,10 @@ NOTEBOOKS := $(wildcard docs/notebooks/*.ipynb)
 # of gallery: the folder of the public sets
 DATA ?= $(PBRFIT_DATA)
 # of evidence
-SUITES ?= table1 convergence solvers ablation normals uncertainty everyday transport lamps photographs real review gap stability peers
+SUITES ?= table1 convergence solvers ablation normals uncertainty everyday transport lamps heldout review gap stability peers
 OF_table1 = --textures $(DATA)
 OF_convergence = --real $(DATA)/visiont3lab_shrek
-OF_photographs = $(DATA)
-OF_real = $(DATA)
+OF_heldout = $(DATA)
 # of bench-peers: what `python -m peers --help` lists
 PEERS_OPTIONS ?=
 FUZZ_CASES ?= 100000

@@ -5,7 +5,7 @@
 turns public sets of pictures into scene folders (docs/formats.md) and gives them to the public
 command, `pbrfit decompose`. DATA is the folder of one set, or a folder that holds several:
 `bunny_ps`, `visiont3lab_shrek`, ... What comes out, and what to think of it:
-docs/real-pictures.md.
+docs/heldout.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from pathlib import Path
 
 from pbrfit import InputError
 from pbrfit.io.output import new_folder
-from pbrfit_evaluation.real.sources import SETS, PublicSet, absent, find_sources, write_scene
+from pbrfit_evaluation.heldout.public_sets import SETS, PublicSet
+from pbrfit_evaluation.heldout.sources import absent, find_sources, write_scene
 
 
 def main() -> int:

@@ -4,7 +4,7 @@
     make gallery DATA=...                              # the same, in the site's environment
 
 DATA holds scene folders, as tools/gallery_sets.py writes them, and public sets
-(docs/real-pictures.md). Of each set some pictures are held out; the others are fitted, and the
+(docs/heldout.md). Of each set some pictures are held out; the others are fitted, and the
 light of the held-out ones is fitted to the result. Reports and all pictures go to out/gallery, from
 where `make site` takes them. Loops of sets whose licence is that of this project also go to
 docs/images/gallery. Fits that are there already, with the same options and version, are kept.
@@ -25,24 +25,16 @@ from pathlib import Path
 
 import moving_lamp
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit import Result, Scene
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.output import new_folder
-from pbrfit.model.lamps import Lamps
 from pbrfit.result.relighting import rendered_picture
 from pbrfit.scene.folder import find_pictures
-from pbrfit_evaluation.photographs import ours
-from pbrfit_evaluation.photographs.explanations import Way, explain
-from pbrfit_evaluation.photographs.pictures import Known, Photographs
-from pbrfit_evaluation.real.held_out import (
-    Split,
-    explained_by,
-    picture_scores,
-    relative_error,
-)
-from pbrfit_evaluation.real.sources import CODE_RANGE, find_sources, write_scene
+from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
+from pbrfit_evaluation.heldout.light import explained_by, relative_error
+from pbrfit_evaluation.heldout.measure import Split, judged_at
+from pbrfit_evaluation.heldout.sources import find_sources, write_scene
 from pbrfit_evaluation.report import evidence
 from pbrfit_evaluation.suite import Row, Table, Value, digits
 
@@ -345,47 +337,26 @@ def pbrfit(*arguments: object) -> None:
 def score(whole: Path, which: Split, result: Result) -> dict[str, float]:
     """Errors of the held-out pictures over their RMS, all together: ours and those beside it."""
     height, width = result.mask.shape
-    scene = Scene.load(whole, fov=result.fov, max_size=max(height, width), code_range=CODE_RANGE)
-    known = _known(scene.lamps)
-    photographs = Photographs(scene, known, None)
-
-    def of_held_out(rendered: NDArray[np.float64]) -> float:
-        return relative_error(picture_scores(scene, which.held_out, rendered, looks=False))
-
-    if result.lamps is None:
-        explained = explained_by(
-            result.materials, scene, which.held_out, model=result.model, normals=result.normals
-        )
-    else:
-        explained = np.stack(
-            [
-                ours.relit(
-                    result,
-                    scene.images[i],
-                    scene.channel_weights(i),
-                    None if known is None else known.directions[i],
-                    0,
-                )
-                for i in which.held_out
-            ]
-        )
-    ways: tuple[Way, ...] = ("nearest", "lambert", *(("lambert-known",) if known else ()))
+    scene = Scene.load(whole, fov=result.fov, max_size=max(height, width))
+    scene = judged_at(scene, scene.valid)
+    lamps = None if scene.lamps is None else scene.lamps.places
+    ways: tuple[Baseline, ...] = (
+        "nearest",
+        "lambert",
+        *(("lambert-known",) if lamps is not None else ()),
+    )
     errors = {
-        way: of_held_out(explain(way, photographs, which, iterations=1, threads=0).held_out)
+        way: relative_error(explained_by_kept(way, scene, which.kept, which.held_out, lamps)[0])
         for way in ways
     }
     return {
         "kept": len(which.kept),
         "held_out": len(which.held_out),
-        "known_lamps": float(known is not None),
-        "ours": of_held_out(explained),
+        "known_lamps": float(lamps is not None),
+        "ours": relative_error(explained_by(result, scene, which.held_out)),
         "nearest": errors["nearest"],
         "lambert": min(error for way, error in errors.items() if way != "nearest"),
     }
-
-
-def _known(lamps: Lamps | None) -> Known | None:
-    return None if lamps is None else Known(lamps.places, None)
 
 
 def loop(entry: Entry, which: Split, result: Result) -> None:
@@ -470,8 +441,8 @@ def write_page() -> None:
         ROOT / "docs",
         "gallery",
         command="python tools/gallery.py DATA --page",
-        protocol="pbrfit-gallery-1: some pictures of each set fitted; of the others the light "
-        "alone, RMSE over their RMS, linear, clipped samples left out",
+        protocol="pbrfit-gallery-2: some pictures of each set fitted; of the others the light "
+        "alone, RMSE over their RMS, in values of their files, clipped samples left out",
         tables={
             "Held out": table(shown),
             "Without pictures here": table([entry for entry in there if not entry.shown]),

@@ -127,6 +127,8 @@ class Row:
         "ok", "not held", or why the line was not run.
     guess
         Whether nothing was fitted, so that no figure is marked as the best; not in summary.json.
+    private
+        Whether documentation leaves out rows of this name, and lines of tables that begin with it.
     """
 
     name: str
@@ -136,6 +138,7 @@ class Row:
     paper: Mapping[str, float] | None = None
     status: str = "ok"
     guess: bool = False
+    private: bool = False
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 from pbrfit._core import InputError
-from pbrfit_evaluation.report import evidence
-from pbrfit_evaluation.suite import Table
+from pbrfit_evaluation.report import evidence, markdown
+from pbrfit_evaluation.report.summary import write_summary
+from pbrfit_evaluation.suite import Row, Table
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -84,7 +85,7 @@ def test_a_page_shows_the_columns_it_names(docs: Path) -> None:
     text = page.read_text("utf-8")
     assert "| 1.50 | 3.50 |" in text
     assert r"| a\|b | 1.50 |" in text
-    assert "2.50" not in text
+    assert "| 2.50 |" not in text
     assert list(evidence.differences(docs)) == []
     page.write_text(text.replace("Times | s", "Times | h"), encoding="utf-8")
     with pytest.raises(InputError, match=r"race/Times: expected a column \(s, s, MiB\), found h"):
@@ -97,6 +98,26 @@ def test_a_benchmark_records_its_tables(docs: Path) -> None:
     evidence.record(docs, "race", command="make race", protocol="p", tables=tables, files=files)
     assert "| 4.50 |\n\n*`make race`, " in (docs / "race.md").read_text("utf-8")
     assert (docs / "evidence" / "race-curve.png").read_bytes() == b"curve"
+
+
+def test_private_rows_stay_out(docs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    rows = [Row("secret", 1, None, {"x": 1.0}, private=True), Row("open", 1, None, {"x": 2.0})]
+    table = markdown(
+        Table(
+            ["set", "ms"],
+            [["secret", 3.25], ["secret-2", 0.25], ["open", 4.5], ["mean of 2", 3.75]],
+        )
+    )
+    write_summary(out, "p", rows, command="race", tables={"Times": table})
+    assert json.loads((out / "summary.json").read_text("utf-8"))["private"] == ["secret"]
+    evidence.publish(docs, "race", out)
+    page, kept = ((docs / name).read_text("utf-8") for name in ("race.md", "evidence/race.json"))
+    assert "secret" not in page + kept
+    assert "| open | 4.50 |\n| mean of 2 | 3.75 |" in page
+    assert [row["name"] for row in json.loads(kept)["rows"]] == ["open"]
+    assert list(evidence.differences(docs)) == []
 
 
 def test_a_number_changed_by_hand_is_told(docs: Path, out: Path) -> None:

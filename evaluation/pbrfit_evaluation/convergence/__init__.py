@@ -15,9 +15,9 @@ from pbrfit_evaluation.convergence import figures
 from pbrfit_evaluation.convergence.cases import CASES, Case, chosen, trial, true_lighting
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Task
+from pbrfit_evaluation.heldout.sources import find_sources
 from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import count, option
-from pbrfit_evaluation.real.sources import find_sources
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 FIRST_SEED = 100

@@ -19,8 +19,8 @@ from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit.synthetic.lights import SHARP, even_directions, zonal
 from pbrfit_evaluation.convergence.measure import held_out_errors, measure
-from pbrfit_evaluation.real.held_out import part, split
-from pbrfit_evaluation.real.sources import find_sources, load
+from pbrfit_evaluation.heldout.measure import split
+from pbrfit_evaluation.heldout.sources import find_sources, opened
 from pbrfit_evaluation.recipes import OTHER
 from pbrfit_evaluation.suite import Options
 
@@ -152,10 +152,10 @@ def trial(case: Case, seed: int, threads: int = 0) -> tuple[Scene, Errors]:
         fitted = replace(scene, model=case.model)
         return fitted, partial(measure, fitted, threads=threads)
     [source] = find_sources(case.folder)
-    whole = load(source, case.size)
-    which = split(len(whole.images), fold=seed % 2)
-    kept = part(whole, which.kept)
-    errors = partial(held_out_errors, whole, which, model=case.model, threads=threads)
+    whole = opened(source, case.size).scene
+    which = split(len(whole.images), len(whole.images) // 4, folds=2, fold=seed % 2)
+    kept = whole.of_pictures(which.kept)
+    errors = partial(held_out_errors, whole, which, model=case.model)
     return kept, errors
 
 

@@ -16,7 +16,8 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, render
 from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.real.held_out import Split, explained_by, picture_scores, relative_error
+from pbrfit_evaluation.heldout.light import harmonics, target
+from pbrfit_evaluation.heldout.measure import Split
 
 Array = NDArray[np.float64]
 
@@ -84,19 +85,27 @@ def measure(
 
 
 def held_out_errors(
-    scene: Scene, which: Split, materials: Materials, _: Array, *, model: Model, threads: int = 0
+    scene: Scene, which: Split, materials: Materials, _: Array, *, model: Model
 ) -> dict[str, float]:
     """Relative RMSE of real pictures that were fitted, and of those that were held out.
 
-    The light of each is fitted to the materials, so that both mean the same; see `real.held_out`.
+    In radiance. The light of each is fitted to the materials, so that both mean the same.
     """
     found = Materials(
         *(np.clip(m, 0, 1) for m in (materials.albedo, materials.roughness, materials.metallic))
     )
 
+    valid = scene.valid
+    lit = harmonics(found, np.asarray(scene.normals, np.float64), scene.fov, valid, model)
+
     def error(pictures: tuple[int, ...]) -> float:
-        rendered = explained_by(found, scene, pictures, threads, model=model)
-        return relative_error(picture_scores(scene, pictures, rendered, looks=False))
+        signal = left = 0.0
+        for i in pictures:
+            of = target(scene, i, valid, None)
+            signal += float((of.weights * of.radiance**2).sum())
+            residual = lit(of.radiance, of.weights) - of.radiance
+            left += float((of.weights * residual**2).sum())
+        return math.sqrt(left / signal) if signal > 0 else math.nan
 
     unknown: dict[str, float] = dict.fromkeys(map(str, QUANTITIES), math.nan)
     return {**unknown, "recon": error(which.kept), "held_out": error(which.held_out)}

@@ -92,12 +92,13 @@ def publish(docs: Path, name: str, folder: Path) -> None:
     """
     if not docs.is_dir():
         raise InputError(f"{docs}: expected the documentation's folder, found none")
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    summary = _public(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
     texts = {page: page.read_text(encoding="utf-8") for page in pages(docs)}
     filled = {page: _filled(page, text, name, summary) for page, text in texts.items()}
     to = docs / FOLDER
     to.mkdir(exist_ok=True)
-    shutil.copyfile(folder / "summary.json", to / f"{name}.json")
+    content = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+    (to / f"{name}.json").write_text(content + "\n", encoding="utf-8")
     for page, text in texts.items():
         for mention in _MENTION.finditer(text):
             file = mention["file"].removeprefix(f"{name}-")
@@ -105,6 +106,23 @@ def publish(docs: Path, name: str, folder: Path) -> None:
                 shutil.copyfile(folder / file, to / mention["file"])
         if filled[page] != text:
             page.write_text(filled[page], encoding="utf-8")
+
+
+def _public(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """The summary without private rows, and without lines of tables that are of these or a case."""
+    private = summary.get("private", ())
+
+    def told(line: str) -> bool:
+        first = _BORDER.split(line)[1].strip()
+        return first not in private and not any(first.startswith(f"{of}-") for of in private)
+
+    tables = [
+        {**table, "markdown": "".join(filter(told, table["markdown"].splitlines(keepends=True)))}
+        for table in summary["tables"]
+    ]
+    rows = [row for row in summary["rows"] if row["name"] not in private]
+    rest = {key: value for key, value in summary.items() if key != "private"}
+    return {**rest, "rows": rows, "tables": tables}
 
 
 def _filled(page: Path, text: str, name: str, summary: Mapping[str, Any]) -> str:

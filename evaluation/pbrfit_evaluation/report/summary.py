@@ -61,6 +61,8 @@ def write_summary(
         ],
         "tables": [{"title": title, "markdown": text} for title, text in tables.items()],
     }
+    private = sorted({row.name for row in rows if row.private})
+    content |= {"private": private} if private else {}
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
 

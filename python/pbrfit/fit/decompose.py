@@ -49,7 +49,7 @@ from pbrfit.threads import in_pieces
 from pbrfit.transport.decision import Transport
 
 if TYPE_CHECKING:
-    from pbrfit.fit.lamps.dispatch import Decided
+    from pbrfit.fit.compare import Choice
 
 __all__ = ["Progress", "decompose"]
 
@@ -118,13 +118,17 @@ def decompose(
     # loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
     address_space.reserve_blas()
-    from pbrfit.fit.lamps.dispatch import fit_if_lit
+    from pbrfit.fit import compare
+    from pbrfit.fit.lamps.estimator import check_light, fit_lamps
+    from pbrfit.fit.lamps.shape import first_shape, height_of
 
     began = time.perf_counter()
     if options.align == "auto":
         scene = aligned(scene)
     refining = options.refine_normals != "off"
     hindered = hindrance(scene) if refining else None
+    if not scene.normals_known and options.refine_normals == "auto":
+        hindered = "they are from the pictures already"
     if hindered and options.refine_normals == "on":
         log.warning("normals are not refined: %s", hindered)
     white = options.white
@@ -140,11 +144,29 @@ def decompose(
         began=began,
         normals_hindrance=hindered,
     )
-    decided = fit_if_lit(scene, setup)
-    if decided.found is not None:
-        return _result(scene, setup, decided.found, model, options, decided)
-    by_pictures = not scene.normals_known
-    scene = decided.scene
+    check_light(scene, setup)
+    chosen = compare.choose(scene, setup)
+    how = chosen.explanation
+    if how.response is not None:
+        scene = scene.decoded_by(how.response)
+    priors = replace(setup.options.priors, material=how.material)
+    setup = replace(
+        setup, options=replace(setup.options, priors=priors, robust=how.robust)
+    )
+    start_shape = None
+    if not scene.normals_known:
+        start_shape = first_shape(scene, None if chosen.found is None else chosen.found.lamps)
+        for said in start_shape.undetermined:
+            log.warning("normals: %s", said)
+    if how.light == "lamps":
+        found = fit_lamps(scene, setup, start_shape, chosen.found)
+        if start_shape is not None:
+            found = replace(found, height=height_of(found.normals, scene))
+            scene = replace(scene, normals=found.normals, normals_known=True)
+        return _result(scene, setup, found, options, chosen)
+    by_pictures = start_shape is not None
+    if start_shape is not None:
+        scene = replace(scene, normals=start_shape.normals, normals_known=True)
     layout = setup.layout(scene)
     transfer = memory.TransferMemory.of(
         layout, model, options.transport, depth=scene.depth is not None
@@ -165,19 +187,18 @@ def decompose(
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)
     if by_pictures:
         found = replace(found, refinement=found.refinement.of_normals_from_pictures())
-    return _result(scene, setup, found, model, options, decided)
+    return _result(scene, setup, found, options, chosen)
 
 
 def _result(
     scene: Scene,
     setup: FitSetup,
     found: FitOutput,
-    model: Model,
     options: FitOptions,
-    decided: Decided,
+    chosen: Choice,
 ) -> Result:
     """What a fit hands over, with final errors and what is to be said."""
-    threads = setup.threads
+    threads, model = setup.threads, setup.model
     layout = setup.layout(scene)
     plan = FitPlan.of(
         scene,
@@ -201,7 +222,7 @@ def _result(
     if not transport.blocks:
         left_out = (*left_out, f"surroundings: {transport.why}")
     if found.lamps is None:
-        left_out = (*left_out, f"lamps: {decided.why}")
+        left_out = (*left_out, "lamps: light from all around explains the pictures")
     uncertainty = found.uncertainty
     if uncertainty is not None:
         verdicts = with_causes(
@@ -232,14 +253,15 @@ def _result(
         seconds=found.seconds,
         metrics=_metrics(scene, found, model, threads),
         options=options,
-        assumed=_assumed(scene, found, options.model, decided),
+        assumed=_assumed(scene, found, options.model, chosen),
         left_out=left_out,
         inputs=dict(scene.inputs),
         source=scene.source,
         stages=found.stages,
         uncertainty=uncertainty,
         refinement=refinement,
-        camera=found.camera,
+        camera=replace(found.camera, response=scene.response),
+        held_out=chosen.held_out,
         given_normals=given if refinement.refined else None,
         depth=scene.depth,
         transport=transport,
@@ -358,7 +380,7 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     return found
 
 
-def _assumed(scene: Scene, fit: FitOutput, model: Model | None, decided: Decided) -> dict[str, str]:
+def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) -> dict[str, str]:
     assumed = dict(scene.assumed)
     camera = fit.camera
     if camera.how == "fitted":
@@ -386,7 +408,9 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, decided: Decided
         assumed["surroundings"] = f"none: {surrounded.transport.why}"
     assumed["scale"] = fit.scale
     if fit.lamps is not None:
-        assumed["light"] = f"lamps: {decided.why}"
+        assumed["light"] = "lamps"
+    if chosen.held_out is not None:
+        assumed["explanation"] = chosen.held_out.decision()
     if fit.exposures is not None:
         assumed["exposures"] = exposure.in_words(fit.exposures)
     return assumed

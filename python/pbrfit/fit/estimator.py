@@ -28,14 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import discrepancy, lbfgsb, misfit, scale, settings
-from pbrfit.fit.camera import doubt_camera
 from pbrfit.fit.coarse import Lights, Watch, judged, reweighted, rounds
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
-from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, VIGNETTING, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, retry_outliers
 from pbrfit.fit.plan import FitPlan
@@ -74,7 +73,7 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
     start, rows, loss = x, len(run.rows), run.rows[-1].loss
     with one_blas_thread():
         if lights is None:
-            lights, _ = doubt_camera(run, x, find_lights(run, x))
+            lights = find_lights(run, x)
         x = lights.x
         noise = lights.noise if run.shared_state is None else run.shared_state.noise
         run.noise = noise
@@ -155,9 +154,12 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
         among = objective.transfer is not None
-        unknown = [FIELD_OF_VIEW]
-        if run.camera.how != "assumed" or dielectric or among:
-            unknown = []
+        unknown: list[Nuisance] = []
+        if not (dielectric or among):
+            if run.camera.how == "assumed":
+                unknown.append(FIELD_OF_VIEW)
+            if run.options.response == "fit" and run.scene.correction is None:
+                unknown += [*RESPONSE, *VIGNETTING]
         if known and not unknown:
             return judged(objective, x, level, run)
         x = x.copy()

@@ -293,6 +293,44 @@ CG_GAIN_SHARE = 0.1
 is left to gain."""
 
 
+# --- Comparison of explanations ---------------------------------------------------------------
+
+COMPARE_PIXELS = 500
+"""Pixels that explanations are compared at: spread over a picture their residuals are about
+independent, and a mean square of so many is known to 6 %."""
+
+COMPARE_SIDE = 64
+"""Longer side in pixels of the averaged pictures that tell the shape where no normals are given."""
+
+COMPARE_PIXELS_MIN = 32
+"""Pixels from which on pictures are compared: fewer leave the 48 numbers of a light free."""
+
+COMPARE_KEPT_MIN = 3
+"""Pictures that have to be left to fit where these tell the shape: three tell a normal."""
+
+COMPARE_SHARE = 4
+"""One picture in so many is left out."""
+
+COMPARE_PICTURES_MIN = 3
+"""Left-out pictures altogether, in as many folds as that takes: they are not all alike."""
+
+COMPARE_PATCHES = 8
+"""Patches along the longer side of a picture, whose means tell how sure a score is: an eighth is
+larger than most shadows and highlights."""
+
+COMPARE_ERRORS_MIN = 2.0
+"""Standard errors of a difference of scores from which on it counts: two, as is usual."""
+
+COMPARE_LIGHT_STEPS = 3
+"""Gauss-Newton steps of a left-out picture's light, in the files' values."""
+
+COMPARE_DARKEST = 1e-3
+"""Radiance, of white, below which the slope of a tone curve counts as it is there."""
+
+COMPARE_LAMP_ROUNDS = 4
+"""Rounds of a compared fit under lamps; that of all pixels goes on after them."""
+
+
 # --- Lamps ------------------------------------------------------------------------------------
 
 LAMP_PIXELS = 1500

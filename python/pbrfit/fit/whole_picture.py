@@ -21,6 +21,7 @@ from pbrfit.fit.transport import Surrounded
 from pbrfit.fit.uncertainty import estimate, scale_deviation
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import Model
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
@@ -54,6 +55,12 @@ class FitSetup:
     """Why normals cannot be refined; None if they can."""
     surrounded: Surrounded | None = None
     """What was decided about surroundings; None = nothing yet."""
+
+    @property
+    def model(self) -> Model:
+        """How surfaces reflect light."""
+        assert self.options.model is not None
+        return self.options.model
 
     def layout(self, scene: Scene) -> ParameterLayout:
         """Which unknowns a scene has."""

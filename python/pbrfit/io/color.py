@@ -21,6 +21,10 @@ white point of ACES (about D60). ``display-p3``: sRGB curve, P3 primaries, D65.
 """
 
 
+Curve = Literal["srgb", "linear"]
+"""Transfer curves that files without a profile may have."""
+
+
 @dataclass(frozen=True)
 class Primaries:
     """CIE xy chromaticities of the three primaries and of the white point."""
@@ -112,7 +116,7 @@ def icc_to_rec709(to_xyz: ArrayLike) -> NDArray[np.float64]:
 class Conversion:
     """The way from stored samples to linear Rec.709."""
 
-    curve: Literal["srgb", "linear"] | NDArray[np.float32]
+    curve: Curve | NDArray[np.float32]
     """``"srgb"``, ``"linear"``, or sampled curves of an integer file, (1 or 3, levels) float32."""
     matrix: NDArray[np.float64] | None = None
     """(3, 3) from linear RGB to linear Rec.709, or None for the identity."""

@@ -87,6 +87,9 @@ class Picture:
     """Bits of a sample: 8 or 16 for integer files, 32 for float files."""
     stored: Stored | None
     """The samples as they are in an integer file; None for float files."""
+    curve_told: bool
+    """Whether a caller, a profile or the file type says by which curve values are decoded; False
+    where sRGB is only what most files without a profile are."""
 
 
 @names_file
@@ -181,6 +184,7 @@ def read_picture(
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=bit_depth,
         stored=stored,
+        curve_told=chosen is not None or raster is None or stored is None or bool(raster.icc_profile),
     )
 
 
@@ -204,6 +208,7 @@ def _raw_picture(
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=16,
         stored=Stored(found.samples, 1, linear, RAW, None),
+        curve_told=True,
     )
 
 

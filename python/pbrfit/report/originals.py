@@ -11,7 +11,6 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.result.result import Result
 from pbrfit.scene.arrays import Source
-from pbrfit.scene.registration import IN_LINE, aligned
 from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
@@ -35,7 +34,7 @@ def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
     itself names and that is gone or has changed is a remark, and a warning.
     """
     if isinstance(given, Scene):
-        given = _as_fitted(result, given)
+        given = result.as_fitted(given)
         _check(result, given, "scene")
         return Originals(given)
     if given is not None:
@@ -70,15 +69,9 @@ def _read(result: Result, path: Path) -> Scene:
         max_size=how.max_size,
         code_range=how.code_range,
     )
-    scene = _as_fitted(result, scene)
+    scene = result.as_fitted(scene)
     _check(result, scene, str(path))
     return scene
-
-
-def _as_fitted(result: Result, scene: Scene) -> Scene:
-    """The scene with its pictures where they were fitted; looked for only if some were moved."""
-    moved = result.options.align == "auto" and result.assumed.get("alignment") != IN_LINE
-    return aligned(scene) if moved else scene
 
 
 def _check(result: Result, scene: Scene, name: str) -> None:

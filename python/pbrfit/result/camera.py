@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
+from pbrfit.io.color import Curve
 from pbrfit.io.json_files import flag, number, table
 from pbrfit.io.quoting import quoted
 from pbrfit.scene.correction import Correction
@@ -29,6 +30,9 @@ class Camera:
     """Whether the pictures fit far better with another than was given."""
     correction: Correction | None = None
     """Tone curve and vignetting that were undone in the pictures; None = nothing."""
+    response: Curve | None = None
+    """The curve that the files' values were decoded by, where the fit decided; None = as the scene
+    said."""
     figures: Mapping[str, float] = field(default_factory=dict)
     """What that rests on: `score_test_fov`, `score_test_response` and `score_test_vignetting`, χ²
     of one, three and two degrees that a change of what was given promised. Where others were
@@ -54,6 +58,7 @@ class Camera:
             "how": self.how,
             "contradicted": self.contradicted,
             "correction": None if self.correction is None else asdict(self.correction),
+            "response": self.response,
             "figures": {
                 name: value if math.isfinite(value) else None
                 for name, value in self.figures.items()
@@ -81,7 +86,10 @@ class Camera:
                 raise ValueError(f"camera corrected by {len(numbers)} numbers")
             correction = Correction(number(correction["reference"]), numbers)
         fov = number(content["fov_degrees"])
-        return cls(fov, how, sigma, contradicted, correction, figures)
+        response = content.get("response")
+        if response not in (None, *get_args(Curve)):
+            raise ValueError(f"camera response {quoted(response)}")
+        return cls(fov, how, sigma, contradicted, correction, response, figures)
 
 
 def _with_sigma(degrees: float, sigma: float) -> str:

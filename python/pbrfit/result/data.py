@@ -17,6 +17,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, sh_basis
 from pbrfit.result.camera import Camera
+from pbrfit.result.held_out import HeldOut
 from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
@@ -122,6 +123,8 @@ class ResultData:
     height
         (H, W): height of the surface towards the viewer in pixels, from normals that the pictures
         told; None where it was not sought. NaN outside the mask, and where it is unknown.
+    held_out
+        How well pictures are explained that were not fitted; None where none could be left out.
 
     Raises
     ------
@@ -159,6 +162,7 @@ class ResultData:
     segments: NDArray[np.integer[Any]] | None = None
     lamps: Lamps | None = None
     height: NDArray[np.floating[Any]] | None = None
+    held_out: HeldOut | None = None
 
     def __post_init__(self) -> None:
         if self.refinement.refined != (self.given_normals is not None):

@@ -35,6 +35,7 @@ from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
+from pbrfit.result.held_out import HeldOut
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.options import FitOptions
@@ -44,7 +45,7 @@ from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.arrays import Source
 from pbrfit.scene.folder import is_scene
 from pbrfit.scene.height import HEIGHT_FILE, write_height
-from pbrfit.scene.registration import aligned
+from pbrfit.scene.registration import IN_LINE, aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
 
@@ -100,8 +101,8 @@ class Result(ResultData):
 
         from pbrfit.result.preview import preview
 
-        if scene is not None and self.options.align == "auto":
-            scene = aligned(scene)
+        if scene is not None:
+            scene = self.as_fitted(scene)
         uncertainty = self.uncertainty
         write_materials(
             folder / "materials.exr",
@@ -131,6 +132,12 @@ class Result(ResultData):
             "normals": self.refinement.as_json(),
             "camera": None if self.camera is None else self.camera.as_json(),
             "transport": self.transport.as_json(),
+            "held_out": None if self.held_out is None else self.held_out.as_json(),
+            "verdicts": (
+                {}
+                if uncertainty is None
+                else {name: one.level for name, one in uncertainty.verdicts.items()}
+            ),
             "options": self.options.to_json(),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
@@ -141,6 +148,15 @@ class Result(ResultData):
         }
         # What no UTF-8 can hold, of a path to the scene, becomes what JSON escapes it by.
         write_json(folder / "result.json", content, errors="backslashreplace")
+
+    def as_fitted(self, scene: Scene) -> Scene:
+        """The scene with its pictures where they were fitted, decoded as they were."""
+        if self.options.align == "auto" and self.assumed.get("alignment") != IN_LINE:
+            scene = aligned(scene)
+        response = None if self.camera is None else self.camera.response
+        if response is None or scene.response is None:
+            return scene
+        return scene.decoded_by(response)
 
     def report(
         self,
@@ -251,6 +267,7 @@ class Result(ResultData):
                 ),
                 lamps=lighting.lamps,
                 height=_height(folder / HEIGHT_FILE, mask) if HEIGHT_FILE in files else None,
+                held_out=HeldOut.from_json(content.get("held_out")),
             )
         except UNFIT as error:
             if isinstance(error, InputError) and str(folder) in str(error):

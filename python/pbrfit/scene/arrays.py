@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import limits as file_limits
+from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
 from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals, refuse_masked
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
@@ -155,6 +156,9 @@ class SceneArrays:
         Known lamps of the pictures, whose colours may be unknown; None = unknown.
     normals_known
         Whether somebody told the normals; False where they stand for ones that nobody told.
+    response
+        The tone curve that the files' values were decoded by, "srgb" or "linear", where nobody told
+        which is right; None = it is known, or there are no files of integers. A fit decides.
 
     Raises
     ------
@@ -183,6 +187,7 @@ class SceneArrays:
     depth: NDArray[np.floating[Any]] | None = None
     lamps: Lamps | None = None
     normals_known: bool = True
+    response: Curve | None = None
 
     def __post_init__(self) -> None:
         for name in ("normals", "depth", "segments"):
@@ -412,6 +417,63 @@ class SceneArrays:
         object.__setattr__(found, "fov", fov)
         object.__setattr__(found, "correction", correction)
         return found
+
+    def decoded_by(self, curve: Curve) -> Self:
+        """The scene with its files' values decoded by another curve than `response`.
+
+        Raises
+        ------
+        InputError
+            If there is no choice, because `response` is None.
+        """
+        if curve == self.response:
+            return self
+        if self.response is None:
+            raise InputError(f"response: expected files of integers for {curve}, found none")
+        other = encode_srgb if curve == "linear" else decode_srgb
+        images = np.empty_like(self.images)
+        for of_picture, found in zip(self.images, images, strict=True):
+            found[:] = other(of_picture)
+        noise = self.file_noise
+        if noise is not None:
+            as_curve = Conversion(curve)
+            noise = tuple(None if one is None else replace(one, conversion=as_curve) for one in noise)
+        source = None if self.source is None else replace(self.source, color_space=curve)
+        told = f"{curve}: pictures that were left out are explained better than by {self.response}"
+        return replace(
+            self,
+            images=images,
+            file_noise=noise,
+            source=source,
+            response=curve,
+            assumed={**self.assumed, "color": told},
+        )
+
+    def file_values(self, radiance: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """Radiance (..., 3) as the files' values, where 1 is white: `response` undone."""
+        return encode_srgb(radiance) if self.response == "srgb" else radiance
+
+    def of_pictures(self, pictures: Sequence[int]) -> Self:
+        """The scene of some of the pictures, in this order, without ground truth of the others."""
+        of = list(pictures)
+
+        def some(values: NDArray[Any] | None) -> Any:
+            return None if values is None else values[of]
+
+        truth, noise = self.truth, self.file_noise
+        if truth is not None and truth.lighting is not None:
+            truth = replace(truth, lighting=truth.lighting[of])
+        return replace(
+            self,
+            images=self.images[of],
+            weights=some(self.weights),
+            limits=some(self.limits),
+            file_noise=None if noise is None else tuple(noise[i] for i in of),
+            names=tuple(self.names[i] for i in of),
+            lighting=some(self.lighting),
+            lamps=None if self.lamps is None else self.lamps.of_pictures(tuple(of)),
+            truth=truth,
+        )
 
     @lazy
     def radius_squared(self) -> NDArray[np.float64]:

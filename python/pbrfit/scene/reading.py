@@ -190,6 +190,7 @@ def load(
             inputs=dict(sorted(notes.inputs.items())),
             source=source,
             model=settings.model,
+            response=None if read.curve_told or dark is not None else "srgb",
         )
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
@@ -287,6 +288,8 @@ class _Pictures:
     """What alpha leaves, at the files' size."""
     focal_length: float | None = None
     """Of the first picture that has one, 35 mm equivalent, millimetres."""
+    curve_told: bool = False
+    """Whether somebody says of any picture by which curve its values are decoded."""
 
 
 def _read_pictures(
@@ -334,6 +337,7 @@ def _read_pictures(
         if picture.alpha is not None:
             read.mask &= picture.alpha >= 0.5
         read.focal_length = read.focal_length or picture.focal_length_35mm
+        read.curve_told |= picture.curve_told
         colors.setdefault(picture.color, []).append(path.name)
         notes.inputs[path.relative_to(notes.folder).as_posix()] = picture.sha256
     assert read is not None

@@ -37,8 +37,9 @@ SLOPE_MAX = 0.1
 """Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a
 search ends: C changes the surface by a degree where an entry changes by about 0.02."""
 
-FEW = 500
-"""Places from which each start is followed; what leads to likely minima goes on with all."""
+FEW_SHARE = 5
+"""Each start is followed from one place in so many; what leads to likely minima goes on with all.
+"""
 
 POLISHED_MAX = 4
 """Minima that are found with all places."""
@@ -94,7 +95,7 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
     rough
         (P, 3) normals of a rough shape to start from beside other starts; None = there is none.
     """
-    few = places.thinned(FEW)
+    few = places.thinned(len(places.vectors) // FEW_SHARE)
     rounds = [_searched(start, few, places) for start in _starts(places, rough)]
     rounds.sort(key=lambda one: one[0])
     found: list[Minimum] = []

@@ -31,6 +31,7 @@ from pbrfit.fit.lamps.joint import (
 )
 from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Noise
+from pbrfit.fit.lamps.shape import FirstShape
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.fit.settings import LAMP_PIXELS
@@ -54,7 +55,7 @@ log = logging.getLogger("pbrfit")
 Array = NDArray[np.float64]
 
 ROUNDS, STEPS = 6, 3
-"""Of weights, and of joint steps in each."""
+"""Reweighting rounds; Levenberg-Marquardt steps in each."""
 
 LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
     0: ((2.0, 4.0, 8.0), ()),
@@ -62,8 +63,11 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
     4: ((1.15, 1.3), (-4.0, -2.0, 2.0, 4.0)),
 }
 """Rounds before which the scale of all lamps is multiplied and divided by some factors, and fields
-of view and roughnesses are tried: wide first, then near the best. Steps from the best are degrees;
-in the first round `FIELDS_OF_VIEW` are tried."""
+of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
+the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
+
+CONTINUED_ROUND = 4
+"""Round that a fit begins with which goes on from what others have found."""
 
 HELD_ROUNDS = 2
 """First rounds, in which lamps stay as diffuse shading has them but for their scale."""
@@ -82,7 +86,7 @@ LOOK_PICTURES_MIN = 6
 """From which on every third picture is left out where roughness, scale and camera are chosen:
 the others are four at least, twelve samples for a pixel's six unknowns."""
 
-LOOK_PIXELS = 400
+LOOK_PIXELS = 250
 """By which they are tried: thousands of samples, of which a narrow lobe shows in some per cent."""
 
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
@@ -125,20 +129,15 @@ BY_HIGHLIGHTS = "by the highlights of dielectrics, around a mean albedo of 0.35"
 
 
 @dataclass(frozen=True, eq=False)
-class FirstShape:
-    """Normals and lamps far away that pictures alone have told, where a joint fit begins."""
+class Found:
+    """What some pixels under lamps have found, for others to go on from."""
 
-    normals: Array
-    """(H, W, 3), NaN outside the mask."""
-    directions: Array
-    strengths: Array
-    """(N, 3) each: unit vectors to the lamps, and their colours up to a factor a channel."""
-    albedo: Array
-    """(H, W, 3), likewise."""
-    note: str
-    """How they were found, and what the pictures leave open."""
-    undetermined: tuple[str, ...] = ()
-    """What the pictures leave open, each in words."""
+    lamps: Lamps
+    """Far ones, in picture units."""
+    roughness: dict[int, float]
+    """Of each label."""
+    fov: float
+    """Horizontal field of view in degrees."""
 
 
 class _Clock:
@@ -266,15 +265,22 @@ def likely_roughness(sums: Array, pixels: int) -> float:
 class LampFit:
     """A fit of a scene under lamps, stage by stage."""
 
-    def __init__(self, scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        setup: FitSetup,
+        start: FirstShape | None = None,
+        begin: Found | None = None,
+        rounds: int = ROUNDS,
+    ) -> None:
         self.scene, self.setup, self.options = scene, setup, setup.options
+        self.begin, self.rounds = begin, rounds
         self.clock = _Clock(scene, setup)
         assert setup.options.model is not None
         self.model = setup.options.model
         self.start = start
         self.free_normals = not scene.normals_known or self.options.refine_normals == "on"
-        self.figures: dict[str, float] = {}
-        self.fov = scene.fov
+        self.fov = scene.fov if begin is None else begin.fov
         self._shared_covariance: Array | None = None
         self._reference: reference.Reference | None = None
 
@@ -298,12 +304,31 @@ class LampFit:
             notes += [name for name, _, _ in starts]
         with self.clock.stage("lamps") as notes:
             fits = [(name, self._joint(few, lamps, albedo)) for name, lamps, albedo in starts]
-            scores = {name: float(seen_error(fit.pixels, fit.state).sum()) for name, fit in fits}
-            name, fit = min(fits, key=lambda one: scores[one[0]])
-            if len(fits) > 1:
-                self.figures |= {f"seen_error_{key}": value for key, value in scores.items()}
+            name, fit = min(fits, key=lambda one: float(seen_error(one[1].pixels, one[1].state).sum()))
             notes.append(self._said(name, fit))
         return fit
+
+    def of_all_pixels(self) -> tuple[LampPixels, LampState, Found]:
+        """All pixels of a small scene, fitted together and then each by itself."""
+        scene = self.scene
+        fit = self.joint(np.flatnonzero(scene.valid.ravel()))
+        band = surfaces.fit_band(
+            fit.pixels,
+            fit.state,
+            fit.noise,
+            fit.prior,
+            fit.freedom,
+            scene.width,
+            metals=self.options.metallic is None,
+            uncertain=None,
+        )
+        lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
+        labels = np.unique(fit.pixels.labels)
+        roughness = {
+            int(label): float(np.median(fit.prior.mean[fit.pixels.labels == label, 5]))
+            for label in labels
+        }
+        return fit.pixels, band.state, Found(lamps, roughness, self.fov)
 
     @property
     def normals(self) -> Array:
@@ -317,10 +342,14 @@ class LampFit:
     ) -> tuple[LampPixels, list[tuple[str, Lamps, Array]]]:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
-        few = LampPixels.of(self.scene, self.normals, self.model, self.setup.threads, places)
+        seen = self.scene.through(self.fov)
+        few = LampPixels.of(seen, self.normals, self.model, self.setup.threads, places)
         if known is not None and known.colored:
             lamps = replace(known, colors=known.colors / few.scale)
             return few, [("known lamps and colours", lamps, albedo_under(few, lamps))]
+        if self.begin is not None:
+            lamps = replace(self.begin.lamps, colors=self.begin.lamps.colors / few.scale)
+            return few, [("lamps as compared", lamps, albedo_under(few, lamps))]
         if self.start is not None and (known is None or not known.near.any()):
             lamps = Lamps(
                 np.arange(few.pictures), self.start.directions, colors=self.start.strengths
@@ -365,6 +394,10 @@ class LampFit:
             same_lamp=self.options.same_lamp,
         )
         prior = first_prior(few, self._offset_sigma(few.places))
+        if self.begin is not None:
+            for label, value in self.begin.roughness.items():
+                state.roughness[few.labels == label] = value
+                prior.mean[few.labels == label, 5] = value
         near = bool(lamps.near.any())
         noise = Noise.first(few, proportional=near)
         fit = JointLamps(few, state, noise, prior, freedom, lit=self.lit_at(few))
@@ -375,8 +408,11 @@ class LampFit:
         )
         if not self.clock.rows:
             self.clock.record(fit, few.scale, samples)
-        for number in range(ROUNDS):
-            if self.clock.steps >= self.options.iterations or (number and self.clock.late()):
+        if self.begin is not None:
+            fit.freedom = replace(fit.freedom, places=known is None, colors=True)
+        first = 0 if self.begin is None else CONTINUED_ROUND
+        for number in range(first, self.rounds):
+            if self.clock.steps >= self.options.iterations or (number > first and self.clock.late()):
                 break  # lamps as they began leave too much to be a result
             if number in LOOKS:
                 factors, degrees = LOOKS[number]
@@ -396,7 +432,7 @@ class LampFit:
             if number == HELD_ROUNDS and not near:
                 free = known is None or not known.colored
                 fit.freedom = replace(fit.freedom, places=known is None, colors=free)
-            if number == ROUNDS - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
+            if number == self.rounds - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
                 fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
             self.clock.steps += minimize(fit, steps=STEPS, stop=self.clock.out_of_time)
             fit.state, _, _ = fit_surfaces(
@@ -426,36 +462,37 @@ class LampFit:
         few = fit.pixels.of_rows(of)
         given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
         kinds = np.unique(few.labels)
-        best: tuple[float, float, float, dict[int, float]] | None = None
-        least, scores = np.inf, dict[float, float]()
-        for fov in fields:
-            few = replace(few, views=self._views(fov, few.places))
-            for scale in scales:
-                lamps = replace(given.lamps, colors=given.lamps.colors * scale)
-                total = offset = 0.0
-                left, turned = self._left_by_roughness(
-                    fit, few, replace(given, lamps=lamps), scale, prior
-                )
-                chosen = {}
-                for label in kinds:
-                    sums = left[:, few.labels == label].sum(axis=1)
-                    best_of = int(np.argmin(sums))
-                    chosen[label] = likely_roughness(sums, int((few.labels == label).sum()))
-                    total += float(sums[best_of])
-                    offset += float(turned[best_of, few.labels == label].sum())
-                independent = INDEPENDENT_SHARE * len(few)
-                total = 0.5 * independent * float(np.log(max(total, 1e-12)))
-                total += 0.5 * INDEPENDENT_SHARE * offset
-                total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
-                total += 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2
-                scores[fov] = min(scores.get(fov, np.inf), total)
-                if total < least:
-                    best, least = (fov, scale, total, chosen), total
-        assert best is not None
-        fov, scale, _, chosen = best
+        independent = INDEPENDENT_SHARE * len(few)
+
+        def tried(fov: float, scale: float) -> tuple[float, dict[int, float]]:
+            """How unlikely it looks, with the roughness of each label that looks likeliest."""
+            seen = replace(few, views=self._views(fov, few.places))
+            lamps = replace(given.lamps, colors=given.lamps.colors * scale)
+            left, turned = self._left_by_roughness(
+                fit, seen, replace(given, lamps=lamps), scale, prior
+            )
+            total = offset = 0.0
+            chosen = {}
+            for label in kinds:
+                sums = left[:, few.labels == label].sum(axis=1)
+                best_of = int(np.argmin(sums))
+                chosen[label] = likely_roughness(sums, int((few.labels == label).sum()))
+                total += float(sums[best_of])
+                offset += float(turned[best_of, few.labels == label].sum())
+            total = 0.5 * independent * float(np.log(max(total, 1e-12)))
+            total += 0.5 * INDEPENDENT_SHARE * offset
+            total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
+            return total + 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2, chosen
+
+        fov = self.fov if len(fields) == 1 or self.fov in fields else FOV_MEAN
+        found = {scale: tried(fov, scale) for scale in scales}
+        scale = min(found, key=lambda one: found[one][0])
+        chosen = found[scale][1]
         if len(fields) > 1:
+            of_fields = {one: tried(one, scale) for one in fields}
+            fov = min(of_fields, key=lambda one: of_fields[one][0])
+            chosen = of_fields[fov][1]
             self.fov = fov
-            self.figures |= {f"surprise_fov_{key:g}": value for key, value in scores.items()}
             fit.pixels = replace(fit.pixels, views=self._views(fov, fit.pixels.places))
         roughness = fit.state.roughness.copy()
         for label, value in chosen.items():
@@ -833,9 +870,18 @@ def check_near(scene: Scene) -> None:
         raise InputError("lamps: expected depth for near lamps, found none")
 
 
+def check_light(scene: Scene, setup: FitSetup) -> None:
+    """Raise InputError if lamps are asked for, or known, and cannot be fitted."""
+    if setup.options.light == "lamps" and scene.lighting is not None:
+        raise InputError("light: expected unknown light for lamps, found known SH light")
+    check_near(scene)
+
+
 @one_blas_thread()
-def fit_lamps(scene: Scene, setup: FitSetup, start: FirstShape | None = None) -> FitOutput:
-    """Fit surfaces, lamps and ambient light to a scene.
+def fit_lamps(
+    scene: Scene, setup: FitSetup, start: FirstShape | None = None, begin: Found | None = None
+) -> FitOutput:
+    """Fit surfaces, lamps and ambient light to a scene, from what some pixels have found.
 
     Raises
     ------
@@ -843,4 +889,4 @@ def fit_lamps(scene: Scene, setup: FitSetup, start: FirstShape | None = None) ->
         If known lamps are near and there is no depth.
     """
     check_near(scene)
-    return LampFit(scene, setup, start).solve()
+    return LampFit(scene, setup, start, begin).solve()

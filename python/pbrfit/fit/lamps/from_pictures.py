@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.lamps import dispatch
-from pbrfit.fit.lamps.estimator import fit_lamps
+from pbrfit.fit.lamps.estimator import check_light, fit_lamps
+from pbrfit.fit.lamps.shape import first_shape, height_of
 from pbrfit.fit.run import Progress
 from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.model.lamps import Lamps
@@ -61,12 +61,12 @@ def normals_from_pictures(
     options = FitOptions(light="lamps", model=chosen_model(None, scene.model), uncertainty=True)
     scene = aligned(scene)
     setup = FitSetup(options, whole_number("threads", threads), progress, began, None)
-    dispatch.check_light(scene, setup)
-    start = dispatch.first_shape(scene)
+    check_light(scene, setup)
+    start = first_shape(scene)
     found = fit_lamps(scene, setup, start)
     assert found.lamps is not None
     assert found.normal_sigma is not None
-    height = dispatch.height_of(found.normals, scene)
+    height = height_of(found.normals, scene)
     return PictureNormals(
         found.normals, found.normal_sigma, height, found.lamps, start.undetermined
     )

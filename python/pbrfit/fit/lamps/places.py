@@ -48,8 +48,9 @@ def chosen_places(
     lamps: Array,
     edge: Outline,
     guide: Array | None,
+    most: int = PLACES_MAX,
 ) -> Chosen:
-    """What cues look at."""
+    """What cues look at: at most so many pixels."""
     blocks = blocks_of(data.where)
     information = _information(normals)
     good = information > KNOWN_MIN * np.median(information)
@@ -64,7 +65,7 @@ def chosen_places(
         data.plane(blocks.astype(np.float64), -1.0).astype(np.intp),
     )
     candidates = np.flatnonzero(good)
-    chosen = candidates[some_of(len(candidates), PLACES_MAX)]
+    chosen = candidates[some_of(len(candidates), most)]
     at_edge = np.flatnonzero(known[edge.rows, edge.columns])
     at_edge = at_edge[some_of(len(at_edge), OUTLINE_MAX)]
     where = (edge.rows[at_edge], edge.columns[at_edge])

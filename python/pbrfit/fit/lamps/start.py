@@ -18,7 +18,7 @@ from pbrfit.fit.lamps.cues import Places, unit_and_length
 from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.outline import Outline, inflated, outline
 from pbrfit.fit.lamps.photometric import DARK, PseudoNormals, pseudo_normals
-from pbrfit.fit.lamps.places import chosen_places
+from pbrfit.fit.lamps.places import PLACES_MAX, chosen_places
 from pbrfit.fit.lamps.samples import Samples, some_of
 from pbrfit.fit.lamps.strengths import strengths_along
 from pbrfit.fit.lamps.surface import LampStart, finished
@@ -102,6 +102,7 @@ def start_of_unknown_lamps(
     views: Array,
     fov: float = 0.0,
     guide: Array | None = None,
+    places_max: int = PLACES_MAX,
 ) -> LampStart:
     """Start with lamps of which nothing is known but that there is a far one in each picture.
 
@@ -113,6 +114,8 @@ def start_of_unknown_lamps(
         Horizontal field of view in degrees; 0 = orthographic or unknown.
     guide
         (H, W, 3) unit normals from elsewhere, NaN where there are none; None = none.
+    places_max
+        Pixels that cues look at, at most.
 
     Raises
     ------
@@ -128,7 +131,7 @@ def start_of_unknown_lamps(
                 f"pictures: expected three or more in which a lamp is seen, found {seen.sum()}"
             )
         some = np.asarray(samples)[seen], np.asarray(usable)[seen]
-        return _with_black(start_of_unknown_lamps(*some, mask, views, fov, guide), seen)
+        return _with_black(start_of_unknown_lamps(*some, mask, views, fov, guide, places_max), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
     chosen = some_of(len(data.grey), FACTORED_MAX)
     product = factors(data.grey[chosen], data.usable[chosen])
@@ -137,7 +140,7 @@ def start_of_unknown_lamps(
         return _start_of_few(data, views, edge, product, guide)
     lamps = product.lamps * product.sizes
     normals = pseudo_normals(data.relative, data.usable, lamps)
-    places = chosen_places(data, rays, views, normals, lamps, edge, guide)
+    places = chosen_places(data, rays, views, normals, lamps, edge, guide, places_max)
     if not places.of.integrability.blocks or len(places.chosen) < PLACES_MIN:
         return _start_of_few(data, views, edge, product, guide)
     rough = inflated(mask, views)[data.where] if len(edge) else None

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.camera import doubt_camera
 from pbrfit.fit.coarse import Lights, Watch, rounds
 from pbrfit.fit.estimator import find_lights, solve
 from pbrfit.fit.levels import Level
@@ -49,7 +48,6 @@ from pbrfit.threads import one_blas_thread
 Array = NDArray[np.float64]
 
 OUT_OF_TIME = "the time limit came first"
-OTHER_CAMERA = "another field of view explains the pictures better than other normals"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +86,6 @@ def fit(
     """
 
     def with_given(lights: Lights | None = None) -> PixelFit:
-        if lights is None and run.camera.how == "assumed" and run.left > 0:
-            with one_blas_thread():
-                lights, _ = doubt_camera(run, x, find_lights(run, x))
         return PixelFit(run, *solve(run, x.copy(), start_given=start_given, lights=lights))
 
     why = "not asked for" if asked == "off" else hindered
@@ -107,9 +102,9 @@ def fit(
             return with_given(), Refinement(asked, False, OUT_OF_TIME)
         return refined, Refinement(asked, True, "asked for")
     with one_blas_thread():
-        lights, other = doubt_camera(run, x, find_lights(run, x))
+        lights = find_lights(run, x)
     figures = _figures(run.objective, lights, "before")
-    why = _keeps_given(run, lights, other) if asked == "auto" else None
+    why = _keeps_given(run, lights) if asked == "auto" else None
     if why is None and run.out_of_time():
         why = OUT_OF_TIME
     if why is not None:
@@ -119,19 +114,16 @@ def fit(
     offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
     # What rounding leaves says nothing of noise.
     samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
-    tried = {"before": lights, "after": found, "other_camera": other}
+    tried = {"before": lights, "after": found}
     scores = {
         f"score_{name}": misfit.score(one.deviance, one.unknowns, samples)
         for name, one in tried.items()
-        if one is not None
     }
     figures |= _figures(free, found, "after") | scores
     figures["spread_degrees"] = float(np.degrees(offsets.sigma))
     best = min(scores.values())
     if asked == "auto" and (scores["score_after"] > best or math.isinf(best)):
         why = "what other normals explain does not outweigh how many unknowns they are"
-        if other is not None and scores["score_other_camera"] == best:
-            why = OTHER_CAMERA
         return with_given(lights), Refinement(asked, False, why, figures)
     refining = run
     if nuisances is not None:
@@ -166,15 +158,13 @@ def _better(
     return refined, Refinement(asked, True, why, figures)
 
 
-def _keeps_given(run: Run, lights: Lights, other: Lights | None) -> str | None:
+def _keeps_given(run: Run, lights: Lights) -> str | None:
     """Why given normals are kept without trying others; None if others are to be tried."""
     objective = run.objective
     if lights.exact:
         return "the given normals explain the pictures up to rounding"
     if objective.lighting is not None and lights.is_noise:
         return "the given normals explain the pictures up to noise"
-    if other is not None and other.is_noise:
-        return OTHER_CAMERA
     unknowns = objective.layout.maps.stop + 2 * objective.pixels
     if objective.samples < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN * unknowns:
         return "too few pictures to tell wrong normals from materials"

@@ -181,6 +181,7 @@ class SceneCutter:
             normals_known=scene.normals_known,
             truth=None if scene.truth is None else Truth(cut_maps(scene.truth.materials, window)),
             model=scene.model,
+            response=scene.response,
             whole=scene,
             window=window,
         )

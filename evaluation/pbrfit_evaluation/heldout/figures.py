@@ -1,0 +1,211 @@
+"""Held-out pictures as rows, verdicts, tables and a CSV file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from pbrfit.report.html import Cell
+from pbrfit_evaluation.heldout.light import Score, relative_error
+from pbrfit_evaluation.heldout.measure import IN_WORDS, OURS, WAYS, Task, Way
+from pbrfit_evaluation.heldout.public_sets import Source
+from pbrfit_evaluation.suite import Line, Results, Row, Section, Table, Value, Verdict, digits
+
+MEAN_REGRET, WORST_REGRET = 1.05, 1.25
+"""Bars of the default's regret: geometric mean over sets, and any set."""
+
+BESIDE: tuple[tuple[Way, float], ...]
+BESIDE = ("paper", 1.0), ("paper", 1.1), ("lambert", 1.0), ("nearest", 1.0)
+"""What the default is held against, and how many times its error may be."""
+
+Of = Results[Task]
+
+
+@dataclass(frozen=True)
+class OfSet:
+    """A source in all ways, over all folds."""
+
+    source: Source
+    results: Of
+
+    @cached_property
+    def errors(self) -> dict[Way, float]:
+        """Error of the held-out pictures by a way's own kind of light, of ways without failures."""
+        return self._errors("own")
+
+    @cached_property
+    def under_lamp(self) -> dict[Way, float]:
+        """The same by one far lamp, of ways with materials."""
+        return self._errors("lamp")
+
+    def _errors(self, light: str) -> dict[Way, float]:
+        found = {}
+        for way in WAYS:
+            of = self.results.of(way=way)
+            scores = [Score(**one) for _, values in of.finished for one in values.get(light) or ()]
+            if scores and not of.failed:
+                found[way] = relative_error(scores)
+        return found
+
+    @property
+    def regret(self) -> float:
+        """Error of the default over the least of `OURS`; NaN where one of the two is missing."""
+        ours = [error for way, error in self.errors.items() if way in OURS]
+        default = self.errors.get("default", math.nan)
+        return default / min(ours) if len(ours) > 1 else math.nan
+
+
+def sets(results: Of) -> list[OfSet]:
+    """By source."""
+    sources = dict.fromkeys(task.source for task, _ in results.pairs)
+    return [OfSet(source, results.of(source=source)) for source in sources]
+
+
+def rows(results: Of) -> list[Row]:
+    """A row a source and way."""
+    found = []
+    for one in sets(results):
+        for way in WAYS:
+            of = one.results.of(way=way)
+            if not of.pairs:
+                continue
+            reason = next((values.get("not_possible") for _, values in of.finished), None)
+            failed = next((record.error for record in of.failed), None)
+            metrics = {
+                "own": one.errors.get(way),
+                "lamp": one.under_lamp.get(way),
+                "normals_mean": of.mean("normals", "mean").mean,
+                "normals_median": of.mean("normals", "median").mean,
+                "seconds": of.mean("seconds").mean,
+                "processor": of.mean("processor").mean,
+                **({"regret": one.regret} if way == "default" else {}),
+            }
+            status = failed or (f"not possible: {reason}" if reason else "ok")
+            name, private = one.source.name, one.source.private
+            found.append(Row(name, 1, way, metrics, status=status, private=private))
+    return found
+
+
+def geometric_mean(values: Sequence[float]) -> float:
+    """NaN of none."""
+    return math.exp(math.fsum(map(math.log, values)) / len(values)) if values else math.nan
+
+
+def _regrets(of_sets: Sequence[OfSet]) -> list[tuple[float, Source]]:
+    """The worst first."""
+    found = [(one.regret, one.source) for one in of_sets if not math.isnan(one.regret)]
+    return sorted(found, key=lambda of: -of[0])
+
+
+def verdicts(results: Of, _: object) -> Iterator[Verdict]:
+    """Regret, unless the run was a quick look."""
+    regrets = _regrets(sets(results))
+    if results.options.effort == "quick" or not regrets:
+        return
+    worst, source = regrets[0]
+    mean = geometric_mean([regret for regret, _ in regrets])
+    where = "a set without a licence" if source.private else source.name
+    yield Verdict(f"regret, geometric mean of {len(regrets)} sets", mean, MEAN_REGRET)
+    yield Verdict("regret, worst set", worst, WORST_REGRET, where)
+
+
+def csvs(results: Of, _: object) -> dict[str, list[Line]]:
+    """Every held-out picture as every way has it."""
+    lines: list[Line] = [
+        {"set": task.source.name, "way": task.way, "fold": task.fold, "light": light, **score}
+        for task, values in results.finished
+        for light in ("own", "lamp")
+        for score in values.get(light) or ()
+    ]
+    return {"pictures.csv": lines}
+
+
+def sections(results: Of, _: Sequence[Row]) -> Iterator[Section]:
+    """The default beside the other ways, errors by set, what it chose, and what the sets are."""
+    of_sets = sets(results)
+    if any(one.errors for one in of_sets):
+        if any("default" in one.errors for one in of_sets):
+            yield Section("In short", tables=[_in_short(of_sets)])
+        yield Section(
+            "Errors",
+            "RMSE over RMS of the held-out pictures, in values of their files; 1 is that of "
+            "black. The least of each set is bold.",
+            [_by_way([(one.source.name, one.errors) for one in of_sets])],
+        )
+    if any(one.under_lamp for one in of_sets):
+        yield Section(
+            "Errors under a lamp",
+            "The same materials, each held-out picture explained by one far lamp and constant "
+            "ambient light.",
+            [_by_way([(one.source.name, one.under_lamp) for one in of_sets])],
+        )
+    angles = [(one.source.name, _angles(one.results)) for one in of_sets]
+    if any(of for _, of in angles):
+        yield Section(
+            "Normals",
+            "Median angle to the true normals, which no way is told, in degrees.",
+            [_by_way([(name, of) for name, of in angles if of], mean=False)],
+        )
+    yield Section(
+        "The sets", "Regret, light, encoding and seconds of the default.", [_what(of_sets)]
+    )
+
+
+def _in_short(of_sets: Sequence[OfSet]) -> Table:
+    regrets = [regret for regret, _ in _regrets(of_sets)]
+    lines: list[list[Value]] = []
+    if regrets:
+        lines = [
+            ["regret, geometric mean", digits(geometric_mean(regrets))],
+            ["regret, worst set", digits(regrets[0])],
+        ]
+    for way, factor in BESIDE:
+        both = [one.errors for one in of_sets if {"default", way} <= one.errors.keys()]
+        held = sum(of["default"] <= factor * of[way] for of in both)
+        most = "at most" if factor == 1 else f"at most {factor:g} times"
+        what = f"sets with {most} the error of: {IN_WORDS[way]}"
+        lines += [[what, f"{held} of {len(both)}"]] if both else []
+    return Table(["default", "found"], lines)
+
+
+def _by_way(of_sets: Sequence[tuple[str, Mapping[Way, float]]], *, mean: bool = True) -> Table:
+    """A line a set, a column a way; at last geometric means, of ways that all sets have."""
+    ways = [way for way in WAYS if any(way in of for _, of in of_sets)]
+    lines: list[list[Value]] = []
+    for name, of in of_sets:
+        cells = [
+            Cell(digits(of[way]), "best" if of[way] == min(of.values()) else "number", of[way])
+            if way in of
+            else None
+            for way in ways
+        ]
+        lines.append([name, *cells])
+    if mean:
+        all_of = {way: [of[way] for _, of in of_sets if way in of] for way in ways}
+        means = [geometric_mean(of) if len(of) == len(of_sets) else None for of in all_of.values()]
+        lines.append([f"geometric mean of {len(of_sets)} sets", *means])
+    return Table(["set", *(IN_WORDS[way] for way in ways)], lines)
+
+
+def _angles(of_set: Of) -> dict[Way, float]:
+    found = {way: of_set.of(way=way).mean("normals", "median").mean for way in WAYS}
+    return {way: angle for way, angle in found.items() if not math.isnan(angle)}
+
+
+def _what(of_sets: Sequence[OfSet]) -> Table:
+    lines: list[list[Value]] = []
+    for one in of_sets:
+        source, default = one.source, one.results.of(way="default")
+        sizes = ["{} × {}".format(*v["size"]) for _, v in one.results.finished if "size" in v]
+        chosen = [values["chosen"] for _, values in default.finished]
+        told = [
+            ", ".join(sorted({str(of_fold[name] or "as read") for of_fold in chosen}))
+            for name in ("light", "response")
+        ]
+        seconds = [default.mean(name).mean for name in ("seconds", "processor")]
+        about: list[Value] = [source.name, source.about, float(source.pictures), *sizes[:1]]
+        lines.append([*(about if sizes else [*about, None]), one.regret, *told, *seconds])
+    head = ["set", "what it is", "pictures", "size", "regret", "light", "encoding"]
+    return Table([*head, "seconds", "processor seconds"], lines)

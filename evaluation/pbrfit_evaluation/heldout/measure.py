@@ -1,0 +1,208 @@
+"""One fold of a source, explained in one way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from time import perf_counter, process_time
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.fit.decompose import decompose
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.limits import AT_LEAST
+from pbrfit.model.geometry import angles_between
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
+from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
+from pbrfit_evaluation.heldout.public_sets import Source
+from pbrfit_evaluation.heldout.sources import Opened, opened
+from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.recipes import explain
+
+Way = Literal["default", "lamps", "linear", "lamps-linear", "sh-no-priors", "paper", Baseline]
+WAYS: tuple[Way, ...] = get_args(Way)
+
+IN_WORDS: dict[Way, str] = {
+    "default": "default",
+    "lamps": "lamps",
+    "linear": "linear",
+    "lamps-linear": "lamps, linear",
+    "sh-no-priors": "harmonics, no priors",
+    "paper": "paper's recipe",
+    "lambert": "Lambert, rank 3",
+    "lambert-known": "Lambert, known lamps",
+    "nearest": "nearest picture",
+    "sum": "sum of pictures",
+}
+
+FLAGS: Mapping[Way, Mapping[str, Any]] = {
+    "default": {},
+    "lamps": {"light": "lamps"},
+    "linear": {},
+    "lamps-linear": {"light": "lamps"},
+    "sh-no-priors": {"light": "sh", "priors": None},
+}
+"""Options of `decompose`; beside these, ways of `LINEAR` are told how files are encoded."""
+
+OURS: tuple[Way, ...] = (*FLAGS, "paper")
+"""Ways that find materials."""
+
+LINEAR: tuple[Way, ...] = ("linear", "lamps-linear")
+
+Array = NDArray[np.float64]
+
+LEAST_KEPT = 2
+
+
+@dataclass(frozen=True)
+class Split:
+    """Indices of the pictures that are fitted and of those that are not."""
+
+    kept: tuple[int, ...]
+    held_out: tuple[int, ...]
+
+
+def split(pictures: int, held_out: int = 1, folds: int = 1, fold: int = 0) -> Split:
+    """Hold out some pictures, spread evenly; none in two folds.
+
+    Raises
+    ------
+    InputError
+        If fewer than two would be kept.
+    """
+    if held_out < 1 or pictures - held_out < LEAST_KEPT:
+        raise InputError(
+            f"held-out pictures: expected 1 or more and {LEAST_KEPT} to keep, "
+            f"found {held_out} of {pictures}"
+        )
+    count = held_out * min(folds, pictures // held_out)
+    out = tuple(k * pictures // count for k in range(fold, count, count // held_out))
+    return Split(tuple(i for i in range(pictures) if i not in out), out)
+
+
+@dataclass(frozen=True)
+class Task:
+    """One fold of one source, explained in one way."""
+
+    source: Source
+    way: Way
+    fold: int
+    digest: str
+    """Of the source's files."""
+    held_out: int
+    """Pictures that are held out at a time."""
+    folds: int
+    """How many there are."""
+    pictures: int
+    """That are used of a set, at most."""
+    max_size: int
+    """Longer side that pictures are averaged down to."""
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        return f"{self.source.name}-{self.way}-{self.fold}"
+
+
+def run(task: Task, threads: int) -> Values:
+    """Explain held-out pictures.
+
+    Returns
+    -------
+    `size`, `pixels` and how many pictures were `kept`; `own` and `lamp`, scores of the held-out
+    pictures by light of the way's own kind and by one far lamp (None without materials);
+    `normals`, `mean` and `median` angle to the true ones in degrees, or None; `seconds` and
+    `processor` seconds of the fit; `chosen`, what it decided. Where a way needs what the source
+    lacks, only `not_possible`, the reason.
+
+    Raises
+    ------
+    InputError
+        If there are too few pictures, or the fit refuses them.
+    """
+    way = task.way
+    found = _opened(task)
+    if way in LINEAR:
+        if found.scene.response is None:
+            return {"not_possible": "the encoding is known"}
+        found = _opened(task, "linear")
+    if way == "lambert-known" and found.lamps is None:
+        return {"not_possible": "nobody knows the lamps"}
+    which = split(len(found.scene.images), task.held_out, task.folds, task.fold)
+    kept = found.scene.of_pictures(which.kept)
+    judged = judged_at(found.scene, kept.valid)
+    result, lamp = None, None
+    began = perf_counter(), process_time()
+    if way in get_args(Baseline):
+        own, normals = explained_by_kept(
+            cast(Baseline, way), judged, which.kept, which.held_out, found.lamps
+        )
+    else:
+        result = fit(way, kept, threads)
+        normals = result.normals
+    seconds, processor = perf_counter() - began[0], process_time() - began[1]
+    if result is not None:
+        own = explained_by(result, judged, which.held_out, threads=threads)
+        same = result.lamps is not None and ambient_terms(result) == 1
+        lamp = own if same else explained_by(result, judged, which.held_out, "lamp", threads)
+    return {
+        "size": [judged.width, judged.height],
+        "pixels": int(np.count_nonzero(judged.valid)),
+        "kept": len(which.kept),
+        "own": [asdict(one) for one in own],
+        "lamp": None if lamp is None else [asdict(one) for one in lamp],
+        "normals": _angles(normals, found.normals),
+        "seconds": seconds,
+        "processor": processor,
+        "chosen": None if result is None else _chosen(result),
+    }
+
+
+def _opened(task: Task, color_space: ColorSpace | None = None) -> Opened:
+    return _read(task.source, task.max_size, task.pictures, color_space, task.digest)
+
+
+@lru_cache(maxsize=2)
+def _read(*of: Any) -> Opened:
+    """What `opened` gives, kept for the next task of a set; the last argument is its digest."""
+    return opened(*of[:-1])
+
+
+def judged_at(scene: Scene, valid: NDArray[np.bool_]) -> Scene:
+    """The scene at some pixels; samples count unless they are clipped from above."""
+    limits = scene.limits
+    if limits is not None:
+        limits = np.where(limits == AT_LEAST, limits, np.uint8(0))
+    return replace(scene, mask=valid, limits=limits)
+
+
+def fit(way: Way, scene: Scene, threads: int) -> Result:
+    """Explain the pictures of a scene in one of `OURS`."""
+    if way == "paper":
+        return explain(scene, "paper", model="paper", threads=threads)
+    return decompose(scene, threads=threads, **FLAGS[way])
+
+
+def _chosen(result: Result) -> dict[str, Any]:
+    """What a fit decided, for a record."""
+    held_out = getattr(result, "held_out", None)
+    return {
+        "light": "harmonics" if result.lamps is None else "lamps",
+        "why": result.assumed.get("light"),
+        "response": None if result.camera is None else result.camera.response,
+        "held_out": None if held_out is None else held_out.as_json(),
+    }
+
+
+def _angles(found: Array | None, true: Array | None) -> dict[str, float] | None:
+    if found is None or true is None:
+        return None
+    off = angles_between(found, true)
+    off = off[np.isfinite(off)]
+    return {"mean": float(off.mean()), "median": float(np.median(off))}

@@ -1,0 +1,75 @@
+"""Normals, and a height, that pictures alone tell, where a fit begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.model.lamps import Lamps
+from pbrfit.scene.integration import depth_from_normals
+from pbrfit.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FirstShape:
+    """Normals and lamps far away that pictures alone have told, where a joint fit begins."""
+
+    normals: Array
+    """(H, W, 3), NaN outside the mask."""
+    directions: Array
+    strengths: Array
+    """(N, 3) each: unit vectors to the lamps, and their colours up to a factor a channel."""
+    albedo: Array
+    """(H, W, 3), likewise."""
+    note: str
+    """How they were found, and what the pictures leave open."""
+    undetermined: tuple[str, ...] = ()
+    """What the pictures leave open, each in words."""
+
+
+def first_shape(
+    scene: Scene, lamps: Lamps | None = None, places_max: int | None = None
+) -> FirstShape:
+    """Normals, and directions of the lamps, that the pictures of a scene tell by themselves.
+
+    `lamps` are far ones with colours that were found before; None = those of the scene, or unknown.
+    `places_max` is as in `start_of_unknown_lamps`.
+    """
+    # Here and not above: scipy would double the time of `import pbrfit`.
+    from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
+
+    images = np.stack([scene.picture(i, slice(None)) for i in range(len(scene.images))])
+    usable = np.broadcast_to(scene.valid[..., None], images.shape).copy()
+    if scene.weights is not None:
+        usable &= scene.weights > 0
+    images = np.where(usable, images, 0.0).astype(np.float64)
+    if scene.limits is not None:
+        usable &= scene.limits == 0
+    known = scene.lamps if lamps is None else lamps
+    if known is not None and not known.near.any() and len(known) == len(images):
+        colors = known.colors if known.colored else None
+        found = start_of_known_lamps(images, usable, scene.valid, scene.views, known.places, colors)
+        note = "normals by known lamps"
+    else:
+        most = {} if places_max is None else {"places_max": places_max}
+        found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov, **most)
+        note = "normals and far lamps by the pictures"
+    return FirstShape(
+        found.normals,
+        found.directions,
+        found.strengths,
+        found.albedo,
+        "; ".join([note, *found.undetermined]),
+        tuple(found.undetermined),
+    )
+
+
+def height_of(normals: Array, scene: Scene) -> NDArray[np.float32]:
+    """(H, W): height towards the viewer in pixels, about 0 in the mean; NaN outside the mask."""
+    depth = depth_from_normals(normals, 0.0, scene.valid, scene.segments)
+    height = -depth.astype(np.float64) * scene.width / 2
+    return np.asarray(height - np.nanmean(height), np.float32)

@@ -1,0 +1,386 @@
+"""Held-out pictures: splits, light in values of files, baselines, sets, figures and command."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from evaluation_tasks import recorded
+from pbrfit._core import InputError
+from pbrfit.io import images
+from pbrfit.io.color import decode_srgb, encode_srgb
+from pbrfit.model.geometry import angles_between
+from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import render_directional
+from pbrfit.scene.correction import Correction
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.heldout import figures, light, measure, sources
+from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept, known_lamps
+from pbrfit_evaluation.heldout.light import (
+    Score,
+    ambient_terms,
+    combination,
+    explained_by,
+    relative_error,
+)
+from pbrfit_evaluation.heldout.measure import Split, Task, Way, split
+from pbrfit_evaluation.heldout.public_sets import SETS, Source, sphere_normals
+from pbrfit_evaluation.normal_errors import unit
+from scene_files import run
+
+Array = NDArray[np.float64]
+
+SIZE, LAMPS = 20, 8
+EVERY = np.ones((SIZE, SIZE), bool)
+
+
+def lamps() -> Array:
+    """Unit vectors about the view direction, of two slants."""
+    angle = 2 * np.pi * np.arange(LAMPS) / LAMPS
+    slant = np.radians(np.where(np.arange(LAMPS) % 2, 20.0, 35.0))
+    across = [np.sin(slant) * np.cos(angle), np.sin(slant) * np.sin(angle), np.cos(slant)]
+    return np.stack(across, axis=-1)
+
+
+def cap() -> Array:
+    """Normals (H, W, 3) of a bump that all lamps reach."""
+    y, x = np.indices((SIZE, SIZE)) / (SIZE - 1) * 2 - 1
+    return unit(np.stack([0.5 * x, -0.5 * y, np.ones_like(x)], axis=-1))
+
+
+def matt() -> Array:
+    """(N, H, W, 3) radiance of a matt bump under lamps that are not equally strong."""
+    albedo = np.random.default_rng(0).uniform(0.2, 0.8, (SIZE, SIZE, 3))
+    strengths = np.linspace(0.6, 1.1, LAMPS)[:, None, None]
+    shading = strengths * np.einsum("hwi,ni->nhw", cap(), lamps())
+    return np.asarray(shading[..., None] * albedo)
+
+
+def write_set(folder: Path, licence: str, *, linear: bool = False) -> Path:
+    """A scene folder of 16-bit pictures of the bump, and what is known of it."""
+    (folder / "images").mkdir(parents=True)
+    for i, radiance in enumerate(matt()):
+        values = radiance if linear else encode_srgb(radiance)
+        pixels = np.rint(65535 * values).astype(np.uint16)
+        images.write_png(folder / "images" / f"{i}.png", pixels, tag=None)
+    said = {"what": "a bump", "licence": licence, "directions": lamps().tolist()}
+    (folder / "set.json").write_text(json.dumps(said), encoding="utf-8")
+    np.savez(folder / "normals.npz", normals=cap())
+    return folder
+
+
+def stand_in(scene: Scene, **more: Any) -> Any:
+    """A result that says the truth of a scene."""
+    assert scene.truth is not None
+    maps = scene.truth.materials
+    known = {"albedo": maps.albedo, "roughness": maps.roughness, "metallic": maps.metallic}
+    found = {"materials": maps, "normals": scene.normals, "mask": scene.valid, "fov": scene.fov}
+    rest = {"model": "paper", "lamps": None, "camera": None, "lighting": np.ones((2, 1, 3))}
+    return SimpleNamespace(**{**known, **found, **rest, **more})
+
+
+@pytest.fixture(scope="module")
+def room() -> Scene:
+    made = make_scene("room", size=SIZE, lights=5, held_out=1, model="paper")
+    return replace(made, images=made.images / (1.2 * made.images.max()))
+
+
+# Splits, light
+
+
+def test_folds_are_spread_evenly_and_hold_no_picture_out_twice() -> None:
+    assert split(8, folds=4, fold=1) == Split((0, 1, 3, 4, 5, 6, 7), (2,))
+    assert split(8, 2, 2, 1) == Split((0, 1, 3, 4, 5, 7), (2, 6))
+    for pictures, held_out, folds in ((5, 1, 9), (25, 1, 4), (11, 3, 3)):
+        out = [
+            i
+            for fold in range(min(folds, pictures // held_out))
+            for i in split(pictures, held_out, folds, fold).held_out
+        ]
+        assert len(out) == len(set(out)) == held_out * min(folds, pictures // held_out)
+    with pytest.raises(InputError, match="expected 1 or more and 2 to keep, found 4 of 5"):
+        split(5, 4)
+
+
+def test_error_is_that_of_all_samples_together() -> None:
+    scores = [Score("a", 1, 3.0, 0.3), Score("b", 3, 4.0, 0.4)]
+    assert relative_error(scores) == pytest.approx(0.1)
+    assert math.isnan(relative_error([Score("black", 1, 0.0, 0.0)]))
+
+
+def test_combination_is_that_of_least_squares() -> None:
+    rng = np.random.default_rng(1)
+    planes, radiance, weights = rng.random((3, 30, 3)), rng.random((30, 3)), rng.random((30, 3))
+    weights[:10] = 0
+    found = combination(planes, radiance, weights)
+    for c in range(3):
+        root = np.sqrt(weights[:, c])
+        factors = np.linalg.lstsq(root[:, None] * planes[..., c].T, root * radiance[:, c])[0]
+        np.testing.assert_allclose(found[:, c], factors @ planes[..., c])
+
+
+def test_light_is_best_in_values_of_the_file() -> None:
+    rng = np.random.default_rng(2)
+    plane, weights = rng.uniform(0.01, 1, (1, 200, 3)), np.ones((200, 3))
+    radiance = 0.7 * plane[0] * rng.lognormal(0, 0.5, (200, 3))
+
+    def solve(target: Array, counted: Array) -> Array:
+        return combination(plane, target, counted)
+
+    of = light.Target(encode_srgb(radiance), radiance, weights, encode_srgb)
+    least = of.left(of.explained(solve))
+    assert least < 0.99 * of.left(of.shown(solve(radiance, weights)))
+    tried = encode_srgb(np.geomspace(0.3, 2, 1000)[:, None, None] * plane)
+    assert least == pytest.approx(((tried - of.values) ** 2).sum(1).min(0).sum(), rel=1e-3)
+
+
+def test_curve_undoes_what_a_fit_corrected(tmp_path: Path) -> None:
+    [source] = sources.find_sources(write_set(tmp_path / "bump", "MIT"))
+    scene = sources.opened(source, SIZE).scene
+    seen = scene.through(40.0, Correction(0.3, (0.2, -0.1, 0.15, 0.3, 0.1)))
+    of = light.target(seen, 2, EVERY, light.curve_of(seen, EVERY))
+    assert np.abs(of.radiance - scene.images[2].reshape(-1, 3)).max() > 0.05
+    np.testing.assert_allclose(of.shown(of.radiance), of.values, rtol=1e-4)
+
+
+def test_true_materials_explain_pictures(room: Scene) -> None:
+    assert relative_error(explained_by(stand_in(room), room, (1, 4))) < 1e-5
+    wrong = stand_in(room, model="principled")
+    assert relative_error(explained_by(wrong, room, (1, 4))) > 1e-3
+    half = stand_in(room, mask=room.valid & (np.arange(SIZE) < SIZE // 2))
+    assert 0.3 < relative_error(explained_by(half, room, (1, 4))) < 1
+
+
+def test_pictures_are_judged_by_the_curve_that_a_fit_chose(room: Scene) -> None:
+    misread = replace(room, images=decode_srgb(room.images), response="srgb")
+    errors = [
+        relative_error(explained_by(stand_in(room, camera=camera), misread, (1, 4)))
+        for response in (None, "linear")
+        for camera in [SimpleNamespace(response=response, correction=None)]
+    ]
+    assert errors[0] > 0.02
+    assert errors[1] < 1e-5
+
+
+def test_light_is_of_the_kind_that_a_result_has(room: Scene) -> None:
+    maps = stand_in(room).materials
+    toward = unit(np.array([0.3, 0.2, 0.9]))
+    picture = render_directional(maps, room.normals, toward, np.full(3, 0.4), room.fov)
+    lit = replace(room, images=np.stack([picture, picture]), truth=None, names=())
+    under = stand_in(room, lamps="some", lighting=np.zeros((2, 16, 3)))
+    assert ambient_terms(under) == 0
+    assert ambient_terms(stand_in(room)) == 1
+    own = relative_error(explained_by(under, lit, (0,)))
+    lamp = relative_error(explained_by(stand_in(room), lit, (0,), "lamp"))
+    around = relative_error(explained_by(stand_in(room), lit, (0,)))
+    assert max(own, lamp) < 0.02 < around
+
+
+# Baselines
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_matt_pictures_are_explained_however_their_files_are_encoded(
+    tmp_path: Path, linear: bool
+) -> None:
+    [source] = sources.find_sources(write_set(tmp_path / "bump", "MIT", linear=linear))
+    found = sources.opened(source, SIZE)
+    which = split(LAMPS, folds=4, fold=1)
+    errors = {}
+    for way in get_args(Baseline):
+        scores, normals = explained_by_kept(
+            way, found.scene, which.kept, which.held_out, found.lamps
+        )
+        errors[way] = relative_error(scores)
+        if normals is not None:
+            assert found.normals is not None
+            assert np.median(angles_between(normals, found.normals)) < 0.05
+    assert max(errors[way] for way in ("lambert", "lambert-known", "sum")) < 1e-3
+    assert 0.02 < errors["nearest"] < 0.5
+
+
+def test_samples_without_weight_and_black_pixels_tell_no_normal() -> None:
+    known = np.linspace(0.6, 1.1, LAMPS)[:, None] * lamps()
+    samples, weights = matt().reshape(LAMPS, -1, 3), np.ones((LAMPS, SIZE**2, 3))
+    samples[2, 1], weights[2, 1] = 50.0, 0.0
+    samples[:, 5] = 0
+    normals, albedo = known_lamps(samples, weights, known)
+    expected = cap().reshape(-1, 3)
+    expected[5] = 0, 0, 1
+    np.testing.assert_allclose(normals, expected, atol=1e-6)
+    np.testing.assert_array_equal(albedo[5], 0)
+
+
+# Sets
+
+
+def test_sphere_normals() -> None:
+    y, x = np.indices((60, 80))
+    disc = (x - 40) ** 2 + (y - 30) ** 2 <= 25.5**2
+    normals, valid = sphere_normals(disc, "mask.png")
+    assert normals[20, 55] == pytest.approx([15 / 25.5, 10 / 25.5, 0.707], abs=2e-3)
+    assert valid[30, 64]
+    assert not valid[30, 65]
+    with pytest.raises(InputError, match=r"mask\.png: expected the disc of a sphere, found"):
+        sphere_normals(disc & (x < 40), "mask.png")
+
+
+def test_sets_are_found_below_a_folder(tmp_path: Path) -> None:
+    write_set(tmp_path / "data" / "photographs" / "open", "MIT")
+    write_set(tmp_path / "data" / "photographs" / "closed", "none stated: look at it alone")
+    found = sources.find_sources(tmp_path / "data")
+    assert [(one.name, one.private) for one in found] == [("closed", True), ("open", False)]
+    with pytest.raises(InputError, match="expected different names, found open twice"):
+        sources.check_names([found[1]] * 2)
+    with pytest.raises(FileNotFoundError, match="expected a folder of pictures, found nothing"):
+        sources.find_sources(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"FOLDER: expected .* PBRFIT_DATA is not set"):
+        sources.find_data([], {})
+    folder = found[1].folder
+    (folder / "set.json").write_text('{"directions": [[0, 0, 1]]}', encoding="utf-8")
+    with pytest.raises(InputError, match="expected a lamp for each of 8 pictures, found 1"):
+        sources.opened(found[1], SIZE)
+    (folder / "set.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(InputError, match=r"set\.json: expected an object, found list"):
+        sources.find_sources(folder)
+
+
+@pytest.mark.parametrize(
+    ("kind", "pictures", "degrees"),
+    [
+        ("bunny_ps", (12, 25), 0.5),
+        ("visiont3lab_shrek", (8,), 15.0),
+        ("visiont3lab_ball3", (8,), 15.0),
+        ("maxcrous_sphere_color", (25,), 2.0),
+        ("mit_multi_illumination", (25,), None),
+    ],
+)
+def test_public_sets_and_their_lamps_are_read(
+    shared_data: Path, kind: str, pictures: tuple[int, ...], degrees: float | None
+) -> None:
+    if not (shared_data / kind).is_dir():
+        pytest.skip(f"no {kind} in the shared data")
+    found = SETS[kind].find(shared_data / kind)
+    assert tuple(source.pictures for source in found) == pictures
+    opened = sources.opened(found[0], 40)
+    scene = opened.scene
+    assert (max(scene.width, scene.height), len(scene.images)) == (40, pictures[0])
+    assert scene.normals_known == (degrees is not None) == (opened.lamps is not None)
+    if degrees is not None:
+        every = tuple(range(pictures[0]))
+        _, normals = explained_by_kept("lambert-known", scene, every, (0,), opened.lamps)
+        assert normals is not None
+        assert np.nanmedian(angles_between(normals, scene.normals)) < degrees
+
+
+# Folds, figures, command
+
+
+def task(source: Source, way: Way, fold: int = 0) -> Task:
+    return Task(source, way, fold, "", 1, 4, 6, SIZE)
+
+
+def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    [source] = sources.find_sources(write_set(tmp_path / "bump", "MIT"))
+    seen: list[tuple[Scene, dict[str, Any]]] = []
+
+    def decompose(scene: Scene, *, threads: int, **options: Any) -> Any:
+        seen.append((scene, options))
+        maps = Materials(
+            np.full((SIZE, SIZE, 3), 0.5), np.ones((SIZE, SIZE)), np.zeros((SIZE, SIZE))
+        )
+        truth = SimpleNamespace(materials=maps)
+        chosen = SimpleNamespace(as_json=lambda: {"kind": threads})
+        given = SimpleNamespace(truth=truth, normals=cap(), valid=scene.valid, fov=0.0)
+        return stand_in(given, held_out=chosen, assumed={"light": "so"})  # type: ignore[arg-type]
+
+    monkeypatch.setattr(measure, "decompose", decompose)
+    values = json.loads(json.dumps(measure.run(task(source, "default", 1), 1)))
+    scene, options = seen[0]
+    assert options == {}
+    assert scene.names == ("0", "3", "4", "6", "7")  # of six, 1 is held out
+    assert (scene.normals_known, scene.lamps, scene.response) == (False, None, "srgb")
+    assert [one["name"] for one in values["own"]] == ["1"]
+    assert values["lamp"][0]["rmse"] != values["own"][0]["rmse"]
+    assert values["normals"]["mean"] < 0.01
+    assert values["chosen"]["held_out"] == {"kind": 1}
+    measure.run(task(source, "lamps-linear", 1), 1)
+    scene, options = seen[1]
+    assert (options, scene.response) == ({"light": "lamps"}, None)
+    np.testing.assert_allclose(scene.images[0], encode_srgb(matt()[0]), atol=1e-4)
+
+
+def test_a_way_says_what_it_lacks(tmp_path: Path) -> None:
+    folder = write_set(tmp_path / "bump", "MIT")
+    (folder / "set.json").unlink()
+    (folder / "scene.toml").write_text('color_space = "linear"\n', encoding="utf-8")
+    [source] = sources.find_sources(folder)
+    assert measure.run(task(source, "linear"), 1) == {"not_possible": "the encoding is known"}
+    assert measure.run(task(source, "lambert-known"), 1) == {
+        "not_possible": "nobody knows the lamps"
+    }
+
+
+def found(error: float) -> dict[str, Any]:
+    chosen = {"light": "lamps", "response": None}
+    scores = [{"name": "0", "samples": 4, "rms": 1.0, "rmse": error}]
+    return {"own": scores, "lamp": scores, "chosen": chosen, "normals": None, "seconds": 2.0}
+
+
+def test_regret_is_beside_the_best_of_ours() -> None:
+    a, b = (Source(name, Path(name), "scene", 8, "", name == "b") for name in "ab")
+    errors: dict[Source, dict[Way, float]] = {
+        a: {"default": 0.11, "lamps": 0.10, "paper": 0.2, "lambert": 0.05, "nearest": 0.11},
+        b: {"default": 0.2, "lamps": 0.3, "paper": 0.19, "lambert": 0.4, "nearest": 0.1},
+    }
+    pairs = [(task(of, way), found(e)) for of, ways in errors.items() for way, e in ways.items()]
+    results = recorded(*pairs, (task(b, "linear"), "failed"), effort="full")
+    assert [one.regret for one in figures.sets(results)] == pytest.approx([1.1, 0.2 / 0.19])
+    mean, worst = figures.verdicts(results, None)
+    assert mean.value == pytest.approx(math.sqrt(1.1 * 0.2 / 0.19))
+    assert (mean.holds, worst.holds, worst.where) == (False, True, "a")
+    assert not list(figures.verdicts(recorded(*pairs, effort="quick"), None))
+    rows = {(row.name, row.solver): row for row in figures.rows(results)}
+    assert rows["a", "default"].metrics["regret"] == pytest.approx(1.1)
+    assert (rows["b", "linear"].status, rows["b", "linear"].private) == ("failed", True)
+    short = next(iter(figures.sections(results, [])))
+    told = {str(line[0]).partition(": ")[2] or line[0]: line[1] for line in short.tables[0].rows}
+    assert told["Lambert, rank 3"] == "1 of 2"
+    assert told["nearest picture"] == "1 of 2"
+    assert [line[1] for line in short.tables[0].rows][2:4] == ["1 of 2", "2 of 2"]
+
+
+def test_command_reports_resumes_and_keeps_private_sets_out_of_documentation(
+    tmp_path: Path,
+) -> None:
+    data, out, docs = (tmp_path / name for name in ("data", "out", "docs"))
+    write_set(data / "sets" / "open", "MIT")
+    write_set(data / "sets" / "closed", "none stated")
+    docs.mkdir()
+    page = docs / "page.md"
+    page.write_text("<!-- evidence: heldout/Errors -->\n<!-- /evidence -->\n", encoding="utf-8")
+    (tmp_path / "README.md").write_text("", encoding="utf-8")
+    said = ("evaluate", "heldout", data, "--out", out, "--quick", "--jobs", 1, "--docs", docs)
+    assert run(*said, "--ways", "lambert", "sum") == 0
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
+    assert {row["name"] for row in summary["rows"]} == {"open", "closed"}
+    assert "closed" in (out / "report.html").read_text("utf-8")
+    published = page.read_text("utf-8") + (docs / "evidence" / "heldout.json").read_text("utf-8")
+    assert "closed" not in published
+    assert "| open |" in published
+    assert "geometric mean of 2 sets" in published
+    record = out / "records" / "open-sum-0.json"
+    written = record.stat().st_mtime_ns
+    assert run(*said, "--ways", "lambert", "sum", "--resume") == 0
+    assert record.stat().st_mtime_ns == written
