@@ -6,7 +6,7 @@ FILES = ["history.csv", "lighting.json", "materials.exr", "preview.png", "result
 KEYS = [
     *("version", "status", "stop_reason", "fov", "model", "iterations", "evaluations"),
     *("seconds", "protocol", "metrics", "uncertainty", "normals", "camera"),
-    "transport",
+    *("transport", "held_out", "verdicts"),
     *("options", "assumed", "left_out"),
     *("stages", "inputs", "scene", "files"),
 ]

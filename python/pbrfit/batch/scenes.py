@@ -14,6 +14,7 @@ from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
 from pbrfit.batch.settings import Reading
+from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
 from pbrfit.result.verdict import Verdict, verdicts_of
 
@@ -70,11 +71,13 @@ class SceneOutcome:
     """As in `result.json`."""
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
     """By name of the map; none where the uncertainty was not estimated."""
+    held_out: HeldOut | None = None
+    """How well left-out pictures are explained; None where none were."""
     peak_bytes: int | None = None
     """Memory of the process at its highest meanwhile; None where the system does not tell, and of
     results that were kept."""
     table: str = ""
-    """The result in words and figures, lines for people, but for the verdicts."""
+    """The result in words and figures, lines for people, without held-out error and verdicts."""
     steps: tuple[str, ...] = ()
     """What would make it better, as `result.advice` says; of a result that was kept what its
     verdicts say."""
@@ -113,6 +116,7 @@ def decompose_scene(
                 iterations=int(content["iterations"]),
                 metrics=dict(content["metrics"]),
                 verdicts=verdicts,
+                held_out=HeldOut.from_json(content.get("held_out")),
                 table=f"{task.output}: kept, nothing has changed",
                 steps=advice.of_verdicts(verdicts),
             )
@@ -145,6 +149,7 @@ def decompose_scene(
         iterations=result.history.iterations,
         metrics=dict(result.metrics),
         verdicts={} if result.uncertainty is None else result.uncertainty.verdicts,
+        held_out=result.held_out,
         peak_bytes=None if peak is None else 1024 * peak,
         table="\n".join(table(result, scene, task.output)),
         steps=advice.next_steps(result),

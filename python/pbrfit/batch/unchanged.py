@@ -13,6 +13,7 @@ from pbrfit.batch.settings import Reading
 from pbrfit.io.input_files import TEXT_BYTES, digest, read_text
 from pbrfit.io.json_files import UNFIT, table
 from pbrfit.model.reflection import chosen_model
+from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
 from pbrfit.result.result import files_of, model_of
 from pbrfit.result.verdict import verdicts_of
@@ -30,6 +31,7 @@ def kept(
     """
     try:
         content = json.loads(read_text(output / "result.json", TEXT_BYTES))
+        HeldOut.from_json(content.get("held_out"))  # raises what is caught below
         same = (
             content["version"] == version("pbrfit")
             and content["options"] == options.to_json()

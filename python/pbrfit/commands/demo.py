@@ -15,7 +15,7 @@ from pbrfit.commands.fit_options import (
     fit_options,
 )
 from pbrfit.commands.synth import add_synthetic, make_scene
-from pbrfit.commands.terminal import verdict_lines
+from pbrfit.commands.terminal import held_out_lines, verdict_lines
 from pbrfit.fit.decompose import decompose
 from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.io.relit_files import Screen, write_animation, write_png
@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
         lines = [
             *table(result, scene, options.out / "result"),
             "",
+            *held_out_lines(result.held_out),
             *verdict_lines(verdicts, next_steps(result)),
         ]
         print("\n".join(lines))

@@ -18,7 +18,14 @@ from pbrfit.batch.driver import Attempt, repeat_log
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, rmse_in_words
 from pbrfit.commands.messages import complain, in_flags, unread_is_no_failure
 from pbrfit.commands.progress import progress_bar
-from pbrfit.commands.terminal import DIM, columns_of, marked, painted, verdict_lines
+from pbrfit.commands.terminal import (
+    DIM,
+    columns_of,
+    held_out_lines,
+    marked,
+    painted,
+    verdict_lines,
+)
 from pbrfit.io.quoting import shown
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
 
@@ -30,6 +37,8 @@ class Row:
     name: str
     status: str
     residual: str
+    held_out: str
+    """Relative error of left-out pictures; empty where none were."""
     levels: tuple[Level | None, ...]
     """Of the maps; None where there is no verdict."""
     seconds: float
@@ -95,7 +104,10 @@ class SceneDisplay:
                 elif self._scenes > 1:
                     self._rows.append(_row(task, attempt))
                 elif outcome is not None:
-                    lines = verdict_lines(outcome.verdicts, outcome.steps)
+                    lines = [
+                        *held_out_lines(outcome.held_out),
+                        *verdict_lines(outcome.verdicts, outcome.steps),
+                    ]
                     print("\n".join([outcome.table, *(["", *lines] if lines else [])]))
         if self._bar is not None:
             kept = outcome is not None and outcome.status == "kept"
@@ -140,6 +152,9 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
         "stop_reason": None if outcome is None else outcome.stop_reason,
         "iterations": None if outcome is None else outcome.iterations,
         "metrics": {} if outcome is None else dict(outcome.metrics),
+        "held_out": None
+        if outcome is None or outcome.held_out is None
+        else outcome.held_out.as_json(),
         "verdicts": {}
         if outcome is None
         else {name: one.as_json() for name, one in outcome.verdicts.items()},
@@ -155,12 +170,15 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
     rows = sorted((replace(row, name=shown(row.name)) for row in rows), key=lambda row: row.name)
     of_name = max(len("scene"), *(len(row.name) for row in rows))
 
-    def line(name: str, status: str, residual: str, levels: Sequence[str], last: str) -> str:
-        return f"{name:<{of_name}}  {status:<6}  {residual:>8}  {'  '.join(levels)}  {last:>7}"
+    def line(
+        name: str, status: str, errors: Sequence[str], levels: Sequence[str], last: str
+    ) -> str:
+        columns = [f"{name:<{of_name}}", f"{status:<6}", *(f"{one:>8}" for one in errors), *levels]
+        return "  ".join([*columns, f"{last:>7}"])
 
     def head(width: int) -> str:
         maps = [f"{name:<{2 + width}}" for name in PARAMETERS]
-        return line("scene", "status", "residual", maps, "seconds")
+        return line("scene", "status", ("residual", "held out"), maps, "seconds")
 
     words: dict[Level, str] = {level: level for level in LEVELS}
     of_level, columns = max(map(len, LEVELS)), columns_of(sys.stdout)
@@ -170,7 +188,8 @@ def batch_table(rows: Sequence[Row], seconds: float) -> list[str]:
     lines = [painted(head(of_level), DIM, sys.stdout)]
     for row in rows:
         levels = [_cell(level, of_level, words) for level in row.levels]
-        lines.append(line(row.name, row.status, row.residual, levels, f"{row.seconds:.1f}"))
+        errors = (row.residual, row.held_out)
+        lines.append(line(row.name, row.status, errors, levels, f"{row.seconds:.1f}"))
     counts = Counter(row.status for row in rows)
     parts = [
         f"{counts[status]} {status}" for status in ("done", "kept", "failed") if counts[status]
@@ -189,9 +208,10 @@ def _cell(level: Level | None, width: int, words: Mapping[Level, str]) -> str:
 def _row(task: SceneTask, attempt: Attempt[SceneOutcome]) -> Row:
     outcome = attempt.value
     if outcome is None:
-        return Row(task.name, "failed", "", (None,) * len(PARAMETERS), attempt.seconds)
+        return Row(task.name, "failed", "", "", (None,) * len(PARAMETERS), attempt.seconds)
     levels = tuple(
         outcome.verdicts[name].level if name in outcome.verdicts else None for name in PARAMETERS
     )
     residual = rmse_in_words(outcome.metrics["recon_rmse"])
-    return Row(task.name, outcome.status, residual, levels, attempt.seconds)
+    held_out = "" if outcome.held_out is None else outcome.held_out.error_in_words
+    return Row(task.name, outcome.status, residual, held_out, levels, attempt.seconds)

@@ -1,4 +1,4 @@
-"""What is printed for people: colours where a terminal shows them, verdicts, tables."""
+"""What is printed for people: colours where a terminal shows them, verdicts, held-out errors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TextIO
 
 from pbrfit.commands.messages import in_flags
+from pbrfit.result.held_out import HeldOut
 from pbrfit.result.verdict import MARKS, Level, Verdict
 
 ASCII_SIGNS: Mapping[Level, str] = {"usable": "+", "rough guide": "~", "not determined": "-"}
@@ -45,15 +46,30 @@ def verdict_lines(
     for name, one in verdicts.items():
         sign, level = marked(one.level, stream, f"{one.level:<{longest}}")
         lines.append(f"{sign} {f'{name}:':<{width}} {level}  expected error {one.error_in_words}")
-    for i, step in enumerate(steps):
-        lead = LEADS[min(i, 1)]
-        said = in_flags(step)
-        columns = columns_of(stream)
-        if columns is not None:
-            parts = textwrap.wrap(said, max(columns - len(lead) - 2, 30))
-            said = f"\n{' ' * len(lead)} ".join(parts)
-        lines.append(f"{painted(lead, DIM, stream)} {said}")
+    lines += [_after(LEADS[min(i, 1)], in_flags(step), stream) for i, step in enumerate(steps)]
     return lines
+
+
+def held_out_lines(held_out: HeldOut | None, stream: TextIO | None = None) -> list[str]:
+    """How well left-out pictures are explained, and what was chosen; none where none were."""
+    if held_out is None:
+        return []
+    stream = stream or sys.stdout
+    lead, said = held_out.decision().split(" ", 1)
+    return [_wrapped(held_out.in_words(), "  ", stream), _after(lead, said, stream)]
+
+
+def _after(lead: str, said: str, stream: TextIO) -> str:
+    """What is said, behind a word that leads to it."""
+    return f"{painted(lead, DIM, stream)} {_wrapped(said, ' ' * (len(lead) + 1), stream)}"
+
+
+def _wrapped(said: str, indent: str, stream: TextIO) -> str:
+    """A text in as many lines as it needs in a terminal, all but the first indented."""
+    columns = columns_of(stream)
+    if columns is None:
+        return said
+    return f"\n{indent}".join(textwrap.wrap(said, max(columns - len(indent) - 1, 30)))
 
 
 def marked(level: Level, stream: TextIO, text: str) -> tuple[str, str]:

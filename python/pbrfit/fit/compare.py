@@ -6,19 +6,23 @@ pictures, at some of the pixels; then only the light of the others is fitted, an
 these is its error e, in the files' own values, so that different curves compare. With the mean
 square of picture i over the P pixels, and k numbers of its light,
 
-    score = mean over pictures of [ln Σ e²/P + k/n ln n],    n = the effective number of pixels
+    score = mean over pictures of [ln Σ e²/P + 2 k/P]
 
-which is −2/n times the evidence by G. Schwarz ("Estimating the dimension of a model", Annals of
-Statistics 6, 1978). A light of harmonics has 48 numbers and a lamp 8: the former can take up what
-normals or a curve have wrong, which is no merit of theirs.
+which is H. Akaike's criterion by sample ("A new look at the statistical model identification",
+IEEE Trans. Automatic Control 19, 1974): a light that was fitted to the picture which it is judged
+by leaves less than it would of another, by k/P in the mean, and explains as much too little of
+that. A light of harmonics has 48 numbers, a lamp with constant light around it 8. The pixels are so
+far apart that errors of neighbours are hardly alike.
 
-An explanation with more numbers is chosen where its score is lower by more than two standard
-errors; the differences are as uncertain as their means over patches of the pictures say. What
-explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
+The kind of light with the lowest score is chosen; under it a curve that the files do not say, the
+material prior and weights of samples are taken only where they gain more than two standard errors,
+by how the differences vary over patches of the pictures. What explains the pictures but for
+rounding, or leaves nothing but noise, ends the comparison.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -63,6 +67,8 @@ class Explanation:
     """Strength of the material prior, `Priors.material`."""
     robust: Loss
     """How samples weigh, `FitOptions.robust`."""
+    other_fov: bool = False
+    """Whether a field of view is fitted in place of the given one."""
 
     def in_words(self) -> str:
         """In a few words, for people."""
@@ -72,8 +78,9 @@ class Explanation:
             words.append(f"{'sRGB' if self.response == 'srgb' else self.response} values")
         if self.light == "sh":
             words.append("material prior" if self.material else "no material prior")
-            if self.robust == "none":
-                words.append("all samples alike")
+            words.append("samples alike" if self.robust == "none" else "samples weighed")
+        if self.other_fov:
+            words.append("another field of view")
         return ", ".join(words)
 
     @property
@@ -91,6 +98,9 @@ class Choice:
     """What was compared; None where nothing was."""
     found: Found | None = None
     """Of a fit under far lamps, for that of all pixels to go on from."""
+    other_fov: tuple[float, float] | None = None
+    """Degrees of a field of view, and their standard deviation, that explains left-out pictures so
+    much better than the given one that it contradicts this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,60 +108,97 @@ class _Explained:
     """Left-out pictures as one explanation has them."""
 
     explanation: Explanation
+    errors: Array
+    """(M, P): of the files' values, their mean over the channels; NaN where nothing is told."""
     squares: Array
-    """(M, P): squared error of a pixel, in the files' values; NaN where a picture tells nothing."""
+    """(M, P): squared error, in the mean over the channels, likewise."""
     sizes: Array
     """(M, P): squares of the values themselves, likewise."""
-    is_noise: bool
-    """Whether the pictures that were fitted leave only noise, or nothing."""
+    rounding: Array
+    """(M,): variance of what files did to the values, as far as it is known; else 0."""
+    beside: NDArray[np.intp]
+    """(R, 2): pairs of neighbouring pixels."""
+    patches: NDArray[np.intp]
+    """(P,)."""
     found: Found | None = None
     """Of a fit under far lamps: with those of all pictures."""
+    fov: tuple[float, float] | None = None
+    """That was fitted, and its standard deviation, in degrees."""
+
+    @classmethod
+    def together(cls, folds: Sequence[_Explained]) -> _Explained:
+        """Several folds of one explanation."""
+        return replace(
+            folds[0],
+            errors=np.concatenate([one.errors for one in folds]),
+            squares=np.concatenate([one.squares for one in folds]),
+            sizes=np.concatenate([one.sizes for one in folds]),
+            rounding=np.concatenate([one.rounding for one in folds]),
+        )
 
     @property
     def error(self) -> float:
         """Relative root mean square error of the pictures, their geometric mean."""
-        return float(np.exp(0.5 * (self._logs - np.log(np.nanmean(self.sizes, axis=1))).mean()))
+        sizes = np.log(np.maximum(np.nanmean(self.sizes, axis=1), settings.NOISE_VARIANCE_MIN))
+        return float(np.exp(0.5 * (np.log(self._means) - sizes).mean()))
 
     @property
     def score(self) -> float:
         """As in the head of this file."""
-        n = self.squares.shape[1]
-        return float(self._logs.mean()) + self.explanation.numbers / n * math.log(n)
+        price = 2 * self.explanation.numbers / self.squares.shape[1]
+        return float(np.log(self._means).mean() + price)
 
     @property
-    def _logs(self) -> Array:
-        return np.log(np.maximum(np.nanmean(self.squares, axis=1), settings.NOISE_VARIANCE_MIN))
+    def _means(self) -> Array:
+        means = np.nanmean(self.squares, axis=1)
+        return np.asarray(np.maximum(means, settings.NOISE_VARIANCE_MIN))
 
-    def error_of_difference(self, other: _Explained, patches: NDArray[np.intp]) -> float:
-        """Standard error of the difference of two scores, by its means over patches (P,).
+    @property
+    def is_noise(self) -> bool:
+        """Whether what is left is noise, of which neighbouring pixels share nothing, or rounding.
 
-        A small change of a picture's mean square moves its logarithm by the change over the mean.
+        Rounding is that of float32, or up to twice the deviation that the files have. The mean product of neighbours' errors over the mean square is their correlation; that of
+        R independent pairs in M pictures is 0 with a standard error of 1/√(R M).
         """
-        shares = [
-            one.squares
-            / np.maximum(np.nanmean(one.squares, axis=1, keepdims=True), settings.NOISE_VARIANCE_MIN)
-            for one in (self, other)
-        ]
+        least = np.maximum(4 * self.rounding, (settings.EXACT_RMSE * settings.MEAN_RADIANCE) ** 2)
+        if (self._means <= least).all():
+            return True
+        one, other = (self.errors[:, self.beside[:, k]] for k in (0, 1))
+        scale = np.nanmean(np.square(self.errors), axis=1, keepdims=True)
+        products = one * other / np.maximum(scale, settings.NOISE_VARIANCE_MIN)
+        told = np.isfinite(products)
+        limit = settings.COMPARE_ERRORS_MIN / math.sqrt(max(int(told.sum()), 1))
+        return bool(products[told].mean() < limit) if told.any() else False
+
+    def is_worse(self, best: _Explained, errors: float) -> bool:
+        """Whether its score is higher by more than so many standard errors of the difference.
+
+        A small change of a picture's mean square moves its logarithm by the change over the mean;
+        the means of that over patches tell how sure it is.
+        """
+        shares = [one.squares / one._means[:, None] for one in (self, best)]
         difference = np.nan_to_num(shares[0] - shares[1])
-        count = int(patches.max()) + 1
-        sums = np.array([np.bincount(patches, row, count) for row in difference])
+        count = int(self.patches.max()) + 1
+        sums = np.array([np.bincount(self.patches, row, count) for row in difference])
         sums /= difference.size
-        return float(np.sqrt(np.square(sums - sums.mean()).sum()))
+        error = float(np.sqrt(np.square(sums - sums.mean()).sum()))
+        return self.score - best.score > errors * error
 
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
     """Some pixels of a scene as an explanation has them, by the pictures that were fitted."""
 
-    materials: tuple[Array, Array, Array]
-    """(P, 3), (P,), (P,)."""
+    materials: tuple[Array, ...]
+    """Albedo (P, 3), roughness (P,), metallic (P,)."""
     normals: Array
     views: Array
     """(P, 3) each."""
-    is_noise: bool
     pixels: LampPixels | None = None
     found: Found | None = None
     """Of a fit under lamps."""
+    fov: tuple[float, float] | None = None
+    """That was fitted, and its standard deviation, in degrees."""
 
 
 @one_blas_thread()
@@ -175,12 +222,16 @@ class _Comparison:
         self._few = _reduced(scene)
         least = 2 if scene.normals_known else settings.COMPARE_KEPT_MIN
         self._folds = list(_folds(len(scene.images), least))
-        few = np.count_nonzero(self._few.valid) < settings.COMPARE_PIXELS_MIN
+        valid = self._few.valid.copy()  # in any fold
+        for kept, _ in self._folds:
+            valid &= self._few.of_pictures(kept).valid
+        few = np.count_nonzero(valid) < settings.COMPARE_PIXELS_MIN
+        if not few and not (valid == self._few.valid).all():
+            self._few = replace(self._few, mask=valid)
         if scene.lighting is not None or setup.options.iterations == 0 or few:
             self._folds = []
         self._shapes: dict[tuple[Curve | None, int], FirstShape] = {}
-        self._tried: list[_Explained] = []
-        self._patches: NDArray[np.intp] | None = None
+        self._tried: dict[Explanation, list[_Explained]] = {}
 
     def best(self) -> Choice:
         """The explanation of those that a scene can need."""
@@ -190,34 +241,62 @@ class _Comparison:
         first = Explanation(responses[0], simplest, self._strength, loss)
         if not self._folds:
             return Choice(first, None)
+        # Light from all around first: where it leaves only noise, nothing is left to explain. It is
+        # found as the paper has it, with neither priors nor weights of samples, which have to pay.
+        plain = replace(first, material=0.0, robust="none" if loss == "auto" else loss)
         kinds = [
-            replace(first, response=response, light=light, material=self._strength_of(light))
+            replace(plain if light == "sh" else first, response=response, light=light)
+            for light in lights[::-1]
             for response in responses
-            for light in lights
         ]
-        # Light from all around first: where it leaves only noise, nothing is left to explain.
-        kinds.sort(key=lambda one: (one.light == "lamps", one.response != self._scene.response))
-        for kind in kinds:
-            found = self._try(kind)
-            if found.is_noise and kind.response == self._scene.response:
+        best = self._race(kinds)
+        full = replace(best.explanation, material=self._strength, robust=loss)
+        if best.explanation.light == "sh" and best.is_noise:
+            return self._choice(best, full)
+        for kind in {full, replace(full, material=0.0)} - {best.explanation}:
+            if kind.light == "sh":
+                for fold in range(len(self._tried[best.explanation])):
+                    self._try(kind, fold)
+        best = self._simplest()
+        return replace(self._choice(best, best.explanation), other_fov=self._other_fov(best))
+
+    def _other_fov(self, best: _Explained) -> tuple[float, float] | None:
+        """A field of view that contradicts the given one."""
+        scene = self._scene
+        if not (scene.fov_known and scene.normals_known) or best.explanation.light != "sh":
+            return None
+        kind = replace(best.explanation, other_fov=True)
+        self._try(kind, 0)
+        [other], given = self._tried.pop(kind), self._tried[best.explanation][0]
+        if given.score - other.score < settings.COMPARE_FOV_GAIN_MIN:
+            return None
+        return other.fov if given.is_worse(other, settings.COMPARE_ERRORS_MIN) else None
+
+    def _race(self, kinds: Sequence[Explanation]) -> _Explained:
+        """The best of some, of which those go on from fold to fold that may still be the best."""
+        for fold in range(len(self._folds)):
+            for kind in kinds:
+                if (
+                    fold == 0
+                    and kind.light == "lamps"
+                    and any(one.is_noise for one in self._results())
+                ):
+                    continue
+                self._try(kind, fold)
+            results = [one for one in self._results() if one.explanation in kinds]
+            best = min(results, key=lambda one: one.score)
+            errors = settings.COMPARE_DROPPED_ERRORS
+            kinds = [one.explanation for one in results if not one.is_worse(best, errors)]
+            if len(kinds) == 1:
                 break
-        best = self._chosen()
-        if best.explanation.light == "sh":
-            if self._strength:
-                self._try(replace(best.explanation, material=self._strength))
-            if loss == "auto" and not best.is_noise:
-                self._try(replace(best.explanation, robust="none"))
-            best = min(self._tried, key=lambda one: one.score)
-        best = self._chosen()
-        return self._choice(best)
+        return best
+
+    def _results(self) -> list[_Explained]:
+        return [_Explained.together(folds) for folds in self._tried.values()]
 
     @property
     def _strength(self) -> float:
         return self._options.priors.material
-
-    def _strength_of(self, light: LightKind) -> float:
-        """Of the prior in the first comparison: light from all around is found without, sooner."""
-        return self._strength if light == "lamps" else 0.0
 
     def _lights(self) -> tuple[LightKind, ...]:
         scene, options = self._scene, self._options
@@ -235,80 +314,71 @@ class _Comparison:
             return [scene.response]
         return [scene.response, "linear" if scene.response == "srgb" else "srgb"]
 
-    def _chosen(self) -> _Explained:
-        """The simplest of those that are not surely worse than the best."""
-        best = min(self._tried, key=lambda one: one.score)
-        if any(one.is_noise for one in self._tried):
-            best = next(one for one in self._tried[::-1] if one.is_noise)
-        assert self._patches is not None
-        for one in sorted(self._tried, key=self._complexity):
-            error = one.error_of_difference(best, self._patches)
-            if one.score - best.score <= settings.COMPARE_ERRORS_MIN * error:
-                return one
-        return best
+    def _simplest(self) -> _Explained:
+        """The best, or the simplest under the same kind of light that is not surely worse."""
+        most = max(len(folds) for folds in self._tried.values())
+        results = [one for one in self._results() if len(self._tried[one.explanation]) == most]
+        best = min(results, key=lambda one: one.score)
+        same = [one for one in results if one.explanation.light == best.explanation.light]
+        same.sort(key=lambda one: self._complexity(one.explanation))
+        errors = settings.COMPARE_ERRORS_MIN
+        return next(one for one in same if not one.is_worse(best, errors))
 
-    def _complexity(self, one: _Explained) -> tuple[object, ...]:
-        """By numbers of the light, freedom of materials, and what was not said."""
-        kind = one.explanation
-        return (
-            kind.numbers,
-            -kind.material,
-            kind.response != self._scene.response,
-            kind.robust != self._options.robust,
-        )
+    def _complexity(self, kind: Explanation) -> tuple[bool, ...]:
+        """By what was not said of the files, and what is assumed beside."""
+        changed = kind.response != self._scene.response
+        return changed, kind.material > 0, kind.robust != "none"
 
-    def _choice(self, best: _Explained) -> Choice:
+    def _choice(self, best: _Explained, chosen: Explanation) -> Choice:
         """What was chosen, with what was compared."""
-        others = sorted(self._tried, key=lambda one: one.score)
+        others = sorted(self._results(), key=lambda one: one.score)
         held_out = HeldOut(
             error=best.error,
             nearest_picture=self._nearest(),
-            pictures=sum(len(out) for _, out in self._folds),
+            pictures=len(best.squares),
             candidates=tuple(
                 Candidate(one.explanation.in_words(), one.score, one.error) for one in others
             ),
             chosen=best.explanation.in_words(),
         )
-        return Choice(best.explanation, held_out, best.found)
+        return Choice(chosen, held_out, best.found)
 
     # Fits
 
-    def _try(self, kind: Explanation) -> _Explained:
-        """Fit some pictures and explain the others, fold by fold."""
-        squares, sizes, fits = [], [], []
-        lamps: list[Lamps] = []
-        for number, (kept, out) in enumerate(self._folds):
-            scene = self._few
-            if kind.response is not None:
-                scene = scene.decoded_by(kind.response)
-            few, shape = self._pixels(scene, kept, kind.response, number)
-            fit = (self._under_lamps if kind.light == "lamps" else self._under_harmonics)(
-                kind, few.of_pictures(kept), shape
-            )
-            fits.append(fit)
-            for picture in out:
-                shown, lamp = _explained(self._model, fit, few, picture)
-                values = few.file_values(few.samples(picture).astype(np.float64))
-                error = values - few.file_values(np.maximum(shown, 0.0))
-                weights = few.channel_weights(picture)
-                if weights is not None:
-                    untold = weights[few.valid] == 0
-                    error[untold] = values[untold] = np.nan
-                squares.append(_mean(error))
-                sizes.append(_mean(values))
-                if number == 0 and lamp is not None:
-                    lamps.append(lamp)
-            if self._patches is None:
-                self._patches = _patches(few.valid)
+    def _try(self, kind: Explanation, fold: int) -> None:
+        """Fit the pictures of a fold and explain those that it leaves out."""
+        kept, out = self._folds[fold]
+        scene = self._few if kind.response is None else self._few.decoded_by(kind.response)
+        few, shape = self._pixels(scene, kept, kind.response, fold)
+        fitted = self._under_lamps if kind.light == "lamps" else self._under_harmonics
+        fit = fitted(kind, few.of_pictures(kept), shape)
+        errors, values, rounding, lamps = [], [], [], []
+        for picture in out:
+            shown, lamp = _explained(self._model, fit, few, picture)
+            values.append(few.file_values(few.samples(picture).astype(np.float64)))
+            errors.append(values[-1] - few.file_values(np.maximum(shown, 0.0)))
+            weights = few.channel_weights(picture)
+            if weights is not None:
+                untold = weights[few.valid] == 0
+                errors[-1][untold] = values[-1][untold] = np.nan
+            floor, slope = few.noise_floor(picture), _slope(few, few.samples(picture))
+            off = 0.0 if floor is None else floor[few.valid] * slope
+            rounding.append(float(np.mean(np.square(off))))
+            if lamp is not None:
+                lamps.append(lamp)
+        of_errors = np.array(errors)
         explained = _Explained(
             kind,
-            np.array(squares),
-            np.array(sizes),
-            all(one.is_noise for one in fits),
-            None if fits[0].found is None else self._of_all(fits[0].found, lamps),
+            _mean(of_errors),
+            _mean(np.square(of_errors)),
+            _mean(np.square(np.array(values))),
+            np.array(rounding),
+            _beside(few.valid),
+            _patches(few.valid),
+            None if fit.found is None else self._of_all(fit.found, lamps, fold),
+            fit.fov,
         )
-        self._tried.append(explained)
-        return explained
+        self._tried.setdefault(kind, []).append(explained)
 
     def _pixels(
         self, scene: Scene, kept: Sequence[int], response: Curve | None, number: int
@@ -321,12 +391,12 @@ class _Comparison:
                 scene.of_pictures(kept), places_max=settings.COMPARE_PIXELS
             )
         shape = self._shapes[response, number]
-        known = replace(scene, normals=shape.normals, normals_known=True)
+        told = np.isfinite(shape.normals).all(axis=-1, keepdims=True)
+        facing = np.where(told, shape.normals, [0.0, 0.0, 1.0])
+        known = replace(scene, normals=facing, normals_known=True)
         window = strided_window(known.valid, 1, settings.COMPARE_PIXELS)
         few = SceneCutter(known).cut(window)
-        return few, replace(
-            shape, normals=window.of(shape.normals), albedo=window.of(shape.albedo)
-        )
+        return few, replace(shape, normals=window.of(facing), albedo=window.of(shape.albedo))
 
     def _under_harmonics(
         self, kind: Explanation, scene: Scene, shape: FirstShape | None
@@ -340,6 +410,9 @@ class _Comparison:
             uncertainty=False,
         )
         setup = replace(self._setup, options=options, progress=None)
+        if kind.other_fov:
+            scene = copy.copy(scene)
+            object.__setattr__(scene, "fov_known", False)
         objective = setup.objective(scene)
         run = setup.run(scene, objective)
         x = objective.start()
@@ -347,12 +420,16 @@ class _Comparison:
         lights = find_lights(run, x)
         x = gauss_newton(run, x, lights)[0] if run.goes_on else lights.x
         materials, _ = run.objective.unpack(x)
-        valid = scene.valid
+        valid, camera = scene.valid, run.camera
+        sigma = camera.fov_sigma
         return _Fitted(
-            (materials.albedo[valid], materials.roughness[valid], materials.metallic[valid]),
+            tuple(
+                np.asarray(of, np.float64)[valid]
+                for of in (materials.albedo, materials.roughness, materials.metallic)
+            ),
             np.asarray(scene.normals, np.float64)[valid],
-            scene.through(run.camera.fov_degrees).views[valid],
-            lights.exact or lights.is_noise,
+            scene.through(camera.fov_degrees).views[valid],
+            fov=None if sigma is None else (camera.fov_degrees, sigma),
         )
 
     def _under_lamps(self, kind: Explanation, scene: Scene, shape: FirstShape | None) -> _Fitted:
@@ -364,16 +441,15 @@ class _Comparison:
             (state.albedo, state.roughness, state.metallic),
             state.normals,
             pixels.views,
-            False,
             pixels,
             found,
         )
 
-    def _of_all(self, found: Found, out: Sequence[Lamps]) -> Found | None:
+    def _of_all(self, found: Found, out: Sequence[Lamps], fold: int) -> Found | None:
         """With the lamps of left-out pictures beside those of the fitted ones."""
         if found.lamps.near.any():
             return None
-        kept, left = self._folds[0]
+        kept, left = self._folds[fold]
         pictures = np.array([*(kept[i] for i in found.lamps.pictures), *left])
         order = np.argsort(pictures, kind="stable")
         places, colors = (
@@ -387,19 +463,22 @@ class _Comparison:
         logs = []
         scene, valid = self._few, self._few.valid
         values = [
-            scene.file_values(scene.samples(i).astype(np.float64)) for i in range(len(scene.images))
+            np.asarray(scene.file_values(scene.samples(i).astype(np.float64)))
+            for i in range(len(scene.images))
         ]
-        told = [scene.channel_weights(i) for i in range(len(values))]
         for kept, out in self._folds:
             for picture in out:
+                weights = scene.channel_weights(picture)
                 counted = np.ones_like(values[picture])
-                if told[picture] is not None:
-                    counted = (told[picture][valid] > 0).astype(np.float64)
+                if weights is not None:
+                    counted = (weights[valid] > 0).astype(np.float64)
                 true = values[picture] * counted
                 least = min(
                     float(np.square(true - _factor(values[i] * counted, true)).sum()) for i in kept
                 )
-                logs.append(math.log(max(least, 1e-300) / max(float(np.square(true).sum()), 1e-300)))
+                logs.append(
+                    math.log(max(least, 1e-300) / max(float(np.square(true).sum()), 1e-300))
+                )
         return math.exp(0.5 * float(np.mean(logs)))
 
 
@@ -465,11 +544,23 @@ def _slope(scene: Scene, radiance: Array) -> Array:
 
 
 def _mean(values: Array) -> Array:
-    """(P,): mean square over the channels that tell something; NaN without any."""
+    """(M, P): mean over the channels that tell something; NaN without any."""
     told = np.isfinite(values)
-    sums = np.square(np.where(told, values, 0.0)).sum(axis=1)
-    count = told.sum(axis=1)
+    sums, count = np.where(told, values, 0.0).sum(axis=-1), told.sum(axis=-1)
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
+
+
+def _beside(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(R, 2): pairs of valid pixels beside or below each other."""
+    index = np.full(valid.shape, -1, np.intp)
+    index[valid] = np.arange(np.count_nonzero(valid))
+    pairs = np.concatenate(
+        [
+            np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1),
+            np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1),
+        ]
+    )
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)])
 
 
 def _factor(other: Array, true: Array) -> Array:
@@ -479,7 +570,7 @@ def _factor(other: Array, true: Array) -> Array:
 
 
 def _folds(pictures: int, least: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """(Fitted, left out): enough left-out pictures altogether, spread evenly, none of them twice."""
+    """(Fitted, left out): enough left-out pictures altogether, spread evenly, none twice."""
     out = max(1, pictures // settings.COMPARE_SHARE)
     if pictures - out < least:
         return
@@ -527,11 +618,11 @@ def _reduced(scene: Scene) -> Scene:
         mask=mask,
         limits=limits,
         weights=weights,
-        normals=None,
+        normals=None,  # type: ignore[arg-type]  # unknown, as before
         depth=None,
         segments=None,
         file_noise=None,
         normal_sigma=None,
         truth=None,
-        fov=scene.fov if scene.fov_known else None,
+        fov=scene.fov if scene.fov_known else None,  # type: ignore[arg-type]  # unknown
     )

@@ -42,6 +42,7 @@ from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
+from pbrfit.result.verdict import capped
 from pbrfit.scene import exposure
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
@@ -150,9 +151,7 @@ def decompose(
     if how.response is not None:
         scene = scene.decoded_by(how.response)
     priors = replace(setup.options.priors, material=how.material)
-    setup = replace(
-        setup, options=replace(setup.options, priors=priors, robust=how.robust)
-    )
+    setup = replace(setup, options=replace(setup.options, priors=priors, robust=how.robust))
     start_shape = None
     if not scene.normals_known:
         start_shape = first_shape(scene, None if chosen.found is None else chosen.found.lamps)
@@ -198,6 +197,12 @@ def _result(
     chosen: Choice,
 ) -> Result:
     """What a fit hands over, with final errors and what is to be said."""
+    camera = replace(found.camera, response=scene.response)
+    if chosen.other_fov is not None:
+        degrees, sigma = chosen.other_fov
+        figures = {"other_fov_degrees": degrees, "other_fov_sigma": sigma}
+        camera = replace(camera, contradicted=True, figures=figures)
+    found = replace(found, camera=camera)
     threads, model = setup.threads, setup.model
     layout = setup.layout(scene)
     plan = FitPlan.of(
@@ -237,6 +242,7 @@ def _result(
             albedo_scale=uncertainty.albedo_scale,
             albedo=found.materials.albedo,
         )
+        verdicts = capped(verdicts, chosen.held_out)
         uncertainty = replace(uncertainty, verdicts=verdicts)
     result = Result(
         materials=found.materials,
@@ -260,7 +266,7 @@ def _result(
         stages=found.stages,
         uncertainty=uncertainty,
         refinement=refinement,
-        camera=replace(found.camera, response=scene.response),
+        camera=found.camera,
         held_out=chosen.held_out,
         given_normals=given if refinement.refined else None,
         depth=scene.depth,

@@ -59,9 +59,6 @@ class Discrepancy:
     """Of the pictures."""
     uses: float = settings.SAMPLE_USES
     """What the same samples have told: lights, prior and pixel, and normals that were refined."""
-    by_camera: Array | None = None
-    """(F,): what a field of view that contradicts the given one changes of roughness and metallic;
-    None where none does."""
 
     @property
     def misfit(self) -> float:

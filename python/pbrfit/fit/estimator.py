@@ -262,10 +262,9 @@ def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
 def discrepancy_of(run: Run, objective: Objective, x: Array) -> Discrepancy:
     """How far samples are off under the lights of x."""
     refined = run.light_modes is not None
-    found = discrepancy.find(
+    return discrepancy.find(
         objective, x, run.picture_effect, modes=run.light_modes, refined=refined
     )
-    return replace(found, by_camera=run.materials_by_other)
 
 
 def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, GaussianPrior] | None:

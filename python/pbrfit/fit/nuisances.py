@@ -14,9 +14,7 @@ and with a normal distribution of θ around μ as prior, of precision Λ,
 
 beside what joint steps move the lights by. W = max(κ, 1) s², times what pictures share, is the
 variance that what is left of the pixels stands for (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the
-covariance of θ. The gain gᵀ H⁻¹ g / W is C. R. Rao's score test (Math. Proc. Cambridge Phil. Soc.
-44, 1948): χ² with as many degrees of freedom as there are numbers where none of them has to change.
-It takes no fit with them.
+covariance of θ. The gain gᵀ H⁻¹ g / W is χ².
 As all else is solved for, a wrong camera that materials and lights have bent to is seen as well as
 one that they have not.
 """
@@ -122,12 +120,6 @@ class Nuisances:
             none = Correction(self.scene.mean_brightness())
             self.scene = self.scene.through(self.scene.fov, none)
 
-    def test(self, of: Sequence[Nuisance]) -> float:
-        """The score test of some of them alone, the others as they are: χ²."""
-        chosen = [self.fitted.index(one) for one in of]
-        slope, information = self.slope[chosen], self.information[np.ix_(chosen, chosen)]
-        return float(slope @ np.linalg.solve(information, slope)) / self._misfit
-
     @property
     def values(self) -> Array:
         """(J,): θ."""
@@ -149,11 +141,6 @@ class Nuisances:
             fov, sigma = self.scene.fov, self.fov_sigma
             found = replace(found, fov_degrees=fov, how="fitted", fov_sigma=sigma)
         return found
-
-    def surprise(self) -> float:
-        """−2 ln of their prior, less a constant."""
-        means, sigmas = np.array([(one.mean, one.sigma) for one in self.fitted]).T
-        return float(np.square((self.values - means) / sigmas).sum())
 
     def log_slope(self, objective: Objective, x: Array) -> float:
         """Mean of 2 ln of the slope of pictures by corrected ones, over samples that are no limits.

@@ -128,10 +128,6 @@ class Run:
         """What has been decided about it."""
         self.scale: Scale | None = None
         """What is known of the common scale of lights and albedo."""
-        self.scale_by_other: Array | None = None
-        """How it changes with a field of view that contradicts the given one."""
-        self.materials_by_other: Array | None = None
-        """(F,): root mean square of what it changes of a pixel's roughness and metallic."""
         self._progress, self._began = progress, began
         self.unmeasured = 0.0
         """Seconds spent on comparing with the ground truth and in `progress`."""

@@ -86,12 +86,6 @@ class Scale:
     referred: bool = False
     """Whether it rests on pixels of known albedo."""
 
-    def beside(self, other: Array) -> Scale:
-        """With the relative change (light channels,) that a likelier camera makes as an error."""
-        deviation = np.hypot(self.deviation, np.log1p(np.maximum(other, settings.SCALE_CHANGE_MIN)))
-        said = f"{self.assumed}; by the other field of view lights {_percent(other)}"
-        return replace(self, deviation=deviation, assumed=said)
-
 
 def find(
     objective: Objective, x: Array, strength: float, variance: float, shared: SharedFit, stop: Stop

@@ -188,18 +188,6 @@ longer is as far as it holds."""
 NUISANCE_GAIN_MIN = 1.0
 """Gain in χ² of a step, at which these numbers count as found: one standard deviation."""
 
-CAMERA_GAIN_MIN = 25.0
-"""χ² of the score test, five standard deviations, from which on a given field of view is doubted
-and another fitted: less may come from lights that are not quite found."""
-
-CAMERA_MISFIT_SHARE_MAX = 0.5
-"""Share of the misfit κ s² that another field of view may leave to contradict the given one. Where
-that is 30 degrees off it leaves a twentieth, where normals are 10 degrees off nine tenths."""
-
-CAMERA_PATCHES_MIN = 9
-"""Patches of a level from which on a camera is doubted: in four, lights without their band 3, or
-wrong normals, left what looks like noise, and another camera explained it; nine tell it."""
-
 NUISANCE_INFORMATION_MIN = 1e-6
 """Share of its information that a number of the camera keeps when lights are solved for, below
 which that is rounding, of float32 derivatives, and only the prior tells the number."""
@@ -311,7 +299,7 @@ COMPARE_KEPT_MIN = 3
 COMPARE_SHARE = 4
 """One picture in so many is left out."""
 
-COMPARE_PICTURES_MIN = 3
+COMPARE_PICTURES_MIN = 2
 """Left-out pictures altogether, in as many folds as that takes: they are not all alike."""
 
 COMPARE_PATCHES = 8
@@ -320,6 +308,15 @@ larger than most shadows and highlights."""
 
 COMPARE_ERRORS_MIN = 2.0
 """Standard errors of a difference of scores from which on it counts: two, as is usual."""
+
+COMPARE_DROPPED_ERRORS = 4.0
+"""The same for an explanation that is dropped after some of the left-out pictures: others may
+differ from these."""
+
+COMPARE_FOV_GAIN_MIN = math.log(2)
+"""By how much lower the score of a fitted field of view has to be for the given one to be
+contradicted: half of the mean square error goes. Of one that is 30 degrees off a twentieth stays,
+with normals 10 degrees off nine tenths."""
 
 COMPARE_LIGHT_STEPS = 3
 """Gauss-Newton steps of a left-out picture's light, in the files' values."""
@@ -458,10 +455,6 @@ nearly all, there are no others to compare it with."""
 FREEDOM_MIN = 3.0
 """Smallest degrees of freedom of a jackknife's variance. With fewer the 95 % of Student's t are a
 statement on its tails, and not on the groups."""
-
-SCALE_CHANGE_MIN = -0.95
-"""Smallest relative change of the scale by another camera: below, lights have turned around and the
-deviation of the scale, ln 20, says that nothing is known."""
 
 UNIFORM_PRECISION = 12.0
 """1/variance of a number that may lie anywhere in [0, 1]."""

@@ -15,8 +15,7 @@ diagonal come
   the mean albedo where a pixel has less: what is dark may be so by shade);
 - the moves with the lights, v_noise Σ (C Bᵀ m / v)² over their modes m;
 - the scale's deviation σ_s: albedo goes with its inverse, and roughness and metallic move by
-  A⁻¹ Bᵀ L σ_s, because a highlight that is F₀ = 0.04 strong is a scale of its own;
-- what another field of view changes, where it contradicts the given one: both may be right.
+  A⁻¹ Bᵀ L σ_s, because a highlight that is F₀ = 0.04 strong is a scale of its own.
 
 Values on a bound are not held there: their deviation is what they may be off on the other side.
 docs/uncertainty.md says what was measured.
@@ -187,8 +186,6 @@ def _of_pixels(
     if posterior is not None:  # a value that is not the mean of its posterior is off by that, too
         off = values[:, rest] - posterior.mean[:, : unknowns - c]
         variance[:, rest] += np.square(off) * (1 - posterior.unused[:, None])
-    if discrepancy.by_camera is not None:
-        variance[:, rest] += np.square(discrepancy.by_camera)
     largest = settings.SIGMA_MAX**2
     variance = np.clip(np.nan_to_num(variance, nan=largest, posinf=largest), 0, largest)
     half = TWO_SIDED * np.sqrt(variance)

@@ -253,8 +253,6 @@ def _with_scale(found: refined_fit.PixelFit, options: FitOptions) -> refined_fit
         began = run.elapsed
         run.scale = scale.judge(run.objective, x, prior, run.picture_effect)
         run.unmeasured += run.elapsed - began
-    if run.scale is not None and run.scale_by_other is not None and options.white is None:
-        run.scale = run.scale.beside(run.scale_by_other)
     return replace(found, x=x)
 
 

@@ -184,7 +184,10 @@ def read_picture(
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=bit_depth,
         stored=stored,
-        curve_told=chosen is not None or raster is None or stored is None or bool(raster.icc_profile),
+        curve_told=chosen is not None
+        or raster is None
+        or stored is None
+        or bool(raster.icc_profile),
     )
 
 

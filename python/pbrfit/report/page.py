@@ -10,7 +10,18 @@ from pathlib import Path
 
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
-from pbrfit.report import budget, figures, lamps, maps, normals, theme, transport, verdict, viewer
+from pbrfit.report import (
+    budget,
+    figures,
+    held_out,
+    lamps,
+    maps,
+    normals,
+    theme,
+    transport,
+    verdict,
+    viewer,
+)
 from pbrfit.report import lights as of_lights
 from pbrfit.report import pictures as of_pictures
 from pbrfit.report.html import (
@@ -42,6 +53,7 @@ TITLES = {
     "lamps": "Lamps",
     "surroundings": "Surroundings",
     "history": "Error against run time",
+    held_out.ANCHOR: "How it was chosen",
     "origin": "Run details",
 }
 """Headings by anchor, in their order; sections without content are left out."""
@@ -111,6 +123,7 @@ def page(result: Result, originals: Originals) -> str:
         "lamps": lamps.section(result),
         "surroundings": transport.section(result),
         "history": _history(result),
+        held_out.ANCHOR: held_out.section(result),
         "origin": _origin(result),
     }
 
@@ -165,10 +178,11 @@ def _document(result: Result, sections: Mapping[str, str]) -> str:
 
 
 def _head(result: Result) -> str:
-    """What stands above the picture: the title, and which maps can be used."""
+    """What stands above the picture: the title, which maps can be used, what is explained."""
     found = verdict.chips(result)
     verdicts = f'<div class="verdicts">{found}</div>' if found else ""
-    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{theme.button()}</header>"
+    explains = held_out.sentence(result)
+    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{theme.button()}{explains}</header>"
 
 
 def _title(result: Result) -> str:

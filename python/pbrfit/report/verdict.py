@@ -83,7 +83,8 @@ def how_to_read() -> str:
     rule = thresholds()
     return (
         "Expected error: the RMSE of a map, of values between 0 and 1, that noise, misfit, lights "
-        f"and priors lead to. {rule[0].upper()}{rule[1:]}."
+        f"and priors lead to. {rule[0].upper()}{rule[1:]}. No map is usable where left-out "
+        "pictures are explained worse than by the nearest picture."
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.result.data import ResultData, Status
 from pbrfit.result.light_sides import main_directions, one_side, unlit_sides
-from pbrfit.result.verdict import Verdict
+from pbrfit.result.verdict import MORE_TOLD, UNEXPLAINED, Verdict
 
 AT_MOST = 2
 """Steps that are named: the first that help most, not all that might."""
@@ -51,6 +51,8 @@ def _steps(result: ResultData) -> Iterator[str]:
     verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
     yield from of_verdicts(verdicts)
     named = {one.cause for one in verdicts.values()}
+    if result.held_out is not None and not result.held_out.explains and UNEXPLAINED not in named:
+        yield f"{UNEXPLAINED}: {MORE_TOLD}"
     yield from _camera(result, named)
     facing = "all normals face the camera"
     if facing not in named and (result.normals[result.mask] == (0.0, 0.0, 1.0)).all():

@@ -34,10 +34,8 @@ class Camera:
     """The curve that the files' values were decoded by, where the fit decided; None = as the scene
     said."""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """What that rests on: `score_test_fov`, `score_test_response` and `score_test_vignetting`, χ²
-    of one, three and two degrees that a change of what was given promised. Where others were
-    fitted, `score_given` and `score_other_fov` and so on, of which the lower is likelier, and
-    `other_fov_degrees` with `other_fov_sigma`. Infinite and NaN ones are null in a file."""
+    """Where the given field of view is contradicted, `other_fov_degrees` and `other_fov_sigma`.
+    Infinite and NaN ones are null in a file."""
 
     def in_words(self) -> str:
         """The field of view, and how it was found."""

@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pbrfit.io.json_files import number, table
+from pbrfit.io.json_files import number, table, text, whole
+
+LEAST = 1e-5
+"""Relative error below which digits mean nothing."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +26,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What left-out pictures say of explanations: materials of some pixels were fitted to the
-    other pictures, and then the light of these alone."""
+    """What left-out pictures say of explanations.
+
+    Materials of some pixels were fitted to the other pictures, and then the light of these alone.
+    """
 
     error: float
     """Of what was chosen, as of a candidate."""
@@ -41,13 +46,18 @@ class HeldOut:
         """Whether it is better than to show the nearest picture."""
         return self.error < self.nearest_picture
 
+    @property
+    def error_in_words(self) -> str:
+        """In percent, with as many digits as mean something."""
+        return _percent(self.error)
+
     def in_words(self) -> str:
-        """A sentence without its full stop."""
-        error, nearest = (f"{100 * one:.2g} %" for one in (self.error, self.nearest_picture))
-        return (
-            f"explains pictures it was not fitted to within {error} (the nearest photograph: "
-            f"{nearest})"
-        )
+        """A sentence about a fit, without its full stop."""
+        error, nearest = _percent(max(self.error, LEAST)), _percent(self.nearest_picture)
+        said = "explains pictures it was not fitted to"
+        if self.explains:
+            return f"{said} within {error} (the nearest photograph: {nearest})"
+        return f"{said} only within {error}, no better than the nearest photograph ({nearest})"
 
     def decision(self) -> str:
         """What was chosen and what came second; a sentence without its full stop."""
@@ -55,7 +65,7 @@ class HeldOut:
         if not others:
             return f"chosen: {self.chosen}"
         second = others[0]
-        return f"chosen: {self.chosen}; second: {second.what}, {100 * second.error:.2g} %"
+        return f"chosen: {self.chosen}; second: {second.what}, {_percent(second.error)}"
 
     def as_json(self) -> dict[str, Any]:
         """What `result.json` holds under `held_out`."""
@@ -69,10 +79,17 @@ class HeldOut:
         return cls(
             number(content["error"]),
             number(content["nearest_picture"]),
-            int(content["pictures"]),
-            str(content["chosen"]),
+            whole(content["pictures"], least=1),
+            text(content["chosen"]),
             tuple(
-                Candidate(str(one["what"]), number(one["score"]), number(one["error"]))
+                Candidate(text(one["what"]), number(one["score"]), number(one["error"]))
                 for one in map(table, content["candidates"])
             ),
         )
+
+
+def _percent(share: float) -> str:
+    """A share with two digits, or as a whole number: 0.0039 %, 3.9 %, 39 %, 120 %."""
+    if 0 < share < LEAST:
+        return f"< {100 * LEAST:g} %"
+    return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"

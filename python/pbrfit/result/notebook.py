@@ -1,4 +1,4 @@
-"""A result as a notebook shows it: small maps, verdicts, what to do next."""
+"""A result as a notebook shows it: what it explains, small maps, verdicts, what to do next."""
 
 from __future__ import annotations
 
@@ -56,10 +56,12 @@ def html(result: ResultData) -> str:
             f'src="{_inline(values)}" style="{PICTURE}">'
             f"<figcaption>{caption}</figcaption></figure>"
         )
+    explains = "" if result.held_out is None else result.held_out.in_words()
     steps = "".join(f"<li>{escape(step)}</li>" for step in next_steps(result))
     return (
         f'<div style="{STYLE}"><div>{escape("; ".join(facts))}</div>'
-        f'<div style="display:flex;flex-wrap:wrap;gap:12px;margin:8px 0">{"".join(figures)}</div>'
+        + (f"<div>{escape(explains)}</div>" if explains else "")
+        + f'<div style="display:flex;flex-wrap:wrap;gap:12px;margin:8px 0">{"".join(figures)}</div>'
         + (f"<div>What to do next:</div><ul>{steps}</ul>" if steps else "")
         + "</div>"
     )

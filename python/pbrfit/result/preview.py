@@ -81,6 +81,8 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
         f"{len(result.pictures)} pictures of {width} x {height}, "
         f"{result.history.iterations} iterations"
     )
+    if result.held_out is not None:
+        title += f"; {result.held_out.in_words()}"
     return sheet(rows, title=title, labels=labels, keys=keys)
 
 

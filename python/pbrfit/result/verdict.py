@@ -9,7 +9,7 @@ would be too large if it were so much smaller.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pbrfit.io.json_files import number, table, text
 from pbrfit.model.materials import Materials
+from pbrfit.result.held_out import HeldOut
 
 PARAMETERS = ("albedo", "roughness", "metallic")
 """Maps with an uncertainty, in the order of all tables."""
@@ -45,6 +46,10 @@ determined that a guess does not know."""
 USABLE_MAX: Mapping[str, float] = {name: of / MARGIN for name, of in USABLE_ERROR.items()}
 ROUGH_MAX: Mapping[str, float] = {name: of * MARGIN for name, of in ROUGH_ERROR.items()}
 """Expected errors up to which maps are called usable, and a rough guide."""
+
+UNEXPLAINED = "the fit explains pictures that were left out worse than the nearest picture does"
+MORE_TOLD = "a mask, better normals or more pictures would help"
+"""Cause and remedy where no map is usable, however small its expected error."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +150,22 @@ def by_deviations(deviation: Materials) -> dict[str, Verdict]:
     """Of each map, without causes."""
     errors = expected_errors(deviation)
     return {name: Verdict(level_of(name, error), error) for name, error in errors.items()}
+
+
+def capped(verdicts: Mapping[str, Verdict], held_out: HeldOut | None) -> dict[str, Verdict]:
+    """Verdicts of which none is *usable* where left-out pictures are explained too badly.
+
+    Deviations follow from the model that was fitted, and say nothing of pictures that it cannot
+    explain.
+    """
+    if held_out is None or held_out.explains:
+        return dict(verdicts)
+    return {
+        name: replace(one, level="rough guide", cause=UNEXPLAINED, remedy=MORE_TOLD)
+        if one.level == "usable"
+        else one
+        for name, one in verdicts.items()
+    }
 
 
 def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import limits as file_limits
-from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
 from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals, refuse_masked
+from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
@@ -437,7 +437,9 @@ class SceneArrays:
         noise = self.file_noise
         if noise is not None:
             as_curve = Conversion(curve)
-            noise = tuple(None if one is None else replace(one, conversion=as_curve) for one in noise)
+            noise = tuple(
+                None if one is None else replace(one, conversion=as_curve) for one in noise
+            )
         source = None if self.source is None else replace(self.source, color_space=curve)
         told = f"{curve}: pictures that were left out are explained better than by {self.response}"
         return replace(

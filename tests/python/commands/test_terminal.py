@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import pbrfit
 from command_runs import done, ran
+from left_out_pictures import DECISION, EXPLAINED, LAMP, SENTENCE
 from pbrfit.commands import progress, terminal
 from pbrfit.commands.completion import known_commands
 from pbrfit.commands.messages import OPTIONS, complain, in_flags
 from pbrfit.commands.scene_display import Row, batch_table
-from pbrfit.commands.terminal import CUBE, verdict_lines
+from pbrfit.commands.terminal import CUBE, held_out_lines, verdict_lines
+from pbrfit.fit.decompose import decompose
+from pbrfit.result.held_out import HeldOut
+from pbrfit.result.result import Result
 from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
 from pbrfit.synthetic import make_scene
 from scene_files import write_folder
@@ -59,6 +66,18 @@ def test_three_lines_and_what_to_do_next() -> None:
         "also: it is a guess: another (--fov) would",
     ]
     assert verdict_lines({}, (), Stream(terminal=False)) == []
+
+
+def test_two_lines_about_left_out_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert held_out_lines(EXPLAINED, Stream(terminal=False)) == [SENTENCE, DECISION]
+    assert held_out_lines(None, Stream(terminal=False)) == []
+    sentence, decision = held_out_lines(EXPLAINED, Stream(terminal=True))
+    assert decision.startswith(f"\x1b[2mchosen:\x1b[0m {LAMP}; second:")
+    monkeypatch.setenv("NO_COLOR", "1")
+    sentence, decision = held_out_lines(EXPLAINED, Stream(terminal=True))
+    assert max(map(len, f"{sentence}\n{decision}".split("\n"))) < 80
+    assert sentence.replace("\n  ", " ") == SENTENCE
+    assert decision.replace(f"\n{' ' * len('chosen: ')}", " ") == DECISION
 
 
 def test_colors_are_for_terminals_that_want_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,18 +154,20 @@ def test_options_that_the_library_speaks_of_are_flags() -> None:
 
 
 ROWS = [
-    Row("room", "done", "0.0262", ("usable", "rough guide", "not determined"), 9.14),
-    Row("hall", "kept", "1.1e-08", (None, None, None), 0.0),
-    Row("attic", "failed", "", (None, None, None), 0.4),
+    Row("room", "done", "0.0262", "3.9 %", ("usable", "rough guide", "not determined"), 9.14),
+    Row("hall", "kept", "1.1e-08", "", (None, None, None), 0.0),
+    Row("attic", "failed", "", "", (None, None, None), 0.4),
 ]
 
 
 def test_a_batch_is_one_table() -> None:
     assert batch_table(ROWS, 9.6) == [
-        "scene  status  residual  albedo            roughness         metallic          seconds",
-        "attic  failed            " + " " * 54 + "    0.4",
-        "hall   kept     1.1e-08  " + " " * 54 + "    0.0",
-        "room   done      0.0262  ● usable          ◐ rough guide     ○ not determined      9.1",
+        "scene  status  residual  held out  "
+        "albedo            roughness         metallic          seconds",
+        "attic  failed                      " + " " * 54 + "    0.4",
+        "hall   kept     1.1e-08            " + " " * 54 + "    0.0",
+        "room   done      0.0262     3.9 %  "
+        "● usable          ◐ rough guide     ○ not determined      9.1",
         "\n3 scenes in 9.6 s: 1 done, 1 kept, 1 failed, 1 with a usable map",
     ]
 
@@ -156,7 +177,9 @@ def test_the_table_fits_into_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("sys.stdout", Stream(terminal=True))
     head, *_, room, _ = batch_table(ROWS, 9.6)
     assert max(len(head), len(room)) <= 80
-    assert re.split(" +", room) == re.split(" ", "room done 0.0262 ● usable ◐ rough ○ not 9.1")
+    assert re.split(" +", room) == re.split(
+        " ", "room done 0.0262 3.9 % ● usable ◐ rough ○ not 9.1"
+    )
     assert [room.index(sign) for sign in "●◐○"] == [
         head.index(name) for name in ("albedo", "roughness", "metallic")
     ]
@@ -182,6 +205,42 @@ def test_scenes_share_a_table_and_a_single_one_has_its_own(tmp_path: Path) -> No
     own = done(*alone, "--iterations", 1)
     assert re.search("\n[●◐○] albedo: ", own)
     assert "next: the fit was stopped after 1 iteration: more of them (--iterations)" in own
+
+
+def test_a_scene_says_how_its_left_out_pictures_are_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fit(*arguments: Any, **options: Any) -> Result:
+        return replace(decompose(*arguments, **options), held_out=EXPLAINED)
+
+    monkeypatch.setattr("pbrfit.fit.decompose.decompose", fit)
+    scene, out = write_folder(tmp_path / "scenes" / "one"), tmp_path / "out"
+    fit_of_one = ("decompose", scene, "--out", out, "--iterations", 1)
+    for how in ((), ("--resume",)):  # a result that is kept says the same
+        assert f"\n\n{SENTENCE}\n{DECISION}\n" in done(*fit_of_one, *how)
+    assert done(*fit_of_one, "--resume", "--quiet") == ""
+    for again in ("--overwrite", "--resume"):
+        [line] = done(*fit_of_one, "--json", again).splitlines()
+        assert HeldOut.from_json(json.loads(line)["held_out"]) == EXPLAINED
+    write_folder(tmp_path / "scenes" / "two")
+    (tmp_path / "scenes" / "two" / "normals.exr").write_bytes(b"")
+    fit_of_all = ("decompose", tmp_path / "scenes", "--out", tmp_path / "all", "--iterations", 1)
+    _, one, two, *_ = ran(*fit_of_all).out.splitlines()
+    assert one.split()[:5] == ["one", "done", one.split()[2], "3.9", "%"]
+    assert two.split() == ["two", "failed", two.split()[-1]]
+    lines = [json.loads(line) for line in ran(*fit_of_all, "--json", "--resume").out.splitlines()]
+    assert [line["held_out"] is None for line in lines] == [False, True]
+
+
+def test_a_result_whose_held_out_error_is_damaged_is_not_kept(tmp_path: Path) -> None:
+    scene, out = write_folder(tmp_path / "scene"), tmp_path / "out"
+    fit = ("decompose", scene, "--out", out, "--iterations", 1, "--resume", "--json")
+    assert json.loads(done(*fit))["status"] == "done"
+    assert json.loads(done(*fit))["status"] == "kept"
+    file = out / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    file.write_text(json.dumps(content | {"held_out": {"error": "small"}}), "utf-8")
+    assert json.loads(done(*fit))["status"] == "done"
 
 
 def test_progress_in_a_pipe_is_a_line_now_and_then(
@@ -244,7 +303,7 @@ def test_names_steer_no_terminal(capsys: pytest.CaptureFixture[str], tmp_path: P
     first.rename(first.with_stem(name))
     inspected = ran("inspect", scene)
     assert inspected.code == 0
-    rows = [Row(name, "done", "0.1", (None,) * 3, 1.0)]
+    rows = [Row(name, "done", "0.1", "", (None,) * 3, 1.0)]
     for said in (capsys.readouterr().err, inspected.out, "\n".join(batch_table(rows, 1.0))):
         assert "gnp.exe" in said
         assert not set(said) & set("\x1b\u202e\u2067\x9b")

@@ -231,7 +231,11 @@ def test_unknown_stays_unknown_on_the_way_through_a_folder(tmp_path: Path) -> No
         Camera(62.25, "fitted", 1.1),
         Camera(60.0, "assumed"),
         Camera(
-            60.0, "given", None, True, None, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}
+            60.0,
+            "given",
+            contradicted=True,
+            response="linear",
+            figures={"other_fov_degrees": 88.0, "other_fov_sigma": 2.0},
         ),
     ],
 )

@@ -22,6 +22,7 @@ import pytest
 
 from browser import launched, visit, wait_until
 from command_runs import done, refused
+from left_out_pictures import EXCUSE, EXPLAINED, SENTENCE, UNEXPLAINED
 from page_reader import Page, decoded
 from pbrfit import InputError, Materials, Result, Scene, decompose, sh_basis
 from pbrfit.io.color import encode_srgb
@@ -100,7 +101,7 @@ def test_ids_are_unique_and_nothing_refers_to_anything_outside(page: Page) -> No
 
 def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
     sections = [e.attributes["id"] for e in page.all("section")]
-    assert sections == ["summary", "maps", "pictures", "lights", "history", "origin"]
+    assert sections == ["summary", "maps", "pictures", "lights", "history", "choice", "origin"]
     assert [h.text for h in page.all("h1")] == ["Materials from 3 pictures"]
     # The view stands above them, and only the first is unfolded.
     folds = [
@@ -108,7 +109,7 @@ def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
         for before, element in itertools.pairwise(page.elements)
         if before.tag == "section"
     ]
-    assert folds == [True, False, False, False, False, False]
+    assert folds == [True, *[False] * 6]
     assert page.content.index('class="relight-view"') < page.content.index("<main>")
 
 
@@ -124,6 +125,27 @@ def test_each_map_has_a_verdict_in_words_and_its_reason_one_click_away(
         assert CLASSES[one.level] in chip.attributes["class"]
         for why in (one.cause, one.remedy):
             assert why[1:] in chip.text
+
+
+def test_the_head_says_how_left_out_pictures_are_explained(folder: Path, tmp_path: Path) -> None:
+    result = Result.load(folder / "result")
+    for name, held_out, said in (("a", EXPLAINED, SENTENCE), ("b", UNEXPLAINED, EXCUSE)):
+        shown = written(dataclasses.replace(result, held_out=held_out), tmp_path / f"{name}.html")
+        [header] = shown.all("header")
+        assert f"{said[0].upper()}{said[1:]}." in " ".join(header.text.split())
+        assert [link.attributes["href"] for link in shown.all("a") if link.text][:1] == ["#choice"]
+        text = shown.content.split('id="choice"')[1].split("</section>")[0]
+        for one in held_out.candidates:
+            chosen = " (chosen)" if one.what == held_out.chosen else ""
+            assert f"<td>{one.what}{chosen}</td>" in text
+            assert f'<data value="{one.error!r}">' in text
+        assert text.count("(chosen)") == text.count("<b>") == 1
+        assert f'<data value="{held_out.nearest_picture!r}">8.4' in text
+        assert "light of the 3 left-out pictures was fitted" in text
+        assert "open" not in shown.content.split('id="choice"')[1].split(">")[1]
+    without = written(dataclasses.replace(result, held_out=None), tmp_path / "c.html")
+    assert 'id="choice"' not in without.content
+    assert "not fitted to" not in without.text
 
 
 def test_colours_can_be_read_in_both_themes() -> None:
@@ -526,7 +548,10 @@ def test_doubts_about_the_field_of_view_and_flat_normals_are_said(tmp_path: Path
         (Camera(62.0, "fitted", 5.1), "hardly known: 62 ± 5 degrees, fitted"),
         (
             Camera(
-                60.0, "given", None, True, None, {"other_fov_degrees": 88.0, "other_fov_sigma": 2.0}
+                60.0,
+                "given",
+                contradicted=True,
+                figures={"other_fov_degrees": 88.0, "other_fov_sigma": 2.0},
             ),
             "60 degrees, given; the pictures fit far better with about 88 ± 2",
         ),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from left_out_pictures import EXPLAINED, UNEXPLAINED
 from pbrfit.fit.decompose import decompose
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -17,7 +18,7 @@ from pbrfit.result.camera import Camera
 from pbrfit.result.data import Status
 from pbrfit.result.light_sides import ASIDE, ONE_SIDE, main_directions, one_side, unlit_sides
 from pbrfit.result.result import Result
-from pbrfit.result.verdict import PARAMETERS, Verdict, level_of
+from pbrfit.result.verdict import PARAMETERS, Verdict, capped, level_of
 from pbrfit.synthetic import make_scene
 
 AROUND = np.array([(1.0, 0, 0), (-1, 0, 0), (0, 1, 0), (0, 0, 1)])
@@ -42,6 +43,7 @@ def good() -> Result:
         lighting=lights(AROUND),
         lamps=None,
         camera=Camera(60.0, "given"),
+        held_out=EXPLAINED,
         uncertainty=uncertainty(result, dict.fromkeys(PARAMETERS, 0.01)),
         materials=Materials(np.full((8, 8, 3), 0.5), np.full((8, 8), 0.5), np.zeros((8, 8))),
         mask=np.ones((8, 8), bool),
@@ -112,6 +114,19 @@ def test_a_doubtful_field_of_view(good: Result, camera: Camera, said: str | None
 def test_a_fit_that_was_stopped(good: Result) -> None:
     [step] = next_steps(replace(good, status=Status.ITERATION_LIMIT))
     assert "option iterations" in step
+
+
+def test_left_out_pictures_that_are_not_explained(good: Result) -> None:
+    cause = "the fit explains pictures that were left out worse than the nearest picture does"
+    remedy = "a mask, better normals or more pictures would help"
+    [step] = next_steps(replace(good, held_out=UNEXPLAINED, uncertainty=None))
+    assert step == f"{cause}: {remedy}"
+    assert good.uncertainty is not None
+    verdicts = capped(good.uncertainty.verdicts, UNEXPLAINED)
+    of_maps = replace(good.uncertainty, verdicts=verdicts)
+    [step] = next_steps(replace(good, held_out=UNEXPLAINED, uncertainty=of_maps))
+    assert step == f"{cause}: {remedy} albedo, roughness and metallic"
+    assert next_steps(replace(good, held_out=None)) == ()
 
 
 def test_normals_that_face_the_camera(good: Result) -> None:

@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 
 import pbrfit
+from left_out_pictures import EXPLAINED, SENTENCE
 from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
 from pbrfit.result.advice import next_steps
 from pbrfit.result.notebook import SIDE
@@ -109,6 +110,14 @@ def test_a_notebook_shows_maps_and_verdicts(result: Result) -> None:
     assert "<b>" not in result._repr_html_()
     without = replace(result, uncertainty=None)._repr_html_()
     assert "expected error" not in without
+
+
+def test_a_notebook_says_how_left_out_pictures_are_explained(result: Result) -> None:
+    for held_out in (EXPLAINED, None):
+        page = Reader(replace(result, held_out=held_out)._repr_html_())
+        assert page.open == []
+        assert (SENTENCE in page.texts) == (held_out is not None)
+        assert any("not fitted to" in text for text in page.texts) == (held_out is not None)
 
 
 def test_maps_are_small_pictures_that_are_clear_outside_the_mask(result: Result) -> None:

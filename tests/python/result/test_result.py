@@ -117,17 +117,19 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
     assert content["model"] == DEFAULT_MODEL
     assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]
     assert {type(stage["seconds"]) for stage in content["stages"]} == {float}
+    assert result.held_out is not None
     assert content["assumed"] == {
         "fov": "60 degrees, asked for",
         "model": f"{DEFAULT_MODEL}, the default",
         "alignment": "not checked: pictures below 24 pixels",
         "scale": "by the highlights of dielectrics",
+        "explanation": result.held_out.decision(),
     }
     masked, monochrome, surroundings, lamps = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
     assert monochrome.startswith("prior monochrome: lights are 0.")
     assert surroundings == "surroundings: no depth is given"
-    assert lamps.startswith("lamps: light from all around leaves only 0.")
+    assert lamps.startswith("lamps: light from all around explains")
     assert content["inputs"] == {"images/a.exr": "0" * 64}
 
     light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))
@@ -169,7 +171,7 @@ def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> N
         np.testing.assert_array_equal(loaded.history[name], result.history[name])
     for name in (
         *("fov", "pictures", "stop_reason", "evaluations", "seconds", "metrics", "options"),
-        *("assumed", "left_out", "stages", "inputs", "refinement"),
+        *("assumed", "left_out", "stages", "inputs", "refinement", "camera", "held_out"),
     ):
         assert getattr(loaded, name) == getattr(result, name), name
     loaded.save(tmp_path / "again", scene=masked_scene(truth=True))

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from left_out_pictures import EXPLAINED, UNEXPLAINED
 from page_reader import Page
 from pbrfit import Materials, Result, decompose
 from pbrfit.commands.terminal import verdict_lines
+from pbrfit.fit import compare
 from pbrfit.report import write_report
 from pbrfit.report.verdict import how_to_read
 from pbrfit.result import preview, verdict
@@ -82,6 +84,40 @@ def test_one_usable_map_is_something(name: str) -> None:
     none = {one: Verdict("rough guide", 0.12) for one in PARAMETERS}
     assert verdict.nothing_usable(none)
     assert not verdict.nothing_usable(none | {name: Verdict("usable", 0.1)})
+
+
+def test_no_map_is_usable_where_left_out_pictures_are_not_explained() -> None:
+    at = EXPLAINED.nearest_picture
+    better = dataclasses.replace(EXPLAINED, error=math.nextafter(at, 0))
+    assert verdict.capped(VERDICTS, better) == verdict.capped(VERDICTS, None) == VERDICTS
+    for error in (at, math.nextafter(at, 1)):
+        found = verdict.capped(VERDICTS, dataclasses.replace(EXPLAINED, error=error))
+        assert found["albedo"] == Verdict(
+            "rough guide", 0.0312, verdict.UNEXPLAINED, verdict.MORE_TOLD
+        )
+        # What is no better anyhow keeps its own cause.
+        assert {name: found[name] for name in PARAMETERS[1:]} == {
+            name: VERDICTS[name] for name in PARAMETERS[1:]
+        }
+
+
+def test_a_fit_has_its_verdicts_capped(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = make_scene("room", size=12, lights=6, noise=0.001)
+    choose = compare.choose
+    found = []
+    for held_out in (EXPLAINED, UNEXPLAINED):
+
+        def choice(*given: Any, held_out: Any = held_out) -> compare.Choice:
+            return dataclasses.replace(choose(*given), held_out=held_out)
+
+        monkeypatch.setattr(compare, "choose", choice)
+        uncertainty = decompose(scene, iterations=5).uncertainty
+        assert uncertainty is not None
+        found.append(uncertainty.verdicts)
+    free, capped = found
+    assert not verdict.nothing_usable(free)
+    assert capped == verdict.capped(free, UNEXPLAINED)
+    assert verdict.nothing_usable(capped)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radia
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.shape import FirstShape
 from pbrfit.fit.run import Progress, material_errors
-from pbrfit.fit.sampling import evenly_spaced_over
+from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
 from pbrfit.fit.settings import LAMP_PIXELS
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.lazy import lazy
@@ -65,6 +65,9 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 """Rounds before which the scale of all lamps is multiplied and divided by some factors, and fields
 of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
 the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
+
+COMPARED_PIXELS = 250
+"""Pixels that find lamps where explanations are compared: these have eight numbers each."""
 
 CONTINUED_ROUND = 4
 """Round that a fit begins with which goes on from what others have found."""
@@ -304,23 +307,20 @@ class LampFit:
             notes += [name for name, _, _ in starts]
         with self.clock.stage("lamps") as notes:
             fits = [(name, self._joint(few, lamps, albedo)) for name, lamps, albedo in starts]
-            name, fit = min(fits, key=lambda one: float(seen_error(one[1].pixels, one[1].state).sum()))
+            name, fit = min(
+                fits, key=lambda one: float(seen_error(one[1].pixels, one[1].state).sum())
+            )
             notes.append(self._said(name, fit))
         return fit
 
     def of_all_pixels(self) -> tuple[LampPixels, LampState, Found]:
         """All pixels of a small scene, fitted together and then each by itself."""
         scene = self.scene
-        fit = self.joint(np.flatnonzero(scene.valid.ravel()))
-        band = surfaces.fit_band(
-            fit.pixels,
-            fit.state,
-            fit.noise,
-            fit.prior,
-            fit.freedom,
-            scene.width,
-            metals=self.options.metallic is None,
-            uncertain=None,
+        places = np.flatnonzero(scene.valid.ravel())
+        fit = self.joint(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
+        [band] = self._surfaces(fit, scene.valid)
+        pixels = LampPixels.of(
+            scene.through(self.fov), self.normals, self.model, self.setup.threads, like=fit.pixels
         )
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
         labels = np.unique(fit.pixels.labels)
@@ -328,7 +328,7 @@ class LampFit:
             int(label): float(np.median(fit.prior.mean[fit.pixels.labels == label, 5]))
             for label in labels
         }
-        return fit.pixels, band.state, Found(lamps, roughness, self.fov)
+        return pixels, band.state, Found(lamps, roughness, self.fov)
 
     @property
     def normals(self) -> Array:
@@ -412,7 +412,9 @@ class LampFit:
             fit.freedom = replace(fit.freedom, places=known is None, colors=True)
         first = 0 if self.begin is None else CONTINUED_ROUND
         for number in range(first, self.rounds):
-            if self.clock.steps >= self.options.iterations or (number > first and self.clock.late()):
+            if self.clock.steps >= self.options.iterations or (
+                number > first and self.clock.late()
+            ):
                 break  # lamps as they began leave too much to be a result
             if number in LOOKS:
                 factors, degrees = LOOKS[number]
@@ -432,7 +434,10 @@ class LampFit:
             if number == HELD_ROUNDS and not near:
                 free = known is None or not known.colored
                 fit.freedom = replace(fit.freedom, places=known is None, colors=free)
-            if number == self.rounds - FREE_SCALE_ROUNDS and self._relative_left(fit) < NOTHING_LEFT:
+            if (
+                number == self.rounds - FREE_SCALE_ROUNDS
+                and self._relative_left(fit) < NOTHING_LEFT
+            ):
                 fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
             self.clock.steps += minimize(fit, steps=STEPS, stop=self.clock.out_of_time)
             fit.state, _, _ = fit_surfaces(

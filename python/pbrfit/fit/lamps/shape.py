@@ -55,8 +55,9 @@ def first_shape(
         found = start_of_known_lamps(images, usable, scene.valid, scene.views, known.places, colors)
         note = "normals by known lamps"
     else:
-        most = {} if places_max is None else {"places_max": places_max}
-        found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov, **most)
+        found = start_of_unknown_lamps(
+            images, usable, scene.valid, scene.views, scene.fov, places_max=places_max
+        )
         note = "normals and far lamps by the pictures"
     return FirstShape(
         found.normals,

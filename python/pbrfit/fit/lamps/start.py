@@ -102,7 +102,7 @@ def start_of_unknown_lamps(
     views: Array,
     fov: float = 0.0,
     guide: Array | None = None,
-    places_max: int = PLACES_MAX,
+    places_max: int | None = None,
 ) -> LampStart:
     """Start with lamps of which nothing is known but that there is a far one in each picture.
 
@@ -115,7 +115,7 @@ def start_of_unknown_lamps(
     guide
         (H, W, 3) unit normals from elsewhere, NaN where there are none; None = none.
     places_max
-        Pixels that cues look at, at most.
+        Pixels that cues look at, at most; None = `PLACES_MAX`.
 
     Raises
     ------
@@ -140,7 +140,8 @@ def start_of_unknown_lamps(
         return _start_of_few(data, views, edge, product, guide)
     lamps = product.lamps * product.sizes
     normals = pseudo_normals(data.relative, data.usable, lamps)
-    places = chosen_places(data, rays, views, normals, lamps, edge, guide, places_max)
+    most = PLACES_MAX if places_max is None else places_max
+    places = chosen_places(data, rays, views, normals, lamps, edge, guide, most)
     if not places.of.integrability.blocks or len(places.chosen) < PLACES_MIN:
         return _start_of_few(data, views, edge, product, guide)
     rough = inflated(mask, views)[data.where] if len(edge) else None
