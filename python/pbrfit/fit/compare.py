@@ -45,7 +45,7 @@ from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
 from pbrfit.result.held_out import Candidate, HeldOut
-from pbrfit.result.options import Loss
+from pbrfit.result.options import FitOptions, Loss
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 
@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 LightKind = Literal["sh", "lamps"]
 
 NUMBERS: dict[LightKind, int] = {"sh": 48, "lamps": 8}
-"""Of a picture's light: 16 coefficients a channel; a direction, a colour and ambient light."""
+"""Numbers of a picture's light: 16 coefficients a channel; direction, colour, ambient light."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,8 @@ class Explanation:
     """Strength of the material prior, `Priors.material`."""
     robust: Loss
     """How samples weigh, `FitOptions.robust`."""
+    dielectric: bool = False
+    """Whether the first rounds take all surfaces for dielectrics, where pictures are few."""
     other_fov: bool = False
     """Whether a field of view is fitted in place of the given one."""
 
@@ -79,6 +81,8 @@ class Explanation:
         if self.light == "sh":
             words.append("material prior" if self.material else "no material prior")
             words.append("samples alike" if self.robust == "none" else "samples weighed")
+        if self.dielectric:
+            words.append("begun with dielectrics")
         if self.other_fov:
             words.append("another field of view")
         return ", ".join(words)
@@ -157,7 +161,9 @@ class _Explained:
     def is_noise(self) -> bool:
         """Whether what is left is noise, of which neighbouring pixels share nothing, or rounding.
 
-        Rounding is that of float32, or up to twice the deviation that the files have. The mean product of neighbours' errors over the mean square is their correlation; that of
+        Rounding is that of float32, or up to twice the deviation that the files have.
+
+        The mean product of neighbours' errors over the mean square is their correlation; that of
         R independent pairs in M pictures is 0 with a standard error of 1/√(R M).
         """
         least = np.maximum(4 * self.rounding, (settings.EXACT_RMSE * settings.MEAN_RADIANCE) ** 2)
@@ -219,9 +225,10 @@ class _Comparison:
     def __init__(self, scene: Scene, setup: FitSetup) -> None:
         self._scene, self._setup, self._options = scene, setup, setup.options
         self._model: Model = setup.options.model or scene.model or DEFAULT_MODEL
-        self._few = _reduced(scene)
-        least = 2 if scene.normals_known else settings.COMPARE_KEPT_MIN
-        self._folds = list(_folds(len(scene.images), least))
+        self._few, self._all = _reduced(scene), range(len(scene.images))
+        pixels = np.count_nonzero(self._few.valid)
+        told = [_told(self._few, i) >= min(pixels, settings.COMPARE_PIXELS_MIN) for i in self._all]
+        self._folds = list(_folds(np.flatnonzero(told).tolist(), len(scene.images)))
         valid = self._few.valid.copy()  # in any fold
         for kept, _ in self._folds:
             valid &= self._few.of_pictures(kept).valid
@@ -249,6 +256,8 @@ class _Comparison:
             for light in lights[::-1]
             for response in responses
         ]
+        if self._is_ambiguous:
+            kinds += [replace(one, dielectric=True) for one in kinds if one.light == "sh"]
         best = self._race(kinds)
         full = replace(best.explanation, material=self._strength, robust=loss)
         if best.explanation.light == "sh" and best.is_noise:
@@ -276,11 +285,8 @@ class _Comparison:
         """The best of some, of which those go on from fold to fold that may still be the best."""
         for fold in range(len(self._folds)):
             for kind in kinds:
-                if (
-                    fold == 0
-                    and kind.light == "lamps"
-                    and any(one.is_noise for one in self._results())
-                ):
+                other = kind.light == "lamps" or kind.dielectric
+                if fold == 0 and other and any(one.is_noise for one in self._results()):
                     continue
                 self._try(kind, fold)
             results = [one for one in self._results() if one.explanation in kinds]
@@ -297,6 +303,13 @@ class _Comparison:
     @property
     def _strength(self) -> float:
         return self._options.priors.material
+
+    @property
+    def _is_ambiguous(self) -> bool:
+        """Whether pictures are so few that other lights with other materials explain them too."""
+        layout = self._setup.layout(self._few)
+        samples = layout.channels * len(self._folds[0][0])
+        return bool(samples < settings.SAMPLES_OF_UNKNOWN * layout.maps.stop / layout.pixels)
 
     def _lights(self) -> tuple[LightKind, ...]:
         scene, options = self._scene, self._options
@@ -337,9 +350,14 @@ class _Comparison:
             nearest_picture=self._nearest(),
             pictures=len(best.squares),
             candidates=tuple(
-                Candidate(one.explanation.in_words(), one.score, one.error) for one in others
+                Candidate(
+                    (chosen if one.explanation == best.explanation else one.explanation).in_words(),
+                    one.score,
+                    one.error,
+                )
+                for one in others
             ),
-            chosen=best.explanation.in_words(),
+            chosen=chosen.in_words(),
         )
         return Choice(chosen, held_out, best.found)
 
@@ -350,8 +368,11 @@ class _Comparison:
         kept, out = self._folds[fold]
         scene = self._few if kind.response is None else self._few.decoded_by(kind.response)
         few, shape = self._pixels(scene, kept, kind.response, fold)
-        fitted = self._under_lamps if kind.light == "lamps" else self._under_harmonics
-        fit = fitted(kind, few.of_pictures(kept), shape)
+        fitted = few.of_pictures(kept)
+        if kind.light == "lamps":
+            fit = self._under_lamps(fitted, shape)
+        else:
+            fit = self._under_harmonics(kind, fitted)
         errors, values, rounding, lamps = [], [], [], []
         for picture in out:
             shown, lamp = _explained(self._model, fit, few, picture)
@@ -361,7 +382,10 @@ class _Comparison:
             if weights is not None:
                 untold = weights[few.valid] == 0
                 errors[-1][untold] = values[-1][untold] = np.nan
-            floor, slope = few.noise_floor(picture), _slope(few, few.samples(picture))
+            floor, slope = (
+                few.noise_floor(picture),
+                _slope(few, few.samples(picture).astype(np.float64)),
+            )
             off = 0.0 if floor is None else floor[few.valid] * slope
             rounding.append(float(np.mean(np.square(off))))
             if lamp is not None:
@@ -398,11 +422,10 @@ class _Comparison:
         few = SceneCutter(known).cut(window)
         return few, replace(shape, normals=window.of(facing), albedo=window.of(shape.albedo))
 
-    def _under_harmonics(
-        self, kind: Explanation, scene: Scene, shape: FirstShape | None
-    ) -> _Fitted:
+    def _under_harmonics(self, kind: Explanation, scene: Scene) -> _Fitted:
         options = replace(
             self._options,
+            iterations=FitOptions.iterations,
             model=self._model,
             priors=replace(self._options.priors, material=kind.material),
             robust=kind.robust,
@@ -417,6 +440,7 @@ class _Comparison:
         run = setup.run(scene, objective)
         x = objective.start()
         run.record(x, run.evaluate(x)[0])
+        run.begins_dielectric = kind.dielectric
         lights = find_lights(run, x)
         x = gauss_newton(run, x, lights)[0] if run.goes_on else lights.x
         materials, _ = run.objective.unpack(x)
@@ -432,7 +456,7 @@ class _Comparison:
             fov=None if sigma is None else (camera.fov_degrees, sigma),
         )
 
-    def _under_lamps(self, kind: Explanation, scene: Scene, shape: FirstShape | None) -> _Fitted:
+    def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
         options = replace(self._options, model=self._model, refine_normals="off", uncertainty=False)
         setup = replace(self._setup, options=options, progress=None)
         fit = LampFit(scene, setup, shape, rounds=settings.COMPARE_LAMP_ROUNDS)
@@ -569,14 +593,27 @@ def _factor(other: Array, true: Array) -> Array:
     return np.asarray(other * ((other * true).sum(axis=0) / below))
 
 
-def _folds(pictures: int, least: int) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
-    """(Fitted, left out): enough left-out pictures altogether, spread evenly, none twice."""
+def _told(scene: Scene, picture: int) -> int:
+    """How many pixels of a picture tell something."""
+    weights = scene.channel_weights(picture)
+    if weights is None:
+        return int(np.count_nonzero(scene.valid))
+    return int(np.count_nonzero((weights[scene.valid] > 0).any(axis=-1)))
+
+
+def _folds(
+    usable: Sequence[int], pictures: int
+) -> Iterator[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """(Fitted, left out): enough left-out pictures altogether, spread evenly, none twice.
+
+    Left out are those that are usable, of so many pictures in all.
+    """
     out = max(1, pictures // settings.COMPARE_SHARE)
-    if pictures - out < least:
+    if pictures - out < settings.COMPARE_KEPT_MIN or len(usable) < out:
         return
-    count = min(-(-settings.COMPARE_PICTURES_MIN // out), pictures // out)
-    step = pictures / (out * count)
-    chosen = [int((k + 0.5) * step) for k in range(out * count)]
+    count = min(-(-settings.COMPARE_PICTURES_MIN // out), len(usable) // out)
+    step = len(usable) / (out * count)
+    chosen = [usable[int((k + 0.5) * step)] for k in range(out * count)]
     for fold in range(count):
         left = tuple(chosen[fold::count])
         yield tuple(i for i in range(pictures) if i not in left), left

@@ -151,7 +151,11 @@ def decompose(
     if how.response is not None:
         scene = scene.decoded_by(how.response)
     priors = replace(setup.options.priors, material=how.material)
-    setup = replace(setup, options=replace(setup.options, priors=priors, robust=how.robust))
+    setup = replace(
+        setup,
+        options=replace(setup.options, priors=priors, robust=how.robust),
+        begins_dielectric=how.dielectric,
+    )
     start_shape = None
     if not scene.normals_known:
         start_shape = first_shape(scene, None if chosen.found is None else chosen.found.lamps)

@@ -8,7 +8,6 @@
    only noise next to nothing in the end.
 2. **Material prior** (`priors.mixture`): what roughness and metallic each segment is made of, found
    together with the lights by as many pixels, evenly spread over the segments.
-   Where pictures are so few that lights are ambiguous, both come from two starts, and the
    likelier stay.
 3. **Scale** (`scale`): lights, and so their scale, without what the prior has of the same data.
 4. **All pixels**: each by itself under these lights, from the grid and around its prior; without
@@ -22,7 +21,6 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 from __future__ import annotations
 
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +37,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, retry_outliers
 from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.mixture import fit_prior, surprise, with_lights
+from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.priors.penalties import Monochrome, penalties
 from pbrfit.fit.run import Run
 from pbrfit.result.data import Status
@@ -86,10 +84,7 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
                 with run.stage("material prior") as notes:
                     notes.append("left out: the pictures are explained to the last digit")
             else:
-                others = []
-                if lights.shared is not None and run.goes_on and ambiguous(run.objective):
-                    others = [find_lights(run, start, dielectric=True)]
-                x, prior = fit_mixture_prior(run, lights, *others)
+                x, prior = fit_mixture_prior(run, lights)
         if run.goes_on:
             x = fit_all_pixels(run, x, lights, prior)
     if len(run.rows) == rows:  # lights without materials that were fitted under them
@@ -139,12 +134,7 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
     return x, *run.ended("no step lowers the loss further", kept)
 
 
-def ambiguous(objective: Objective) -> bool:
-    """Whether pictures are so few that other lights with other materials may explain them too."""
-    return bool(objective.samples < settings.SAMPLES_OF_UNKNOWN * objective.layout.maps.stop)
-
-
-def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
+def find_lights(run: Run, x: Array) -> Lights:
     """Lights that explain a level of pixels, from those of x; see `rounds`."""
     objective = run.objective
     if run.shared_state is not None:  # a tile, which is told all that pixels share
@@ -153,7 +143,7 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
         level = Level.of(objective, settings.COARSE_PIXELS)
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
-        among = objective.transfer is not None
+        among, dielectric = objective.transfer is not None, run.begins_dielectric
         unknown: list[Nuisance] = []
         if not (dielectric or among):
             if run.camera.how == "assumed":
@@ -179,19 +169,16 @@ def find_lights(run: Run, x: Array, *, dielectric: bool = False) -> Lights:
     return replace(found, x=x)
 
 
-def fit_mixture_prior(
-    run: Run, lights: Lights, *others: Lights
-) -> tuple[Array, GaussianPrior | None]:
+def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | None]:
     """X with the material prior fitted around it, which is a penalty from here on; one iteration.
 
-    Of several lights those that are likeliest with their prior stay. Where time runs out before, x
-    is as it was and there is no prior. Weights that are chosen by rule are chosen by the lights
-    that were found with it.
+    Where time runs out before, x is as it was and there is no prior. Weights that are chosen by
+    rule are chosen by the lights that were found with it.
     """
     objective, x, held = run.objective, lights.x, []
     if lights.shared is not None:
-        with run.stage("material prior") as notes:
-            lights = _with_prior(run, (lights, *others), notes)
+        with run.stage("material prior"):
+            lights = _with_prior(run, lights)
         # One distribution for all of a picture is too rough for so soft a direction.
         if not lights.exact and objective.layout.segments is not None:
             with run.stage("scale") as notes:
@@ -216,31 +203,13 @@ def fit_mixture_prior(
     return x, prior
 
 
-def _with_prior(run: Run, candidates: tuple[Lights, ...], notes: list[str]) -> Lights:
-    """The likeliest of some lights, each as it is with the material prior."""
-    strength = run.options.priors.material
-    objective = reweighted(run, run.objective, candidates[0].x)
-    variance = min(each.misfit.of_likelihood for each in candidates)
-    scores: list[tuple[float, Lights]] = []
-    for each in candidates:
-        assert each.shared is not None
-        of_pixel = each.misfit.of_likelihood
-        x = with_lights(objective, each.x, strength, of_pixel, each.shared, run.out_of_time)
-        if scores and run.out_of_time():
-            break
-        score = 0.0
-        if len(candidates) > 1 and not run.out_of_time():
-            lights = each.shared.lights.weighing(variance, variance, objective.pixels)
-            score = surprise(objective, x, variance, lights)
-        scores.append((score, replace(each, x=x)))
-    if len(scores) > 1:
-        notes.append(
-            "-2 ln of the likelihood of lights: "
-            + ", ".join(f"{score - scores[0][0]:+.0f}" for score, _ in scores[1:])
-            + " from the second start"
-        )
-    surest = min((each.misfit for each in candidates), key=lambda one: one.of_likelihood)
-    return replace(min(scores, key=itemgetter(0))[1], misfit=surest)
+def _with_prior(run: Run, lights: Lights) -> Lights:
+    """Lights as they are with the material prior."""
+    assert lights.shared is not None
+    strength, variance = run.options.priors.material, lights.misfit.of_likelihood
+    objective = reweighted(run, run.objective, lights.x)
+    x = with_lights(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
+    return replace(lights, x=x)
 
 
 def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:

@@ -126,6 +126,8 @@ class Run:
         """Of samples, as it was found last."""
         self.camera = Camera(scene.fov, "given" if scene.fov_known else "assumed")
         """What has been decided about it."""
+        self.begins_dielectric = False
+        """Whether the first rounds take all surfaces for dielectrics."""
         self.scale: Scale | None = None
         """What is known of the common scale of lights and albedo."""
         self._progress, self._began = progress, began

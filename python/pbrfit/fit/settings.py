@@ -80,15 +80,15 @@ COARSE_STEPS = 6
 """Rounds of that level, each a search of the nodes for each pixel and up to so many joint steps."""
 
 SAMPLES_OF_UNKNOWN = 4
-"""Samples for each unknown of a pixel below which lights have a second start: in colour, up to 6
-pictures. Of 12 rooms with 5 pictures, one start ended in wrong minima in two. More pictures decide
-between minima by themselves, and a second start would take half of the time of a fit again."""
+"""Samples for each unknown of a pixel below which lights are sought from a second start too: in
+colour, up to 6 pictures. Of 12 rooms with 5 pictures, one start ended in wrong minima in two. More
+pictures decide between minima by themselves."""
 
 DIELECTRIC_ROUNDS = 2
 DIELECTRIC_SIGMA = 0.1
-"""Where lights are ambiguous, rounds of a second start in which roughness and metallic have a
-normal distribution around a dielectric of middle roughness, and its standard deviation: most
-surfaces are dielectrics, and few pictures show lights before they show materials."""
+"""Rounds of that second start in which roughness and metallic have a normal distribution around a
+dielectric of middle roughness, and its standard deviation: most surfaces are dielectrics, and few
+pictures show lights before they show materials."""
 
 ROBUST_ROUND = 2
 """Round from which on a robust loss weighs samples: before, residuals are those of wrong lights."""
@@ -294,7 +294,8 @@ COMPARE_PIXELS_MIN = 32
 """Pixels from which on pictures are compared: fewer leave the 48 numbers of a light free."""
 
 COMPARE_KEPT_MIN = 3
-"""Pictures that have to be left to fit where these tell the shape: three tell a normal."""
+"""Pictures that have to be left to fit: three in colour are nine samples for the five unknowns of a
+pixel with a known normal, and tell a normal that is not."""
 
 COMPARE_SHARE = 4
 """One picture in so many is left out."""

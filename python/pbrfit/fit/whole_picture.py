@@ -55,6 +55,8 @@ class FitSetup:
     """Why normals cannot be refined; None if they can."""
     surrounded: Surrounded | None = None
     """What was decided about surroundings; None = nothing yet."""
+    begins_dielectric: bool = False
+    """As in `Run`."""
 
     @property
     def model(self) -> Model:
@@ -96,7 +98,7 @@ class FitSetup:
         self, scene: Scene, objective: Objective, shared_state: SharedState | None = None
     ) -> Run:
         """A run that is about to begin."""
-        return Run(
+        run = Run(
             scene,
             objective,
             self.options,
@@ -104,6 +106,8 @@ class FitSetup:
             began=self.began,
             shared_state=shared_state,
         )
+        run.begins_dielectric = self.begins_dielectric
+        return run
 
 
 @dataclass(frozen=True, eq=False)

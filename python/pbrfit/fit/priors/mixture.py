@@ -30,8 +30,7 @@ wrong.
 
 Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
 joint steps (`pbrfit.fit.joint`), and then applied to all. s² is that in the likelihood of a pixel,
-larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit`). Lights that were
-found from different starts compare by `surprise`, in which pixels' materials are summed over.
+larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit`).
 """
 
 from __future__ import annotations
@@ -44,7 +43,6 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.joint import SharedFit, minimize
-from pbrfit.fit.light_prior import LightPrior, as_in_core
 from pbrfit.fit.normal_equations import albedo_solved_for
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -227,23 +225,6 @@ def _with_spread(objective: Objective, x: Array, groups: Posterior, variance: fl
     found = groups.variance.copy()
     found[:, 0] = np.clip(spread[cluster], 0, found[:, 0])
     return groups._replace(variance=found)
-
-
-def surprise(objective: Objective, x: Array, variance: float, prior: LightPrior) -> float:
-    """−2 ln of the likelihood of the lights of x, with their prior, less a constant: as χ².
-
-    Σ_i [min_k 2 l_ik − 2 ln Σ_k A_ik p_k] over an even share of the pixels: their roughness and
-    metallic are summed over and not fitted, or more freedom would always be better.
-    """
-    labels = labels_of(objective)
-    pixels = evenly_spaced_over(labels, settings.PRIOR_ROUNDS[-1][1])
-    grid, labels = Grid(objective, x, variance), labels[pixels]
-    likelihood = grid.likelihood(pixels)
-    distributions = Distributions.of(likelihood, labels, grid)
-    marginal = (likelihood.values * distributions.probabilities[distributions.rows(labels)]).sum(1)
-    lights = as_in_core(x[objective.layout.lighting], objective).ravel()
-    misfit = float(likelihood.least.sum(dtype=np.float64)) + prior.cost(lights)
-    return misfit / variance - 2 * float(np.log(marginal).sum(dtype=np.float64))
 
 
 def _put_all(objective: Objective, x: Array, values: Array) -> None:
