@@ -114,6 +114,8 @@ class _Explained:
     explanation: Explanation
     errors: Array
     """(M, P): of the files' values, their mean over the channels; NaN where nothing is told."""
+    between: Array
+    """(M, P): product of the errors of two channels, in the mean over the pairs; 0 of grey ones."""
     squares: Array
     """(M, P): squared error, in the mean over the channels, likewise."""
     sizes: Array
@@ -135,6 +137,7 @@ class _Explained:
         return replace(
             folds[0],
             errors=np.concatenate([one.errors for one in folds]),
+            between=np.concatenate([one.between for one in folds]),
             squares=np.concatenate([one.squares for one in folds]),
             sizes=np.concatenate([one.sizes for one in folds]),
             rounding=np.concatenate([one.rounding for one in folds]),
@@ -159,22 +162,31 @@ class _Explained:
 
     @property
     def is_noise(self) -> bool:
-        """Whether what is left is noise, of which neighbouring pixels share nothing, or rounding.
+        """Whether what is left is noise, of which pixels and channels share little, or rounding.
 
         Rounding is that of float32, or up to twice the deviation that the files have.
-
-        The mean product of neighbours' errors over the mean square is their correlation; that of
-        R independent pairs in M pictures is 0 with a standard error of 1/√(R M).
         """
         least = np.maximum(4 * self.rounding, (settings.EXACT_RMSE * settings.MEAN_RADIANCE) ** 2)
-        if (self._means <= least).all():
-            return True
+        return bool((self._means <= least).all() or self.share < settings.COMPARE_SHARED_MAX)
+
+    @property
+    def leaves_no_lamp(self) -> bool:
+        """Whether it leaves so little that lamps cannot be what lights the pictures."""
+        shared = self.error * math.sqrt(max(self.share, 0.0))
+        return self.is_noise or shared < settings.COMPARE_LAMP_LEFT_MIN
+
+    @property
+    def share(self) -> float:
+        """Share of the mean square that pixels and channels have in common, at most.
+
+        What a wrong explanation leaves, neighbouring pixels and the channels of one share: the mean
+        product of their errors, over the mean square, is about its share, with a standard error of
+        1/√R by R products of independent errors.
+        """
         one, other = (self.errors[:, self.beside[:, k]] for k in (0, 1))
-        scale = np.nanmean(np.square(self.errors), axis=1, keepdims=True)
-        products = one * other / np.maximum(scale, settings.NOISE_VARIANCE_MIN)
-        told = np.isfinite(products)
-        limit = settings.COMPARE_ERRORS_MIN / math.sqrt(max(int(told.sum()), 1))
-        return bool(products[told].mean() < limit) if told.any() else False
+        square = np.maximum(np.nanmean(np.square(self.errors), axis=1), settings.NOISE_VARIANCE_MIN)
+        shares = _share(one * other / square[:, None]), _share(self.between / self._means[:, None])
+        return max(shares)
 
     def is_worse(self, best: _Explained, errors: float) -> bool:
         """Whether its score is higher by more than so many standard errors of the difference.
@@ -189,6 +201,10 @@ class _Explained:
         sums /= difference.size
         error = float(np.sqrt(np.square(sums - sums.mean()).sum()))
         return self.score - best.score > errors * error
+
+
+def _score(one: _Explained) -> float:
+    return one.score
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,17 +301,21 @@ class _Comparison:
         """The best of some, of which those go on from fold to fold that may still be the best."""
         for fold in range(len(self._folds)):
             for kind in kinds:
-                other = kind.light == "lamps" or kind.dielectric
-                if fold == 0 and other and any(one.is_noise for one in self._results()):
+                if fold == 0 and any(self._rules_out(kind, one) for one in self._results()):
                     continue
                 self._try(kind, fold)
             results = [one for one in self._results() if one.explanation in kinds]
-            best = min(results, key=lambda one: one.score)
+            best = min(results, key=_score)
             errors = settings.COMPARE_DROPPED_ERRORS
             kinds = [one.explanation for one in results if not one.is_worse(best, errors)]
             if len(kinds) == 1:
                 break
         return best
+
+    @staticmethod
+    def _rules_out(kind: Explanation, one: _Explained) -> bool:
+        """Whether what one leaves says that an explanation need not be tried."""
+        return one.leaves_no_lamp if kind.light == "lamps" else kind.dielectric and one.is_noise
 
     def _results(self) -> list[_Explained]:
         return [_Explained.together(folds) for folds in self._tried.values()]
@@ -331,7 +351,7 @@ class _Comparison:
         """The best, or the simplest under the same kind of light that is not surely worse."""
         most = max(len(folds) for folds in self._tried.values())
         results = [one for one in self._results() if len(self._tried[one.explanation]) == most]
-        best = min(results, key=lambda one: one.score)
+        best = min(results, key=_score)
         same = [one for one in results if one.explanation.light == best.explanation.light]
         same.sort(key=lambda one: self._complexity(one.explanation))
         errors = settings.COMPARE_ERRORS_MIN
@@ -344,7 +364,7 @@ class _Comparison:
 
     def _choice(self, best: _Explained, chosen: Explanation) -> Choice:
         """What was chosen, with what was compared."""
-        others = sorted(self._results(), key=lambda one: one.score)
+        others = sorted(self._results(), key=_score)
         held_out = HeldOut(
             error=best.error,
             nearest_picture=self._nearest(),
@@ -394,6 +414,7 @@ class _Comparison:
         explained = _Explained(
             kind,
             _mean(of_errors),
+            np.zeros(of_errors.shape[:2]) if few.grey else _between(of_errors),
             _mean(np.square(of_errors)),
             _mean(np.square(np.array(values))),
             np.array(rounding),
@@ -572,6 +593,20 @@ def _mean(values: Array) -> Array:
     told = np.isfinite(values)
     sums, count = np.where(told, values, 0.0).sum(axis=-1), told.sum(axis=-1)
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
+
+
+def _between(errors: Array) -> Array:
+    """(M, P): mean product of two channels' errors (M, P, 3); NaN where one tells nothing."""
+    red, green, blue = np.moveaxis(errors, -1, 0)
+    return np.asarray((red * green + green * blue + blue * red) / 3)
+
+
+def _share(products: Array) -> float:
+    """At most, by two standard errors: the mean of products, of which the squares' mean is 1."""
+    told = products[np.isfinite(products)]
+    if not told.size:
+        return 0.0
+    return float(told.mean()) + settings.COMPARE_ERRORS_MIN / math.sqrt(told.size)
 
 
 def _beside(valid: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -314,6 +314,15 @@ COMPARE_DROPPED_ERRORS = 4.0
 """The same for an explanation that is dropped after some of the left-out pictures: others may
 differ from these."""
 
+COMPARE_SHARED_MAX = 0.2
+"""Share of the mean square of left-out errors that pixels and channels have in common up to which
+the rest counts as noise: no other explanation could leave less by more than that."""
+
+COMPARE_LAMP_LEFT_MIN = 0.02
+"""Relative error that pixels and channels have in common up to which harmonics leave no lamp. Of
+the clamped cosine the bands above 2 have 0.9 % of the energy (R. Ramamoorthi and P. Hanrahan, JOSA
+A 18, 2001), a tenth of the radiance; surfaces that face few ways show a fifth of that."""
+
 COMPARE_FOV_GAIN_MIN = math.log(2)
 """By how much lower the score of a fitted field of view has to be for the given one to be
 contradicted: half of the mean square error goes. Of one that is 30 degrees off a twentieth stays,
