@@ -66,12 +66,6 @@ class Lights:
         shared = self.misfit.design_effect <= settings.FILE_DESIGN_EFFECT_MAX
         return self.misfit.is_noise or (of_file and shared)
 
-    @property
-    def can_be_judged(self) -> bool:
-        """Whether something else may have a better score than what leaves only this noise."""
-        samples = self.samples * self.misfit.effective_share
-        return not self.is_noise or math.isfinite(misfit.score(0.0, self.unknowns, samples))
-
 
 def rounds(
     run: Run,

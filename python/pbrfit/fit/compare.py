@@ -14,16 +14,17 @@ by leaves less than it would of another, by k/P in the mean, and explains as muc
 that. A light of harmonics has 48 numbers, a lamp with constant light around it 8. The pixels are so
 far apart that errors of neighbours are hardly alike.
 
-The kind of light with the lowest score is chosen; under it a curve that the files do not say, the
-material prior and weights of samples are taken only where they gain more than two standard errors,
-by how the differences vary over patches of the pictures. What explains the pictures but for
-rounding, or leaves nothing but noise, ends the comparison.
+The lowest score wins; but the curve that the files are said to have stays unless another is better
+by more than two standard errors under some light, and the material prior is taken only where it
+gains as much. Differences are as uncertain as their means over patches of the pictures say. What
+explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
 """
 
 from __future__ import annotations
 
 import copy
 import math
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -224,34 +225,40 @@ class _Fitted:
 
 
 @one_blas_thread()
-def choose(scene: Scene, setup: FitSetup) -> Choice:
+def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choice:
     """The explanation that a scene is to be fitted by.
+
+    Nothing is compared where a start is given, whose units are those of the files as they are said
+    to be, or the paper's recipe is asked for.
 
     Raises
     ------
     InputError
         If normals are missing and too few pictures tell them.
     """
-    return _Comparison(scene, setup).best()
+    told = start_given or setup.options.solver != "gauss-newton"
+    return _Comparison(scene, setup, told=told).best()
 
 
 class _Comparison:
     """The comparison of a scene's explanations, under way."""
 
-    def __init__(self, scene: Scene, setup: FitSetup) -> None:
+    def __init__(self, scene: Scene, setup: FitSetup, *, told: bool = False) -> None:
         self._scene, self._setup, self._options = scene, setup, setup.options
         self._model: Model = setup.options.model or scene.model or DEFAULT_MODEL
-        self._few, self._all = _reduced(scene), range(len(scene.images))
-        pixels = np.count_nonzero(self._few.valid)
-        told = [_told(self._few, i) >= min(pixels, settings.COMPARE_PIXELS_MIN) for i in self._all]
-        self._folds = list(_folds(np.flatnonzero(told).tolist(), len(scene.images)))
+        self._few = _reduced(scene)
+        pixels = int(np.count_nonzero(self._few.valid))
+        shown = [_told(self._few, i) for i in range(len(scene.images))]
+        least = min(pixels, settings.COMPARE_PIXELS_MIN)
+        usable = [i for i, count in enumerate(shown) if count >= least]
+        self._folds = list(_folds(usable, len(scene.images)))
         valid = self._few.valid.copy()  # in any fold
         for kept, _ in self._folds:
             valid &= self._few.of_pictures(kept).valid
         few = np.count_nonzero(valid) < settings.COMPARE_PIXELS_MIN
         if not few and not (valid == self._few.valid).all():
             self._few = replace(self._few, mask=valid)
-        if scene.lighting is not None or setup.options.iterations == 0 or few:
+        if told or scene.lighting is not None or setup.options.iterations == 0 or few:
             self._folds = []
         self._shapes: dict[tuple[Curve | None, int], FirstShape] = {}
         self._tried: dict[Explanation, list[_Explained]] = {}
@@ -278,8 +285,8 @@ class _Comparison:
         full = replace(best.explanation, material=self._strength, robust=loss)
         if best.explanation.light == "sh" and best.is_noise:
             return self._choice(best, full)
-        for kind in {full, replace(full, material=0.0)} - {best.explanation}:
-            if kind.light == "sh":
+        for kind in (full, replace(full, material=0.0)):
+            if kind.light == "sh" and kind not in self._tried and not self._is_late():
                 for fold in range(len(self._tried[best.explanation])):
                     self._try(kind, fold)
         best = self._simplest()
@@ -288,7 +295,8 @@ class _Comparison:
     def _other_fov(self, best: _Explained) -> tuple[float, float] | None:
         """A field of view that contradicts the given one."""
         scene = self._scene
-        if not (scene.fov_known and scene.normals_known) or best.explanation.light != "sh":
+        told = scene.fov_known and scene.normals_known and best.explanation.light == "sh"
+        if not told or self._is_late():
             return None
         kind = replace(best.explanation, other_fov=True)
         self._try(kind, 0)
@@ -301,8 +309,11 @@ class _Comparison:
         """The best of some, of which those go on from fold to fold that may still be the best."""
         for fold in range(len(self._folds)):
             for kind in kinds:
-                if fold == 0 and any(self._rules_out(kind, one) for one in self._results()):
+                results = self._results()
+                if fold == 0 and any(self._rules_out(kind, one) for one in results):
                     continue
+                if results and self._is_late():
+                    return min(results, key=_score)
                 self._try(kind, fold)
             results = [one for one in self._results() if one.explanation in kinds]
             best = min(results, key=_score)
@@ -319,6 +330,11 @@ class _Comparison:
 
     def _results(self) -> list[_Explained]:
         return [_Explained.together(folds) for folds in self._tried.values()]
+
+    def _is_late(self) -> bool:
+        """Whether half of the time limit is over: the other half is for the fit of all pixels."""
+        limit = self._options.time_limit
+        return limit is not None and time.perf_counter() - self._setup.began >= limit / 2
 
     @property
     def _strength(self) -> float:
@@ -343,8 +359,11 @@ class _Comparison:
 
     def _responses(self) -> list[Curve | None]:
         scene = self._scene
-        if scene.response is None or self._options.response not in ("auto", "fit"):
+        asked = self._options.response
+        if scene.response is None or asked == "fit":
             return [scene.response]
+        if asked != "auto":
+            return [asked]
         return [scene.response, "linear" if scene.response == "srgb" else "srgb"]
 
     def _simplest(self) -> _Explained:
@@ -352,15 +371,30 @@ class _Comparison:
         most = max(len(folds) for folds in self._tried.values())
         results = [one for one in self._results() if len(self._tried[one.explanation]) == most]
         best = min(results, key=_score)
-        same = [one for one in results if one.explanation.light == best.explanation.light]
-        same.sort(key=lambda one: self._complexity(one.explanation))
-        errors = settings.COMPARE_ERRORS_MIN
-        return next(one for one in same if not one.is_worse(best, errors))
+        kind, errors = best.explanation, settings.COMPARE_ERRORS_MIN
+        said = self._scene.response
+        if kind.response != said and not self._is_refuted(said, errors):
+            same = [one for one in results if one.explanation.light == kind.light]
+            as_said = [one for one in same if one.explanation.response == said]
+            best = min(as_said, key=_score, default=best)
+        free = [
+            one
+            for one in results
+            if one.explanation
+            == replace(best.explanation, material=0.0, robust=one.explanation.robust)
+        ]
+        plain = min(free, key=_score, default=best)
+        return best if plain.is_worse(best, errors) else plain
 
-    def _complexity(self, kind: Explanation) -> tuple[bool, ...]:
-        """By what was not said of the files, and what is assumed beside."""
-        changed = kind.response != self._scene.response
-        return changed, kind.material > 0, kind.robust != "none"
+    def _is_refuted(self, response: Curve | None, errors: float) -> bool:
+        """Whether under some kind of light another curve is surely better."""
+        results = [folds[0] for folds in self._tried.values()]
+        for light in NUMBERS:
+            same = [one for one in results if one.explanation.light == light]
+            as_said = [one for one in same if one.explanation.response == response]
+            if as_said and min(as_said, key=_score).is_worse(min(same, key=_score), errors):
+                return True
+        return False
 
     def _choice(self, best: _Explained, chosen: Explanation) -> Choice:
         """What was chosen, with what was compared."""
@@ -478,7 +512,13 @@ class _Comparison:
         )
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
-        options = replace(self._options, model=self._model, refine_normals="off", uncertainty=False)
+        options = replace(
+            self._options,
+            iterations=FitOptions.iterations,
+            model=self._model,
+            refine_normals="off",
+            uncertainty=False,
+        )
         setup = replace(self._setup, options=options, progress=None)
         fit = LampFit(scene, setup, shape, rounds=settings.COMPARE_LAMP_ROUNDS)
         pixels, state, found = fit.of_all_pixels()

@@ -146,7 +146,7 @@ def decompose(
         normals_hindrance=hindered,
     )
     check_light(scene, setup)
-    chosen = compare.choose(scene, setup)
+    chosen = compare.choose(scene, setup, start_given=start is not None)
     how = chosen.explanation
     if how.response is not None:
         scene = scene.decoded_by(how.response)
@@ -231,7 +231,12 @@ def _result(
     if not transport.blocks:
         left_out = (*left_out, f"surroundings: {transport.why}")
     if found.lamps is None:
-        left_out = (*left_out, "lamps: light from all around explains the pictures")
+        why = "light from all around explains the pictures"
+        if options.light == "sh" or options.mono_light:
+            why = "not asked for"
+        elif chosen.held_out is None:
+            why = "too few pictures or pixels to compare them with light from all around"
+        left_out = (*left_out, f"lamps: {why}")
     uncertainty = found.uncertainty
     if uncertainty is not None:
         verdicts = with_causes(

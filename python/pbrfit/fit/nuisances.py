@@ -14,7 +14,7 @@ and with a normal distribution of θ around μ as prior, of precision Λ,
 
 beside what joint steps move the lights by. W = max(κ, 1) s², times what pictures share, is the
 variance that what is left of the pixels stands for (`pbrfit.fit.misfit`), and W (H + W Λ)⁻¹ the
-covariance of θ. The gain gᵀ H⁻¹ g / W is χ².
+covariance of θ.
 As all else is solved for, a wrong camera that materials and lights have bent to is seen as well as
 one that they have not.
 """
@@ -109,11 +109,10 @@ class Nuisances:
     step: Array = field(default_factory=lambda: np.zeros(0))
     """(J, J), and δθ (J,) of the last step, before it was shortened."""
     sum_gain: float = math.inf
-    gain: float = math.inf
+    """By how much that lowers the sum, over s²."""
     _noise: float = field(default=math.inf, init=False)
     _misfit: float = field(default=math.inf, init=False)
     _gain_before: float = field(default=math.inf, init=False)
-    """By how much that lowers the sum, over s² and over W: the latter is χ²."""
 
     def __post_init__(self) -> None:
         if self.scene.correction is None and any(one.correction is not None for one in self.fitted):
@@ -200,7 +199,7 @@ class Nuisances:
         self.step, self.covariance = -(inverse @ slope), np.asarray(variance * inverse)
         gain = float(slope @ inverse @ slope)
         self._gain_before = self.sum_gain
-        self.sum_gain, self.gain = gain / self._noise, gain / variance
+        self.sum_gain = gain / self._noise
         return moves
 
     def judge(self, left: Misfit) -> None:

@@ -246,16 +246,9 @@ class _Search:
 
 
 def find_lights(
-    few: Objective,
-    part: Array,
-    stop: Stop,
-    near_rounds: int | None = None,
-    is_enough: Callable[[], bool] = lambda: False,
+    few: Objective, part: Array, stop: Stop, near_rounds: int | None = None
 ) -> None:
-    """Rounds of joint steps on some pixels, whose x changes; fewer from lights that are near.
-
-    After the rounds with a prior on materials `is_enough` tells whether there are others.
-    """
+    """Rounds of joint steps on some pixels, whose x changes; fewer from lights that are near."""
     shared = SharedFit(LightPrior.around(few, part))
     everything = np.arange(few.pixels, dtype=np.uint64)
     for number in range(near_rounds or settings.TRANSPORT_ROUNDS):
@@ -267,8 +260,6 @@ def find_lights(
         shared.lights = shared.lights.weighing(variance, variance, few.pixels)
         fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
         minimize(fit, settings.COARSE_STEPS, 1.0)
-        if number + 1 >= settings.DIELECTRIC_ROUNDS and is_enough():
-            break
 
 
 def _changed_too(before: Extents, best: Extents, others: list[Extents]) -> Iterator[Extents]:

@@ -153,10 +153,10 @@ class FitOptions:
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
     response
-        The tone curve of the pictures, beside what files were decoded by: `"fit"`, a monotone curve
-        common to all is fitted; `"auto"`, only where a score test asks for it; in both it is kept
-        where the score says so. `"srgb"` and `"linear"`: none is fitted; on the command line they
-        also say how integer files are decoded.
+        The tone curve of the pictures: `"srgb"` and `"linear"`, by which integer files are decoded;
+        `"auto"`, that of these which explains left-out pictures, where no file or flag says it;
+        `"fit"`, a monotone curve common to all, and vignetting, are fitted beside what files were
+        decoded by.
     refine_normals
         Whether to refine the given normals together with materials and lights (docs/normals.md):
         `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
@@ -298,9 +298,9 @@ FLAGS: dict[str, Flag] = {
         values=LOSSES,
     ),
     "response": Flag(
-        "tone curve of the pictures. srgb, linear: how integer files are decoded, and none is "
-        "fitted beside; fit: fit one common to all, and keep it where that explains them better; "
-        "auto: only where a test asks for it (default: %(default)s)",
+        "tone curve of the pictures. srgb, linear: how integer files are decoded; auto: by the "
+        "one that explains left-out pictures, where no file says it; fit: fit one common to all, "
+        "and vignetting, beside (default: %(default)s)",
         values=RESPONSES,
     ),
     "equal_exposures": Flag(

@@ -16,7 +16,7 @@ from pbrfit.fit.joint import minimize
 from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors import posterior
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.mixture import FittedPrior, fit_prior, surprise, with_lights
+from pbrfit.fit.priors.mixture import FittedPrior, fit_prior, with_lights
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
@@ -327,23 +327,6 @@ def test_data_that_the_posterior_has_count_once(room: Scene) -> None:
     before = np.abs(fitted_with(objective, found, twice) - twice.mean[:, 0])
     noisy = sharp < np.median(sharp)
     assert deviation[noisy].mean() < 0.5 * before[noisy].mean()
-
-
-def test_true_lights_surprise_less(room: Scene) -> None:
-    objective = Objective(room)
-    x, lights = by_squares(objective)
-    assert lights.shared is not None
-    truth = truth_of(room)
-    variance = (0.01 / objective.scale) ** 2
-    prior = lights.shared.lights.weighing(variance, variance, objective.pixels)
-    maps = truth.materials
-    true = objective.pack(maps.albedo, maps.roughness, maps.metallic, truth.lighting)
-    far = true.copy()
-    far[objective.layout.lighting] *= 1.5
-    scores = [surprise(objective, at, variance, prior) for at in (true, far, x)]
-    # Of samples less unknowns of the pixels, as χ² has it, and their spread beside it.
-    assert scores[0] / objective.pixels < 2 * objective.samples / objective.pixels
-    assert scores[0] < min(scores[1:])
 
 
 @pytest.mark.parametrize("looks", [0, 2, 4, 5])

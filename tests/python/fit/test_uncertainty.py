@@ -281,15 +281,6 @@ def test_the_scale_is_in_all_deviations() -> None:
         assert (added > 1e-3).any()
 
 
-def test_another_field_of_view_is_in_deviations() -> None:
-    _, objective, x = scene_and_x()
-    alone = discrepancy.find(objective, x)
-    beside = dataclasses.replace(alone, by_camera=np.array([0.1, 0.2]))
-    before, after = (uncertainty.spread(objective, x, of, None).variance for of in (alone, beside))
-    expected = before + np.square([0, 0, 0, 0.1, 0.2])
-    np.testing.assert_allclose(after, np.minimum(expected, SIGMA_MAX**2), rtol=1e-5)
-
-
 def test_shade_is_in_the_deviation_of_albedo_however_many_pictures() -> None:
     """Of two samples as uncertain, by noise or by what the model has not, only noise averages."""
     _, objective, x = scene_and_x()

@@ -69,7 +69,7 @@ the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 COMPARED_PIXELS = 250
 """Pixels that find lamps where explanations are compared: these have eight numbers each."""
 
-CONTINUED_ROUND = 4
+CONTINUED_ROUND = 2
 """Round that a fit begins with which goes on from what others have found."""
 
 HELD_ROUNDS = 2

@@ -10,8 +10,8 @@ import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from pbrfit import InputError, decompose
-from pbrfit.fit.lamps import dispatch
 from pbrfit.fit.lamps.estimator import LampFit, fit_lamps
+from pbrfit.fit.lamps.shape import first_shape, height_of
 from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.model.lamps import Lamps
 from planted_lamps import (
@@ -79,19 +79,18 @@ def test_a_fit_has_the_same_bits_with_one_thread_and_with_two() -> None:
 @pytest.mark.slow
 def test_known_lamps_tell_normals() -> None:
     truth = planted(LAMPS, known=without_colors(LAMPS), normals_known=False, size=32)
-    found = dispatch.fit_if_lit(truth.scene, setup()).found
-    assert found is not None
+    found = fit_lamps(truth.scene, setup(), first_shape(truth.scene))
     assert truth.normals_off(found.normals).mean() < 1
     assert truth.albedo_off(found.materials.albedo) < 0.02
     np.testing.assert_allclose(lamps_of(found).places, LAMPS.places, atol=1e-9)
     valid = truth.scene.valid
-    assert found.height is not None
     assert found.normal_sigma is not None
     assert ((found.normal_sigma[valid] > 0) & (found.normal_sigma[valid] <= 90)).all()
     assert np.isnan(found.normal_sigma[~valid]).all()
     # A dome is highest in its middle, by the radius less what the edge has: in pixels.
     radius = 0.46 * 32
-    rise = found.height[16, 16] - np.nanmin(found.height)
+    height = height_of(found.normals, truth.scene)
+    rise = height[16, 16] - np.nanmin(height)
     assert abs(rise - radius * (1 - np.sqrt(0.2))) < 0.1 * radius
 
 
@@ -191,7 +190,6 @@ def test_known_near_lamps_need_depth() -> None:
     scene = replace(planted(LAMPS, size=16).scene, lamps=near)
     for ask in (
         lambda: fit_lamps(scene, setup()),
-        lambda: dispatch.fit_if_lit(scene, setup(light="auto")),
         lambda: decompose(scene),
     ):
         with pytest.raises(InputError, match=r"^lamps: expected depth for near lamps, found none$"):
@@ -205,6 +203,6 @@ def test_lamps_from_one_side_leave_something_open() -> None:
     lamps = Lamps(np.arange(6), places, colors=colors(6))
     for known in (None, without_colors(lamps)):
         truth = planted(lamps, size=32, normals_known=False, known=known)
-        start = dispatch.first_shape(truth.scene)
+        start = first_shape(truth.scene)
         assert start.undetermined
         assert start.undetermined[0] in start.note
