@@ -54,13 +54,13 @@ PAPER = Configuration("paper", "the paper's four", PAPER_PRIORS)
 HUBER = Configuration("huber", "default, Huber loss", Priors(), "huber")
 CAUCHY = Configuration("cauchy", "default, Cauchy loss", Priors(), "cauchy")
 
-WEIGHTS = replace(PAPER_PRIORS, material=Priors().material)
+WEIGHTS = replace(PAPER_PRIORS, material=1.0)
 """At which each prior is tried alone."""
 
 CONFIGURATIONS: tuple[Configuration, ...] = (
     NONE,
     DEFAULT,
-    alone("material", WEIGHTS.material),
+    alone("material", 1.0),
     PAPER,
     *each_off(PAPER),
     HUBER,

@@ -23,6 +23,7 @@ explains the pictures but for rounding, or leaves nothing but noise, ends the co
 from __future__ import annotations
 
 import copy
+import logging
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -32,6 +33,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit._core import InputError
 from pbrfit.fit import settings
 from pbrfit.fit.estimator import find_lights, gauss_newton
 from pbrfit.fit.lamps.estimator import Found, LampFit
@@ -49,6 +51,8 @@ from pbrfit.result.held_out import Candidate, HeldOut
 from pbrfit.result.options import FitOptions, Loss
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
+
+log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
 LightKind = Literal["sh", "lamps"]
@@ -205,7 +209,7 @@ class _Explained:
 
 
 def _score(one: _Explained) -> float:
-    return one.score
+    return one.score if math.isfinite(one.score) else math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +277,12 @@ class _Comparison:
             return Choice(first, None)
         # Light from all around first: where it leaves only noise, nothing is left to explain. It is
         # found as the paper has it, with neither priors nor weights of samples, which have to pay.
-        plain = replace(first, material=0.0, robust="none" if loss == "auto" else loss)
+        told = self._options.priors.material
+        plain = replace(
+            first,
+            material=0.0 if told is None else told,
+            robust="none" if loss == "auto" else loss,
+        )
         kinds = [
             replace(plain if light == "sh" else first, response=response, light=light)
             for light in lights[::-1]
@@ -282,10 +291,12 @@ class _Comparison:
         if self._is_ambiguous:
             kinds += [replace(one, dielectric=True) for one in kinds if one.light == "sh"]
         best = self._race(kinds)
+        if best is None:
+            return Choice(first, None)
         full = replace(best.explanation, material=self._strength, robust=loss)
         if best.explanation.light == "sh" and best.is_noise:
             return self._choice(best, full)
-        for kind in (full, replace(full, material=0.0)):
+        for kind in (full, replace(full, material=plain.material)):
             if kind.light == "sh" and kind not in self._tried and not self._is_late():
                 for fold in range(len(self._tried[best.explanation])):
                     self._try(kind, fold)
@@ -299,14 +310,17 @@ class _Comparison:
         if not told or self._is_late():
             return None
         kind = replace(best.explanation, other_fov=True)
-        self._try(kind, 0)
-        [other], given = self._tried.pop(kind), self._tried[best.explanation][0]
+        other, given = self._of_fold(kind, 0), self._tried[best.explanation][0]
         if given.score - other.score < settings.COMPARE_FOV_GAIN_MIN:
             return None
         return other.fov if given.is_worse(other, settings.COMPARE_ERRORS_MIN) else None
 
-    def _race(self, kinds: Sequence[Explanation]) -> _Explained:
-        """The best of some, of which those go on from fold to fold that may still be the best."""
+    def _race(self, kinds: Sequence[Explanation]) -> _Explained | None:
+        """The best of some, of which those go on from fold to fold that may still be the best.
+
+        None if the pictures of a fold are too few, or too much alike, for any of them.
+        """
+        best = None
         for fold in range(len(self._folds)):
             for kind in kinds:
                 results = self._results()
@@ -316,6 +330,8 @@ class _Comparison:
                     return min(results, key=_score)
                 self._try(kind, fold)
             results = [one for one in self._results() if one.explanation in kinds]
+            if not results:
+                break
             best = min(results, key=_score)
             errors = settings.COMPARE_DROPPED_ERRORS
             kinds = [one.explanation for one in results if not one.is_worse(best, errors)]
@@ -338,7 +354,8 @@ class _Comparison:
 
     @property
     def _strength(self) -> float:
-        return self._options.priors.material
+        told = self._options.priors.material
+        return 1.0 if told is None else told
 
     @property
     def _is_ambiguous(self) -> bool:
@@ -418,34 +435,39 @@ class _Comparison:
     # Fits
 
     def _try(self, kind: Explanation, fold: int) -> None:
-        """Fit the pictures of a fold and explain those that it leaves out."""
+        """Fit the pictures of a fold and explain those that it leaves out, if they tell enough."""
+        try:
+            explained = self._of_fold(kind, fold)
+        except InputError as error:
+            log.debug("%s: not compared: %s", kind.in_words(), error)
+        else:
+            self._tried.setdefault(kind, []).append(explained)
+
+    def _of_fold(self, kind: Explanation, fold: int) -> _Explained:
         kept, out = self._folds[fold]
         scene = self._few if kind.response is None else self._few.decoded_by(kind.response)
         few, shape = self._pixels(scene, kept, kind.response, fold)
-        fitted = few.of_pictures(kept)
         if kind.light == "lamps":
-            fit = self._under_lamps(fitted, shape)
+            fit = self._under_lamps(few.of_pictures(kept), shape)
         else:
-            fit = self._under_harmonics(kind, fitted)
+            fit = self._under_harmonics(kind, few.of_pictures(kept))
         errors, values, rounding, lamps = [], [], [], []
         for picture in out:
-            shown, lamp = _explained(self._model, fit, few, picture)
+            shown, lamp = _explained(self._model, fit, few, picture, self._options.sh_order)
             values.append(few.file_values(few.samples(picture).astype(np.float64)))
             errors.append(values[-1] - few.file_values(np.maximum(shown, 0.0)))
             weights = few.channel_weights(picture)
             if weights is not None:
                 untold = weights[few.valid] == 0
                 errors[-1][untold] = values[-1][untold] = np.nan
-            floor, slope = (
-                few.noise_floor(picture),
-                _slope(few, few.samples(picture).astype(np.float64)),
-            )
+            floor = few.noise_floor(picture)
+            slope = _slope(few, few.samples(picture).astype(np.float64))
             off = 0.0 if floor is None else floor[few.valid] * slope
             rounding.append(float(np.mean(np.square(off))))
             if lamp is not None:
                 lamps.append(lamp)
         of_errors = np.array(errors)
-        explained = _Explained(
+        return _Explained(
             kind,
             _mean(of_errors),
             np.zeros(of_errors.shape[:2]) if few.grey else _between(of_errors),
@@ -457,7 +479,6 @@ class _Comparison:
             None if fit.found is None else self._of_all(fit.found, lamps, fold),
             fit.fov,
         )
-        self._tried.setdefault(kind, []).append(explained)
 
     def _pixels(
         self, scene: Scene, kept: Sequence[int], response: Curve | None, number: int
@@ -568,7 +589,7 @@ class _Comparison:
 
 
 def _explained(
-    model: Model, fit: _Fitted, scene: Scene, picture: int
+    model: Model, fit: _Fitted, scene: Scene, picture: int, sh_order: int
 ) -> tuple[Array, Lamps | None]:
     """(P, 3): radiance of a left-out picture as a fit explains it, its light alone fitted.
 
@@ -580,6 +601,7 @@ def _explained(
     slope = _slope(scene, samples)
     if fit.pixels is None:
         rows = shade(fit.normals, fit.views, *fit.materials, model=model)
+        rows = rows[..., : (sh_order + 1) ** 2]
         return _under_best_harmonics(scene, rows, samples, told), None
     pixels = replace(
         fit.pixels,

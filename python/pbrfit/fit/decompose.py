@@ -235,7 +235,7 @@ def _result(
         if options.light == "sh" or options.mono_light:
             why = "not asked for"
         elif chosen.held_out is None:
-            why = "too few pictures or pixels to compare them with light from all around"
+            why = "not compared with light from all around"
         left_out = (*left_out, f"lamps: {why}")
     uncertainty = found.uncertainty
     if uncertainty is not None:

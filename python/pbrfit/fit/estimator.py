@@ -206,7 +206,7 @@ def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | 
 def _with_prior(run: Run, lights: Lights) -> Lights:
     """Lights as they are with the material prior."""
     assert lights.shared is not None
-    strength, variance = run.options.priors.material, lights.misfit.of_likelihood
+    strength, variance = run.material_strength, lights.misfit.of_likelihood
     objective = reweighted(run, run.objective, lights.x)
     x = with_lights(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
     return replace(lights, x=x)
@@ -215,7 +215,7 @@ def _with_prior(run: Run, lights: Lights) -> Lights:
 def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
     """Lights with their scale and its deviation."""
     assert lights.shared is not None
-    strength, variance = run.options.priors.material, lights.misfit.of_likelihood
+    strength, variance = run.material_strength, lights.misfit.of_likelihood
     found = None
     if not run.out_of_time():
         objective = reweighted(run, run.objective, lights.x)
@@ -238,7 +238,7 @@ def discrepancy_of(run: Run, objective: Objective, x: Array) -> Discrepancy:
 
 def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, GaussianPrior] | None:
     """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
-    strength, x = run.options.priors.material, lights.x
+    strength, x = run.material_strength, lights.x
     if run.out_of_time():
         return None
     objective = reweighted(run, run.objective, x)

@@ -182,7 +182,13 @@ class Run:
     @property
     def has_mixture_prior(self) -> bool:
         """Whether the fit has a mixture prior on materials."""
-        return self.options.priors.material > 0
+        return self.material_strength > 0
+
+    @property
+    def material_strength(self) -> float:
+        """Of the mixture prior."""
+        told = self.options.priors.material
+        return 1.0 if told is None else told
 
     def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
         """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""

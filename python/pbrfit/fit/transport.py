@@ -16,7 +16,7 @@ time, as long as something gains; and so is the gain of what is brought.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -245,9 +245,7 @@ class _Search:
         return trial
 
 
-def find_lights(
-    few: Objective, part: Array, stop: Stop, near_rounds: int | None = None
-) -> None:
+def find_lights(few: Objective, part: Array, stop: Stop, near_rounds: int | None = None) -> None:
     """Rounds of joint steps on some pixels, whose x changes; fewer from lights that are near."""
     shared = SharedFit(LightPrior.around(few, part))
     everything = np.arange(few.pixels, dtype=np.uint64)

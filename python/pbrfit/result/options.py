@@ -59,7 +59,7 @@ class Priors:
     ----------
     material
         Strength of the mixture prior on roughness and metallic that is fitted for each segment; 1
-        is Bayes' rule.
+        is Bayes' rule. None = 1, but 0 where left-out pictures are explained no worse without.
     cohesion
         Weight of the squared distance of roughness and metallic to their segment's mean.
     smoothness
@@ -75,7 +75,7 @@ class Priors:
         If a weight is no finite number of 0 or more.
     """
 
-    material: float = 1.0
+    material: float | None = None
     cohesion: float = 0.0
     smoothness: float = 0.0
     sparsity: float = 0.0
@@ -85,7 +85,7 @@ class Priors:
         expected = "a finite weight, 0 or more"
         for name in prior_names():
             value = getattr(self, name)
-            if name == "monochrome" and value is None:
+            if name in ("material", "monochrome") and value is None:
                 continue
             weight = real_number(f"prior {name}", value, expected)
             if not 0 <= weight < math.inf:
@@ -184,7 +184,7 @@ class FitOptions:
     light
         What lights the pictures (docs/lamps.md): `"sh"`, light from all around, as spherical
         harmonics; `"lamps"`, in each picture a lamp and faint light from all around; `"auto"`,
-        lamps where they explain pixels clearly better that lights were not fitted to.
+        whichever explains left-out pictures better.
     same_lamp
         Whether all lamps have the same colour and strength: one that was carried around.
     uncertainty
@@ -327,7 +327,7 @@ FLAGS: dict[str, Flag] = {
     ),
     "light": Flag(
         "sh: light from all around, as spherical harmonics; lamps: a lamp in each picture and "
-        "faint light from all around; auto: whichever explains left-out pixels best (default: "
+        "faint light from all around; auto: whichever explains left-out pictures best (default: "
         "%(default)s)",
         values=LIGHTS,
     ),

@@ -426,5 +426,5 @@ def test_perfect_pictures_have_no_use_for_a_prior(room: Scene, solver: Solver) -
 @pytest.mark.parametrize("priors", [Priors(material=0), None, Priors()])
 def test_weight_zero_fits_no_prior(room: Scene, solver: Solver, priors: Priors | None) -> None:
     result = pbrfit.decompose(room, iterations=40, solver=solver, priors=priors)
-    has_one = priors is not None and priors.material > 0
+    has_one = priors is not None and priors.material != 0
     assert ("material prior" in [stage.name for stage in result.stages]) == has_one

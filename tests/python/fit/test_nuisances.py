@@ -243,5 +243,3 @@ def test_units_are_those_of_the_pictures_as_they_came() -> None:
     objective.see(scene.through(scene.fov, Correction(scene.mean_brightness(), (-0.1, 0, 0, 0, 0))))
     assert objective.scale == scale
     assert np.isfinite(objective.value_and_grad(x)[0])
-
-

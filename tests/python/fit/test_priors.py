@@ -308,10 +308,11 @@ def test_weights_are_plain_numbers() -> None:
     priors = Priors(cohesion=np.float32(0.5), material=2, monochrome=0)  # type: ignore[arg-type]
     assert dataclasses.astuple(priors) == (2.0, 0.5, 0.0, 0.0, 0.0)
     assert all(type(weight) is float for weight in dataclasses.astuple(priors))
-    with pytest.raises(InputError, match=r"^prior material: expected .* found None"):
-        Priors(material=None)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^prior cohesion: expected .* found None"):
+        Priors(cohesion=None)  # type: ignore[arg-type]
     assert set(dataclasses.astuple(Priors.none())) == {0.0}
     assert Priors().monochrome is None
+    assert Priors().material is None
 
 
 # --- In the objective ---

@@ -220,5 +220,3 @@ def test_demo_draws_all_from_one_seed(tmp_path: Path) -> None:
     options = ("--size", 8, "--lights", 3, "--iterations", 2, "--seed", 9, "--quiet")
     assert run("demo", tmp_path / "out", *options) == 0
     assert Result.load(tmp_path / "out" / "result").options.seed == 9
-
-

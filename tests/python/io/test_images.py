@@ -310,6 +310,9 @@ def test_an_srgb_profile_changes_nothing(tmp_path: Path, name: str, kind: str) -
     Image.fromarray(RGB8).save(tmp_path / name, icc_profile=srgb_profile())
     tagged = images.read_picture(tmp_path / name)
     assert tagged.color == f"ICC profile of the 8-bit {kind}"
+    assert tagged.curve_told
+    Image.fromarray(RGB8).save(tmp_path / f"plain_{name}")
+    assert not images.read_picture(tmp_path / f"plain_{name}").curve_told
     plain = images.read_picture(tmp_path / name, color_space="srgb")
     np.testing.assert_allclose(tagged.pixels, plain.pixels, rtol=2e-4, atol=5e-6)
 
@@ -372,12 +375,14 @@ def test_a_given_color_space_decides(tmp_path: Path) -> None:
     picture = images.read_picture(path, color_space="linear")
     np.testing.assert_array_equal(picture.pixels, (RGB8 / 255).astype(np.float32))
     assert picture.color == "linear (as asked for)"
+    assert picture.curve_told
     expected = RGB8 / 255 @ color.to_rec709(color.ACES_AP1).T
     acescg = images.read_picture(path, color_space="acescg")
     np.testing.assert_allclose(acescg.pixels, expected, atol=1e-6)
 
     chromaticities = (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329)
     exr = save_exr(tmp_path / "a.exr", {"RGB": FLOAT}, chromaticities=chromaticities)
+    assert images.read_picture(exr).curve_told
     np.testing.assert_array_equal(images.read_picture(exr, color_space="linear").pixels, FLOAT)
     srgb = images.read_picture(exr, color_space="srgb").pixels
     np.testing.assert_allclose(srgb, color.decode_srgb(FLOAT), rtol=1e-6)

@@ -101,7 +101,7 @@ def test_ids_are_unique_and_nothing_refers_to_anything_outside(page: Page) -> No
 
 def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
     sections = [e.attributes["id"] for e in page.all("section")]
-    assert sections == ["summary", "maps", "pictures", "lights", "history", "choice", "origin"]
+    assert sections == ["summary", "maps", "pictures", "lights", "history", "origin"]
     assert [h.text for h in page.all("h1")] == ["Materials from 3 pictures"]
     # The view stands above them, and only the first is unfolded.
     folds = [
@@ -109,7 +109,7 @@ def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
         for before, element in itertools.pairwise(page.elements)
         if before.tag == "section"
     ]
-    assert folds == [True, *[False] * 6]
+    assert folds == [True, *[False] * 5]
     assert page.content.index('class="relight-view"') < page.content.index("<main>")
 
 

@@ -107,11 +107,11 @@ def test_a_fit_has_its_verdicts_capped(monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
     for held_out in (EXPLAINED, UNEXPLAINED):
 
-        def choice(*given: Any, held_out: Any = held_out) -> compare.Choice:
-            return dataclasses.replace(choose(*given), held_out=held_out)
+        def choice(*given: Any, held_out: Any = held_out, **options: Any) -> compare.Choice:
+            return dataclasses.replace(choose(*given, **options), held_out=held_out)
 
         monkeypatch.setattr(compare, "choose", choice)
-        uncertainty = decompose(scene, iterations=5).uncertainty
+        uncertainty = decompose(scene).uncertainty
         assert uncertainty is not None
         found.append(uncertainty.verdicts)
     free, capped = found

@@ -50,6 +50,7 @@ def test_what_all_pictures_share_goes(tmp_path: Path, form: str) -> None:
     )
     assert scene_folder.digests(folder) == scene.inputs
     assert f"Dark{suffix}" in scene.inputs
+    assert scene.response is None  # values that something was subtracted from have one curve
 
 
 def test_without_one_nothing_is_said(tmp_path: Path) -> None:

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Materials, Objective, Scene, Truth
+from pbrfit.io.color import Conversion, Curve, decode_srgb
+from pbrfit.io.file_noise import FileNoise
+from pbrfit.model.lamps import Lamps
 from pbrfit.synthetic import make_scene
 
 H, W, N = 3, 4, 2
@@ -332,6 +335,65 @@ def test_negative_values_are_fitted_as_they_are_and_counted() -> None:
     x = Objective(clipped).start()
     losses = [Objective(one).value_and_grad(x)[0] for one in (whole, clipped)]
     assert losses[0] > losses[1]
+
+
+def coded(curve: Curve) -> Scene:
+    """Values of 8-bit files as that curve decodes them, with what rounding left of the first."""
+    values = np.arange(N * H * W * 3).reshape(N, H, W, 3) / 255
+    images = (decode_srgb(values) if curve == "srgb" else values).astype(np.float32)
+    block = np.zeros(max(H, W), np.int32)
+    noise = FileNoise(Conversion(curve), 256, 1 / 12, None, block[:H], block[:W], 0.0)
+    return scene(images=images, response=curve, file_noise=(noise, None), assumed={"color": "sRGB"})
+
+
+@pytest.mark.parametrize(("curve", "other"), [("srgb", "linear"), ("linear", "srgb")])
+def test_files_are_decoded_by_another_curve_and_back(curve: Curve, other: Curve) -> None:
+    first = coded(curve)
+    assert first.decoded_by(curve) is first
+    found = first.decoded_by(other)
+    assert found.response == other
+    np.testing.assert_allclose(found.images, coded(other).images, atol=1e-7)
+    np.testing.assert_allclose(found.decoded_by(curve).images, first.images, atol=1e-7)
+    for one in (first, found):  # the same values, whatever decodes them
+        values = one.file_values(one.images)
+        np.testing.assert_allclose(values.ravel(), np.arange(values.size) / 255, atol=1e-6)
+    assert found.assumed["color"].startswith(f"{other}: pictures that were left out are explained")
+    floors = [one.noise_floor(0) for one in (found, coded(other), first)]
+    as_other, expected, before = (np.asarray(floor, np.float64) for floor in floors)
+    np.testing.assert_allclose(as_other, expected, rtol=1e-3)
+    assert not np.allclose(as_other, before, rtol=0.1)
+
+
+def test_pictures_of_no_integer_files_have_no_other_curve() -> None:
+    made = scene()
+    assert made.response is None
+    assert made.file_values(made.images) is made.images
+    with pytest.raises(InputError, match=r"^response: expected files of integers for linear"):
+        made.decoded_by("linear")
+
+
+def test_a_scene_of_some_pictures_has_what_is_theirs() -> None:
+    rng = np.random.default_rng(0)
+    images, lighting = rng.random((3, H, W, 3)), rng.random((3, 16, 3))
+    all_of = scene(
+        images=images,
+        weights=images[..., 0],
+        limits=np.where(images > 0.7, np.uint8(1), np.uint8(0)),
+        names=("a", "b", "c"),
+        lighting=lighting,
+        lamps=Lamps(np.arange(3), np.eye(3)),
+        segments=np.ones((H, W), int),
+        truth=truth(lighting=lighting),
+    )
+    found = all_of.of_pictures([2, 0])
+    assert found.names == ("c", "a")
+    for name in ("images", "weights", "limits", "lighting"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(all_of, name)[[2, 0]])
+    assert found.lamps is not None
+    np.testing.assert_array_equal(found.lamps.places, np.eye(3)[[2, 0]])
+    assert found.truth is not None
+    np.testing.assert_array_equal(found.truth.lighting, found.lighting)
+    assert found.segments is all_of.segments
 
 
 def test_masked_values_of_pictures_have_no_weight() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageCms
 
 from pbrfit import InputError, Scene, Truth
 from pbrfit.io import images, normal_files
@@ -59,6 +59,7 @@ def test_formats_colour_and_hashes(tmp_path: Path, form: str) -> None:
     np.testing.assert_allclose(scene.normals, room().normals, rtol=0, atol=1e-7)
     assert scene.names == room().names
     assert scene.assumed["color"].startswith(color)
+    assert scene.response == ("srgb" if color.startswith("sRGB") else None)
     assert scene.assumed["normals"] == "normals.exr, opengl axes, camera space"
     names = [*(f"images/{name}{suffix}" for name in scene.names), "normals.exr", "scene.toml"]
     assert scene.inputs == {
@@ -86,6 +87,15 @@ def test_colour_space_flag_before_scene_toml(tmp_path: Path, flag: Any, toml: st
     np.testing.assert_allclose(scene.images[0], expected, atol=5e-3)
     told = f"{used} (as asked for)" if flag or toml else "sRGB (8-bit PNG without a profile)"
     assert scene.assumed["color"] == told
+    assert scene.response == (None if flag or toml else "srgb")
+
+
+def test_the_profile_of_one_picture_tells_the_curve_of_all(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene", "JPEG")
+    picture = folder / "images" / "light_01.jpg"
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    Image.open(picture).save(picture, quality=100, icc_profile=profile)
+    assert Scene.load(folder).response is None
 
 
 def test_fov_of_flag_then_scene_toml_then_exif_then_60(

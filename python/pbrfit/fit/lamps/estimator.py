@@ -489,7 +489,8 @@ class LampFit:
             total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
             return total + 0.5 * ((fov - FOV_MEAN) / FOV_SPREAD) ** 2, chosen
 
-        fov = self.fov if len(fields) == 1 or self.fov in fields else FOV_MEAN
+        likely = FOV_MEAN if fields == FIELDS_OF_VIEW else self.fov
+        fov = min(fields, key=lambda one: abs(one - likely))
         found = {scale: tried(fov, scale) for scale in scales}
         scale = min(found, key=lambda one: found[one][0])
         chosen = found[scale][1]

@@ -14,7 +14,6 @@ from pbrfit.synthetic import make_scene
 from planted_lamps import far, without_colors
 
 FEW: dict[str, Any] = {"iterations": 3, "uncertainty": False}
-TOO_FEW = "too few pictures or pixels to compare them with light from all around"
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +47,14 @@ def test_few_pixels_or_pictures_decide_nothing(room: Scene, pixels: int, picture
     few = Scene(images=room.images[:pictures], normals=room.normals, mask=mask, fov=room.fov)
     found = decompose(few, **FEW)
     assert found.held_out is None
-    assert said(found) == [f"lamps: {TOO_FEW}"]
+    assert said(found) == ["lamps: not compared with light from all around"]
     lamps = decompose(replace(few, lamps=without_colors(far(pictures))), **FEW).lamps
     assert (lamps is None) == (pictures == 2)
 
 
 @pytest.mark.parametrize("light", ["sh", "lamps"])
 def test_normals_that_nobody_gave_are_said_to_be_of_the_pictures(room: Scene, light: str) -> None:
-    untold = Scene(images=room.images, mask=room.mask, fov=room.fov)
+    untold = Scene(images=room.images[:3], mask=room.mask, fov=room.fov)
     result = decompose(untold, light=light, refine_normals="off", **FEW)
     assert result.refinement.in_words().startswith(FROM_PICTURES)
     assert "as given" not in result.refinement.in_words()
