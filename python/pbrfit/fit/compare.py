@@ -106,7 +106,7 @@ class Choice:
     held_out: HeldOut | None
     """What was compared; None where nothing was."""
     found: Found | None = None
-    """Of a fit under far lamps, for that of all pixels to go on from."""
+    """Of a fit under far lamps and given normals, for that of all pixels to go on from."""
     other_fov: tuple[float, float] | None = None
     """Degrees of a field of view, and their standard deviation, that explains left-out pictures so
     much better than the given one that it contradicts this."""
@@ -430,7 +430,9 @@ class _Comparison:
             ),
             chosen=chosen.in_words(),
         )
-        return Choice(chosen, held_out, best.found)
+        # A shape that smaller pictures have told is no start for all of its pixels.
+        found = best.found if self._scene.normals_known else None
+        return Choice(chosen, held_out, found)
 
     # Fits
 

@@ -158,7 +158,7 @@ def decompose(
     )
     start_shape = None
     if not scene.normals_known:
-        start_shape = first_shape(scene, None if chosen.found is None else chosen.found.lamps)
+        start_shape = first_shape(scene)
         for said in start_shape.undetermined:
             log.warning("normals: %s", said)
     if how.light == "lamps":

@@ -37,9 +37,8 @@ SLOPE_MAX = 0.1
 """Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a
 search ends: C changes the surface by a degree where an entry changes by about 0.02."""
 
-FEW_SHARE = 5
-"""Each start is followed from one place in so many; what leads to likely minima goes on with all.
-"""
+FEW = 500
+"""Places from which each start is followed; what leads to likely minima goes on with all."""
 
 POLISHED_MAX = 4
 """Minima that are found with all places."""
@@ -85,7 +84,7 @@ class Minimum:
         return cls(transforms.normals[0], transforms.lamps[0], sum(parts.values()), parts)
 
 
-def minima(places: Places, rough: Array | None) -> list[Minimum]:
+def minima(places: Places, rough: Array | None, few_places: int = FEW) -> list[Minimum]:
     """Minima of the negative log likelihood, the least first.
 
     Parameters
@@ -94,8 +93,10 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
         What cues look at.
     rough
         (P, 3) normals of a rough shape to start from beside other starts; None = there is none.
+    few_places
+        From which each start is followed.
     """
-    few = places.thinned(len(places.vectors) // FEW_SHARE)
+    few = places.thinned(few_places)
     rounds = [_searched(start, few, places) for start in _starts(places, rough)]
     rounds.sort(key=lambda one: one[0])
     found: list[Minimum] = []

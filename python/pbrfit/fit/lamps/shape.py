@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model.lamps import Lamps
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 
@@ -31,12 +30,9 @@ class FirstShape:
     """What the pictures leave open, each in words."""
 
 
-def first_shape(
-    scene: Scene, lamps: Lamps | None = None, places_max: int | None = None
-) -> FirstShape:
+def first_shape(scene: Scene, places_max: int | None = None) -> FirstShape:
     """Normals, and directions of the lamps, that the pictures of a scene tell by themselves.
 
-    `lamps` are far ones with colours that were found before; None = those of the scene, or unknown.
     `places_max` is as in `start_of_unknown_lamps`.
     """
     # Here and not above: scipy would double the time of `import pbrfit`.
@@ -49,7 +45,7 @@ def first_shape(
     images = np.where(usable, images, 0.0).astype(np.float64)
     if scene.limits is not None:
         usable &= scene.limits == 0
-    known = scene.lamps if lamps is None else lamps
+    known = scene.lamps
     if known is not None and not known.near.any() and len(known) == len(images):
         colors = known.colors if known.colored else None
         found = start_of_known_lamps(images, usable, scene.valid, scene.views, known.places, colors)

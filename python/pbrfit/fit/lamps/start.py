@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.lamps.ambiguity import EQUALLY_LIKELY, Minimum, minima
+from pbrfit.fit.lamps.ambiguity import EQUALLY_LIKELY, FEW, Minimum, minima
 from pbrfit.fit.lamps.cues import Places, unit_and_length
 from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.outline import Outline, inflated, outline
@@ -145,7 +145,8 @@ def start_of_unknown_lamps(
     if not places.of.integrability.blocks or len(places.chosen) < PLACES_MIN:
         return _start_of_few(data, views, edge, product, guide)
     rough = inflated(mask, views)[data.where] if len(edge) else None
-    found = minima(places.of, None if rough is None else rough[places.chosen])
+    few = FEW if places_max is None else places_max * FEW // PLACES_MAX
+    found = minima(places.of, None if rough is None else rough[places.chosen], few)
     best, undetermined = _decided(found, places.of, len(edge) > 0 or guide is not None)
     scaled = _scaled(data, normals, best.normals)
     figures = {
