@@ -186,7 +186,7 @@ def fit(way: Way, scene: Scene, threads: int) -> Result:
     """Explain the pictures of a scene in one of `OURS`."""
     if way == "paper":
         return explain(scene, "paper", model="paper", threads=threads)
-    return decompose(scene, threads=threads, **FLAGS[way])
+    return decompose(scene, threads=threads, refine_normals="auto", **FLAGS[way])
 
 
 def _chosen(result: Result) -> dict[str, Any]:

@@ -145,7 +145,7 @@ def find_lights(run: Run, x: Array) -> Lights:
         notes.append(f"{known}{len(level.pixels)} pixels")
         among, dielectric = objective.transfer is not None, run.begins_dielectric
         unknown: list[Nuisance] = []
-        if not (dielectric or among):
+        if not among:
             if run.camera.how == "assumed":
                 unknown.append(FIELD_OF_VIEW)
             if run.options.response == "fit" and run.scene.correction is None:

@@ -132,21 +132,6 @@ def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[n
     return rotated(light, rotate)
 
 
-def lost_energy(pixels: NDArray[np.floating[Any]], coefficients: ArrayLike) -> float:
-    """Share of ∫ E² dω that an SH light of the panorama lacks, over all channels, 0 to 1.
-
-    The basis is orthonormal, so what a projection keeps is the sum of its squares.
-    """
-    weights = solid_angles(*pixels.shape[:2])
-    # In units of the largest: squares of the sun leave float32.
-    largest = float(np.max(pixels))
-    if largest == 0:
-        return 0.0
-    rows = np.sum(np.square(pixels / largest, dtype=np.float64), axis=(1, 2))
-    kept = float(np.sum(np.square(np.asarray(coefficients) / largest)))
-    return float(np.clip(1 - kept / (weights @ rows), 0, 1))
-
-
 def radiance(coefficients: ArrayLike, height: int) -> NDArray[np.float64]:
     """An SH light (16, 3) as a panorama (height, 2 height, 3); it may be negative in places."""
     return np.asarray(sh_basis(directions(height, 2 * height)) @ np.asarray(coefficients))

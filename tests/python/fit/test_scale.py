@@ -233,13 +233,6 @@ def test_groups_are_patches_and_segments() -> None:
     np.testing.assert_array_equal(scale.groupings(alone, pixels, clusters)[1], clusters)
 
 
-def test_a_likelier_camera_widens_the_scale() -> None:
-    """Lights a third weaker are an error of ln 3/2 as well; those of other sign say nothing."""
-    found = scale.Scale(np.array([0.03, 0.03]), "by something").beside(np.array([-1 / 3, -2.0]))
-    np.testing.assert_allclose(found.deviation, np.hypot(0.03, np.log([1.5, 20.0])))
-    assert found.assumed == "by something; by the other field of view lights -33 %, -2e+02 %"
-
-
 @pytest.mark.parametrize(("pictures", "steps"), [(5, True), (8, True), (9, False), (16, False)])
 def test_few_samples_take_the_step(pictures: int, steps: bool) -> None:
     """Many have next to no bias of that kind, and the step's own errors."""

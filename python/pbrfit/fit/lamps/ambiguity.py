@@ -158,10 +158,6 @@ def _starts(places: Places, rough: Array | None) -> list[Array]:
             starts.append(np.column_stack([across, size / slant * level]))
     if rough is not None:
         starts.append(_like(places.vectors, rough))
-    if places.guide is not None:
-        known = np.isfinite(places.guide).all(axis=1)
-        if known.sum() >= 3:
-            starts.append(_like(places.vectors[known], places.guide[known]))
     starts = [C / np.linalg.norm(C) for C in starts if np.isfinite(C).all()]
     for C in starts:
         if np.linalg.det(C) < 0:

@@ -56,9 +56,6 @@ factor of 2.7."""
 FACING_MIN = 0.05
 """n·v, 87 degrees: what pixels show of steeper surfaces is less than half a pixel's own."""
 
-GUIDE_CONCENTRATION = 30.0
-"""κ of the distribution of normals about given ones: a deviation of 15 degrees."""
-
 SLOPE_MEAN, SLOPE_SPREAD = 0.70, 0.12
 """Mean of n·v over the pixels of a surface and the spread of this mean from surface to surface. A
 ball's is 2/3; of reliefs it is larger."""
@@ -91,8 +88,6 @@ class Places:
         The same at the outline, (E, 3), (E, 3) and a number.
     outward, facing
         (E, 3) and (E,): what is expected there, as in `outline`.
-    guide
-        (P, 3) given normals or None.
     lamps
         (N, 3) s.
     integrability
@@ -109,7 +104,6 @@ class Places:
     outline_blocks: int
     outward: Array
     facing: Array
-    guide: Array | None
     lamps: Array
     integrability: Integrability
 
@@ -125,7 +119,6 @@ class Places:
             vectors=self.vectors[used],
             views=self.views[used],
             brightness=self.brightness[used],
-            guide=None if self.guide is None else self.guide[used],
             pairs=renamed.reshape(pairs.shape),
             outline_vectors=self.outline_vectors[::edge],
             outline_views=self.outline_views[::edge],
@@ -271,17 +264,6 @@ def front_cost(transforms: Transforms, places: Places) -> Array:
     return np.asarray(np.logaddexp(0.0, -along[..., 2] / BEHIND))
 
 
-def guide_cost(transforms: Transforms, places: Places) -> Array:
-    """Of each pixel: its normal is about the given one, but at a share `CUT`."""
-    if places.guide is None:
-        return np.zeros((len(transforms.normals), 0))
-    normals, _ = unit_and_length(places.vectors @ transforms.normals)
-    known = np.isfinite(places.guide).all(axis=-1)
-    cosine = np.einsum("tpi,pi->tp", normals[:, known], places.guide[known])
-    density = (1 - CUT) * np.exp(GUIDE_CONCENTRATION * (cosine - 1)) + CUT / GUIDE_CONCENTRATION
-    return np.asarray(-np.log(density))
-
-
 def _towards(normals: Array, views: Array) -> Array:
     """n·v, (T, P)."""
     return np.asarray(np.einsum("tpi,pi->tp", normals, views))
@@ -314,6 +296,5 @@ CUES = (
     Cue("visible", visible_cost, lambda p: p.blocks),
     Cue("slope", slope_cost, None),
     Cue("lamps in front", front_cost, None),
-    Cue("guide", guide_cost, lambda p: p.blocks),
 )
 """In this order in every report."""

@@ -47,7 +47,6 @@ def chosen_places(
     normals: PseudoNormals,
     lamps: Array,
     edge: Outline,
-    guide: Array | None,
     most: int = PLACES_MAX,
 ) -> Chosen:
     """What cues look at: at most so many pixels."""
@@ -82,7 +81,6 @@ def chosen_places(
         outward=edge.outward[at_edge],
         facing=edge.facing[at_edge],
         outline_blocks=len(np.unique(at_outline)),
-        guide=None if guide is None else np.asarray(guide, np.float64)[data.where][chosen],
         lamps=lamps,
         integrability=integrable,
     )

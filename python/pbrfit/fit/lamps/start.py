@@ -101,7 +101,6 @@ def start_of_unknown_lamps(
     mask: Mask,
     views: Array,
     fov: float = 0.0,
-    guide: Array | None = None,
     places_max: int | None = None,
 ) -> LampStart:
     """Start with lamps of which nothing is known but that there is a far one in each picture.
@@ -112,8 +111,6 @@ def start_of_unknown_lamps(
         As in `start_of_known_lamps`.
     fov
         Horizontal field of view in degrees; 0 = orthographic or unknown.
-    guide
-        (H, W, 3) unit normals from elsewhere, NaN where there are none; None = none.
     places_max
         Pixels that cues look at, at most; None = `PLACES_MAX`.
 
@@ -131,23 +128,23 @@ def start_of_unknown_lamps(
                 f"pictures: expected three or more in which a lamp is seen, found {seen.sum()}"
             )
         some = np.asarray(samples)[seen], np.asarray(usable)[seen]
-        return _with_black(start_of_unknown_lamps(*some, mask, views, fov, guide, places_max), seen)
+        return _with_black(start_of_unknown_lamps(*some, mask, views, fov, places_max), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
     chosen = some_of(len(data.grey), FACTORED_MAX)
     product = factors(data.grey[chosen], data.usable[chosen])
     edge = outline(mask, views)
     if product.rank < 3:
-        return _start_of_few(data, views, edge, product, guide)
+        return _start_of_few(data, views, edge, product)
     lamps = product.lamps * product.sizes
     normals = pseudo_normals(data.relative, data.usable, lamps)
     most = PLACES_MAX if places_max is None else places_max
-    places = chosen_places(data, rays, views, normals, lamps, edge, guide, most)
+    places = chosen_places(data, rays, views, normals, lamps, edge, most)
     if not places.of.integrability.blocks or len(places.chosen) < PLACES_MIN:
-        return _start_of_few(data, views, edge, product, guide)
+        return _start_of_few(data, views, edge, product)
     rough = inflated(mask, views)[data.where] if len(edge) else None
     few = FEW if places_max is None else places_max * FEW // PLACES_MAX
     found = minima(places.of, None if rough is None else rough[places.chosen], few)
-    best, undetermined = _decided(found, places.of, len(edge) > 0 or guide is not None)
+    best, undetermined = _decided(found, places.of, len(edge) > 0)
     scaled = _scaled(data, normals, best.normals)
     figures = {
         "spread of samples": normals.scale,
@@ -177,17 +174,13 @@ def _with_black(start: LampStart, seen: Mask) -> LampStart:
     )
 
 
-def _start_of_few(
-    data: Samples, views: Array, edge: Outline, product: Factors, guide: Array | None
-) -> LampStart:
+def _start_of_few(data: Samples, views: Array, edge: Outline, product: Factors) -> LampStart:
     """Start with lamps in a plane or a line: normals of a rough shape, corrected where lamps tell.
 
     A factorisation of rank 2 leaves more than a 3 × 3 matrix open. So lamps are those that suit
     given normals best, or those of the mask blown up as a balloon, or of a plane.
     """
     rough = inflated(data.mask, views) if len(edge) else np.array(views, np.float64)
-    if guide is not None:
-        rough = np.where(np.isfinite(guide).all(axis=2, keepdims=True), guide, rough)
     normals = rough[data.where]
     rows = np.clip(data.relative, 0.0, 2.0) * data.usable
     ridge = 1e-3 * len(normals) * np.eye(3)
@@ -199,7 +192,7 @@ def _start_of_few(
     words = (
         f"The samples have rank {product.rank}, of few pixels or under lamps in a plane with the "
         "scene or too close to each other: normals are in part those of "
-        + ("the given ones" if guide is not None else "a rough shape from the mask"),
+        "a rough shape from the mask",
     )
     figures = {"spread of samples": found.scale, "rank": float(product.rank)}
     return finished(data, views, found, lamps, figures, words, rough)
