@@ -16,7 +16,7 @@ far apart that errors of neighbours are hardly alike.
 
 The lowest score wins; but the curve that the files are said to have stays unless another is better
 by more than two standard errors under some light, and the material prior is taken only where it
-gains as much. Differences are as uncertain as their means over patches of the pictures say. What
+gains as much, and in each picture. Differences are as uncertain as their means over patches of the pictures say. What
 explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
 """
 
@@ -152,16 +152,17 @@ class _Explained:
     def error(self) -> float:
         """Relative root mean square error of the pictures, their geometric mean."""
         sizes = np.log(np.maximum(np.nanmean(self.sizes, axis=1), settings.NOISE_VARIANCE_MIN))
-        return float(np.exp(0.5 * (np.log(self._means) - sizes).mean()))
+        return float(np.exp(0.5 * (np.log(self.means) - sizes).mean()))
 
     @property
     def score(self) -> float:
         """As in the head of this file."""
         price = 2 * self.explanation.numbers / self.squares.shape[1]
-        return float(np.log(self._means).mean() + price)
+        return float(np.log(self.means).mean() + price)
 
     @property
-    def _means(self) -> Array:
+    def means(self) -> Array:
+        """(M,): mean square error of each picture."""
         means = np.nanmean(self.squares, axis=1)
         return np.asarray(np.maximum(means, settings.NOISE_VARIANCE_MIN))
 
@@ -172,7 +173,7 @@ class _Explained:
         Rounding is that of float32, or up to twice the deviation that the files have.
         """
         least = np.maximum(4 * self.rounding, (settings.EXACT_RMSE * settings.MEAN_RADIANCE) ** 2)
-        return bool((self._means <= least).all() or self.share < settings.COMPARE_SHARED_MAX)
+        return bool((self.means <= least).all() or self.share < settings.COMPARE_SHARED_MAX)
 
     @property
     def leaves_no_lamp(self) -> bool:
@@ -190,7 +191,7 @@ class _Explained:
         """
         one, other = (self.errors[:, self.beside[:, k]] for k in (0, 1))
         square = np.maximum(np.nanmean(np.square(self.errors), axis=1), settings.NOISE_VARIANCE_MIN)
-        shares = _share(one * other / square[:, None]), _share(self.between / self._means[:, None])
+        shares = _share(one * other / square[:, None]), _share(self.between / self.means[:, None])
         return max(shares)
 
     def is_worse(self, best: _Explained, errors: float) -> bool:
@@ -199,7 +200,7 @@ class _Explained:
         A small change of a picture's mean square moves its logarithm by the change over the mean;
         the means of that over patches tell how sure it is.
         """
-        shares = [one.squares / one._means[:, None] for one in (self, best)]
+        shares = [one.squares / one.means[:, None] for one in (self, best)]
         difference = np.nan_to_num(shares[0] - shares[1])
         count = int(self.patches.max()) + 1
         sums = np.array([np.bincount(self.patches, row, count) for row in difference])
@@ -401,7 +402,8 @@ class _Comparison:
             == replace(best.explanation, material=0.0, robust=one.explanation.robust)
         ]
         plain = min(free, key=_score, default=best)
-        return best if plain.is_worse(best, errors) else plain
+        everywhere = (best.means < plain.means).all()
+        return best if everywhere and plain.is_worse(best, errors) else plain
 
     def _is_refuted(self, response: Curve | None, errors: float) -> bool:
         """Whether under some kind of light another curve is surely better."""
