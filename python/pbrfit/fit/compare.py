@@ -16,8 +16,9 @@ far apart that errors of neighbours are hardly alike.
 
 The lowest score wins; but the curve that the files are said to have stays unless another is better
 by more than two standard errors under some light, and the material prior is taken only where it
-gains as much, and in each picture. Differences are as uncertain as their means over patches of the pictures say. What
-explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
+gains as much, and in each picture. Differences are as uncertain as their means over patches of the
+pictures say. What explains the pictures but for rounding, or leaves nothing but noise, ends the
+comparison.
 """
 
 from __future__ import annotations
@@ -194,6 +195,22 @@ class _Explained:
         shares = _share(one * other / square[:, None]), _share(self.between / self.means[:, None])
         return max(shares)
 
+    @property
+    def is_hot(self) -> NDArray[np.bool_]:
+        """(M, P): far beyond what normal errors of that median can be."""
+        most = (settings.COMPARE_HOT_DEVIATIONS / 0.6745) ** 2
+        return np.asarray(self.squares > most * np.nanmedian(self.squares, axis=1, keepdims=True))
+
+    def without(self, hot: NDArray[np.bool_]) -> _Explained:
+        """As if some pixels (M, P) told nothing."""
+        return replace(
+            self,
+            errors=np.where(hot, np.nan, self.errors),
+            between=np.where(hot, np.nan, self.between),
+            squares=np.where(hot, np.nan, self.squares),
+            sizes=np.where(hot, np.nan, self.sizes),
+        )
+
     def is_worse(self, best: _Explained, errors: float) -> bool:
         """Whether its score is higher by more than so many standard errors of the difference.
 
@@ -345,8 +362,17 @@ class _Comparison:
         """Whether what one leaves says that an explanation need not be tried."""
         return one.leaves_no_lamp if kind.light == "lamps" else kind.dielectric and one.is_noise
 
-    def _results(self) -> list[_Explained]:
-        return [_Explained.together(folds) for folds in self._tried.values()]
+    def _results(self, folds: int | None = None) -> list[_Explained]:
+        """What was tried, in its first folds or all; what no explanation explains tells nothing."""
+        tried = [of[:folds] for of in self._tried.values()]
+        hot = [
+            np.logical_and.reduce([of[fold].is_hot for of in tried if len(of) > fold])
+            for fold in range(max(map(len, tried), default=0))
+        ]
+        return [
+            _Explained.together([one.without(none) for one, none in zip(of, hot, strict=False)])
+            for of in tried
+        ]
 
     def _is_late(self) -> bool:
         """Whether half of the time limit is over: the other half is for the fit of all pixels."""
@@ -407,7 +433,7 @@ class _Comparison:
 
     def _is_refuted(self, response: Curve | None, errors: float) -> bool:
         """Whether under some kind of light another curve is surely better."""
-        results = [folds[0] for folds in self._tried.values()]
+        results = self._results(1)
         for light in NUMBERS:
             same = [one for one in results if one.explanation.light == light]
             as_said = [one for one in same if one.explanation.response == response]

@@ -32,7 +32,7 @@ from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
-from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, VIGNETTING, Nuisance, Nuisances
+from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, retry_outliers
 from pbrfit.fit.plan import FitPlan
@@ -149,7 +149,7 @@ def find_lights(run: Run, x: Array) -> Lights:
             if run.camera.how == "assumed":
                 unknown.append(FIELD_OF_VIEW)
             if run.options.response == "fit" and run.scene.correction is None:
-                unknown += [*RESPONSE, *VIGNETTING]
+                unknown += RESPONSE
         if known and not unknown:
             return judged(objective, x, level, run)
         x = x.copy()

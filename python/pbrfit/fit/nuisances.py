@@ -37,7 +37,7 @@ from pbrfit.fit.normal_equations import as_in_x, by_unknowns, products, whitenin
 from pbrfit.fit.objective import Objective
 from pbrfit.result.camera import Camera
 from pbrfit.scene.arrays import FIRST_FOV
-from pbrfit.scene.correction import FALLOFF, SLOPES, Correction
+from pbrfit.scene.correction import SLOPES, Correction
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -91,7 +91,6 @@ def _of_correction(index: int, sigma: float) -> Nuisance:
 
 
 RESPONSE = tuple(map(_of_correction, SLOPES, settings.RESPONSE_SIGMAS))
-VIGNETTING = tuple(map(_of_correction, FALLOFF, settings.VIGNETTING_SIGMAS))
 
 
 @dataclass(eq=False)

@@ -170,10 +170,6 @@ RESPONSE_SIGMAS = (0.3, 0.1, 0.1)
 shadows and in lights: gammas of displays and cameras, 1.8 to 2.6, differ by factors of 0.8 to 1.2
 from what a file is decoded with, and filmic curves bend at both ends."""
 
-VIGNETTING_SIGMAS = (0.5, 0.2)
-"""Standard deviations of the logarithm of falloff in the corners, by ρ² and by ρ⁴: common lenses
-lose half a stop to two stops there, ln 1.4 to ln 4, most of it by the first."""
-
 FOV_MIN = 1.0
 """Degrees that a narrower field of view, and an orthographic one, counts as while it is moved."""
 
@@ -317,6 +313,10 @@ differ from these."""
 COMPARE_SHARED_MAX = 0.2
 """Share of the mean square of left-out errors that pixels and channels have in common up to which
 the rest counts as noise: no other explanation could leave less by more than that."""
+
+COMPARE_HOT_DEVIATIONS = 10.0
+"""Standard deviations, by the median, beyond which a left-out pixel tells nothing where no
+explanation comes nearer: it is hot. `OUTLIER_WIDTHS` begin there."""
 
 COMPARE_LAMP_LEFT_MIN = 0.02
 """Relative error that pixels and channels have in common up to which harmonics leave no lamp. Of

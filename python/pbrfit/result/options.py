@@ -155,8 +155,7 @@ class FitOptions:
     response
         The tone curve of the pictures: `"srgb"` and `"linear"`, by which integer files are decoded;
         `"auto"`, that of these which explains left-out pictures, where no file or flag says it;
-        `"fit"`, a monotone curve common to all, and vignetting, are fitted beside what files were
-        decoded by.
+        `"fit"`, a monotone curve common to all is fitted beside what files were decoded by.
     refine_normals
         Whether to refine the given normals together with materials and lights (docs/normals.md):
         `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
@@ -299,8 +298,8 @@ FLAGS: dict[str, Flag] = {
     ),
     "response": Flag(
         "tone curve of the pictures. srgb, linear: how integer files are decoded; auto: by the "
-        "one that explains left-out pictures, where no file says it; fit: fit one common to all, "
-        "and vignetting, beside (default: %(default)s)",
+        "one that explains left-out pictures, where no file says it; fit: fit one common to all "
+        "beside (default: %(default)s)",
         values=RESPONSES,
     ),
     "equal_exposures": Flag(

@@ -221,7 +221,7 @@ def test_a_difference_counts_by_its_standard_errors() -> None:
     one = explained(SH, white(seed=0))
     other = explained(SH, white(seed=1))
     better, worse = sorted((one, other), key=lambda one: one.score)
-    difference = worse.squares / worse._means[:, None] - better.squares / better._means[:, None]
+    difference = worse.squares / worse.means[:, None] - better.squares / better.means[:, None]
     spread = difference.std() * math.sqrt(1 / difference.size)
     deviations = (worse.score - better.score) / spread
     # That of patches, which are 128, is as that of samples if these are independent.

@@ -190,28 +190,21 @@ def bent(scene: Scene, numbers: tuple[float, ...]) -> Scene:
     return replace(scene, images=images.astype(np.float32))
 
 
-CURVE, SHADE = (0.1, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -0.35, 0.0)
+CURVE = (0.1, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("numbers", "topic"), [(CURVE, "response"), (SHADE, "vignetting")])
-def test_what_a_camera_does_to_pictures_is_undone_where_it_is_asked_for(
-    numbers: tuple[float, ...], topic: str
-) -> None:
+def test_a_tone_curve_is_undone_where_it_is_asked_for() -> None:
     scene = bent(
-        make_scene("furnished", size=64, lights=16, noise=0.01, seed=301, held_out=2), numbers
+        make_scene("furnished", size=64, lights=16, noise=0.01, seed=301, held_out=2), CURVE
     )
     held, found = (decompose(scene, response=response, **FAST) for response in ("auto", "fit"))
     assert held.camera is not None
     assert held.camera.correction is None
     assert found.camera is not None
     assert found.camera.correction is not None
-    fitted = found.camera.correction.numbers
-    if topic == "response":
-        assert fitted[0] == pytest.approx(-0.1, abs=0.03)
-    else:
-        assert sum(fitted[3:]) == pytest.approx(0.35, abs=0.15)
-    assert topic in found.assumed
+    assert found.camera.correction.numbers[0] == pytest.approx(-0.1, abs=0.03)
+    assert "response" in found.assumed
     assert found.metrics["albedo_rmse"] < 0.8 * held.metrics["albedo_rmse"]
     assert Camera.from_json(found.camera.as_json()) == found.camera
 
