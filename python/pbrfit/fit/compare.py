@@ -121,7 +121,8 @@ class _Explained:
     errors: Array
     """(M, P): of the files' values, their mean over the channels; NaN where nothing is told."""
     between: Array
-    """(M, P): product of the errors of two channels, in the mean over the pairs; 0 of grey ones."""
+    """(M, P): product of two channels' errors, in the mean over the pairs. Grey pictures, whose
+    channels are one, do not tell noise from anything else."""
     squares: Array
     """(M, P): squared error, in the mean over the channels, likewise."""
     sizes: Array
@@ -500,7 +501,7 @@ class _Comparison:
         return _Explained(
             kind,
             _mean(of_errors),
-            np.zeros(of_errors.shape[:2]) if few.grey else _between(of_errors),
+            _between(of_errors),
             _mean(np.square(of_errors)),
             _mean(np.square(np.array(values))),
             np.array(rounding),
