@@ -89,7 +89,7 @@ LOOK_PICTURES_MIN = 6
 """From which on every third picture is left out where roughness, scale and camera are chosen:
 the others are four at least, twelve samples for a pixel's six unknowns."""
 
-LOOK_PIXELS = 250
+LOOK_PIXELS = 400
 """By which they are tried: thousands of samples, of which a narrow lobe shows in some per cent."""
 
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
