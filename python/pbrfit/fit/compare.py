@@ -23,13 +23,12 @@ comparison.
 
 from __future__ import annotations
 
-import copy
 import logging
 import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -271,7 +270,10 @@ class _Comparison:
         self._model: Model = setup.options.model or scene.model or DEFAULT_MODEL
         self._few = _reduced(scene)
         pixels = int(np.count_nonzero(self._few.valid))
-        shown = [_told(self._few, i) for i in range(len(scene.images))]
+        shown = [
+            np.count_nonzero((_weights(self._few, i) > 0).any(axis=-1))
+            for i in range(len(scene.images))
+        ]
         least = min(pixels, settings.COMPARE_PIXELS_MIN)
         usable = [i for i, count in enumerate(shown) if count >= least]
         self._folds = list(_folds(usable, len(scene.images)))
@@ -291,7 +293,8 @@ class _Comparison:
         lights, responses = self._lights(), self._responses()
         simplest = lights[-1] if self._scene.normals_known else lights[0]
         loss = self._options.robust
-        first = Explanation(responses[0], simplest, self._strength, loss)
+        strength = self._options.priors.material_strength
+        first = Explanation(responses[0], simplest, strength, loss)
         if not self._folds:
             return Choice(first, None)
         # Light from all around first: where it leaves only noise, nothing is left to explain. It is
@@ -312,7 +315,7 @@ class _Comparison:
         best = self._race(kinds)
         if best is None:
             return Choice(first, None)
-        full = replace(best.explanation, material=self._strength, robust=loss)
+        full = replace(best.explanation, material=strength, robust=loss)
         if best.explanation.light == "sh" and best.is_noise:
             return self._choice(best, full)
         for kind in (full, replace(full, material=plain.material)):
@@ -379,11 +382,6 @@ class _Comparison:
         """Whether half of the time limit is over: the other half is for the fit of all pixels."""
         limit = self._options.time_limit
         return limit is not None and time.perf_counter() - self._setup.began >= limit / 2
-
-    @property
-    def _strength(self) -> float:
-        told = self._options.priors.material
-        return 1.0 if told is None else told
 
     @property
     def _is_ambiguous(self) -> bool:
@@ -487,10 +485,8 @@ class _Comparison:
             shown, lamp = _explained(self._model, fit, few, picture, self._options.sh_order)
             values.append(few.file_values(few.samples(picture).astype(np.float64)))
             errors.append(values[-1] - few.file_values(np.maximum(shown, 0.0)))
-            weights = few.channel_weights(picture)
-            if weights is not None:
-                untold = weights[few.valid] == 0
-                errors[-1][untold] = values[-1][untold] = np.nan
+            untold = _weights(few, picture) == 0
+            errors[-1][untold] = values[-1][untold] = np.nan
             floor = few.noise_floor(picture)
             slope = _slope(few, few.samples(picture).astype(np.float64))
             off = 0.0 if floor is None else floor[few.valid] * slope
@@ -529,20 +525,23 @@ class _Comparison:
         few = SceneCutter(known).cut(window)
         return few, replace(shape, normals=window.of(facing), albedo=window.of(shape.albedo))
 
-    def _under_harmonics(self, kind: Explanation, scene: Scene) -> _Fitted:
-        options = replace(
+    def _setup_with(self, **options: Any) -> FitSetup:
+        """That of a fit that is compared: maps alone, with some options in place of the given."""
+        of_all = replace(
             self._options,
             iterations=FitOptions.iterations,
             model=self._model,
-            priors=replace(self._options.priors, material=kind.material),
-            robust=kind.robust,
             refine_normals="off",
             uncertainty=False,
+            **options,
         )
-        setup = replace(self._setup, options=options, progress=None)
+        return replace(self._setup, options=of_all, progress=None)
+
+    def _under_harmonics(self, kind: Explanation, scene: Scene) -> _Fitted:
+        priors = replace(self._options.priors, material=kind.material)
+        setup = self._setup_with(priors=priors, robust=kind.robust)
         if kind.other_fov:
-            scene = copy.copy(scene)
-            object.__setattr__(scene, "fov_known", False)
+            scene = replace(scene, fov_known=False)
         objective = setup.objective(scene)
         run = setup.run(scene, objective)
         x = objective.start()
@@ -564,15 +563,7 @@ class _Comparison:
         )
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
-        options = replace(
-            self._options,
-            iterations=FitOptions.iterations,
-            model=self._model,
-            refine_normals="off",
-            uncertainty=False,
-        )
-        setup = replace(self._setup, options=options, progress=None)
-        fit = LampFit(scene, setup, shape, rounds=settings.COMPARE_LAMP_ROUNDS)
+        fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
         pixels, state, found = fit.of_all_pixels()
         return _Fitted(
             (state.albedo, state.roughness, state.metallic),
@@ -598,17 +589,14 @@ class _Comparison:
     def _nearest(self) -> float:
         """Relative error of left-out pictures where the nearest other one is shown for them."""
         logs = []
-        scene, valid = self._few, self._few.valid
+        scene = self._few
         values = [
             np.asarray(scene.file_values(scene.samples(i).astype(np.float64)))
             for i in range(len(scene.images))
         ]
         for kept, out in self._folds:
             for picture in out:
-                weights = scene.channel_weights(picture)
-                counted = np.ones_like(values[picture])
-                if weights is not None:
-                    counted = (weights[valid] > 0).astype(np.float64)
+                counted = (_weights(scene, picture) > 0).astype(np.float64)
                 true = values[picture] * counted
                 least = min(
                     float(np.square(true - _factor(values[i] * counted, true)).sum()) for i in kept
@@ -627,8 +615,7 @@ def _explained(
     And that light, if it is a lamp.
     """
     samples = scene.samples(picture).astype(np.float64)
-    weights = scene.channel_weights(picture)
-    told = np.ones_like(samples) if weights is None else weights[scene.valid].astype(np.float64)
+    told = _weights(scene, picture)
     slope = _slope(scene, samples)
     if fit.pixels is None:
         rows = shade(fit.normals, fit.views, *fit.materials, model=model)
@@ -721,12 +708,12 @@ def _factor(other: Array, true: Array) -> Array:
     return np.asarray(other * ((other * true).sum(axis=0) / below))
 
 
-def _told(scene: Scene, picture: int) -> int:
-    """How many pixels of a picture tell something."""
+def _weights(scene: Scene, picture: int) -> Array:
+    """(P, 3): how much each value of a picture counts, 0 at limits."""
     weights = scene.channel_weights(picture)
     if weights is None:
-        return int(np.count_nonzero(scene.valid))
-    return int(np.count_nonzero((weights[scene.valid] > 0).any(axis=-1)))
+        return np.ones((np.count_nonzero(scene.valid), 3))
+    return weights[scene.valid].astype(np.float64)
 
 
 def _folds(

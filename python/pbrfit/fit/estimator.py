@@ -8,7 +8,6 @@
    only noise next to nothing in the end.
 2. **Material prior** (`priors.mixture`): what roughness and metallic each segment is made of, found
    together with the lights by as many pixels, evenly spread over the segments.
-   likelier stay.
 3. **Scale** (`scale`): lights, and so their scale, without what the prior has of the same data.
 4. **All pixels**: each by itself under these lights, from the grid and around its prior; without
    one, joint steps of all pixels and lights follow.
@@ -206,7 +205,7 @@ def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | 
 def _with_prior(run: Run, lights: Lights) -> Lights:
     """Lights as they are with the material prior."""
     assert lights.shared is not None
-    strength, variance = run.material_strength, lights.misfit.of_likelihood
+    strength, variance = run.options.priors.material_strength, lights.misfit.of_likelihood
     objective = reweighted(run, run.objective, lights.x)
     x = with_lights(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
     return replace(lights, x=x)
@@ -215,7 +214,7 @@ def _with_prior(run: Run, lights: Lights) -> Lights:
 def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
     """Lights with their scale and its deviation."""
     assert lights.shared is not None
-    strength, variance = run.material_strength, lights.misfit.of_likelihood
+    strength, variance = run.options.priors.material_strength, lights.misfit.of_likelihood
     found = None
     if not run.out_of_time():
         objective = reweighted(run, run.objective, lights.x)
@@ -238,7 +237,7 @@ def discrepancy_of(run: Run, objective: Objective, x: Array) -> Discrepancy:
 
 def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, GaussianPrior] | None:
     """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
-    strength, x = run.material_strength, lights.x
+    strength, x = run.options.priors.material_strength, lights.x
     if run.out_of_time():
         return None
     objective = reweighted(run, run.objective, x)

@@ -46,8 +46,7 @@ class FitPlan:
         given = Priors.none() if priors is None else priors
         idle = _idle_priors(layout, given, lighting)
         chosen = replace(given, **dict.fromkeys(idle, 0.0))
-        if chosen.material is None:
-            chosen = replace(chosen, material=1.0)
+        chosen = replace(chosen, material=chosen.material_strength)
         if chosen.monochrome is None and lighting is not None:
             chosen = replace(chosen, monochrome=GREY_WEIGHT)
         return cls(

@@ -182,13 +182,7 @@ class Run:
     @property
     def has_mixture_prior(self) -> bool:
         """Whether the fit has a mixture prior on materials."""
-        return self.material_strength > 0
-
-    @property
-    def material_strength(self) -> float:
-        """Of the mixture prior."""
-        told = self.options.priors.material
-        return 1.0 if told is None else told
+        return self.options.priors.material_strength > 0
 
     def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
         """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""

@@ -92,6 +92,11 @@ class Priors:
                 raise InputError(f"prior {name}: expected {expected}, found {value!r}")
             object.__setattr__(self, name, weight)
 
+    @property
+    def material_strength(self) -> float:
+        """Strength of the mixture prior where there is one."""
+        return 1.0 if self.material is None else self.material
+
     @classmethod
     def none(cls) -> Priors:
         """All weights 0."""

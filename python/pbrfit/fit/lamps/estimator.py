@@ -408,8 +408,6 @@ class LampFit:
         )
         if not self.clock.rows:
             self.clock.record(fit, few.scale, samples)
-        if self.begin is not None:
-            fit.freedom = replace(fit.freedom, places=known is None, colors=True)
         first = 0 if self.begin is None else CONTINUED_ROUND
         for number in range(first, self.rounds):
             if self.clock.steps >= self.options.iterations or (

@@ -137,12 +137,12 @@ def start_of_unknown_lamps(
         return _start_of_few(data, views, edge, product)
     lamps = product.lamps * product.sizes
     normals = pseudo_normals(data.relative, data.usable, lamps)
-    most = PLACES_MAX if places_max is None else places_max
+    most = places_max or PLACES_MAX
     places = chosen_places(data, rays, views, normals, lamps, edge, most)
     if not places.of.integrability.blocks or len(places.chosen) < PLACES_MIN:
         return _start_of_few(data, views, edge, product)
     rough = inflated(mask, views)[data.where] if len(edge) else None
-    few = FEW if places_max is None else places_max * FEW // PLACES_MAX
+    few = FEW * most // PLACES_MAX
     found = minima(places.of, None if rough is None else rough[places.chosen], few)
     best, undetermined = _decided(found, places.of, len(edge) > 0)
     scaled = _scaled(data, normals, best.normals)
