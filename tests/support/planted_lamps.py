@@ -75,7 +75,6 @@ def setup(model: Model = "principled", **options: Any) -> FitSetup:
         threads,
         None,
         time.perf_counter(),
-        None,
     )
 
 

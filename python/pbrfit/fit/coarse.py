@@ -44,27 +44,10 @@ class Lights:
     """Whether nothing is left of its pixels but rounding."""
     shared: SharedFit | None
     """None where lights are known."""
-    mean_squared: float = 0.0
-    """Residual of the level's samples, in units of x."""
-    samples: int = 0
-    unknowns: float = 0.0
-    """How many of each it has; unknowns that a prior holds count in part."""
     cut_short: bool = False
     """Whether a limit stopped it."""
     noise: NoiseModel | None = None
     """Of samples; None where squares are asked for, or nothing is left."""
-    deviance: float = -math.inf
-    """−2 ln of the likelihood of a sample, in the mean."""
-
-    @property
-    def is_noise(self) -> bool:
-        """Whether what is left can be noise: of samples by themselves, or of their files.
-
-        The blocks of a JPEG file share theirs.
-        """
-        of_file = self.noise is not None and self.noise.is_of_files
-        shared = self.misfit.design_effect <= settings.FILE_DESIGN_EFFECT_MAX
-        return self.misfit.is_noise or (of_file and shared)
 
 
 def rounds(
@@ -157,20 +140,11 @@ def rounds(
             sum_sq = fit_level(objective, x, fixed)
             if shared is not None:
                 shared.stale = True
-        deviance = noise.deviance(given, x)
     if nuisances is not None or (noise is not None and noise.has_outliers):
         left = _left(level, x, sum_sq, shared, noise, fixed)
     if nuisances is not None:
         nuisances.judge(left)
-        deviance += nuisances.log_slope(objective, x)
-    mean_squared = float(sum_sq.sum()) / objective.total_weight
-    unknowns = objective.size if normals is None else normals.unknowns(objective)
-    cut_short = watch.stopped or run.out_of_time()
-    return Lights(
-        *(x, left, exact, shared, mean_squared, given.samples, unknowns, cut_short),
-        noise=noise,
-        deviance=deviance,
-    )
+    return Lights(x, left, exact, shared, watch.stopped or run.out_of_time(), noise)
 
 
 def fit_level(
@@ -263,28 +237,20 @@ def judged(
     level = level or Level.of(objective, settings.COARSE_PIXELS)
     few, part = level.objective, objective.part_of(x, level.pixels)
     sum_sq, noise = fit_level(few, part), None
-    deviance = math.log(max(float(sum_sq.sum()) / few.total_weight, settings.NOISE_VARIANCE_MIN))
     if run is not None and run.options.robust == "auto":
         given = few
         for number in range(settings.WEIGHT_ROUNDS):
             noise = estimated(few, part, outliers=number == settings.WEIGHT_ROUNDS - 1)
             few = _weighed(run, given, few, part, noise)
             sum_sq = fit_level(few, part)
-        assert noise is not None
-        deviance = noise.deviance(given, part)
         level = replace(level, objective=few)
-    mean_squared = float(sum_sq.sum()) / few.total_weight
     shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
     left = _left(level, part, sum_sq, shared, noise)
     if shared is not None:
         weight = left.design_effect * left.variance
         shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
-    exact = mean_squared <= settings.EXACT_RMSE**2
-    return Lights(
-        *(x, left, exact, shared, mean_squared, few.samples, few.size),
-        noise=noise,
-        deviance=deviance,
-    )
+    exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * few.total_weight
+    return Lights(x, left, exact, shared, noise=noise)
 
 
 def _weighed(

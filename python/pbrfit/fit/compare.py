@@ -1,7 +1,8 @@
 """The one place that decides between explanations of the same pictures.
 
-An explanation says by which curve the files' values are decoded, what lights the pictures, how
-samples weigh and how much the prior on materials weighs. Each is fitted to some of the
+An explanation says by which curve the files' values are decoded, what lights the pictures, what
+blocks that light, whether normals are held, how samples weigh and how much the prior on materials
+weighs. Each is fitted to some of the
 pictures, at some of the pixels; then only the light of the others is fitted, and what is left of
 these is its error e, in the files' own values, so that different curves compare. With the mean
 square of picture i over the P pixels, and k numbers of its light,
@@ -11,14 +12,14 @@ square of picture i over the P pixels, and k numbers of its light,
 which is H. Akaike's criterion by sample ("A new look at the statistical model identification",
 IEEE Trans. Automatic Control 19, 1974): a light that was fitted to the picture which it is judged
 by leaves less than it would of another, by k/P in the mean, and explains as much too little of
-that. A light of harmonics has 48 numbers, a lamp with constant light around it 8. The pixels are so
-far apart that errors of neighbours are hardly alike.
+that. A light of harmonics has 48 numbers, a lamp with constant light around it 8, a known light
+none. The pixels are so far apart that errors of neighbours are hardly alike.
 
 The lowest score wins; but the curve that the files are said to have stays unless another is better
-by more than two standard errors under some light, and the material prior is taken only where it
-gains as much, and in each picture. Differences are as uncertain as their means over patches of the
-pictures say. What explains the pictures but for rounding, or leaves nothing but noise, ends the
-comparison.
+by more than two standard errors under some light; surroundings and other normals than the given
+ones are taken only where they gain as much, and the material prior where it gains as much, and in
+each picture. Differences are as uncertain as their means over patches of the pictures say. What
+explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
 """
 
 from __future__ import annotations
@@ -35,12 +36,14 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import settings
-from pbrfit.fit.estimator import find_lights, gauss_newton
 from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.shape import FirstShape, first_shape
+from pbrfit.fit.normals import refined_fit
+from pbrfit.fit.objective import Objective
 from pbrfit.fit.tiles.windows import SceneCutter, strided_window
+from pbrfit.fit.transport import Surrounded, search
 from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.io import limits as file_limits
 from pbrfit.io.color import Curve
@@ -51,14 +54,19 @@ from pbrfit.result.held_out import Candidate, HeldOut
 from pbrfit.result.options import FitOptions, Loss
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
+from pbrfit.transport.decision import NOT_TRIED, Kind, Transport
+from pbrfit.transport.scenery import PixelTransfer, Scenery
 
 log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
 LightKind = Literal["sh", "lamps"]
 
-NUMBERS: dict[LightKind, int] = {"sh": 48, "lamps": 8}
-"""Numbers of a picture's light: 16 coefficients a channel; direction, colour, ambient light."""
+LAMP_NUMBERS = 8
+"""Of a picture's lamp: direction, colour, and constant light around it."""
+
+HELD_BY_SURROUNDINGS = "surroundings block light, which is known for the given normals alone"
+NOT_COMPARED = "explanations were not compared"
 
 
 @dataclass(frozen=True)
@@ -76,11 +84,18 @@ class Explanation:
     """Whether the first rounds take all surfaces for dielectrics, where pictures are few."""
     other_fov: bool = False
     """Whether a field of view is fitted in place of the given one."""
+    surroundings: Kind = "none"
+    """What blocks light, or also brings some."""
+    free_normals: bool = False
+    """Whether normals are refined."""
 
     def in_words(self) -> str:
         """In a few words, for people."""
         light = "light from all around" if self.light == "sh" else "a lamp in each picture"
         words = [light]
+        if self.surroundings != "none":
+            bring = ", and bring some" if self.surroundings == "bounce" else ""
+            words.append(f"surroundings block light{bring}")
         if self.response is not None:
             words.append(f"{'sRGB' if self.response == 'srgb' else self.response} values")
         if self.light == "sh":
@@ -90,12 +105,9 @@ class Explanation:
             words.append("begun with dielectrics")
         if self.other_fov:
             words.append("another field of view")
+        if self.free_normals:
+            words.append("other normals")
         return ", ".join(words)
-
-    @property
-    def numbers(self) -> int:
-        """How many a picture's light has."""
-        return NUMBERS[self.light]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +122,11 @@ class Choice:
     other_fov: tuple[float, float] | None = None
     """Degrees of a field of view, and their standard deviation, that explains left-out pictures so
     much better than the given one that it contradicts this."""
+    transport: Transport = NOT_TRIED
+    scenery: Scenery | None = None
+    """What blocks light, and why; None where nothing does."""
+    why_normals: str = NOT_COMPARED
+    """Why normals are refined, or not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +134,8 @@ class _Explained:
     """Left-out pictures as one explanation has them."""
 
     explanation: Explanation
+    numbers: int
+    """How many a picture's light has, that were fitted to it."""
     errors: Array
     """(M, P): of the files' values, their mean over the channels; NaN where nothing is told."""
     between: Array
@@ -158,7 +177,7 @@ class _Explained:
     @property
     def score(self) -> float:
         """As in the head of this file."""
-        price = 2 * self.explanation.numbers / self.squares.shape[1]
+        price = 2 * self.numbers / self.squares.shape[1]
         return float(np.log(self.means).mean() + price)
 
     @property
@@ -256,7 +275,8 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
     Raises
     ------
     InputError
-        If normals are missing and too few pictures tell them.
+        If normals are missing and too few pictures tell them, or surroundings are asked for and
+        there is no depth that tells them.
     """
     told = start_given or setup.options.solver != "gauss-newton"
     return _Comparison(scene, setup, told=told).best()
@@ -283,20 +303,30 @@ class _Comparison:
         few = np.count_nonzero(valid) < settings.COMPARE_PIXELS_MIN
         if not few and not (valid == self._few.valid).all():
             self._few = replace(self._few, mask=valid)
-        if told or scene.lighting is not None or setup.options.iterations == 0 or few:
+        if told or setup.options.iterations == 0 or few:
             self._folds = []
         self._shapes: dict[tuple[Curve | None, int], FirstShape] = {}
         self._tried: dict[Explanation, list[_Explained]] = {}
+        self._surrounded: Surrounded | None = None
+        self._no_surroundings = self._without_surroundings()
+        self._transfer: PixelTransfer | None = None
+        """Of the pixels that are compared, with all pictures."""
 
     def best(self) -> Choice:
         """The explanation of those that a scene can need."""
+        asked = self._options.transport
+        if asked != "auto":
+            self._find_surroundings()
         lights, responses = self._lights(), self._responses()
         simplest = lights[-1] if self._scene.normals_known else lights[0]
         loss = self._options.robust
         strength = self._options.priors.material_strength
+        given = "none" if asked == "auto" else self._kind
         first = Explanation(responses[0], simplest, strength, loss)
+        if simplest == "sh":
+            first = replace(first, surroundings=given)
         if not self._folds:
-            return Choice(first, None)
+            return self._choice(None, first)
         # Light from all around first: where it leaves only noise, nothing is left to explain. It is
         # found as the paper has it, with neither priors nor weights of samples, which have to pay.
         told = self._options.priors.material
@@ -304,38 +334,123 @@ class _Comparison:
             first,
             material=0.0 if told is None else told,
             robust="none" if loss == "auto" else loss,
+            surroundings=given,
         )
+        under_lamps = replace(first, surroundings="none")
         kinds = [
-            replace(plain if light == "sh" else first, response=response, light=light)
+            replace(plain if light == "sh" else under_lamps, response=response, light=light)
             for light in lights[::-1]
             for response in responses
         ]
         if self._is_ambiguous:
             kinds += [replace(one, dielectric=True) for one in kinds if one.light == "sh"]
+        if asked == "auto":
+            kinds = self._with_surroundings(kinds)
         best = self._race(kinds)
         if best is None:
-            return Choice(first, None)
-        full = replace(best.explanation, material=strength, robust=loss)
-        if best.explanation.light == "sh" and best.is_noise:
-            return self._choice(best, full)
-        for kind in (full, replace(full, material=plain.material)):
-            if kind.light == "sh" and kind not in self._tried and not self._is_late():
-                for fold in range(len(self._tried[best.explanation])):
-                    self._try(kind, fold)
+            return self._choice(None, first)
         best = self._simplest()
-        return replace(self._choice(best, best.explanation), other_fov=self._other_fov(best))
+        if best.explanation.light == "sh" and best.is_noise:
+            return self._choice(best, replace(best.explanation, material=strength, robust=loss))
+        other_fov = self._other_fov(best)
+        if other_fov is None and self._may_refine(best.explanation):
+            self._try_all(replace(best.explanation, free_normals=True), best)
+            best = self._simplest()
+        full = replace(best.explanation, material=strength, robust=loss)
+        for kind in (full, replace(full, material=plain.material)):
+            if kind.light == "sh":
+                self._try_all(kind, best)
+        best = self._simplest()
+        return self._choice(best, best.explanation, None if other_fov is None else other_fov.fov)
 
-    def _other_fov(self, best: _Explained) -> tuple[float, float] | None:
-        """A field of view that contradicts the given one."""
+    def _try_all(self, kind: Explanation, best: _Explained) -> None:
+        """Try an explanation in as many folds as the best, if there is time."""
+        if kind not in self._tried and not self._is_late():
+            for fold in range(len(self._tried[best.explanation])):
+                self._try(kind, fold)
+
+    # What given data says may be
+
+    def _with_surroundings(self, kinds: list[Explanation]) -> list[Explanation]:
+        """Explanations, with those among surroundings, if the others leave more than noise."""
+        of_open = [one for one in kinds if one.light == "sh" and not one.dielectric]
+        if not self._no_surroundings:
+            for kind in of_open:
+                self._try(kind, 0)
+            if any(one.is_noise for one in self._results()):
+                self._no_surroundings = "left-out pictures are explained up to noise without"
+                return kinds
+        self._find_surroundings()
+        if self._kind == "none":
+            return kinds
+        # Before lamps, by which shadows could be explained otherwise.
+        among = [replace(one, surroundings=self._kind) for one in of_open]
+        return [*of_open, *among, *(one for one in kinds if one not in of_open)]
+
+    def _find_surroundings(self) -> None:
+        """Those that a scene's depth tells, if light from all around may be what lights it."""
+        scene, asked = self._scene, self._options.transport
+        for missing, what in ((scene.depth is None, "depth"), (not scene.normals_known, "normals")):
+            if asked in ("occlusion", "bounce") and missing:
+                raise InputError(f"transport: expected a scene with {what} for {asked}, found none")
+        if self._no_surroundings or "sh" not in self._lights():
+            return
+        window = strided_window(scene.valid, 1, 2 * settings.TRANSPORT_PIXELS)
+        part = SceneCutter(scene).cut(window)
+        try:
+            found = search(part, self._objective(part), asked, self._is_late)
+        except InputError as error:
+            if asked != "auto":
+                raise
+            log.warning("transport: left out: %s", error)
+            self._no_surroundings = str(error)
+            return
+        self._surrounded = found
+        if self._folds:
+            self._transfer = found.tables(self._objective(self._few))
+
+    def _without_surroundings(self) -> str:
+        """Why a scene can have no surroundings; empty if it can."""
+        scene, options = self._scene, self._options
+        if options.transport == "none":
+            return "not asked for"
+        if scene.depth is None:
+            return "no depth is given"
+        if not scene.normals_known:
+            return "no normals are given"
+        if options.iterations == 0:
+            return "0 iterations asked for"
+        return "" if self._folds or options.transport != "auto" else NOT_COMPARED
+
+    def _objective(self, scene: Scene) -> Objective:
+        return self._setup_with().objective(scene)
+
+    @property
+    def _kind(self) -> Kind:
+        return "none" if self._surrounded is None else self._surrounded.transport.kind
+
+    def _may_refine(self, kind: Explanation) -> bool:
+        """Whether other normals than the given ones may be compared with these."""
+        return (
+            self._scene.normals_known
+            and self._options.refine_normals == "auto"
+            and self._setup.why_normals == ""
+            and kind.light == "sh"
+            and kind.surroundings == "none"
+        )
+
+    def _other_fov(self, best: _Explained) -> _Explained | None:
+        """One of a field of view that contradicts the given one."""
         scene = self._scene
-        told = scene.fov_known and scene.normals_known and best.explanation.light == "sh"
-        if not told or self._is_late():
+        told = scene.fov_known and scene.normals_known and scene.lighting is None
+        plain = best.explanation.light == "sh" and best.explanation.surroundings == "none"
+        if not told or not plain or self._is_late():
             return None
         kind = replace(best.explanation, other_fov=True)
         other, given = self._of_fold(kind, 0), self._tried[best.explanation][0]
         if given.score - other.score < settings.COMPARE_FOV_GAIN_MIN:
             return None
-        return other.fov if given.is_worse(other, settings.COMPARE_ERRORS_MIN) else None
+        return other if given.is_worse(other, settings.COMPARE_ERRORS_MIN) else None
 
     def _race(self, kinds: Sequence[Explanation]) -> _Explained | None:
         """The best of some, of which those go on from fold to fold that may still be the best.
@@ -350,7 +465,8 @@ class _Comparison:
                     continue
                 if results and self._is_late():
                     return min(results, key=_score)
-                self._try(kind, fold)
+                if len(self._tried.get(kind, ())) == fold:
+                    self._try(kind, fold)
             results = [one for one in self._results() if one.explanation in kinds]
             if not results:
                 break
@@ -364,7 +480,9 @@ class _Comparison:
     @staticmethod
     def _rules_out(kind: Explanation, one: _Explained) -> bool:
         """Whether what one leaves says that an explanation need not be tried."""
-        return one.leaves_no_lamp if kind.light == "lamps" else kind.dielectric and one.is_noise
+        if kind.light == "lamps":
+            return one.leaves_no_lamp
+        return one.is_noise and (kind.dielectric or kind.surroundings != "none")
 
     def _results(self, folds: int | None = None) -> list[_Explained]:
         """What was tried, in its first folds or all; what no explanation explains tells nothing."""
@@ -386,6 +504,8 @@ class _Comparison:
     @property
     def _is_ambiguous(self) -> bool:
         """Whether pictures are so few that other lights with other materials explain them too."""
+        if self._scene.lighting is not None:
+            return False
         layout = self._setup.layout(self._few)
         samples = layout.channels * len(self._folds[0][0])
         return bool(samples < settings.SAMPLES_OF_UNKNOWN * layout.maps.stop / layout.pixels)
@@ -403,7 +523,7 @@ class _Comparison:
     def _responses(self) -> list[Curve | None]:
         scene = self._scene
         asked = self._options.response
-        if scene.response is None or asked == "fit":
+        if scene.response is None or asked == "fit" or scene.lighting is not None:
             return [scene.response]
         if asked != "auto":
             return [asked]
@@ -420,6 +540,10 @@ class _Comparison:
             same = [one for one in results if one.explanation.light == kind.light]
             as_said = [one for one in same if one.explanation.response == said]
             best = min(as_said, key=_score, default=best)
+        for plainer in ({"surroundings": "none"}, {"free_normals": False}):
+            kind = replace(best.explanation, **plainer)
+            plain = next((one for one in results if one.explanation == kind), best)
+            best = best if plain.is_worse(best, errors) else plain
         free = [
             one
             for one in results
@@ -433,15 +557,33 @@ class _Comparison:
     def _is_refuted(self, response: Curve | None, errors: float) -> bool:
         """Whether under some kind of light another curve is surely better."""
         results = self._results(1)
-        for light in NUMBERS:
+        for light in ("sh", "lamps"):
             same = [one for one in results if one.explanation.light == light]
             as_said = [one for one in same if one.explanation.response == response]
             if as_said and min(as_said, key=_score).is_worse(min(same, key=_score), errors):
                 return True
         return False
 
-    def _choice(self, best: _Explained, chosen: Explanation) -> Choice:
-        """What was chosen, with what was compared."""
+    def _choice(
+        self,
+        best: _Explained | None,
+        chosen: Explanation,
+        other_fov: tuple[float, float] | None = None,
+    ) -> Choice:
+        """What was chosen, with what was compared; `best` is None where nothing was."""
+        transport = Transport(why=self._no_surroundings)
+        scenery, asked = None, self._options.transport != "auto"
+        if chosen.surroundings != "none":
+            assert self._surrounded is not None
+            transport, scenery = self._surrounded.transport, self._surrounded.scenery
+            if not asked:
+                transport = replace(transport, why="left-out pictures are explained better")
+        elif self._surrounded is not None:
+            why = "left-out pictures are explained no better with surroundings"
+            transport = Transport(why=why, figures=self._surrounded.transport.figures)
+        choice = Choice(chosen, None, None, other_fov, transport, scenery)
+        if best is None:
+            return choice
         others = sorted(self._results(), key=_score)
         held_out = HeldOut(
             error=best.error,
@@ -459,7 +601,21 @@ class _Comparison:
         )
         # A shape that smaller pictures have told is no start for all of its pixels.
         found = best.found if self._scene.normals_known else None
-        return Choice(chosen, held_out, found)
+        why = self._why_normals(best, chosen, contradicted=other_fov is not None)
+        return replace(choice, held_out=held_out, found=found, why_normals=why)
+
+    def _why_normals(self, best: _Explained, chosen: Explanation, *, contradicted: bool) -> str:
+        if chosen.free_normals:
+            return "left-out pictures are explained better with other normals"
+        if chosen.surroundings != "none":
+            return HELD_BY_SURROUNDINGS
+        if best.is_noise:
+            return "the given normals explain left-out pictures up to noise"
+        if contradicted:
+            return "another field of view explains left-out pictures better"
+        if any(one.free_normals for one in self._tried):
+            return "left-out pictures are explained no better with other normals"
+        return NOT_COMPARED
 
     # Fits
 
@@ -479,10 +635,13 @@ class _Comparison:
         if kind.light == "lamps":
             fit = self._under_lamps(few.of_pictures(kept), shape)
         else:
-            fit = self._under_harmonics(kind, few.of_pictures(kept))
+            fit = self._under_harmonics(kind, few.of_pictures(kept), self._among(kind, kept))
         errors, values, rounding, lamps = [], [], [], []
         for picture in out:
-            shown, lamp = _explained(self._model, fit, few, picture, self._options.sh_order)
+            if kind.surroundings != "none":
+                shown, lamp = self._explained_among(kind, fit, few, picture), None
+            else:
+                shown, lamp = _explained(self._model, fit, few, picture, self._options.sh_order)
             values.append(few.file_values(few.samples(picture).astype(np.float64)))
             errors.append(values[-1] - few.file_values(np.maximum(shown, 0.0)))
             untold = _weights(few, picture) == 0
@@ -496,6 +655,7 @@ class _Comparison:
         of_errors = np.array(errors)
         return _Explained(
             kind,
+            self._numbers(kind),
             _mean(of_errors),
             _between(of_errors),
             _mean(np.square(of_errors)),
@@ -506,6 +666,37 @@ class _Comparison:
             None if fit.found is None else self._of_all(fit.found, lamps, fold),
             fit.fov,
         )
+
+    def _numbers(self, kind: Explanation) -> int:
+        """Of a left-out picture's light, that are fitted to it."""
+        if self._scene.lighting is not None:
+            return 0
+        if kind.light == "lamps":
+            return LAMP_NUMBERS
+        return int((self._options.sh_order + 1) ** 2 * (1 if self._options.mono_light else 3))
+
+    def _among(self, kind: Explanation, pictures: Sequence[int]) -> PixelTransfer | None:
+        """What surroundings do to the light of the pixels that are compared."""
+        if kind.surroundings == "none":
+            return None
+        assert self._transfer is not None
+        return self._transfer.of_pictures(pictures)
+
+    def _explained_among(
+        self, kind: Explanation, fit: _Fitted, scene: Scene, picture: int
+    ) -> Array:
+        """(P, 3): as `_explained`, among surroundings."""
+        one = scene.of_pictures([picture])
+        objective = self._objective(one).among(self._among(kind, [picture]))
+        whole = [np.full((*one.valid.shape, 3)[: 1 + of.ndim], np.nan) for of in fit.materials]
+        for of, values in zip(whole, fit.materials, strict=True):
+            of[one.valid] = values
+        x = objective.with_best_lights(objective.pack(*whole))
+        everything = np.arange(objective.pixels, dtype=np.uint64)
+        rendered = objective.pictures(everything) + objective.problem.residuals(
+            objective.for_core(x), everything
+        )
+        return np.broadcast_to((rendered * objective._by_picture)[0], (objective.pixels, 3))
 
     def _pixels(
         self, scene: Scene, kept: Sequence[int], response: Curve | None, number: int
@@ -532,24 +723,33 @@ class _Comparison:
             iterations=FitOptions.iterations,
             model=self._model,
             refine_normals="off",
+            transport="none",
             uncertainty=False,
             **options,
         )
         return replace(self._setup, options=of_all, progress=None)
 
-    def _under_harmonics(self, kind: Explanation, scene: Scene) -> _Fitted:
+    def _under_harmonics(
+        self, kind: Explanation, scene: Scene, among: PixelTransfer | None
+    ) -> _Fitted:
         priors = replace(self._options.priors, material=kind.material)
         setup = self._setup_with(priors=priors, robust=kind.robust)
         if kind.other_fov:
             scene = replace(scene, fov_known=False)
-        objective = setup.objective(scene)
+
+        def make(of: Scene, free_normals: bool) -> Objective:
+            return setup.objective(of, free_normals=free_normals)
+
+        objective = make(scene, False)
+        if among is not None:
+            objective = objective.among(among)
         run = setup.run(scene, objective)
-        x = objective.start()
-        run.record(x, run.evaluate(x)[0])
         run.begins_dielectric = kind.dielectric
-        lights = find_lights(run, x)
-        x = gauss_newton(run, x, lights)[0] if run.goes_on else lights.x
-        materials, _ = run.objective.unpack(x)
+        found = refined_fit.fit(
+            run, objective.start(), make, start_given=False, refines=kind.free_normals
+        )
+        run, scene = found.run, found.run.scene
+        materials, _ = run.objective.unpack(found.x)
         valid, camera = scene.valid, run.camera
         sigma = camera.fov_sigma
         return _Fitted(
@@ -619,6 +819,8 @@ def _explained(
     slope = _slope(scene, samples)
     if fit.pixels is None:
         rows = shade(fit.normals, fit.views, *fit.materials, model=model)
+        if scene.lighting is not None:
+            return np.einsum("pck,kc->pc", rows, scene.lighting[picture]), None
         rows = rows[..., : (sh_order + 1) ** 2]
         return _under_best_harmonics(scene, rows, samples, told), None
     pixels = replace(

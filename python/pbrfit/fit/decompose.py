@@ -25,6 +25,7 @@ from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
 from pbrfit.fit.tiles import fit_tiles
+from pbrfit.fit.transport import Surrounded
 from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
@@ -47,7 +48,6 @@ from pbrfit.scene import exposure
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
-from pbrfit.transport.decision import Transport
 
 if TYPE_CHECKING:
     from pbrfit.fit.compare import Choice
@@ -126,8 +126,11 @@ def decompose(
     began = time.perf_counter()
     if options.align == "auto":
         scene = aligned(scene)
-    refining = options.refine_normals != "off"
-    hindered = hindrance(scene) if refining else None
+    hindered = hindrance(scene)
+    if options.refine_normals == "off":
+        hindered = "not asked for"
+    elif options.iterations == 0:
+        hindered = "0 iterations asked for"
     if not scene.normals_known and options.refine_normals == "auto":
         hindered = "they are from the pictures already"
     if hindered and options.refine_normals == "on":
@@ -143,7 +146,7 @@ def decompose(
         threads=threads,
         progress=progress or None,
         began=began,
-        normals_hindrance=hindered,
+        why_normals=hindered or "",
     )
     check_light(scene, setup)
     chosen = compare.choose(scene, setup, start_given=start is not None)
@@ -151,10 +154,13 @@ def decompose(
     if how.response is not None:
         scene = scene.decoded_by(how.response)
     priors = replace(setup.options.priors, material=how.material)
+    asked = options.refine_normals == "on"
     setup = replace(
         setup,
         options=replace(setup.options, priors=priors, robust=how.robust),
         begins_dielectric=how.dielectric,
+        refines=not hindered and (asked or how.free_normals),
+        why_normals=hindered or ("asked for" if asked else chosen.why_normals),
     )
     start_shape = None
     if not scene.normals_known:
@@ -172,21 +178,25 @@ def decompose(
         scene = replace(scene, normals=start_shape.normals, normals_known=True)
     layout = setup.layout(scene)
     transfer = memory.TransferMemory.of(
-        layout, model, options.transport, depth=scene.depth is not None
+        layout, model, chosen.transport.kind, depth=scene.depth is not None
     )
     way = memory.plan(
         layout,
         options.solver,
         held=memory.bytes_of(scene),
         exact=scene.images.dtype != np.float32,
-        refine_normals=refining and hindered is None,
+        refine_normals=setup.refines,
         optional=options.refine_normals == "auto",
         transfer=transfer,
     )
     memory.check(options.solver, way.needed)  # before anything large is made
     if way.tiled and layout.pixels <= memory.whole_pixels_max(transfer):
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
-    setup = replace(setup, normals_hindrance=hindered or way.hindered)
+    if way.hindered:
+        setup = replace(setup, refines=False, why_normals=way.hindered)
+    if chosen.scenery is not None:
+        surrounded = Surrounded(scene, chosen.transport, chosen.scenery)
+        setup = replace(setup, surrounded=surrounded)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)
     if by_pictures:
         found = replace(found, refinement=found.refinement.of_normals_from_pictures())
@@ -222,10 +232,9 @@ def _result(
     refinement = found.refinement
     if refinement.refined:
         refinement = refinement.with_change(angles_between(found.normals, given))
-    surrounded = found.surrounded
-    transport = Transport() if surrounded is None else surrounded.transport
+    surrounded, transport = found.surrounded, chosen.transport
     segments = None
-    if surrounded is not None and transport.blocks and surrounded.scene.segments is not None:
+    if surrounded is not None and surrounded.scene.segments is not None:
         segments = storable_segments(surrounded.scene.segments)
     left_out = plan.left_out
     if not transport.blocks:
@@ -383,11 +392,10 @@ def _metrics(scene: Scene, fit: FitOutput, model: Model, threads: int) -> dict[s
     found["albedo_scaled_rmse"] = metrics.rmse(scaled, truth.materials.albedo)
     if truth.relight_images is not None and truth.relight_lighting is not None:
         lights = truth.relight_lighting
-        scenery = None if fit.surrounded is None else fit.surrounded.scenery
-        if fit.surrounded is not None and scenery is not None:
-            transport = fit.surrounded.transport
-            rendered = scenery.render(
-                materials, normals, lights, transport, model=model, threads=threads
+        among = fit.surrounded
+        if among is not None:
+            rendered = among.scenery.render(
+                materials, normals, lights, among.transport, model=model, threads=threads
             )
         else:
             rendered = render(materials, normals, lights, scene.fov, threads, model=model)
@@ -417,10 +425,10 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) 
     if fit.noise is not None and (remarks := fit.noise.remarks(scene.names, fit.exposures)):
         assumed["noise"] = remarks
     surrounded = fit.surrounded
-    if surrounded is not None and surrounded.scenery is not None and surrounded.transport.blocks:
+    if surrounded is not None:
         assumed["surroundings"] = surrounded.scenery.in_words(surrounded.transport)
-    elif surrounded is not None and scene.depth is not None:
-        assumed["surroundings"] = f"none: {surrounded.transport.why}"
+    elif scene.depth is not None:
+        assumed["surroundings"] = f"none: {chosen.transport.why}"
     assumed["scale"] = fit.scale
     if fit.lamps is not None:
         assumed["light"] = "lamps"

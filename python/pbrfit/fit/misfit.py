@@ -24,7 +24,6 @@ likelihood, which the mixture prior rests on. No threshold tells misfit from noi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -55,17 +54,6 @@ class Misfit:
     """As of `NoiseModel`: what pictures share, which residuals do not show."""
 
     @property
-    def is_noise(self) -> bool:
-        """Whether pixels have nothing in common in what is left of them."""
-        return self.design_effect <= settings.NOISE_DESIGN_EFFECT_MAX
-
-    @property
-    def effective_share(self) -> float:
-        """Share of the samples that would say as much if they were independent."""
-        share = min(1 / max(self.design_effect, 1.0), self.independent_share)
-        return share / self.picture_effect
-
-    @property
     def of_lights(self) -> float:
         """κ s², no less than s²: the variance that lights are uncertain by."""
         return self.variance * max(self.design_effect, 1.0)
@@ -84,19 +72,6 @@ class Misfit:
     def of_likelihood(self) -> float:
         """s² max(κ, 1)/τ, times what pictures share: in the likelihood of a pixel among others."""
         return self.of_camera / self.independent_share
-
-
-def score(deviance: float, unknowns: float, effective_samples: float) -> float:
-    """−2 log likelihood and a price for each unknown; less is better. `deviance` is of a sample.
-
-    AICc: C. Hurvich and C.-L. Tsai, "Regression and time series model selection in small samples",
-    Biometrika 76, 1989. Samples that share what is left count as fewer, n/κ; where these are no
-    more than the unknowns nothing can be believed, and the score is infinite.
-    """
-    freedom = effective_samples - unknowns - 1
-    if not freedom > 0:
-        return math.inf
-    return effective_samples * deviance + 2 * unknowns * effective_samples / freedom
 
 
 def variance(objective: Objective, sum_sq: Array) -> float:

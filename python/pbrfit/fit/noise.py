@@ -75,12 +75,6 @@ class NoiseModel:
         return np.asarray(found * self.variances[:, None, None])
 
     @property
-    def is_of_files(self) -> bool:
-        """Whether most of it varies as what files' encoding left, and is no more than that."""
-        mean = float(self.variances.mean())
-        return bool(self.shares[3] > 0.5 and mean <= self.mean_file_variance)
-
-    @property
     def has_outliers(self) -> bool:
         """Whether some samples say nothing."""
         return self.tails.has_outliers

@@ -140,21 +140,6 @@ class Nuisances:
             found = replace(found, fov_degrees=fov, how="fitted", fov_sigma=sigma)
         return found
 
-    def log_slope(self, objective: Objective, x: Array) -> float:
-        """Mean of 2 ln of the slope of pictures by corrected ones, over samples that are no limits.
-
-        What it adds to the deviance of corrected pictures is that of pictures as they are: only
-        these can be compared between corrections.
-        """
-        if self.scene.correction is None:
-            return 0.0
-        slope = objective.correction_directions(x, self.scene.correction)[1].transpose(1, 0, 2)
-        everything = np.arange(objective.pixels, dtype=np.uint64)
-        used, limits = objective.is_sample(everything), objective.limits(everything)
-        if limits is not None:
-            used &= limits == 0
-        return 2 * float(np.log(np.abs(slope[used]) + 1e-12).mean())
-
     def moved(self, by: Array) -> Scene:
         """The scene with all numbers moved by (J,)."""
         scene = self.scene

@@ -104,14 +104,6 @@ COARSE_WEIGHT_FALL = 0.1
 """A round that lowers the sum by a smaller share, and leaves more than this share of the light
 prior's weight, is the last."""
 
-NOISE_DESIGN_EFFECT_MAX = 1.0
-"""Design effect up to which what is left counts as noise: that of independent residuals."""
-
-FILE_DESIGN_EFFECT_MAX = 2.0
-"""The same where what is left is what the files' encoding left: blocks of JPEG share their errors.
-Those of qualities 75 and 90 have 1.2 to 1.5 on rooms; with normals 5 degrees off it is 2.4 to 3.4.
-"""
-
 PATCH_SIDE = 8
 PATCHES_MIN = 4
 """Rows and columns of a level's pixels in a patch, and how many patches tell a design effect. It
@@ -531,10 +523,6 @@ TRANSPORT_ERRORS_MIN = 2.0
 """Standard errors of the paired differences of left-out pixels from which one alternative is
 better: two, as is usual."""
 
-TRANSPORT_GAIN_MIN = 0.2
-"""By how much less surroundings have to leave than none, in the mean ln of squared residuals: a
-tenth of the root mean square. What differs less is a matter of which pixels are left out."""
-
 TRANSPORT_GAINS = (0.85, 0.7, 0.55, 1.2)
 """Gains of brought light that are tried beside 1. A picture shows what a surface sends to the
 camera; where it is not matt, that is not what it sends to another one."""
@@ -585,10 +573,6 @@ the fit before, which has all priors."""
 
 NORMALS_PASSES = 2
 """Times that all normals are refined, and then held in a fit."""
-
-NORMALS_SAMPLES_PER_UNKNOWN_MIN = 2.0
-"""Samples for each unknown of a pixel, its normal's included, from which on `auto` refines: with
-fewer almost anything can be explained."""
 
 NORMALS_GAIN_WINDOW = 5
 """Rows and columns of pixels over which the gain of refined normals is averaged."""

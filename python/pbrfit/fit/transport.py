@@ -1,34 +1,30 @@
-"""Which surroundings explain the pictures: none, such that block light, or that also bring some.
+"""Surroundings that may block the light of a scene with depth, or also bring some.
 
-Two sets of pixels, of some hundred each, decide. Lights are fitted to the first together with its
-materials; then pixels of the second, with these lights, find their best materials, and what is left
-of them is the score: the mean over pixels of ln(Σ residual²/Σ radiance²). A pixel has five unknowns
-whatever surroundings are, and the lights know nothing of it, so more freedom gains nothing by
-itself. Two alternatives differ where the mean of the paired differences is more than
-`TRANSPORT_ERRORS_MIN` of its standard errors from 0. Left-out pixels share what is left with those
-beside them, so that alone says too much for many of them: surroundings are taken only where they
-leave less by `TRANSPORT_GAIN_MIN` as well.
+What no picture shows (`pbrfit.transport.extents`), whether surroundings also bring light and with
+which gain, is searched. Two sets of pixels, of some hundred each, judge: lights are fitted to the
+first together with its materials; then pixels of the second, with these lights, find their best
+materials, and what is left of them is the score: the mean over pixels of
+ln(Σ residual²/Σ radiance²). A pixel has five unknowns whatever surroundings are, and the lights
+know nothing of it, so more freedom gains nothing by itself. One alternative is better where the
+mean of the paired differences is more than `TRANSPORT_ERRORS_MIN` of its standard errors below 0.
 
-What no picture shows (`pbrfit.transport.extents`) is searched by the same score, one thing at a
-time, as long as something gains; and so is the gain of what is brought.
+Whether the pictures are explained better with the surroundings that are found than without is
+decided by left-out pictures (`pbrfit.fit.compare`).
 """
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.coarse import dielectric_prior, fit_level
 from pbrfit.fit.joint import SharedFit, Stop, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.run import Run
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
@@ -36,20 +32,13 @@ from pbrfit.transport.decision import Kind, Transport
 from pbrfit.transport.extents import Extents, candidates
 from pbrfit.transport.scenery import PixelTransfer, Scenery, filled
 
-log = logging.getLogger("pbrfit")
-
 Array = NDArray[np.float64]
-
-NO_DEPTH = "no depth is given"
 
 
 class Surrounded:
-    """A scene whose pixels may be among surroundings: tables for an objective of any of its parts.
+    """A scene among its surroundings: tables for an objective of any of its parts."""
 
-    `transport` is what was decided; `fit.whole_picture` and `fit.tiles` hand it on.
-    """
-
-    def __init__(self, scene: Scene, transport: Transport, scenery: Scenery | None) -> None:
+    def __init__(self, scene: Scene, transport: Transport, scenery: Scenery) -> None:
         self.scene, self.transport, self.scenery = scene, transport, scenery
         self._images: NDArray[np.float32] | None = None
 
@@ -78,7 +67,7 @@ class Surrounded:
         """Of pixels of an objective, of the scene or a window of it; None if nothing blocks."""
         kind = self.transport.kind if kind is None else kind
         scenery = self.scenery if scenery is None else scenery
-        if kind == "none" or scenery is None:
+        if kind == "none":
             return None
         found = scenery.transfer(
             objective.places_in(self.scene, pixels),
@@ -90,31 +79,25 @@ class Surrounded:
         return replace(found, gain=self.transport.gain)
 
 
-def choose(run: Run, x: Array, asked: str) -> Surrounded:
-    """What to do about the surroundings of a run's scene, from an x without.
+def search(
+    part: Scene, objective: Objective, asked: str, out_of_time: Callable[[], bool]
+) -> Surrounded:
+    """The surroundings that explain left-out pixels best.
 
-    `asked` is an option of `FitOptions.transport`.
+    `part` is a scene with depth, or a window of one, with its objective; `asked` is an option of
+    `FitOptions.transport` other than "none".
+
+    Raises
+    ------
+    InputError
+        If the depth cannot be used.
     """
-    scene = getattr(run.scene, "whole", run.scene)  # of which it may be a window
-    if asked == "none":
-        return Surrounded(scene, Transport(why="not asked for"), None)
-    if scene.depth is None:
-        if asked != "auto":
-            raise InputError(f"transport: expected a scene with depth for {asked}, found none")
-        return Surrounded(scene, Transport(why=NO_DEPTH), None)
-    if run.left <= 0:
-        return Surrounded(scene, Transport(why="0 iterations asked for"), None)
-    try:
-        scenery = Scenery(scene.depth, scene.normals, scene.valid, scene.segments, scene.fov)
-    except InputError as error:
-        if asked != "auto":
-            raise
-        log.warning("transport: left out: %s", error)
-        return Surrounded(scene, Transport(why=str(error)), None)
-    with run.stage("surroundings") as notes, one_blas_thread():
-        found = _Search(run, x, Surrounded(scene, Transport(), scenery), asked).best()
-        notes.append(f"{found.transport.kind}: {found.transport.why}")
-    return found
+    scene: Scene = getattr(part, "whole", part)
+    assert scene.depth is not None
+    scenery = Scenery(scene.depth, scene.normals, scene.valid, scene.segments, scene.fov)
+    surrounded = Surrounded(scene, Transport(), scenery)
+    with one_blas_thread():
+        return _Search(objective, surrounded, asked, out_of_time).best()
 
 
 class Trial:
@@ -136,27 +119,27 @@ class Trial:
         error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
         return bool(difference.mean() < -settings.TRANSPORT_ERRORS_MIN * error)
 
-    def clearly_better_than(self, other: Trial) -> bool:
-        """Whether it is also less by an amount that counts."""
-        return self.better_than(other) and self.score < other.score - settings.TRANSPORT_GAIN_MIN
-
 
 class _Search:
     """Looks for the alternative that leaves least."""
 
-    def __init__(self, run: Run, x: Array, surrounded: Surrounded, asked: str) -> None:
-        self._run, self._x, self._surrounded, self._asked = run, x, surrounded, asked
-        objective = run.objective
+    def __init__(
+        self,
+        objective: Objective,
+        surrounded: Surrounded,
+        asked: str,
+        out_of_time: Callable[[], bool],
+    ) -> None:
+        self._objective, self._x = objective, objective.start()
+        self._surrounded, self._asked, self._out_of_time = surrounded, asked, out_of_time
         chosen = evenly_spaced(objective.pixels, 2 * settings.TRANSPORT_PIXELS)
         self._fitted, self._left_out = chosen[::2], chosen[1::2]
         self._size = np.square(objective.pictures(self._left_out)).sum(axis=(0, 2))
         self._shown = self._size > 0
 
     def best(self) -> Surrounded:
-        """The scene with what was decided."""
-        scenery = self._surrounded.scenery
-        assert scenery is not None
-        asked = self._asked
+        """The scene with what explains it best."""
+        scenery, asked = self._surrounded.scenery, self._asked
         kinds: tuple[Kind, ...] = ("occlusion", "bounce") if asked == "auto" else (asked,)  # type: ignore[assignment]
         tried = {kind: self._tried(Trial(kind, scenery, 1.0)) for kind in kinds}
         best = min(tried.values(), key=lambda trial: trial.score)
@@ -169,15 +152,9 @@ class _Search:
         if best.kind == "bounce":
             best = self._with_gain(best)
         tried[best.kind] = best
-        none = self._tried(Trial("none", scenery, 1.0))
         figures = {f"left_out_{kind}": one.score for kind, one in tried.items()}
-        figures |= {"left_out_none": none.score, "left_out_pixels": float(len(none.left))}
-        if asked == "auto" and not best.clearly_better_than(none):
-            why = "surroundings explain left-out pixels hardly better"
-            transport = Transport("none", why, None, 1.0, figures)
-            return Surrounded(self._surrounded.scene, transport, None)
-        why = "asked for" if asked != "auto" else "left-out pixels are explained better"
-        transport = Transport(best.kind, why, best.scenery.extents, best.gain, figures)
+        figures["left_out_pixels"] = float(len(best.left))
+        transport = Transport(best.kind, "asked for", best.scenery.extents, best.gain, figures)
         found = Surrounded(self._surrounded.scene, transport, best.scenery)
         found._images = self._surrounded._images
         return found
@@ -185,7 +162,7 @@ class _Search:
     def _with_extents(self, best: Trial) -> Trial:
         """Change what no picture shows, one thing at a time, as long as that gains."""
         hopeful = list(candidates(best.scenery.extents))
-        while hopeful and not self._run.out_of_time():
+        while hopeful and not self._out_of_time():
             trials = [
                 self._tried(Trial(best.kind, best.scenery.with_extents(one), best.gain), best)
                 for one in hopeful
@@ -212,8 +189,7 @@ class _Search:
 
     def _tried(self, trial: Trial, near: Trial | None = None) -> Trial:
         """An alternative with its scores; lights begin at those of one that is `near`."""
-        objective, run = self._run.objective, self._run
-        surrounded = self._surrounded
+        objective, surrounded = self._objective, self._surrounded
         halves = []
         for pixels in (self._fitted, self._left_out):
             half = objective.restricted(pixels)
@@ -233,7 +209,7 @@ class _Search:
             part = few.with_best_lights(part)
         if few.lighting is not None:
             near_rounds = None if near is None else settings.TRANSPORT_NEAR_ROUNDS
-            find_lights(few, part, run.out_of_time, near_rounds)
+            find_lights(few, part, self._out_of_time, near_rounds)
         other = objective.part_of(self._x, self._left_out)
         if few.lighting is not None:
             other[left_out.layout.maps.stop :] = part[few.layout.maps.stop :]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import scale, transport
+from pbrfit.fit import scale
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.estimator import discrepancy_of
 from pbrfit.fit.noise import NoiseModel
@@ -19,6 +19,7 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Progress, Run, SharedState
 from pbrfit.fit.transport import Surrounded
 from pbrfit.fit.uncertainty import estimate, scale_deviation
+from pbrfit.model.geometry import angles_between
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
@@ -26,14 +27,12 @@ from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
-from pbrfit.result.refinement import Refinement
+from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
-
-HELD_BY_SURROUNDINGS = "surroundings block light, which is known for the given normals alone"
 
 Start = Materials | tuple[Materials, Array] | None
 """Maps to start from, alone or with lights."""
@@ -51,10 +50,12 @@ class FitSetup:
     """Called as the fit goes on; None = nobody."""
     began: float
     """When the fit began, by `time.perf_counter`."""
-    normals_hindrance: str | None
-    """Why normals cannot be refined; None if they can."""
+    refines: bool = False
+    """Whether normals are refined."""
+    why_normals: str = "not asked for"
+    """The reason why they are, or are not."""
     surrounded: Surrounded | None = None
-    """What was decided about surroundings; None = nothing yet."""
+    """The scene with its surroundings; None = nothing blocks its light."""
     begins_dielectric: bool = False
     """As in `Run`."""
 
@@ -156,7 +157,7 @@ class FitOutput:
 
 def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     """Fit all pixels of a scene at once."""
-    found, refinement, surrounded = fit_pixels(scene, setup, start)
+    found, refinement = fit_pixels(scene, setup, start)
     run, x = found.run, found.x
     seconds = run.elapsed
     uncertainty = None
@@ -184,8 +185,8 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         scale=scale_in_words(run),
         measured_lighting=run.measured_lighting,
         noise=run.noise,
-        surrounded=surrounded,
-        recon_rmse=recon_among(run, x) if surrounded.transport.blocks else None,
+        surrounded=setup.surrounded,
+        recon_rmse=None if setup.surrounded is None else recon_among(run, x),
     )
 
 
@@ -213,8 +214,8 @@ def scale_in_words(run: Run) -> str:
 
 def fit_pixels(
     scene: Scene, setup: FitSetup, start: Start, units: Normalization | None = None
-) -> tuple[refined_fit.PixelFit, Refinement, Surrounded]:
-    """Where the fit of a scene ends, and what was decided about normals and surroundings.
+) -> tuple[refined_fit.PixelFit, Refinement]:
+    """Where the fit of a scene ends, and what was done about its normals.
 
     `units` as for `Objective`.
     """
@@ -225,20 +226,16 @@ def fit_pixels(
 
     objective = make(scene, False)
     run, x = setup.run(scene, objective), _start_of(objective, start)
-    surrounded = transport.choose(run, x, setup.options.transport)
-    if surrounded.transport.blocks:
-        setup = replace(setup, surrounded=surrounded, normals_hindrance=HELD_BY_SURROUNDINGS)
-        run.objective = make(scene, False)
-        x = _start_of(run.objective, start)
-    found, refinement = refined_fit.fit(
-        run,
-        x,
-        make,
-        start_given=start is not None,
-        asked=setup.options.refine_normals,
-        hindered=setup.normals_hindrance,
-    )
-    return _with_scale(found, setup.options), refinement, surrounded
+    found = refined_fit.fit(run, x, make, start_given=start is not None, refines=setup.refines)
+    asked, why = setup.options.refine_normals, setup.why_normals
+    turned = angles_between(found.run.scene.normals, scene.normals)[scene.valid].max()
+    refined = bool(turned >= CHANGE_DEGREES_MIN)
+    if setup.refines and not refined:
+        # All pixels were given theirs back, or found that they had been right, or had no time.
+        found.run.scene = scene.through(found.run.scene.fov)
+        late = found.run.out_of_time()
+        why = refined_fit.OUT_OF_TIME if late else "no other normals explain the pictures better"
+    return _with_scale(found, setup.options), Refinement(asked, refined, why)
 
 
 @one_blas_thread()

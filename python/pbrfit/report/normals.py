@@ -1,4 +1,4 @@
-"""Given and refined normals: how far apart they are, what was decided, and on which figures."""
+"""Given and refined normals: how far apart they are, and what was decided."""
 
 from __future__ import annotations
 
@@ -15,19 +15,11 @@ from pbrfit.result.refinement import FROM_PICTURES
 from pbrfit.result.result import Result
 
 LABELS = {
-    "noise": "noise of a sample (standard deviation)",
-    "residual_before": "residual of the pictures with the given normals (RMSE)",
-    "residual_after": "residual of the pictures with free normals (RMSE)",
-    "design_effect_before": "design effect on the lights, with the given normals (1 = noise)",
-    "design_effect_after": "design effect on the lights, with free normals (1 = noise)",
-    "score_before": "score (AICc) with the given normals",
-    "score_after": "score (AICc) with free normals, lower is better",
-    "spread_degrees": "standard deviation between changes of neighbours",
     "mean_change_degrees": "change, mean",
     "largest_change_degrees": "change, largest",
     "changed_share": "pixels whose normal was changed",
 }
-"""Labels of a decision's figures; others are shown by their names."""
+"""Labels of figures; others are shown by their names."""
 
 
 def sentence(result: Result) -> str:

@@ -1,8 +1,7 @@
-"""What surroundings were supposed, on which figures, and what they do to light."""
+"""What surroundings were supposed, and what they do to light."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,8 +9,8 @@ from numpy.typing import NDArray
 
 from pbrfit.io.resampling import reduced_size
 from pbrfit.report import figures, raster
-from pbrfit.report.html import Cell, Look, Table, heads, number, paragraph, table
-from pbrfit.report.notation import percent, plain
+from pbrfit.report.html import Cell, Table, number, paragraph, table
+from pbrfit.report.notation import plain
 from pbrfit.report.surroundings import plan_key, plan_view
 from pbrfit.result import metrics
 from pbrfit.result.relighting import DirectionalLight, LampLight, own_light, relight
@@ -45,9 +44,7 @@ def section(result: Result) -> str:
     if not transport.blocks:
         if not transport.figures:
             return ""
-        return paragraph(
-            f"Surroundings {WORDS['none']}. The fit left them out: {transport.why}."
-        ) + (_scores(result))
+        return paragraph(f"Surroundings {WORDS['none']}. The fit left them out: {transport.why}.")
     text = paragraph(
         f"Things, walls and floor that the depth shows {WORDS[transport.kind]} ({transport.why}). "
         "What no picture shows is supposed: how deep things are, how high walls, where the room "
@@ -60,10 +57,10 @@ def section(result: Result) -> str:
         )
     scenery = result.scenery
     if scenery is None:
-        return text + _scores(result)
+        return text
     above, side = plan_view(scenery.geometry, scenery.points)
     plans = f'<div class="plans">{above}{side}</div>{plan_key()}'
-    tables = f'<div class="numbers">{_supposed(scenery)}{_scores(result)}</div>'
+    tables = f'<div class="numbers">{_supposed(scenery)}</div>'
     return text + plans + tables + _relit(result, scenery)
 
 
@@ -95,30 +92,6 @@ def _supposed(scenery: Scenery) -> str:
         if names:
             rows.append((Cell(label), number(counted(names))))
     return f"<div>{table(Table((), rows, 'Supposed, in median depths:'))}</div>"
-
-
-def _scores(result: Result) -> str:
-    """What each alternative left of pixels that lights were not fitted to."""
-    scores = result.transport.figures
-    rows = []
-    for kind, words in WORDS.items():
-        score = scores.get(f"left_out_{kind}")
-        if score is None:
-            continue
-        chosen = kind == result.transport.kind
-        share = math.exp(score / 2)
-        look: Look = "best" if chosen else "number"
-        said = f"{words} (chosen)" if chosen else words
-        rows.append((Cell(said), Cell(percent(share), look, share)))
-    if not rows:
-        return ""
-    count = scores.get("left_out_pixels")
-    of_how_many = f"{count:.0f} " if count else ""
-    caption = (
-        f"Residual of {of_how_many}pixels that the lights were not fitted to, relative to the "
-        "pictures there (geometric mean), by what surroundings do:"
-    )
-    return f"<div>{table(Table(heads('surroundings', 'residual'), rows, caption))}</div>"
 
 
 def _relit(result: Result, scenery: Scenery) -> str:

@@ -23,7 +23,7 @@ class Transport:
     gain: float = 1.0
     """What light from surfaces is multiplied by, beside what pictures show of them."""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """Mean of ln(residual²/radiance²) of pixels that lights were not fitted to: `left_out_none`,
+    """Mean of ln(residual²/radiance²) of pixels that lights were not fitted to:
     `left_out_occlusion`, `left_out_bounce`, as far as they were tried, and `left_out_pixels`."""
 
     @property

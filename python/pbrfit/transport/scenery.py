@@ -67,6 +67,12 @@ class PixelTransfer:
         bounced = None if self.bounced is None else self.bounced[pixels]
         return replace(self, rows=self.rows[pixels], bounced=bounced)
 
+    def of_pictures(self, pictures: Sequence[int]) -> PixelTransfer:
+        """Of some pictures."""
+        if self.bounced is None:
+            return self
+        return replace(self, bounced=self.bounced[:, :, list(pictures)])
+
     def scaled(self, units: Array) -> NDArray[np.float32] | None:
         """(P, R, N·C): what is brought, in units of which a picture has so many; with the gain."""
         if self.bounced is None:

@@ -189,6 +189,7 @@ def explained(kind: Explanation, errors: Array, rounding: float = 0.0) -> _Expla
     of_pixels = errors.reshape(len(errors), -1, 3)
     return _Explained(
         kind,
+        48 if kind.light == "sh" else 8,
         of_pixels.mean(axis=-1),
         compare._between(of_pixels),
         np.square(of_pixels).mean(axis=-1),
@@ -259,14 +260,12 @@ def test_rounding_is_noise_of_float32_and_up_to_twice_the_deviation_of_files(
 
 def test_nothing_is_compared_where_it_cannot_be_or_all_is_told() -> None:
     scene = room(8, lights=4)
-    lighting = np.ones((4, 16, 3))
     mask = np.arange(64).reshape(8, 8) < 31
     untold = Scene(images=scene.images[:3], fov=60)
     for of, options, light in (
         (scene.of_pictures([0, 1, 2]), {}, "sh"),
         (replace(scene, mask=mask), {}, "sh"),
         (replace(scene, mask=mask, lamps=without_colors(far(4))), {}, "lamps"),
-        (replace(scene, lighting=lighting), {}, "sh"),
         (scene, {"iterations": 0}, "sh"),
         (scene, {"solver": "lbfgsb"}, "sh"),
         (untold, {}, "lamps"),

@@ -16,7 +16,8 @@ import pytest
 
 import pbrfit
 from pbrfit._core import InputError
-from pbrfit.fit import memory
+from pbrfit.fit import compare, memory
+from pbrfit.fit.compare import Choice, Explanation
 from pbrfit.fit.memory import FitMemory, Method
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import TRANSPORT_WHOLE_PIXELS_MAX, WHOLE_PIXELS_MAX
@@ -184,8 +185,11 @@ class TestRefiningNormals:
         write(system / "proc/meminfo", f"MemAvailable: {(held + both) // 2048} kB\n")
         return scene
 
-    @pytest.mark.filterwarnings("ignore")
-    def test_is_left_out_where_it_is_optional(self, scene: pbrfit.Scene) -> None:
+    def test_is_left_out_where_it_is_optional(
+        self, scene: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        turned = Choice(Explanation(None, "sh", 0.0, "none", free_normals=True), None)
+        monkeypatch.setattr(compare, "choose", lambda *_, **__: turned)
         found = pbrfit.decompose(scene, iterations=2, uncertainty=False).refinement
         assert not found.refined
         assert re.fullmatch(r"it needs .* of memory, and .* are available", found.why)

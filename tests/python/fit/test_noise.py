@@ -53,7 +53,6 @@ def test_what_files_lost_in_all_pictures_alike_weighs_as_much_more() -> None:
     assert of_files.picture_effect == pytest.approx(1 + 11 * 0.4 * 0.75)
     left = Misfit(2.0, 1.5, 0.5, of_files.picture_effect)
     assert left.of_likelihood == pytest.approx(2.0 * 1.5 * of_files.picture_effect / 0.5)
-    assert left.effective_share == pytest.approx(0.5 / of_files.picture_effect)
     assert replace(of_files, file_correlation=0.0).picture_effect == 1.0
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from pbrfit import Priors, Result, Scene, Status, decompose, render
 from pbrfit.model.geometry import angles_between
-from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normals.disturbances import disturbed
@@ -67,8 +66,6 @@ def check(result: Result, scene: Scene) -> None:
     change = result.normal_change[inside]
     assert np.isfinite(change).all()
     assert refinement.figures["mean_change_degrees"] == pytest.approx(change.mean())
-    for name in ("residual_after", "spread_degrees", "design_effect_after"):
-        assert math.isfinite(refinement.figures[name]), name
 
 
 def same(one: Result, other: Result) -> None:
@@ -102,10 +99,7 @@ def test_wrong_normals_are_put_right_and_materials_with_them(
     assert after.metrics["recon_rmse"] < 0.1 * before.metrics["recon_rmse"]
     for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse", "relight_rmse"):
         assert after.metrics[name] < 0.5 * before.metrics[name], name
-    figures = after.refinement.figures
-    assert 3 < figures["mean_change_degrees"] < 10
-    if asked == "auto":
-        assert figures["residual_after"] < 0.1 * figures["residual_before"]
+    assert 3 < after.refinement.figures["mean_change_degrees"] < 10
 
 
 def test_normals_are_put_right_in_known_lights(room: Scene) -> None:
@@ -171,9 +165,6 @@ def test_asked_for_or_not_no_more_is_left_than_by_the_given_ones(
         assert on.metrics["recon_rmse"] <= off.metrics["recon_rmse"]
     else:
         np.testing.assert_array_equal(on.normals, scene.normals)
-    figures = on.refinement.figures
-    assert figures["score_before"] < math.inf
-    assert "score_after" in figures
 
 
 # ------------------------------------------------------------------------------------- few means
@@ -199,43 +190,11 @@ def test_no_iterations_leave_the_normals_alone(asked: RefineNormals) -> None:
     assert result.refinement.why == "0 iterations asked for"
 
 
-@pytest.mark.parametrize("iterations", [1, 3])
-def test_auto_does_not_refine_what_is_not_fitted_yet(iterations: int) -> None:
-    result = decompose(wrong(small()), solver="lbfgsb", iterations=iterations, uncertainty=False)
+def test_auto_refines_nothing_where_nothing_is_compared() -> None:
+    result = decompose(wrong(small()), solver="lbfgsb", iterations=3, uncertainty=False)
     assert result.status == Status.ITERATION_LIMIT
     assert not result.refinement.refined
-    why = "too few iterations to tell wrong normals from what is not fitted yet"
-    assert result.refinement.why == why
-
-
-@pytest.mark.xfail(reason="with its samples weighed this scene is explained up to noise")
-@pytest.mark.slow
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_the_history_ends_with_the_fit_that_is_kept(solver: Solver) -> None:
-    """Six pictures of 12² do not tell enough of normals 5 degrees off for `auto` to keep others."""
-    scene = wrong(right())
-    options: dict[str, Any] = {"solver": solver, "iterations": 60, "uncertainty": False}
-    plain, kept, refined = (
-        decompose(scene, refine_normals=asked, **options) for asked in ("off", "auto", "on")
-    )
-    assert refined.refinement.refined
-    assert not kept.refinement.refined
-    assert kept.refinement.figures["residual_after"] > 0
-    check(kept, scene)
-    same(kept, plain)
-    assert kept.history.iterations == plain.history.iterations <= 60
-    of_level = {"lights", "lights and normals"}
-    stages = {stage.name for stage in kept.stages} - {"camera"}  # which `auto` doubts first
-    assert stages == of_level | ({s.name for s in plain.stages} - {"camera"})
-    assert {stage.name for stage in refined.stages} >= of_level | {"normals of all pixels"}
-    for result in (refined, kept):
-        for column in ("iteration", "elapsed_s"):
-            assert (np.diff(result.history[column]) >= 0).all()
-        assert sum(stage.seconds for stage in result.stages) <= result.seconds
-        for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
-            assert result.history[name][-1] == pytest.approx(result.metrics[name], rel=1e-9)
-        recon = result.metrics["recon_rmse"]
-        assert result.history["recon_rmse"][-1] == pytest.approx(recon, rel=1e-3, abs=1e-7)
+    assert result.refinement.why == "explanations were not compared"
 
 
 @pytest.mark.slow
@@ -264,7 +223,6 @@ def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
     options: dict[str, Any] = {"solver": "lbfgsb", "iterations": 60, "uncertainty": False}
     found = decompose(scene, refine_normals=asked, **options)
     check(found, scene)
-    assert ("residual_after" in found.refinement.figures) == (asked == "on")
     if found.normal_change is not None:
         assert np.nanmean(found.normal_change) < 0.3
     if asked == "auto":
@@ -299,7 +257,6 @@ def test_normals_are_refined_with_all_options(
     scene = small()
     result = decompose(scene, refine_normals=asked, iterations=5, **options)
     check(result, scene)
-    assert "design_effect_after" in result.refinement.figures or asked == "auto"  # was tried
     if "metallic" in options:
         np.testing.assert_array_equal(result.metallic, options["metallic"])
 

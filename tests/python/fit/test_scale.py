@@ -163,7 +163,7 @@ def test_tiles_have_the_scale_of_their_subset() -> None:
     scene = room(303, size=64)
     column, row, value = reference(scene)
     options = FitOptions(white=(column, row, value), refine_normals="off")
-    setup = FitSetup(options, 0, None, 0.0, None)
+    setup = FitSetup(options, 0, None, 0.0)
     found = fit_tiles(scene, setup, None, subset_pixels=(256, 1024), side=32)
     assert "reference" in found.scale
     inside = found.materials.albedo[row - 1 : row + 2, column - 1 : column + 2]

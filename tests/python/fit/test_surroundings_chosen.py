@@ -11,7 +11,6 @@ import pytest
 import pbrfit
 from pbrfit import InputError, Scene
 from pbrfit.fit import settings, transport
-from pbrfit.fit.transport import Trial
 from pbrfit.model.materials import Materials
 from pbrfit.synthetic.lights import random_lights
 from pbrfit.transport.decision import Transport
@@ -70,8 +69,10 @@ def test_pictures_among_surroundings_are_explained_by_them(room: dict[str, Any],
     scene = scene_of(room, kind)
     found = pbrfit.decompose(scene, uncertainty=False)
     assert found.transport.kind == kind
-    figures = found.transport.figures
-    assert figures[f"left_out_{kind}"] < figures["left_out_none"] - 1
+    assert found.held_out is not None
+    assert "surroundings block light" in found.held_out.chosen
+    open_to_light = [one for one in found.held_out.candidates if "surroundings" not in one.what]
+    assert min(one.error for one in open_to_light) > 10 * found.held_out.error
     without = pbrfit.decompose(scene, uncertainty=False, transport="none")
     assert without.transport.kind == "none"
     for name in ("albedo", "roughness"):
@@ -91,10 +92,7 @@ def test_surroundings_are_taken_on_pictures_among_them(
             scene_of(room, kind), uncertainty=False, refine_normals="off", light="sh", iterations=5
         )
         assert found.transport.kind == taken
-        assert (
-            found.transport.figures["left_out_occlusion"]
-            != found.transport.figures["left_out_none"]
-        )
+        assert ("left_out_occlusion" in found.transport.figures) == (kind is not None)
 
 
 @pytest.mark.slow
@@ -148,17 +146,3 @@ def test_holes_in_the_depth_block_nothing_and_break_nothing(room: dict[str, Any]
     found = pbrfit.decompose(holed, uncertainty=False)
     assert np.isfinite(found.albedo[found.mask]).all()
     assert found.transport.kind == "occlusion"
-
-
-@pytest.mark.parametrize(
-    ("gain", "spread", "clearly"),
-    [(0.21, 0.5, True), (0.19, 0.5, False), (0.21, 5.0, False), (-0.21, 0.5, False)],
-)
-def test_surroundings_have_to_leave_less_surely_and_by_a_tenth(
-    gain: float, spread: float, clearly: bool
-) -> None:
-    noise = np.random.default_rng(0).normal(size=400)
-    noise = spread * (noise - noise.mean()) / noise.std()
-    none, among = (Trial(kind, None, 1.0) for kind in ("none", "occlusion"))  # type: ignore[arg-type]
-    none.left, among.left = np.full(400, -5.0), -5.0 - gain + noise
-    assert among.clearly_better_than(none) == clearly

@@ -12,7 +12,7 @@ import pytest
 
 from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
 from pbrfit.batch.scenes import table
-from pbrfit.fit import settings
+from pbrfit.fit import compare, settings
 from pbrfit.fit import transport as fit_transport
 from pbrfit.report.inspection import facts
 from pbrfit.result.data import SEGMENT_MAX, storable_segments
@@ -58,11 +58,10 @@ def room_scene() -> Scene:
 def made() -> tuple[Scene, Result, list[Scenery]]:
     """A fit among surroundings that were not searched for long, and the scenery that it chose."""
     chosen = []
-    real = fit_transport.choose
+    real = fit_transport.search
 
-    def choose(*arguments: object) -> fit_transport.Surrounded:
+    def search(*arguments: object) -> fit_transport.Surrounded:
         found = real(*arguments)  # type: ignore[arg-type]
-        assert found.scenery is not None
         chosen.append(found.scenery)
         return found
 
@@ -71,7 +70,7 @@ def made() -> tuple[Scene, Result, list[Scenery]]:
         patch.setattr(settings, "TRANSPORT_PIXELS", 40)
         patch.setattr(settings, "TRANSPORT_ROUNDS", 1)
         patch.setattr(fit_transport, "candidates", lambda _: [])
-        patch.setattr(fit_transport, "choose", choose)
+        patch.setattr(compare, "search", search)
         result = decompose(scene, transport="occlusion", **FEW)
     return scene, result, chosen
 

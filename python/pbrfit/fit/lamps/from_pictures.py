@@ -60,7 +60,7 @@ def normals_from_pictures(
     began = time.perf_counter()
     options = FitOptions(light="lamps", model=chosen_model(None, scene.model), uncertainty=True)
     scene = aligned(scene)
-    setup = FitSetup(options, whole_number("threads", threads), progress, began, None)
+    setup = FitSetup(options, whole_number("threads", threads), progress, began)
     check_light(scene, setup)
     start = first_shape(scene)
     found = fit_lamps(scene, setup, start)

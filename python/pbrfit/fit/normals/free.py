@@ -42,8 +42,6 @@ class FreeNormals:
     """(P,): which patch each pixel of the level is in, from 0."""
     _variances: Array | None = field(default=None, init=False)
     """(P,): tr V of the offsets, after the last round."""
-    _precision: Array = field(default_factory=lambda: np.zeros(0), init=False)
-    """(P,): of their prior."""
 
     @classmethod
     def of(cls, level: Level, given: Array, normal_sigma: Array | None) -> FreeNormals:
@@ -96,16 +94,7 @@ class FreeNormals:
         variances = offset_variances(objective, x, prior.precision, left)
         if self._variances is not None:
             self.offsets = self.offsets.fitted(offsets_of(objective, x), variances)
-        self._variances, self._precision = variances, prior.precision[:, -1] / left
-
-    def unknowns(self, objective: Objective) -> float:
-        """How many a level has: an offset that its prior decides, and not the pictures, is none.
-
-        By the trace of the smoother: of two numbers a pixel, precision × tr V are the prior's.
-        """
-        if self._variances is None:
-            return objective.size
-        return objective.size - float(np.minimum(self._precision * self._variances, 2).sum())
+        self._variances = variances
 
 
 def offsets_of(objective: Objective, x: Array) -> Array:

@@ -1,25 +1,23 @@
-"""A fit whose normals may be refined: when, in which order, and what is kept of it.
+"""A fit whose normals are refined: in which order, and what is kept of it.
 
-The coarse level of the estimator finds lights and materials with the given normals. Where it leaves
-more than noise, it is fitted once more with free normals. Both are judged by one score
-(`pbrfit.fit.misfit.score`), and the fit of all pixels goes on with the better one alone.
+Whether they are is decided by left-out pictures (`pbrfit.fit.compare`), or asked for. Some pixels
+find lights, materials and normals together; then all pixels refine theirs, and materials are fitted
+to these with all priors.
 
 At the end every part of the picture has to have gained: where given normals explain the pictures as
 well as the refined ones, given that these have two numbers a pixel more to do it with, the given
-ones are put back. And where refined normals leave more of the pictures than the given ones did, all
-given ones are.
+ones are put back.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import misfit, settings
+from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights, Watch, rounds
 from pbrfit.fit.estimator import find_lights, solve
 from pbrfit.fit.levels import Level
@@ -38,10 +36,8 @@ from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.run import Run
-from pbrfit.model.geometry import angles_between
 from pbrfit.result.data import Status
 from pbrfit.result.options import ROBUST_LOSSES
-from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 
@@ -59,14 +55,6 @@ class PixelFit:
     status: Status
     reason: str
 
-    def deviance(self, lights: Lights) -> float:
-        """Of a sample, as of the lights' level and by its noise."""
-        level = Level.of(self.run.objective, settings.COARSE_PIXELS)
-        part = self.run.objective.part_of(self.x, level.pixels)
-        if lights.noise is not None:
-            return lights.noise.deviance(level.objective, part)
-        return math.log(level.objective.data_value_and_grad(part)[0])
-
 
 def fit(
     run: Run,
@@ -74,111 +62,32 @@ def fit(
     make: Callable[[Scene, bool], Objective],
     *,
     start_given: bool,
-    asked: str,
-    hindered: str | None,
+    refines: bool,
     normals: Array | None = None,
-) -> tuple[PixelFit, Refinement]:
-    """Fit the scene of `run` from x, and refine its normals where that is asked for and helps.
+) -> PixelFit:
+    """Fit the scene of `run` from x, and refine its normals if so asked and there is time.
 
-    `make` gives the objective of a scene, with free normals or without; `asked` is "off", "auto"
-    or "on"; `hindered` says why refinement cannot be done. From `normals` (P, 3) pixels may start,
-    beside the given ones.
+    `make` gives the objective of a scene, with free normals or without. From `normals` (P, 3)
+    pixels may start, beside the given ones.
     """
-
-    def with_given(lights: Lights | None = None) -> PixelFit:
-        return PixelFit(run, *solve(run, x.copy(), start_given=start_given, lights=lights))
-
-    why = "not asked for" if asked == "off" else hindered
-    if why is None and run.left <= 0:
-        why = "0 iterations asked for"
-    if why is not None:
-        return with_given(), Refinement(asked, False, why)
-    free_x: Array
-    if run.shared_state is not None:  # a tile of a picture whose subset has decided
+    refined = None
+    if refines and run.left > 0:
+        noise, refining = None, run
+        if run.shared_state is not None:  # a tile of a picture whose subset has found the rest
+            noise = run.shared_state.noise
+        elif run.camera.how == "assumed":
+            with one_blas_thread():
+                find_lights(run, x)  # and a field of view, with the given normals
         free = make(run.scene, True)
         free_x, offsets = _start(run, x, free, normals)
-        refined = _refine(run, free, free_x, offsets, make, run.shared_state.noise)
-        if refined is None:
-            return with_given(), Refinement(asked, False, OUT_OF_TIME)
-        return refined, Refinement(asked, True, "asked for")
-    with one_blas_thread():
-        lights = find_lights(run, x)
-    figures = _figures(run.objective, lights, "before")
-    why = _keeps_given(run, lights) if asked == "auto" else None
-    if why is None and run.out_of_time():
-        why = OUT_OF_TIME
-    if why is not None:
-        return with_given(lights), Refinement(asked, False, why, figures)
-    free = make(run.scene, True)
-    free_x, offsets = _start(run, x, free, normals)
-    offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
-    # What rounding leaves says nothing of noise.
-    samples = found.samples * (1.0 if found.exact else found.misfit.effective_share)
-    tried = {"before": lights, "after": found}
-    scores = {
-        f"score_{name}": misfit.score(one.deviance, one.unknowns, samples)
-        for name, one in tried.items()
-    }
-    figures |= _figures(free, found, "after") | scores
-    figures["spread_degrees"] = float(np.degrees(offsets.sigma))
-    best = min(scores.values())
-    if asked == "auto" and (scores["score_after"] > best or math.isinf(best)):
-        why = "what other normals explain does not outweigh how many unknowns they are"
-        return with_given(lights), Refinement(asked, False, why, figures)
-    refining = run
-    if nuisances is not None:
-        refining = run.continued(nuisances.scene, free)
-        refining.see(nuisances)
-    refined = _refine(refining, free, free_x, offsets, make, found.noise)
-    if refined is None:
-        return with_given(lights), Refinement(asked, False, OUT_OF_TIME, figures)
-    return _better(run, refined, lights, with_given, asked, figures)
-
-
-def _better(
-    run: Run,
-    refined: PixelFit,
-    lights: Lights,
-    with_given: Callable[[Lights], PixelFit],
-    asked: str,
-    figures: dict[str, float],
-) -> tuple[PixelFit, Refinement]:
-    """The refined fit, or that with given normals where these leave less."""
-    turned = angles_between(refined.run.scene.normals, run.scene.normals)[run.scene.valid].max()
-    if turned < CHANGE_DEGREES_MIN:
-        # All pixels were given theirs back, or found that they had been right.
-        refined.run.scene = run.scene.through(refined.run.scene.fov)
-        why = "no other normals explain the pictures better"
-        return refined, Refinement(asked, False, why, figures)
-    if not refined.deviance(lights) < lights.deviance:
-        return with_given(lights), Refinement(
-            asked, False, "all pixels together are explained better with the given normals", figures
-        )
-    why = "asked for" if asked == "on" else "other normals explain the pictures far better"
-    return refined, Refinement(asked, True, why, figures)
-
-
-def _keeps_given(run: Run, lights: Lights) -> str | None:
-    """Why given normals are kept without trying others; None if others are to be tried."""
-    objective = run.objective
-    if lights.exact:
-        return "the given normals explain the pictures up to rounding"
-    if objective.lighting is not None and lights.is_noise:
-        return "the given normals explain the pictures up to noise"
-    unknowns = objective.layout.maps.stop + 2 * objective.pixels
-    if objective.samples < settings.NORMALS_SAMPLES_PER_UNKNOWN_MIN * unknowns:
-        return "too few pictures to tell wrong normals from materials"
-    if lights.cut_short:
-        return "too few iterations to tell wrong normals from what is not fitted yet"
-    return None
-
-
-def _figures(objective: Objective, lights: Lights, when: str) -> dict[str, float]:
-    """As `result.json` has them; `when` is "before" or "after" normals are free."""
-    return {
-        f"residual_{when}": objective.residual_rmse(lights.mean_squared),
-        f"design_effect_{when}": lights.misfit.design_effect,
-    }
+        if run.shared_state is None:
+            offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
+            noise = found.noise
+            if nuisances is not None:
+                refining = run.continued(nuisances.scene, free)
+                refining.see(nuisances)
+        refined = _refine(refining, free, free_x, offsets, make, noise)
+    return refined or PixelFit(run, *solve(run, x.copy(), start_given=start_given))
 
 
 def _start(

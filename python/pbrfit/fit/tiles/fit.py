@@ -169,8 +169,8 @@ def fit_tiles(
         scale=scale_in_words(clock),
         measured_lighting=clock.measured_lighting,
         noise=clock.noise,
-        surrounded=subset.surrounded,
-        recon_rmse=whole.rmse if subset.surrounded.transport.blocks else None,
+        surrounded=setup.surrounded,
+        recon_rmse=None if setup.surrounded is None else whole.rmse,
     )
 
 
@@ -208,8 +208,6 @@ def _fit_tile(
     near, normals = subset.nearest.at(tile.outer)
     priors, shared_state = _scaled_to(subset, Totals(part, units, whole.channels), whole)
     setup = replace(setup, options=replace(setup.options, priors=priors), progress=None)
-    if subset.surrounded.transport.blocks:
-        setup = replace(setup, surrounded=subset.surrounded)
 
     def objective_of(of: Scene, free_normals: bool) -> Objective:
         objective = setup.objective(of, free_normals=free_normals, units=units)
@@ -225,13 +223,12 @@ def _fit_tile(
     if run.out_of_time():
         return run, x, Status.TIME_LIMIT
     refined = subset.refinement.refined
-    found, _ = refined_fit.fit(
+    found = refined_fit.fit(
         run,
         x,
         objective_of,
         start_given=True,
-        asked="on" if refined else "off",
-        hindered=None,
+        refines=refined,
         normals=normals[part.valid] if refined else None,
     )
     return found.run, found.x, found.status

@@ -13,7 +13,6 @@ from pbrfit.fit.objective import Normalization, Objective, valid_values
 from pbrfit.fit.run import Run, SharedState
 from pbrfit.fit.tiles.maps import NearestMaps
 from pbrfit.fit.tiles.windows import SceneCutter, Window, cut_maps
-from pbrfit.fit.transport import Surrounded
 from pbrfit.fit.whole_picture import FitSetup, Start, fit_pixels
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Status
@@ -36,7 +35,6 @@ class SubsetResult:
     lighting: Array
     """(N, 16, 3) in picture units."""
     refinement: Refinement
-    surrounded: Surrounded
     shared_state: SharedState
     priors: Priors
     """What tiles have in common, and the priors that they have then."""
@@ -59,7 +57,7 @@ def fit_subset(
     whole, scene = cutter.scene, cutter.cut(window)
     if start is not None:
         start = _of_window(start, window, whole.valid)
-    found, refinement, surrounded = fit_pixels(scene, setup, start, units)
+    found, refinement = fit_pixels(scene, setup, start, units)
     run, x = found.run, found.x
     objective = run.objective
     materials, lighting = objective.unpack(x)
@@ -79,7 +77,6 @@ def fit_subset(
         pixels=objective.pixels,
         lighting=lighting,
         refinement=refinement,
-        surrounded=surrounded,
         shared_state=SharedState(
             material=material,
             robust=objective.robust,
