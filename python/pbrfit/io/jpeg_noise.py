@@ -187,7 +187,7 @@ def _scales(counts: NDArray[np.float32], q: NDArray[np.float32]) -> NDArray[np.f
         sizes = _sizes(counts, q, own * scale)
         own = (sizes / scale).mean(axis=1, keepdims=True)
         scale = (sizes / own).mean(axis=0)
-    return scale
+    return np.asarray(scale)
 
 
 def _sizes(
