@@ -2,24 +2,15 @@
 
 An explanation says by which curve the files' values are decoded, what lights the pictures, what
 blocks that light, whether normals are held, how samples weigh and how much the prior on materials
-weighs. Each is fitted to some of the
-pictures, at some of the pixels; then only the light of the others is fitted, and what is left of
-these is its error e, in the files' own values, so that different curves compare. With the mean
-square of picture i over the P pixels, and k numbers of its light,
-
-    score = mean over pictures of [ln Σ e²/P + 2 k/P]
-
-which is H. Akaike's criterion by sample ("A new look at the statistical model identification",
-IEEE Trans. Automatic Control 19, 1974): a light that was fitted to the picture which it is judged
-by leaves less than it would of another, by k/P in the mean, and explains as much too little of
-that. A light of harmonics has 48 numbers, a lamp with constant light around it 8, a known light
-none. The pixels are so far apart that errors of neighbours are hardly alike.
+weighs. Each is fitted to some of the pictures, at some of the pixels; then only the light of the
+others is fitted, and what is left of these, in the files' own values, so that different curves
+compare, has a score (`pbrfit.fit.left_out`).
 
 The lowest score wins; but the curve that the files are said to have stays unless another is better
 by more than two standard errors under some light; surroundings and other normals than the given
 ones are taken only where they gain as much, and the material prior where it gains as much, and in
-each picture. Differences are as uncertain as their means over patches of the pictures say. What
-explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
+each picture. What explains the pictures but for rounding, or leaves nothing but noise, ends the
+comparison.
 """
 
 from __future__ import annotations
@@ -29,7 +20,8 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +32,15 @@ from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.shape import FirstShape, first_shape
+from pbrfit.fit.left_out import (
+    Explanation,
+    LeftOut,
+    LightKind,
+    between_channels,
+    mean_of_channels,
+    pairs_of,
+    patches_of,
+)
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.tiles.windows import SceneCutter, strided_window
@@ -51,7 +52,7 @@ from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
 from pbrfit.result.held_out import Candidate, HeldOut
-from pbrfit.result.options import FitOptions, Loss
+from pbrfit.result.options import FitOptions
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.decision import NOT_TRIED, Kind, Transport
@@ -59,55 +60,14 @@ from pbrfit.transport.scenery import PixelTransfer, Scenery
 
 log = logging.getLogger("pbrfit")
 
-Array = NDArray[np.float64]
-LightKind = Literal["sh", "lamps"]
+SCORE = attrgetter("score")
 
+Array = NDArray[np.float64]
 LAMP_NUMBERS = 8
 """Of a picture's lamp: direction, colour, and constant light around it."""
 
 HELD_BY_SURROUNDINGS = "surroundings block light, which is known for the given normals alone"
 NOT_COMPARED = "explanations were not compared"
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What differs between explanations of the same pictures."""
-
-    response: Curve | None
-    """The curve that files' values are decoded by; None = as the scene has it, for good."""
-    light: LightKind
-    material: float
-    """Strength of the material prior, `Priors.material`."""
-    robust: Loss
-    """How samples weigh, `FitOptions.robust`."""
-    dielectric: bool = False
-    """Whether the first rounds take all surfaces for dielectrics, where pictures are few."""
-    other_fov: bool = False
-    """Whether a field of view is fitted in place of the given one."""
-    surroundings: Kind = "none"
-    """What blocks light, or also brings some."""
-    free_normals: bool = False
-    """Whether normals are refined."""
-
-    def in_words(self) -> str:
-        """In a few words, for people."""
-        light = "light from all around" if self.light == "sh" else "a lamp in each picture"
-        words = [light]
-        if self.surroundings != "none":
-            bring = ", and bring some" if self.surroundings == "bounce" else ""
-            words.append(f"surroundings block light{bring}")
-        if self.response is not None:
-            words.append(f"{'sRGB' if self.response == 'srgb' else self.response} values")
-        if self.light == "sh":
-            words.append("material prior" if self.material else "no material prior")
-            words.append("samples alike" if self.robust == "none" else "samples weighed")
-        if self.dielectric:
-            words.append("begun with dielectrics")
-        if self.other_fov:
-            words.append("another field of view")
-        if self.free_normals:
-            words.append("other normals")
-        return ", ".join(words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,126 +87,6 @@ class Choice:
     """What blocks light, and why; None where nothing does."""
     why_normals: str = NOT_COMPARED
     """Why normals are refined, or not."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Explained:
-    """Left-out pictures as one explanation has them."""
-
-    explanation: Explanation
-    numbers: int
-    """How many a picture's light has, that were fitted to it."""
-    errors: Array
-    """(M, P): of the files' values, their mean over the channels; NaN where nothing is told."""
-    between: Array
-    """(M, P): product of two channels' errors, in the mean over the pairs. Grey pictures, whose
-    channels are one, do not tell noise from anything else."""
-    squares: Array
-    """(M, P): squared error, in the mean over the channels, likewise."""
-    sizes: Array
-    """(M, P): squares of the values themselves, likewise."""
-    rounding: Array
-    """(M,): variance of what files did to the values, as far as it is known; else 0."""
-    beside: NDArray[np.intp]
-    """(R, 2): pairs of neighbouring pixels."""
-    patches: NDArray[np.intp]
-    """(P,)."""
-    found: Found | None = None
-    """Of a fit under far lamps: with those of all pictures."""
-    fov: tuple[float, float] | None = None
-    """That was fitted, and its standard deviation, in degrees."""
-
-    @classmethod
-    def together(cls, folds: Sequence[_Explained]) -> _Explained:
-        """Several folds of one explanation."""
-        return replace(
-            folds[0],
-            errors=np.concatenate([one.errors for one in folds]),
-            between=np.concatenate([one.between for one in folds]),
-            squares=np.concatenate([one.squares for one in folds]),
-            sizes=np.concatenate([one.sizes for one in folds]),
-            rounding=np.concatenate([one.rounding for one in folds]),
-        )
-
-    @property
-    def error(self) -> float:
-        """Relative root mean square error of the pictures, their geometric mean."""
-        sizes = np.log(np.maximum(np.nanmean(self.sizes, axis=1), settings.NOISE_VARIANCE_MIN))
-        return float(np.exp(0.5 * (np.log(self.means) - sizes).mean()))
-
-    @property
-    def score(self) -> float:
-        """As in the head of this file."""
-        price = 2 * self.numbers / self.squares.shape[1]
-        return float(np.log(self.means).mean() + price)
-
-    @property
-    def means(self) -> Array:
-        """(M,): mean square error of each picture."""
-        means = np.nanmean(self.squares, axis=1)
-        return np.asarray(np.maximum(means, settings.NOISE_VARIANCE_MIN))
-
-    @property
-    def is_noise(self) -> bool:
-        """Whether what is left is noise, of which pixels and channels share little, or rounding.
-
-        Rounding is that of float32, or up to twice the deviation that the files have.
-        """
-        least = np.maximum(4 * self.rounding, (settings.EXACT_RMSE * settings.MEAN_RADIANCE) ** 2)
-        return bool((self.means <= least).all() or self.share < settings.COMPARE_SHARED_MAX)
-
-    @property
-    def leaves_no_lamp(self) -> bool:
-        """Whether it leaves so little that lamps cannot be what lights the pictures."""
-        shared = self.error * math.sqrt(max(self.share, 0.0))
-        return self.is_noise or shared < settings.COMPARE_LAMP_LEFT_MIN
-
-    @property
-    def share(self) -> float:
-        """Share of the mean square that pixels and channels have in common, at most.
-
-        What a wrong explanation leaves, neighbouring pixels and the channels of one share: the mean
-        product of their errors, over the mean square, is about its share, with a standard error of
-        1/√R by R products of independent errors.
-        """
-        one, other = (self.errors[:, self.beside[:, k]] for k in (0, 1))
-        square = np.maximum(np.nanmean(np.square(self.errors), axis=1), settings.NOISE_VARIANCE_MIN)
-        shares = _share(one * other / square[:, None]), _share(self.between / self.means[:, None])
-        return max(shares)
-
-    @property
-    def is_hot(self) -> NDArray[np.bool_]:
-        """(M, P): far beyond what normal errors of that median can be."""
-        most = (settings.COMPARE_HOT_DEVIATIONS / 0.6745) ** 2
-        return np.asarray(self.squares > most * np.nanmedian(self.squares, axis=1, keepdims=True))
-
-    def without(self, hot: NDArray[np.bool_]) -> _Explained:
-        """As if some pixels (M, P) told nothing."""
-        return replace(
-            self,
-            errors=np.where(hot, np.nan, self.errors),
-            between=np.where(hot, np.nan, self.between),
-            squares=np.where(hot, np.nan, self.squares),
-            sizes=np.where(hot, np.nan, self.sizes),
-        )
-
-    def is_worse(self, best: _Explained, errors: float) -> bool:
-        """Whether its score is higher by more than so many standard errors of the difference.
-
-        A small change of a picture's mean square moves its logarithm by the change over the mean;
-        the means of that over patches tell how sure it is.
-        """
-        shares = [one.squares / one.means[:, None] for one in (self, best)]
-        difference = np.nan_to_num(shares[0] - shares[1])
-        count = int(self.patches.max()) + 1
-        sums = np.array([np.bincount(self.patches, row, count) for row in difference])
-        sums /= difference.size
-        error = float(np.sqrt(np.square(sums - sums.mean()).sum()))
-        return self.score - best.score > errors * error
-
-
-def _score(one: _Explained) -> float:
-    return one.score if math.isfinite(one.score) else math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +146,7 @@ class _Comparison:
         if told or setup.options.iterations == 0 or few:
             self._folds = []
         self._shapes: dict[tuple[Curve | None, int], FirstShape] = {}
-        self._tried: dict[Explanation, list[_Explained]] = {}
+        self._tried: dict[Explanation, list[LeftOut]] = {}
         self._surrounded: Surrounded | None = None
         self._no_surroundings = self._without_surroundings()
         self._transfer: PixelTransfer | None = None
@@ -363,7 +203,7 @@ class _Comparison:
         best = self._simplest()
         return self._choice(best, best.explanation, None if other_fov is None else other_fov.fov)
 
-    def _try_all(self, kind: Explanation, best: _Explained) -> None:
+    def _try_all(self, kind: Explanation, best: LeftOut) -> None:
         """Try an explanation in as many folds as the best, if there is time."""
         if kind not in self._tried and not self._is_late():
             for fold in range(len(self._tried[best.explanation])):
@@ -439,7 +279,7 @@ class _Comparison:
             and kind.surroundings == "none"
         )
 
-    def _other_fov(self, best: _Explained) -> _Explained | None:
+    def _other_fov(self, best: LeftOut) -> LeftOut | None:
         """One of a field of view that contradicts the given one."""
         scene = self._scene
         told = scene.fov_known and scene.normals_known and scene.lighting is None
@@ -452,7 +292,7 @@ class _Comparison:
             return None
         return other if given.is_worse(other, settings.COMPARE_ERRORS_MIN) else None
 
-    def _race(self, kinds: Sequence[Explanation]) -> _Explained | None:
+    def _race(self, kinds: Sequence[Explanation]) -> LeftOut | None:
         """The best of some, of which those go on from fold to fold that may still be the best.
 
         None if the pictures of a fold are too few, or too much alike, for any of them.
@@ -464,13 +304,13 @@ class _Comparison:
                 if fold == 0 and any(self._rules_out(kind, one) for one in results):
                     continue
                 if results and self._is_late():
-                    return min(results, key=_score)
+                    return min(results, key=SCORE)
                 if len(self._tried.get(kind, ())) == fold:
                     self._try(kind, fold)
             results = [one for one in self._results() if one.explanation in kinds]
             if not results:
                 break
-            best = min(results, key=_score)
+            best = min(results, key=SCORE)
             errors = settings.COMPARE_DROPPED_ERRORS
             kinds = [one.explanation for one in results if not one.is_worse(best, errors)]
             if len(kinds) == 1:
@@ -478,13 +318,13 @@ class _Comparison:
         return best
 
     @staticmethod
-    def _rules_out(kind: Explanation, one: _Explained) -> bool:
+    def _rules_out(kind: Explanation, one: LeftOut) -> bool:
         """Whether what one leaves says that an explanation need not be tried."""
         if kind.light == "lamps":
             return one.leaves_no_lamp
         return one.is_noise and (kind.dielectric or kind.surroundings != "none")
 
-    def _results(self, folds: int | None = None) -> list[_Explained]:
+    def _results(self, folds: int | None = None) -> list[LeftOut]:
         """What was tried, in its first folds or all; what no explanation explains tells nothing."""
         tried = [of[:folds] for of in self._tried.values()]
         hot = [
@@ -492,7 +332,7 @@ class _Comparison:
             for fold in range(max(map(len, tried), default=0))
         ]
         return [
-            _Explained.together([one.without(none) for one, none in zip(of, hot, strict=False)])
+            LeftOut.together([one.without(none) for one, none in zip(of, hot, strict=False)])
             for of in tried
         ]
 
@@ -529,17 +369,17 @@ class _Comparison:
             return [asked]
         return [scene.response, "linear" if scene.response == "srgb" else "srgb"]
 
-    def _simplest(self) -> _Explained:
+    def _simplest(self) -> LeftOut:
         """The best, or the simplest under the same kind of light that is not surely worse."""
         most = max(len(folds) for folds in self._tried.values())
         results = [one for one in self._results() if len(self._tried[one.explanation]) == most]
-        best = min(results, key=_score)
+        best = min(results, key=SCORE)
         kind, errors = best.explanation, settings.COMPARE_ERRORS_MIN
         said = self._scene.response
         if kind.response != said and not self._is_refuted(said, errors):
             same = [one for one in results if one.explanation.light == kind.light]
             as_said = [one for one in same if one.explanation.response == said]
-            best = min(as_said, key=_score, default=best)
+            best = min(as_said, key=SCORE, default=best)
         for plainer in ({"surroundings": "none"}, {"free_normals": False}):
             kind = replace(best.explanation, **plainer)
             plain = next((one for one in results if one.explanation == kind), best)
@@ -550,7 +390,7 @@ class _Comparison:
             if one.explanation
             == replace(best.explanation, material=0.0, robust=one.explanation.robust)
         ]
-        plain = min(free, key=_score, default=best)
+        plain = min(free, key=SCORE, default=best)
         everywhere = (best.means < plain.means).all()
         return best if everywhere and plain.is_worse(best, errors) else plain
 
@@ -560,13 +400,13 @@ class _Comparison:
         for light in ("sh", "lamps"):
             same = [one for one in results if one.explanation.light == light]
             as_said = [one for one in same if one.explanation.response == response]
-            if as_said and min(as_said, key=_score).is_worse(min(same, key=_score), errors):
+            if as_said and min(as_said, key=SCORE).is_worse(min(same, key=SCORE), errors):
                 return True
         return False
 
     def _choice(
         self,
-        best: _Explained | None,
+        best: LeftOut | None,
         chosen: Explanation,
         other_fov: tuple[float, float] | None = None,
     ) -> Choice:
@@ -584,7 +424,7 @@ class _Comparison:
         choice = Choice(chosen, None, None, other_fov, transport, scenery)
         if best is None:
             return choice
-        others = sorted(self._results(), key=_score)
+        others = sorted(self._results(), key=SCORE)
         held_out = HeldOut(
             error=best.error,
             nearest_picture=self._nearest(),
@@ -604,7 +444,7 @@ class _Comparison:
         why = self._why_normals(best, chosen, contradicted=other_fov is not None)
         return replace(choice, held_out=held_out, found=found, why_normals=why)
 
-    def _why_normals(self, best: _Explained, chosen: Explanation, *, contradicted: bool) -> str:
+    def _why_normals(self, best: LeftOut, chosen: Explanation, *, contradicted: bool) -> str:
         if chosen.free_normals:
             return "left-out pictures are explained better with other normals"
         if chosen.surroundings != "none":
@@ -628,7 +468,7 @@ class _Comparison:
         else:
             self._tried.setdefault(kind, []).append(explained)
 
-    def _of_fold(self, kind: Explanation, fold: int) -> _Explained:
+    def _of_fold(self, kind: Explanation, fold: int) -> LeftOut:
         kept, out = self._folds[fold]
         scene = self._few if kind.response is None else self._few.decoded_by(kind.response)
         few, shape = self._pixels(scene, kept, kind.response, fold)
@@ -653,16 +493,16 @@ class _Comparison:
             if lamp is not None:
                 lamps.append(lamp)
         of_errors = np.array(errors)
-        return _Explained(
+        return LeftOut(
             kind,
             self._numbers(kind),
-            _mean(of_errors),
-            _between(of_errors),
-            _mean(np.square(of_errors)),
-            _mean(np.square(np.array(values))),
+            mean_of_channels(of_errors),
+            between_channels(of_errors),
+            mean_of_channels(np.square(of_errors)),
+            mean_of_channels(np.square(np.array(values))),
             np.array(rounding),
-            _beside(few.valid),
-            _patches(few.valid),
+            pairs_of(few.valid),
+            patches_of(few.valid),
             None if fit.found is None else self._of_all(fit.found, lamps, fold),
             fit.fov,
         )
@@ -870,40 +710,6 @@ def _slope(scene: Scene, radiance: Array) -> Array:
     return np.asarray((scene.file_values(at + step) - scene.file_values(at)) / step)
 
 
-def _mean(values: Array) -> Array:
-    """(M, P): mean over the channels that tell something; NaN without any."""
-    told = np.isfinite(values)
-    sums, count = np.where(told, values, 0.0).sum(axis=-1), told.sum(axis=-1)
-    return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
-
-
-def _between(errors: Array) -> Array:
-    """(M, P): mean product of two channels' errors (M, P, 3); NaN where one tells nothing."""
-    red, green, blue = np.moveaxis(errors, -1, 0)
-    return np.asarray((red * green + green * blue + blue * red) / 3)
-
-
-def _share(products: Array) -> float:
-    """At most, by two standard errors: the mean of products, of which the squares' mean is 1."""
-    told = products[np.isfinite(products)]
-    if not told.size:
-        return 0.0
-    return float(told.mean()) + settings.COMPARE_ERRORS_MIN / math.sqrt(told.size)
-
-
-def _beside(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """(R, 2): pairs of valid pixels beside or below each other."""
-    index = np.full(valid.shape, -1, np.intp)
-    index[valid] = np.arange(np.count_nonzero(valid))
-    pairs = np.concatenate(
-        [
-            np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1),
-            np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1),
-        ]
-    )
-    return np.asarray(pairs[(pairs >= 0).all(axis=1)])
-
-
 def _factor(other: Array, true: Array) -> Array:
     """Another picture times the best factor for each channel."""
     below = np.maximum(np.square(other).sum(axis=0), 1e-300)
@@ -934,14 +740,6 @@ def _folds(
     for fold in range(count):
         left = tuple(chosen[fold::count])
         yield tuple(i for i in range(pictures) if i not in left), left
-
-
-def _patches(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """(P,): number of the patch that each valid pixel is in."""
-    rows, columns = np.nonzero(valid)
-    side = max(valid.shape) / settings.COMPARE_PATCHES
-    numbers = (rows // side) * settings.COMPARE_PATCHES + columns // side
-    return np.asarray(np.unique(numbers, return_inverse=True)[1], np.intp)
 
 
 def _reduced(scene: Scene) -> Scene:

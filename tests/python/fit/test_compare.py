@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Scene, decompose
-from pbrfit.fit import compare, settings
-from pbrfit.fit.compare import Choice, Explanation, _Explained, _Fitted
+from pbrfit.fit import compare, left_out, settings
+from pbrfit.fit.compare import Choice, _Fitted
+from pbrfit.fit.left_out import Explanation, LeftOut, LightKind
 from pbrfit.io.color import Curve, decode_srgb, encode_srgb
 from pbrfit.result.refinement import FROM_PICTURES
 from pbrfit.synthetic import make_scene
@@ -121,7 +122,7 @@ def test_a_wrong_field_of_view_is_contradicted_and_a_right_one_is_not(
 
 @pytest.mark.parametrize("light", ["sh", "lamps"])
 def test_left_out_pictures_do_not_touch_the_fit_of_the_others(
-    light: compare.LightKind, monkeypatch: pytest.MonkeyPatch
+    light: LightKind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fits: list[_Fitted] = []
     explained = compare._explained
@@ -183,20 +184,20 @@ def test_pictures_that_say_nothing_are_never_left_out() -> None:
 # --- Scores ---
 
 
-def explained(kind: Explanation, errors: Array, rounding: float = 0.0) -> _Explained:
+def explained(kind: Explanation, errors: Array, rounding: float = 0.0) -> LeftOut:
     """What errors (M, H, W, 3) make of an explanation of pictures of ones."""
     valid = np.ones(errors.shape[1:3], bool)
     of_pixels = errors.reshape(len(errors), -1, 3)
-    return _Explained(
+    return LeftOut(
         kind,
         48 if kind.light == "sh" else 8,
         of_pixels.mean(axis=-1),
-        compare._between(of_pixels),
+        left_out.between_channels(of_pixels),
         np.square(of_pixels).mean(axis=-1),
         np.ones(of_pixels.shape[:2]),
         np.full(len(errors), rounding),
-        compare._beside(valid),
-        compare._patches(valid),
+        left_out.pairs_of(valid),
+        left_out.patches_of(valid),
     )
 
 
@@ -211,7 +212,7 @@ def test_numbers_of_a_light_have_their_price(kind: Explanation, numbers: int) ->
     found = explained(kind, errors)
     assert found.score == pytest.approx(math.log(1e-3) + 2 * numbers / 100)
     assert found.error == pytest.approx(math.sqrt(1e-3))
-    folds = _Explained.together([explained(kind, errors[i : i + 1]) for i in (0, 1)])
+    folds = LeftOut.together([explained(kind, errors[i : i + 1]) for i in (0, 1)])
     assert folds.score == pytest.approx(found.score)
     found.squares[:, :50] = np.nan  # samples that say nothing
     assert found.score == pytest.approx(folds.score)

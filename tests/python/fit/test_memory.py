@@ -17,7 +17,8 @@ import pytest
 import pbrfit
 from pbrfit._core import InputError
 from pbrfit.fit import compare, memory
-from pbrfit.fit.compare import Choice, Explanation
+from pbrfit.fit.compare import Choice
+from pbrfit.fit.left_out import Explanation
 from pbrfit.fit.memory import FitMemory, Method
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import TRANSPORT_WHOLE_PIXELS_MAX, WHOLE_PIXELS_MAX

@@ -1,0 +1,232 @@
+"""What left-out pictures say of one explanation: its errors, their score, and how sure that is.
+
+With the mean square of picture i over the P pixels, and k numbers of its light,
+
+    score = mean over pictures of [ln Σ e²/P + 2 k/P]
+
+which is H. Akaike's criterion by sample ("A new look at the statistical model identification",
+IEEE Trans. Automatic Control 19, 1974): a light that was fitted to the picture which it is judged
+by leaves less than it would of another, by k/P in the mean, and explains as much too little of
+that. A light of harmonics has 48 numbers, a lamp with constant light around it 8, a known light
+none. The pixels are so far apart that errors of neighbours are hardly alike. Differences of scores
+are as uncertain as their means over patches of the pictures say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit.fit import settings
+from pbrfit.fit.lamps.estimator import Found
+from pbrfit.io.color import Curve
+from pbrfit.result.options import Loss
+from pbrfit.transport.decision import Kind
+
+Array = NDArray[np.float64]
+LightKind = Literal["sh", "lamps"]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What differs between explanations of the same pictures."""
+
+    response: Curve | None
+    """The curve that files' values are decoded by; None = as the scene has it, for good."""
+    light: LightKind
+    material: float
+    """Strength of the material prior, `Priors.material`."""
+    robust: Loss
+    """How samples weigh, `FitOptions.robust`."""
+    dielectric: bool = False
+    """Whether the first rounds take all surfaces for dielectrics, where pictures are few."""
+    other_fov: bool = False
+    """Whether a field of view is fitted in place of the given one."""
+    surroundings: Kind = "none"
+    """What blocks light, or also brings some."""
+    free_normals: bool = False
+    """Whether normals are refined."""
+
+    def in_words(self) -> str:
+        """In a few words, for people."""
+        light = "light from all around" if self.light == "sh" else "a lamp in each picture"
+        words = [light]
+        if self.surroundings != "none":
+            bring = ", and bring some" if self.surroundings == "bounce" else ""
+            words.append(f"surroundings block light{bring}")
+        if self.response is not None:
+            words.append(f"{'sRGB' if self.response == 'srgb' else self.response} values")
+        if self.light == "sh":
+            words.append("material prior" if self.material else "no material prior")
+            words.append("samples alike" if self.robust == "none" else "samples weighed")
+        if self.dielectric:
+            words.append("begun with dielectrics")
+        if self.other_fov:
+            words.append("another field of view")
+        if self.free_normals:
+            words.append("other normals")
+        return ", ".join(words)
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Left-out pictures as one explanation has them."""
+
+    explanation: Explanation
+    numbers: int
+    """How many a picture's light has, that were fitted to it."""
+    errors: Array
+    """(M, P): of the files' values, their mean over the channels; NaN where nothing is told."""
+    between: Array
+    """(M, P): product of two channels' errors, in the mean over the pairs. Grey pictures, whose
+    channels are one, do not tell noise from anything else."""
+    squares: Array
+    """(M, P): squared error, in the mean over the channels, likewise."""
+    sizes: Array
+    """(M, P): squares of the values themselves, likewise."""
+    rounding: Array
+    """(M,): variance of what files did to the values, as far as it is known; else 0."""
+    beside: NDArray[np.intp]
+    """(R, 2): pairs of neighbouring pixels."""
+    patches: NDArray[np.intp]
+    """(P,)."""
+    found: Found | None = None
+    """Of a fit under far lamps: with those of all pictures."""
+    fov: tuple[float, float] | None = None
+    """That was fitted, and its standard deviation, in degrees."""
+
+    @classmethod
+    def together(cls, folds: Sequence[LeftOut]) -> LeftOut:
+        """Several folds of one explanation."""
+        return replace(
+            folds[0],
+            errors=np.concatenate([one.errors for one in folds]),
+            between=np.concatenate([one.between for one in folds]),
+            squares=np.concatenate([one.squares for one in folds]),
+            sizes=np.concatenate([one.sizes for one in folds]),
+            rounding=np.concatenate([one.rounding for one in folds]),
+        )
+
+    @property
+    def error(self) -> float:
+        """Relative root mean square error of the pictures, their geometric mean."""
+        sizes = np.log(np.maximum(np.nanmean(self.sizes, axis=1), settings.NOISE_VARIANCE_MIN))
+        return float(np.exp(0.5 * (np.log(self.means) - sizes).mean()))
+
+    @property
+    def score(self) -> float:
+        """As in the head of this file; infinite where nothing is told."""
+        price = 2 * self.numbers / self.squares.shape[1]
+        found = float(np.log(self.means).mean() + price)
+        return found if math.isfinite(found) else math.inf
+
+    @property
+    def means(self) -> Array:
+        """(M,): mean square error of each picture."""
+        means = np.nanmean(self.squares, axis=1)
+        return np.asarray(np.maximum(means, settings.NOISE_VARIANCE_MIN))
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether what is left is noise, of which pixels and channels share little, or rounding.
+
+        Rounding is that of float32, or up to twice the deviation that the files have.
+        """
+        least = np.maximum(4 * self.rounding, (settings.EXACT_RMSE * settings.MEAN_RADIANCE) ** 2)
+        return bool((self.means <= least).all() or self.share < settings.COMPARE_SHARED_MAX)
+
+    @property
+    def leaves_no_lamp(self) -> bool:
+        """Whether it leaves so little that lamps cannot be what lights the pictures."""
+        shared = self.error * math.sqrt(max(self.share, 0.0))
+        return self.is_noise or shared < settings.COMPARE_LAMP_LEFT_MIN
+
+    @property
+    def share(self) -> float:
+        """Share of the mean square that pixels and channels have in common, at most.
+
+        What a wrong explanation leaves, neighbouring pixels and the channels of one share: the mean
+        product of their errors, over the mean square, is about its share, with a standard error of
+        1/√R by R products of independent errors.
+        """
+        one, other = (self.errors[:, self.beside[:, k]] for k in (0, 1))
+        square = np.maximum(np.nanmean(np.square(self.errors), axis=1), settings.NOISE_VARIANCE_MIN)
+        shares = _share(one * other / square[:, None]), _share(self.between / self.means[:, None])
+        return max(shares)
+
+    @property
+    def is_hot(self) -> NDArray[np.bool_]:
+        """(M, P): far beyond what normal errors of that median can be."""
+        most = (settings.COMPARE_HOT_DEVIATIONS / 0.6745) ** 2
+        return np.asarray(self.squares > most * np.nanmedian(self.squares, axis=1, keepdims=True))
+
+    def without(self, hot: NDArray[np.bool_]) -> LeftOut:
+        """As if some pixels (M, P) told nothing."""
+        return replace(
+            self,
+            errors=np.where(hot, np.nan, self.errors),
+            between=np.where(hot, np.nan, self.between),
+            squares=np.where(hot, np.nan, self.squares),
+            sizes=np.where(hot, np.nan, self.sizes),
+        )
+
+    def is_worse(self, best: LeftOut, errors: float) -> bool:
+        """Whether its score is higher by more than so many standard errors of the difference.
+
+        A small change of a picture's mean square moves its logarithm by the change over the mean;
+        the means of that over patches tell how sure it is.
+        """
+        shares = [one.squares / one.means[:, None] for one in (self, best)]
+        difference = np.nan_to_num(shares[0] - shares[1])
+        count = int(self.patches.max()) + 1
+        sums = np.array([np.bincount(self.patches, row, count) for row in difference])
+        sums /= difference.size
+        error = float(np.sqrt(np.square(sums - sums.mean()).sum()))
+        return self.score - best.score > errors * error
+
+
+def patches_of(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(P,): number of the patch that each valid pixel is in."""
+    rows, columns = np.nonzero(valid)
+    side = max(valid.shape) / settings.COMPARE_PATCHES
+    numbers = (rows // side) * settings.COMPARE_PATCHES + columns // side
+    return np.asarray(np.unique(numbers, return_inverse=True)[1], np.intp)
+
+
+def pairs_of(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(R, 2): pairs of valid pixels beside or below each other."""
+    index = np.full(valid.shape, -1, np.intp)
+    index[valid] = np.arange(np.count_nonzero(valid))
+    pairs = np.concatenate(
+        [
+            np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1),
+            np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1),
+        ]
+    )
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)])
+
+
+def mean_of_channels(values: Array) -> Array:
+    """(M, P): mean over the channels that tell something; NaN without any."""
+    told = np.isfinite(values)
+    sums, count = np.where(told, values, 0.0).sum(axis=-1), told.sum(axis=-1)
+    return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
+
+
+def between_channels(errors: Array) -> Array:
+    """(M, P): mean product of two channels' errors (M, P, 3); NaN where one tells nothing."""
+    red, green, blue = np.moveaxis(errors, -1, 0)
+    return np.asarray((red * green + green * blue + blue * red) / 3)
+
+
+def _share(products: Array) -> float:
+    """At most, by two standard errors: the mean of products, of which the squares' mean is 1."""
+    told = products[np.isfinite(products)]
+    if not told.size:
+        return 0.0
+    return float(told.mean()) + settings.COMPARE_ERRORS_MIN / math.sqrt(told.size)
