@@ -326,7 +326,7 @@ FLAGS: dict[str, Flag] = {
     ),
     "transport": Flag(
         "with depth: occlusion, surroundings block light; bounce, they also reflect it; auto: "
-        "whichever explains left-out pixels best (default: %(default)s)",
+        "whichever explains left-out pictures best (default: %(default)s)",
         values=TRANSPORTS,
     ),
     "light": Flag(
