@@ -64,7 +64,7 @@ SCORE = attrgetter("score")
 
 Array = NDArray[np.float64]
 LAMP_NUMBERS = 8
-"""Of a picture's lamp: direction, colour, and constant light around it."""
+"""Unknowns of a picture's lamp: direction, colour, and constant light around it."""
 
 HELD_BY_SURROUNDINGS = "surroundings block light, which is known for the given normals alone"
 NOT_COMPARED = "explanations were not compared"
