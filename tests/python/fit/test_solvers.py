@@ -172,8 +172,7 @@ def test_what_ran_is_told(solver: Solver, tmp_path: Path) -> None:
     # The prior finds lights, then their scale, and then is that of all pixels.
     prior = ["material prior", "scale", "material prior"]
     expected = {
-        # Those of the coarse level, which says that the normals are right.
-        "lbfgsb": ["lights", "L-BFGS-B", *prior, "L-BFGS-B with the material prior"],
+        "lbfgsb": ["L-BFGS-B", *prior, "L-BFGS-B with the material prior"],
         "gauss-newton": ["lights", *prior, "all pixels"],
     }
     assert names_of(result) == expected[solver]
