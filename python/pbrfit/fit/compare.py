@@ -233,7 +233,7 @@ class _Comparison:
         for missing, what in ((scene.depth is None, "depth"), (not scene.normals_known, "normals")):
             if asked in ("occlusion", "bounce") and missing:
                 raise InputError(f"transport: expected a scene with {what} for {asked}, found none")
-        if self._no_surroundings or "sh" not in self._lights():
+        if self._no_surroundings:
             return
         window = strided_window(scene.valid, 1, 2 * settings.TRANSPORT_PIXELS)
         part = SceneCutter(scene).cut(window)
@@ -258,6 +258,8 @@ class _Comparison:
             return "no depth is given"
         if not scene.normals_known:
             return "no normals are given"
+        if "sh" not in self._lights():
+            return "they are known for light from all around alone"
         if options.iterations == 0:
             return "0 iterations asked for"
         return "" if self._folds or options.transport != "auto" else NOT_COMPARED

@@ -53,7 +53,7 @@ class FitSetup:
     refines: bool = False
     """Whether normals are refined."""
     why_normals: str = "not asked for"
-    """The reason why they are, or are not."""
+    """The reason why they are, or are not; empty where that is to be compared."""
     surrounded: Surrounded | None = None
     """The scene with its surroundings; None = nothing blocks its light."""
     begins_dielectric: bool = False
@@ -228,8 +228,10 @@ def fit_pixels(
     run, x = setup.run(scene, objective), _start_of(objective, start)
     found = refined_fit.fit(run, x, make, start_given=start is not None, refines=setup.refines)
     asked, why = setup.options.refine_normals, setup.why_normals
-    turned = angles_between(found.run.scene.normals, scene.normals)[scene.valid].max()
-    refined = bool(turned >= CHANGE_DEGREES_MIN)
+    refined = False
+    if setup.refines:
+        turned = angles_between(found.run.scene.normals, scene.normals)[scene.valid]
+        refined = bool(turned.max() >= CHANGE_DEGREES_MIN)
     if setup.refines and not refined:
         # All pixels were given theirs back, or found that they had been right, or had no time.
         found.run.scene = scene.through(found.run.scene.fov)

@@ -208,15 +208,21 @@ def _by_counts(
 ) -> NDArray[np.float32]:
     """(3, blocks): as of `_of_component`, by |n| (blocks, 63) and β (63,)."""
     zero = counts == 0
-    own = ((counts * q + scale) / scale).mean(axis=1, keepdims=True)
+    own = 1 + (counts * q / scale).mean(axis=1, keepdims=True)
     for _ in range(BLOCK_ROUNDS):
         own = (_sizes(counts, q, own * scale) / scale).mean(axis=1, keepdims=True)
     of_zero, inside = _squares(q / (own * scale))
     of_zero *= q**2
     of_zeros = np.where(zero, of_zero, 0.0)
     energy = np.where(zero, of_zero, np.square(counts * q))
-    others = np.where(zero, 0.0, inside) @ (gains * q**2)
-    return np.stack([others, of_zeros @ gains, energy @ lost]).astype(np.float32)
+    others = np.where(zero, 0.0, inside) * q**2
+    sums = (_product(others, gains), _product(of_zeros, gains), _product(energy, lost))
+    return np.stack(sums).astype(np.float32)
+
+
+def _product(of_blocks: NDArray[Any], weights: NDArray[Any]) -> Array:
+    """Sums over coefficients without BLAS, whose bits differ from machine to machine."""
+    return np.asarray(np.einsum("bk,k->b", of_blocks, weights))
 
 
 _FLAT = 1e-2
