@@ -63,6 +63,7 @@ log = logging.getLogger("pbrfit")
 SCORE = attrgetter("score")
 
 Array = NDArray[np.float64]
+
 LAMP_NUMBERS = 8
 """Unknowns of a picture's lamp: direction, colour, and constant light around it."""
 
@@ -530,10 +531,8 @@ class _Comparison:
         """(P, 3): as `_explained`, among surroundings."""
         one = scene.of_pictures([picture])
         objective = self._objective(one).among(self._among(kind, [picture]))
-        whole = [np.full((*one.valid.shape, 3)[: 1 + of.ndim], np.nan) for of in fit.materials]
-        for of, values in zip(whole, fit.materials, strict=True):
-            of[one.valid] = values
-        x = objective.with_best_lights(objective.pack(*whole))
+        maps = [objective.layout.whole(of) for of in fit.materials]
+        x = objective.with_best_lights(objective.pack(*maps))
         everything = np.arange(objective.pixels, dtype=np.uint64)
         rendered = objective.pictures(everything) + objective.problem.residuals(
             objective.for_core(x), everything
