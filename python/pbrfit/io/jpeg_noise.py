@@ -230,9 +230,9 @@ _FLAT = 1e-2
 their digits."""
 
 
-def _squares(u: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """E c² / q² for n = 0, and E (c − nq)² / q² for others."""
-    flat, u = u < _FLAT, np.maximum(u, _FLAT)
+def _squares(u: NDArray[np.float32]) -> tuple[Array, Array]:
+    """E c² / q² for n = 0, and E (c − nq)² / q² for others; in doubles, for 2/u² cancels."""
+    flat, u = u < _FLAT, np.maximum(u, _FLAT, dtype=np.float64)
     e = np.exp(-np.minimum(u / 2, 80))
     zero = 2 / u**2 - (0.25 + 1 / u) * e / (1 - e)
     inside = 2 / u**2 + 0.25 - (1 + e**2) / (u * (1 - e**2))
