@@ -17,7 +17,7 @@ use pbrfit::reflectance::ggx;
 use pbrfit::reflectance::model::Model;
 use pbrfit::reflectance::paper::Paper;
 use pbrfit::reflectance::planes::Material;
-use pbrfit::reflectance::shade::{Frame, FrameWithSlopes, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::reflectance::shade::{Frame, shade, shade_vjp};
 use pbrfit::runtime::simd::{Instructions, Isa, Kernel};
 use pbrfit::schur::Elimination;
 
@@ -66,15 +66,9 @@ fn pixel(c: &mut Criterion) {
     let cotangent = [[1.0; 16]; 3];
     let mut group = c.benchmark_group("pixel in float64");
     group.bench_function("shade", |b| b.iter(|| shade(black_box(&frame), &material)));
-    group.bench_function("shade_vjp", |b| {
-        b.iter(|| shade_vjp(black_box(&frame), &material, &cotangent));
-    });
     let (normal, view) = (DVec3::new(0.0, 0.6, 0.8), DVec3::Z);
-    group.bench_function("FrameWithSlopes, shade_vjp_by_normal", |b| {
-        b.iter(|| {
-            let turning = FrameWithSlopes::<Paper>::new(black_box(normal), view);
-            shade_vjp_by_normal(&turning, &material, &cotangent)
-        });
+    group.bench_function("shade_vjp", |b| {
+        b.iter(|| shade_vjp::<Paper, 3>(black_box(normal), view, &material, &cotangent));
     });
     group.finish();
 }

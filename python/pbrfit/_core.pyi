@@ -2,17 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 from os import PathLike
-from typing import Any, Protocol, final
+from typing import Any, Protocol, TypedDict, Unpack, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
     "Environment",
-    "Groups",
     "InputError",
     "KeptSystem",
-    "Neighbours",
     "Problem",
     "Raster",
     "Surroundings",
@@ -206,6 +204,22 @@ class _Series(Protocol):
     def __len__(self) -> int: ...
     def __iter__(self) -> Iterator[NDArray[np.float32] | NDArray[np.float64]]: ...
 
+class _Elimination(TypedDict, total=False):
+    """How the pixels are eliminated from the normal equations.
+
+    A share `damping` of its diagonal is added to the matrix of each pixel. With `mono` all channels
+    have the same light. precision a and deviation v − c − o, both (P', F), are those of a Gaussian
+    prior Σ a (v − c − o)² of the F unknowns of a pixel after albedo. With `cluster`, the number
+    (P',) that each has and how many clusters G there are, their offsets o (G, F) are shared
+    unknowns too, the last.
+    """
+
+    damping: float
+    mono: bool
+    precision: NDArray[np.float64] | None
+    deviation: NDArray[np.float64] | None
+    cluster: tuple[NDArray[np.uint64], int] | None
+
 @final
 class Problem:
     """The pictures of one scene, and the loss over them.
@@ -258,8 +272,8 @@ class Problem:
     ) -> tuple[float, NDArray[np.float64]]:
         """Loss at x and its gradient, which is `out` where that is given.
 
-        `robust` is a loss instead of the square, "huber" or "cauchy", and its scale, from 1e-15
-        to 1e15 in the unit of the images. `out` is as long as x, contiguous, and may be x itself;
+        `robust` is a loss instead of the square, "cauchy", and its scale, from 1e-15 to 1e15 in
+        the unit of the images. `out` is as long as x, contiguous, and may be x itself;
         its memory is warm at the second call, which a new array's never is. After an error it
         holds nothing that means anything.
         """
@@ -347,44 +361,25 @@ class Problem:
         self,
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
-        *,
-        damping: float = 0.0,
-        mono: bool = False,
-        precision: NDArray[np.float64] | None = None,
-        deviation: NDArray[np.float64] | None = None,
-        cluster: tuple[NDArray[np.uint64], int] | None = None,
+        **options: Unpack[_Elimination],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Schur complement S (M, M) and gradient s (M,) of the lights, some pixels eliminated.
 
-        The M unknowns are (light channel, picture, coefficient); one light channel if `mono`. A
-        share `damping` of its diagonal is added to the matrix of each pixel. precision a and
-        deviation v − c − o, both (P', F), are those of a Gaussian prior Σ a (v − c − o)² of the F
-        unknowns of a pixel after albedo. With `cluster`, the number (P',) that each has and
-        how many clusters G there are, their offsets o (G, F) are shared unknowns too, the last.
+        The M unknowns are (light channel, picture, coefficient), then offsets of clusters.
         """
     def schur_product(
         self,
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
         v: NDArray[np.float64],
-        *,
-        damping: float = 0.0,
-        mono: bool = False,
-        precision: NDArray[np.float64] | None = None,
-        deviation: NDArray[np.float64] | None = None,
-        cluster: tuple[NDArray[np.uint64], int] | None = None,
+        **options: Unpack[_Elimination],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """S v (M,) and s (M,) of `schur_complement`, without making S."""
     def kept_system(
         self,
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
-        *,
-        damping: float = 0.0,
-        mono: bool = False,
-        precision: NDArray[np.float64] | None = None,
-        deviation: NDArray[np.float64] | None = None,
-        cluster: tuple[NDArray[np.uint64], int] | None = None,
+        **options: Unpack[_Elimination],
     ) -> KeptSystem:
         """What `schur_product` makes at every call, kept for many v.
 
@@ -395,12 +390,7 @@ class Problem:
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
         v: NDArray[np.float64],
-        *,
-        damping: float = 0.0,
-        mono: bool = False,
-        precision: NDArray[np.float64] | None = None,
-        deviation: NDArray[np.float64] | None = None,
-        cluster: tuple[NDArray[np.uint64], int] | None = None,
+        **options: Unpack[_Elimination],
     ) -> NDArray[np.float64]:
         """Unknowns (P', D) that a Gauss-Newton step leads to when the lights move by v (M,).
 
@@ -417,28 +407,6 @@ class KeptSystem:
         """The gradient s (M,)."""
     def product(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
         """S v (M,), rounded to float32 on the way: to 1e-6 of its part that ignores materials."""
-
-@final
-class Neighbours:
-    """Pairs (first, second) of pixels, int64, for the penalty w Σ (v_second − v_first)²."""
-
-    def __new__(
-        cls, pixels: int, first: NDArray[np.int64], second: NDArray[np.int64]
-    ) -> Neighbours: ...
-    def add_penalty(
-        self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
-    ) -> float:
-        """Return the penalty of values (P,); its gradient is added to `gradient` (P,)."""
-
-@final
-class Groups:
-    """Labels (P,) int64 of pixels, 0 = in no group, for the penalty w Σ (v − mean of group)²."""
-
-    def __new__(cls, labels: NDArray[np.int64]) -> Groups: ...
-    def add_penalty(
-        self, values: NDArray[np.float64], weight: float, gradient: NDArray[np.float64]
-    ) -> float:
-        """As that of `Neighbours`."""
 
 @final
 class Surroundings:

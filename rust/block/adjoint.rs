@@ -1,6 +1,7 @@
 //! From the residuals of a block to the derivatives by its factors and by the lights.
 
 use super::basis::Basis;
+use super::normal_jacobian::ByBasis;
 use super::radiance::{MAX_LANES, lanes};
 use crate::reflectance::planes::{BLOCK, ChannelSums, Plane};
 use crate::reflectance::reflection::{OPEN_DIFFUSE, Reflection, first_entry, rows_of_band};
@@ -20,7 +21,7 @@ pub type LightSums<const K: usize> = [Parts; K];
 
 /// Second product, e L, projected at once on the basis: the derivatives by kd and by the rows'
 /// factors.
-pub struct ByFactors<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
+pub struct ByFactors<'a, M: Reflection, const K: usize, const FREE_NORMALS: bool> {
     /// Whether to begin the sums, or add to them.
     pub begin: bool,
     /// The basis functions.
@@ -31,41 +32,17 @@ pub struct ByFactors<'a, M: Reflection, const K: usize, B: ByWeights = ()> {
     pub residuals: &'a [Plane],
     /// Written or added to.
     pub sums: &'a mut ChannelSums,
-    /// What else the derivatives by the weights are for.
-    pub by_weights: B,
+    /// Takes the derivatives by the weights too, where there are `FREE_NORMALS`.
+    pub by_basis: Option<ByBasis<'a, M>>,
     /// What the next steps will need.
     pub ahead: &'a mut Ahead,
     /// Whose weights they are.
     pub model: M,
 }
 
-/// Takes the derivatives by the weights as [`ByFactors`] comes upon them; `()` does nothing with
-/// them.
-pub trait ByWeights {
-    /// Those by coefficient k, of V vectors of pixels from number `v` on,
-    /// summed over some pictures.
-    fn take<I: Vectors<f32>, const V: usize>(
-        &mut self,
-        isa: I,
-        k: usize,
-        v: usize,
-        by_weights: &[I::Vector; V],
-    );
-}
-
-impl ByWeights for () {
-    #[inline(always)]
-    fn take<I: Vectors<f32>, const V: usize>(
-        &mut self,
-        _: I,
-        _: usize,
-        _: usize,
-        _: &[I::Vector; V],
-    ) {
-    }
-}
-
-impl<M: Reflection, const K: usize, B: ByWeights> Kernel for ByFactors<'_, M, K, B> {
+impl<M: Reflection, const K: usize, const FREE_NORMALS: bool> Kernel
+    for ByFactors<'_, M, K, FREE_NORMALS>
+{
     type Output = ();
 
     #[inline(always)]
@@ -88,33 +65,7 @@ impl<M: Reflection, const K: usize, B: ByWeights> Kernel for ByFactors<'_, M, K,
     }
 }
 
-impl<'a, M: Reflection, const K: usize> ByFactors<'a, M, K> {
-    /// The same, with another use for the derivatives by the weights.
-    pub fn giving<B: ByWeights>(self, by_weights: B) -> ByFactors<'a, M, K, B> {
-        let Self {
-            begin,
-            basis,
-            lights,
-            residuals,
-            sums,
-            ahead,
-            model,
-            ..
-        } = self;
-        ByFactors {
-            begin,
-            basis,
-            lights,
-            residuals,
-            sums,
-            by_weights,
-            ahead,
-            model,
-        }
-    }
-}
-
-impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
+impl<M: Reflection, const K: usize, const FREE_NORMALS: bool> ByFactors<'_, M, K, FREE_NORMALS> {
     /// `COUNT` coefficients from `FIRST`, V vectors at a time.
     #[inline(always)]
     fn some<I: Vectors<f32>, const FIRST: usize, const COUNT: usize, const V: usize>(
@@ -137,7 +88,9 @@ impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
             // of the products.
             let mut diffuse = [isa.splat(0.0); V];
             for k in 0..COUNT {
-                self.by_weights.take(isa, FIRST + k, v, &by_weights[k]);
+                if FREE_NORMALS && let Some(by_basis) = &mut self.by_basis {
+                    by_basis.take(isa, FIRST + k, v, &by_weights[k]);
+                }
                 if FIRST + k < M::DIFFUSE {
                     let normal = &I::of(&self.basis.diffuse[FIRST + k].0)[v..v + V];
                     for i in 0..V {
@@ -159,9 +112,7 @@ impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
             }
         }
     }
-}
 
-impl<M: Reflection, const K: usize, B: ByWeights> ByFactors<'_, M, K, B> {
     /// The sums of the rows of band L.
     #[inline(always)]
     fn rows<I: Vectors<f32>, const V: usize, const L: usize>(

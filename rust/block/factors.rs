@@ -8,49 +8,40 @@ use crate::reflectance::reflection::Reflection;
 use crate::runtime::simd::{Isa, Kernel};
 
 /// Takes `count` pixels from planes of `pixels` values each, starting at `first`. Returns whether all
-/// of them lie in \[0, 1\].
+/// of them lie in the range.
 ///
 /// The copy lets the compiler know that no two planes overlap, without which the loops over them
 /// are no vector code.
-pub struct Load<'a, const C: usize> {
-    /// Albedo, roughness and, unless it is known, metallic.
+pub struct Load<'a, P> {
+    /// One plane after the other.
     pub maps: &'a [f64],
     /// Pixels in a plane.
     pub pixels: usize,
     /// First pixel of the block.
     pub first: usize,
-    /// Pixels of the block that are used; the others get values that do no harm.
+    /// Pixels of the block that are used; the others get the value `unused`.
     pub count: usize,
-    /// Metallic, where maps have none.
-    pub known_metallic: Option<f64>,
-    /// To be written.
-    pub materials: &'a mut Materials<C>,
+    /// Lowest and highest value.
+    pub range: [f64; 2],
+    /// See `count`.
+    pub unused: f64,
+    /// To be written, as many as there are in the maps.
+    pub planes: P,
 }
 
-impl<const C: usize> Kernel for Load<'_, C> {
+impl<'p, P: Iterator<Item = &'p mut Plane<f64>>> Kernel for Load<'_, P> {
     type Output = bool;
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) -> bool {
-        let Materials {
-            albedo,
-            roughness,
-            metallic,
-        } = self.materials;
-        let mut planes = self.maps.chunks(self.pixels);
+        let [lowest, highest] = self.range;
         let mut in_range = true;
-        for to in albedo.iter_mut().chain([roughness, &mut *metallic]) {
-            let Some(plane) = planes.next() else {
-                break;
-            };
-            to.0[self.count..].fill(0.5);
+        for (plane, to) in self.maps.chunks(self.pixels).zip(self.planes) {
+            to.0[self.count..].fill(self.unused);
             for (to, &from) in to.0.iter_mut().zip(&plane[self.first..][..self.count]) {
-                in_range &= from == from.clamp(0.0, 1.0); // NaN is not
+                in_range &= from == from.clamp(lowest, highest); // NaN is not
                 *to = from;
             }
-        }
-        if let Some(known) = self.known_metallic {
-            metallic.0.fill(known);
         }
         in_range
     }
@@ -66,8 +57,6 @@ pub struct FillFunctions<'a, M: Reflection> {
     pub by_cosine: bool,
     /// To be written.
     pub functions: &'a mut BlockFunctions<M::Precision<f64>>,
-    /// Whose functions they are.
-    pub model: M,
 }
 
 impl<M: Reflection> Kernel for FillFunctions<'_, M> {
@@ -100,8 +89,6 @@ pub struct FillFactors<'a, M: Reflection, T: Tabled, const C: usize> {
     pub functions: &'a mut BlockFunctions<M::Precision<T>>,
     /// To be written.
     pub factors: &'a mut [ChannelFactors<T>; C],
-    /// Whose factors they are.
-    pub model: M,
 }
 
 impl<M: Reflection, T: Tabled, const C: usize> Kernel for FillFactors<'_, M, T, C> {
@@ -116,7 +103,6 @@ impl<M: Reflection, T: Tabled, const C: usize> Kernel for FillFactors<'_, M, T, 
             by_cosine,
             functions,
             factors,
-            ..
         } = self;
         M::fill_functions::<I, T>(
             isa,
@@ -149,8 +135,6 @@ pub struct PullBack<'a, M: Reflection, const C: usize> {
     pub scale: f64,
     /// To be written.
     pub gradient: &'a mut Materials<C>,
-    /// Whose factors they are.
-    pub model: M,
 }
 
 impl<M: Reflection, const C: usize> Kernel for PullBack<'_, M, C> {
@@ -165,7 +149,6 @@ impl<M: Reflection, const C: usize> Kernel for PullBack<'_, M, C> {
             sums,
             scale,
             gradient,
-            ..
         } = self;
         M::pull_back_block(directions, materials, functions, sums, scale, gradient);
     }

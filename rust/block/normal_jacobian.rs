@@ -3,7 +3,6 @@
 
 use glam::DVec3;
 
-use crate::block::adjoint::ByWeights;
 use crate::block::basis::Basis;
 use crate::reflectance::ggx::MIN_COSINE;
 use crate::reflectance::planes::BlockFunctions;
@@ -23,8 +22,8 @@ use crate::runtime::simd::{Isa, Kernel, Vectors};
 /// The tangent offsets (a, b) of a block of pixels.
 pub type TangentOffsets = [Doubles; 2];
 
-/// Normals that tangent offsets start from, of length 1, and view directions; a pixel that is not
-/// used has +z for both.
+/// Given normals, which tangent offsets start from, and view directions; a pixel that is not used has
+/// +z for both.
 #[derive(Clone, Debug)]
 pub struct GivenDirections {
     normal: [Doubles; 3],
@@ -39,13 +38,8 @@ impl Default for GivenDirections {
 }
 
 impl GivenDirections {
-    /// Puts a pixel into the block. The normal is brought to length 1 to the last digit, as
-    /// those of any tangent offset are.
-    pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
-        self.put(pixel, [normal.normalize(), view]);
-    }
-
-    fn put(&mut self, pixel: usize, [normal, view]: [DVec3; 2]) {
+    /// Puts a pixel into the block.
+    pub fn set(&mut self, pixel: usize, [normal, view]: [DVec3; 2]) {
         for axis in 0..3 {
             self.normal[axis].0[pixel] = normal[axis];
             self.view[axis].0[pixel] = view[axis];
@@ -58,17 +52,14 @@ impl GivenDirections {
         [vector(&self.normal, pixel), vector(&self.view, pixel)]
     }
 
-    /// Takes over a pixel of another block.
-    pub fn copy(&mut self, pixel: usize, from: &Self, there: usize) {
-        self.put(pixel, from.get(there));
-    }
-
-    /// Blocks for some pixels.
-    pub fn blocks(normals: &[DVec3], views: &[DVec3]) -> Result<Vec<Self>> {
+    /// Blocks for some pixels. Normals that are free are brought to length 1 to the last digit, as
+    /// those of any tangent offset are.
+    pub fn blocks(normals: &[DVec3], views: &[DVec3], free: bool) -> Result<Vec<Self>> {
         let count = normals.len().div_ceil(BLOCK);
         let mut blocks: Vec<Self> = zeros("normals", count)?;
         for (p, (&normal, &view)) in normals.iter().zip(views).enumerate() {
-            blocks[p / BLOCK].set(p % BLOCK, normal, view);
+            let normal = if free { normal.normalize() } else { normal };
+            blocks[p / BLOCK].set(p % BLOCK, [normal, view]);
         }
         Ok(blocks)
     }
@@ -77,6 +68,34 @@ impl GivenDirections {
 #[inline(always)]
 fn vector(planes: &[Doubles; 3], pixel: usize) -> DVec3 {
     DVec3::new(planes[0].0[pixel], planes[1].0[pixel], planes[2].0[pixel])
+}
+
+/// Directions of the pixels of a block at their given normals.
+pub struct GivenNormals<'a, T: Real> {
+    /// What is given.
+    pub given: &'a GivenDirections,
+    /// To be written.
+    pub directions: &'a mut Directions<T>,
+}
+
+impl<T: Real> Kernel for GivenNormals<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        let mut cosines = Doubles::default();
+        let mut mirrors = <[Doubles; 3]>::default();
+        for x in 0..BLOCK {
+            let [normal, view] = self.given.get(x);
+            let cosine = normal.dot(view);
+            let mirror = 2.0 * cosine * normal - view;
+            cosines.0[x] = cosine.max(MIN_COSINE);
+            for axis in 0..3 {
+                mirrors[axis].0[x] = mirror[axis];
+            }
+        }
+        self.directions.fill(&cosines, &self.given.normal, &mirrors);
+    }
 }
 
 /// Derivatives of [`Directions`] by the tangent offsets a and b.
@@ -199,38 +218,6 @@ impl<M: Reflection> Kernel for FillBasisSlopes<'_, M> {
     }
 }
 
-/// Takes the tangent offsets of `count` pixels from planes of `pixels` values each, starting at
-/// `first`. Returns whether all are finite and up to [`tangent_offset::OFFSET_MAX`] in size.
-pub struct LoadOffsets<'a> {
-    /// Two planes.
-    pub maps: &'a [f64],
-    /// Pixels in a plane.
-    pub pixels: usize,
-    /// First pixel of the block.
-    pub first: usize,
-    /// Pixels of the block that are used; the others get 0.
-    pub count: usize,
-    /// To be written.
-    pub offsets: &'a mut TangentOffsets,
-}
-
-impl Kernel for LoadOffsets<'_> {
-    type Output = bool;
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) -> bool {
-        let mut moderate = true;
-        for (to, plane) in self.offsets.iter_mut().zip(self.maps.chunks(self.pixels)) {
-            to.0[self.count..].fill(0.0);
-            for (to, &from) in to.0.iter_mut().zip(&plane[self.first..][..self.count]) {
-                moderate &= from.abs() <= tangent_offset::OFFSET_MAX; // NaN is not
-                *to = from;
-            }
-        }
-        moderate
-    }
-}
-
 /// Sums up derivatives by the basis functions, of all channels: Σ_c kd_c g_ck is that by A_l Y_k(n),
 /// and Σ_c s_cj g_ck that by R_jk, for k > 0. Those of Y₀ do not change.
 pub struct ByBasis<'a, M: Reflection> {
@@ -244,9 +231,11 @@ pub struct ByBasis<'a, M: Reflection> {
     pub model: M,
 }
 
-impl<M: Reflection> ByWeights for ByBasis<'_, M> {
+impl<M: Reflection> ByBasis<'_, M> {
+    /// Takes those by the weights of coefficient k, of V vectors of pixels from number `v` on, summed
+    /// over some pictures.
     #[inline(always)]
-    fn take<I: Vectors<f32>, const V: usize>(
+    pub(super) fn take<I: Vectors<f32>, const V: usize>(
         &mut self,
         isa: I,
         k: usize,
@@ -325,8 +314,6 @@ pub struct PullBackNormals<'a, M: Reflection, const C: usize, const K: usize> {
     pub scale: f64,
     /// To be written.
     pub gradient: &'a mut TangentOffsets,
-    /// Whose factors they are.
-    pub model: M,
 }
 
 impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackNormals<'_, M, C, K> {
@@ -343,7 +330,6 @@ impl<M: Reflection, const C: usize, const K: usize> Kernel for PullBackNormals<'
             by_basis,
             scale,
             gradient,
-            ..
         } = self;
         let mut by_normal: [Plane; 3] = Default::default();
         for x in 0..BLOCK {

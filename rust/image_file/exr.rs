@@ -16,9 +16,7 @@ use ::exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, Vec2, WritableImage, f16,
 };
 
-use super::{
-    Format, broken, check_memory, check_size, content, guarded, read_bytes, write_atomically,
-};
+use super::{Format, broken, check_memory, check_size, content, guarded, write_atomically};
 use crate::runtime::{Error, Result};
 
 /// Largest accepted sum of samples over all channels: 4 GiB as float.
@@ -66,7 +64,7 @@ pub struct Exr {
     pub chromaticities: Option<[f32; 8]>,
 }
 
-/// Reads an EXR file: half, float or 32-bit integer channels (integers above
+/// Reads the bytes of an EXR file: half, float or 32-bit integer channels (integers above
 /// 2^24 are rounded to float), scan lines or tiles (the largest level), one or
 /// several parts.
 ///
@@ -74,17 +72,10 @@ pub struct Exr {
 /// no name or the channel already starts with it. The data window is placed
 /// into the display window: 0 outside of it, cropped where it reaches over.
 ///
-/// # Errors
-/// [`Error::Io`] if the file cannot be opened; [`Error::Content`] for deep or
-/// subsampled data, more than 2^28 pixels, and damaged files.
-pub fn read_exr(path: &Path) -> Result<Exr> {
-    decode_exr(&read_bytes(path)?, path)
-}
-
-/// [`read_exr`] from the bytes of a file; `path` is for the messages.
+/// `path` is for the messages.
 ///
 /// # Errors
-/// As [`read_exr`].
+/// [`Error::Content`] for deep or subsampled data, more than 2^28 pixels, and damaged files.
 pub fn decode_exr(bytes: &[u8], path: &Path) -> Result<Exr> {
     guarded(path, || decode(bytes, path))
 }

@@ -19,11 +19,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Once;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-pub use self::exr::{Exr, ExrChannel, decode_exr, read_exr, write_exr};
+pub use self::exr::{Exr, ExrChannel, decode_exr, write_exr};
 pub use self::icc::{IccProfile, decode_icc};
-pub use self::raster::{
-    PngSamples, PngTag, Raster, Samples, decode_raster, encode_png, read_raster, write_png,
-};
+pub use self::raster::{PngSamples, PngTag, Raster, Samples, decode_raster, encode_png, write_png};
 
 use crate::runtime::ending::{self, Unfinished};
 use crate::runtime::{Error, Result};
@@ -109,13 +107,6 @@ fn broken(path: &Path, format: Format, error: impl std::fmt::Display) -> Error {
         path,
         format!("expected a whole {} file, found: {error}", format.name()),
     )
-}
-
-fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|source| Error::Io {
-        path: path.to_owned(),
-        source,
-    })
 }
 
 /// Refuses a size, before anything is allocated for it, that is beyond the

@@ -12,8 +12,7 @@ use tiff::decoder::DecodingResult;
 use tiff::tags::Tag;
 
 use super::{
-    Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded, read_bytes,
-    write_atomically,
+    Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded, write_atomically,
 };
 use crate::runtime::{Error, Result};
 
@@ -82,24 +81,17 @@ pub struct Raster {
     pub ignored: Option<String>,
 }
 
-/// Reads a picture file in the format of its content: PNG (1 to 16 bits, all
+/// Reads the bytes of a picture file in the format of its content: PNG (1 to 16 bits, all
 /// colour types), JPEG (grey or colour), TIFF (8 or 16-bit integers, floats,
 /// the first page) or Radiance HDR.
 ///
 /// With `indices`, a palette PNG gives its indices instead of colours and grey
 /// below 8 bits is not spread over 0 to 255.
 ///
-/// # Errors
-/// [`Error::Io`] if the file cannot be opened; [`Error::Content`] for other
-/// formats, CMYK, more than 2^28 pixels, and damaged or cut-off files.
-pub fn read_raster(path: &Path, indices: bool) -> Result<Raster> {
-    decode_raster(&read_bytes(path)?, path, indices)
-}
-
-/// [`read_raster`] from the bytes of a file; `path` is for the messages.
+/// `path` is for the messages.
 ///
 /// # Errors
-/// As [`read_raster`].
+/// [`Error::Content`] for other formats, CMYK, more than 2^28 pixels, and damaged or cut-off files.
 pub fn decode_raster(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
     let raster = guarded(path, || match Format::of(bytes) {
         Some(Format::Png) => decode_png(bytes, path, indices),

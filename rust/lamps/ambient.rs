@@ -4,12 +4,12 @@ use glam::DVec3;
 
 use crate::reflectance::ggx::MIN_COSINE;
 use crate::reflectance::planes::{MAX_ROWS, Material, directions};
-use crate::reflectance::reflection::{Factors, Reflection, Weights, each_entry};
+use crate::reflectance::reflection::{Factors, Reflection, each_entry};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER};
 use crate::reflectance::shade::Frame;
 
 /// What each weight is derived by: its channel's albedo, roughness, metallic, both tangent offsets.
-pub(super) const SLOPES: usize = 5;
+pub(super) const SLOPES_OF_SAMPLE: usize = 5;
 
 /// The derivatives of w_ck, by channel and unknown.
 ///
@@ -31,11 +31,11 @@ pub(super) fn weight_slopes<M: Reflection>(
     [normal, view]: [DVec3; 2],
     material: &Material,
     by_offset: Option<&[DVec3; 2]>,
-) -> [[[f64; COEFFICIENTS]; SLOPES]; 3] {
+) -> [[[f64; COEFFICIENTS]; SLOPES_OF_SAMPLE]; 3] {
     let (cosine, mirror) = directions(normal, view);
     let frame = Frame::<M>::at(cosine, normal, mirror);
     let functions = M::functions(cosine, material.roughness);
-    let mut slopes = [[[0.0; COEFFICIENTS]; SLOPES]; 3];
+    let mut slopes = [[[0.0; COEFFICIENTS]; SLOPES_OF_SAMPLE]; 3];
     for c in 0..3 {
         let of_channel = Material {
             albedo: [material.albedo[c]],
@@ -104,10 +104,4 @@ pub(super) fn under(weights: &[f64; COEFFICIENTS], light: &[f64; COEFFICIENTS]) 
         sum += weights[k] * light[k];
     }
     sum
-}
-
-/// The same of all channels.
-#[inline]
-pub(super) fn radiance(weights: &Weights, light: &Weights) -> [f64; 3] {
-    [0, 1, 2].map(|c| under(&weights[c], &light[c]))
 }

@@ -1,18 +1,14 @@
 //! Levenberg–Marquardt on one pixel under known lamps.
 //!
-//! As in [`pixel::descent`](crate::pixel::descent), where the rules are that this takes over: a step
-//! solves (A + λ diag A) δ = −g inside a box, and what is cut there stays cut while the others are
-//! solved for again. A lobe of a lamp is as narrow as α, so roughness always moves as it does there
-//! beside free normals: down by at most half, up to at most twice as much.
+//! Steps, and the box that they stay in, are those of [`pixel::descent`](crate::pixel::descent) where
+//! normals are free: a lobe of a lamp is as narrow as α, so roughness always moves down by at most
+//! half, up to at most twice as much.
 
 use glam::DVec3;
 
 use super::samples::{Equations, METALLIC, OFFSET, Point, ROUGHNESS, Samples, UNKNOWNS};
 use crate::pixel::arrowhead::Arrowhead;
-use crate::pixel::descent::{
-    DAMPING_MAX, DAMPING_MIN, DIAGONAL_MIN, ROUGHNESS_HALVING_FLOOR, ROUGHNESS_STEP_MAX,
-};
-use crate::pixel::offset_step::limit_offset_step;
+use crate::pixel::descent::{DAMPING_MAX, DAMPING_MIN, boxed_step};
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::tangent_offset::{OFFSETS, OffsetNormal, offset_normal};
@@ -109,7 +105,7 @@ impl Descent<'_> {
         let mut ended = self.here::<M>(start);
         let (mut damping, mut increase) = (FIRST_DAMPING, FIRST_INCREASE);
         for _ in 0..iterations {
-            let (trial, predicted) = self.step(&ended, 1.0 + damping);
+            let (trial, predicted) = self.step(&ended, damping);
             let n_dot_v = |point: &Point| point.normal.dot(self.samples.view);
             let least = N_DOT_V_MIN.min(n_dot_v(&ended.point));
             let cost = if n_dot_v(&trial) >= least {
@@ -169,58 +165,15 @@ impl Descent<'_> {
     }
 
     /// Where one step leads, and by how much the cost would fall were it quadratic.
-    fn step(&self, from: &Ended, damped: f64) -> (Point, f64) {
+    fn step(&self, from: &Ended, damping: f64) -> (Point, f64) {
         let value = from.point.values();
         let Equations { matrix, gradient } = &from.equations;
         let mut system = Arrowhead::<3, UNKNOWNS>::new(matrix, gradient);
-        let (mut lowest, mut highest) = ([0.0; OFFSET], [0.0; OFFSET]);
-        for x in 0..OFFSET {
-            (lowest[x], highest[x]) = (-value[x], 1.0 - value[x]);
-        }
-        let down = (0.5 * (ROUGHNESS_HALVING_FLOOR - value[ROUGHNESS])).min(0.0);
-        let up = (value[ROUGHNESS] + ROUGHNESS_HALVING_FLOOR).min(ROUGHNESS_STEP_MAX);
-        lowest[ROUGHNESS] = lowest[ROUGHNESS].max(down).max(-ROUGHNESS_STEP_MAX);
-        highest[ROUGHNESS] = highest[ROUGHNESS].min(up);
-        for (x, is_free) in self.free.unknowns().into_iter().enumerate() {
-            let outwards = x < OFFSET
-                && if gradient[x] > 0.0 {
-                    value[x] <= 0.0
-                } else {
-                    value[x] >= 1.0
-                };
-            let held = !is_free || outwards || system.diagonal[x] <= DIAGONAL_MIN;
-            system.free[x] = if held { 0.0 } else { 1.0 };
-        }
-        let hold = |system: &mut Arrowhead<3, UNKNOWNS>, x: usize, moved: f64| {
-            system.free[x] = 0.0;
-            system.fixed[x] = moved;
-        };
-        let mut step = system.solve(damped);
-        for x in 0..OFFSET {
-            let cut = step[x].max(lowest[x]).min(highest[x]);
-            if cut != step[x] {
-                hold(&mut system, x, cut);
-            }
-        }
-        let offset = from.point.offset;
-        let wanted = [step[OFFSET], step[OFFSET + 1]];
-        let (share, there) = limit_offset_step(offset, wanted);
-        if share < 1.0 || there != [0, 1].map(|t| offset[t] + wanted[t]) {
-            for t in 0..OFFSETS {
-                hold(&mut system, OFFSET + t, there[t] - offset[t]);
-            }
-        }
-        step = system.solve(damped);
-        for x in 0..OFFSET {
-            step[x] = step[x].max(lowest[x]).min(highest[x]);
-        }
-        let mut there = offset;
-        if self.free.normals {
-            (_, there) = limit_offset_step(offset, [step[OFFSET], step[OFFSET + 1]]);
-            for t in 0..OFFSETS {
-                step[OFFSET + t] = there[t] - offset[t];
-            }
-        }
+        let free = self
+            .free
+            .unknowns()
+            .map(|free| if free { 1.0 } else { 0.0 });
+        let (step, there) = boxed_step(&mut system, &value, from.point.offset, free, damping);
         let moved = |x: usize| (value[x] + step[x]).clamp(0.0, 1.0);
         let trial = Point {
             offset: there,

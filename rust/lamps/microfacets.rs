@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_1_PI;
 use glam::DVec3;
 
 /// Fresnel's equations for unpolarised light at an index of refraction of 1.5, 0.04 head on.
-#[inline]
+#[inline(always)]
 pub(super) fn glass(cosine: f64) -> f64 {
     // In the form of R. L. Cook, K. E. Torrance, "A reflectance model for computer graphics", 1982,
     // with g = √(1.5² − 1 + c²).
@@ -21,7 +21,7 @@ pub(super) fn glass(cosine: f64) -> f64 {
 /// F  = ½ s² (1 + p²)                           F′ = s s′ (1 + p²) + s² p p′
 /// s′ = 2(cg′ − g)/(g+c)² = −2.5/(g (g+c)²)     p′ = (P′Q − PQ′)/Q²,   P′, Q′ = g + c²/g ± 2c.
 /// ```
-#[inline]
+#[inline(always)]
 pub(super) fn glass_by_cosine(cosine: f64) -> f64 {
     let c = cosine;
     let g = (1.25 + c * c).sqrt();
@@ -35,52 +35,37 @@ pub(super) fn glass_by_cosine(cosine: f64) -> f64 {
     across * by_across * (1.0 + along * along) + across * across * along * by_along
 }
 
-/// D of the angle θ between n and h.
+/// D of the angle θ between n and h; and its derivatives: by α, and T of that by a direction.
 ///
 /// The root of D cancels where α is small: 1 − (n·h)² has lost all digits at the angles where a
-/// narrow lobe lives. But (n·h)²(α²−1) + 1 = sin²θ + α² cos²θ, and sin θ = |n×h| keeps its digits:
+/// narrow lobe lives. But (n·h)²(α²−1) + 1 = sin²θ + α² cos²θ = q, and sin θ = |n×h| keeps its digits:
 ///
 /// ```text
-/// D = (α / (sin²θ + α² cos²θ))² / π.
+/// D = (α/q)² / π.
 /// ```
 ///
 /// At θ = 0 this is 1/(πα²), which overflows. But rounded unit vectors that are equal may differ by
 /// ε = 2⁻⁵², and so sin θ counts as no less than that. D stays below 1/(4πε²), a lobe with α ≫ ε is
 /// as it was, and narrower ones fade to what a mirror shows of a point, nothing.
-#[inline]
-pub(super) fn distribution(normal: DVec3, half: DVec3, alpha: f64) -> f64 {
-    let cosine = normal.dot(half);
-    let sine2 = normal.cross(half).length_squared();
-    let denominator = sine2.max(f64::EPSILON * f64::EPSILON) + alpha * alpha * cosine * cosine;
-    let root = alpha / denominator;
-    FRAC_1_PI * root * root
-}
-
-/// D's derivatives: by α, and T of that by a direction.
 ///
-/// With q = sin²θ + α² cos²θ, D = α²/(πq²). Where n turns by dn in its tangent plane, d(sin²θ) =
-/// −2 cos θ h·dn and d(cos²θ) = 2 cos θ h·dn, and h and n may be exchanged:
+/// Where n turns by dn in its tangent plane, d(sin²θ) = −2 cos θ h·dn and d(cos²θ) = 2 cos θ h·dn,
+/// and h and n may be exchanged:
 ///
 /// ```text
 /// ∂D/∂α = 2α (sin²θ − α² cos²θ)/(π q³)
 /// ∂D/∂n = T (h − cos θ n),   ∂D/∂h = T (n − cos θ h),   T = 4D cos θ (1−α²)/q.
 /// ```
-#[inline]
-pub(super) fn distribution_slopes(normal: DVec3, half: DVec3, alpha: f64) -> [f64; 2] {
+#[inline(always)]
+pub(super) fn distribution(normal: DVec3, half: DVec3, alpha: f64) -> (f64, [f64; 2]) {
     let cosine = normal.dot(half);
     let sine2 = (normal.cross(half).length_squared()).max(f64::EPSILON * f64::EPSILON);
     let flat = alpha * alpha * cosine * cosine;
     let denominator = sine2 + flat;
     let root = alpha / denominator;
+    let value = FRAC_1_PI * root * root;
     let by_alpha = 2.0 * FRAC_1_PI * root / denominator * ((sine2 - flat) / denominator);
     let turned = 4.0 * cosine * ((1.0 - alpha) * (1.0 + alpha)) / denominator;
-    [by_alpha, FRAC_1_PI * root * root * turned]
-}
-
-/// V (n·l) of the principled model, at most 1/(4 n·v), with S(n·v) ([`slanted`]).
-///#[inline]
-pub(super) fn masked_cosine(n_dot_v: f64, of_view: f64, n_dot_l: f64, alpha: f64) -> f64 {
-    0.5 * n_dot_l / (n_dot_l * of_view + n_dot_v * slanted(n_dot_l, alpha))
+    (value, [by_alpha, value * turned])
 }
 
 /// S(x) = √(x²(1−α²) + α²)
@@ -92,7 +77,8 @@ pub(super) fn slanted(x: f64, alpha: f64) -> f64 {
     x.hypot(alpha * ((1.0 - x) * (1.0 + x)).max(0.0).sqrt())
 }
 
-/// V (n·l), and its derivatives by n·v, n·l and α.
+/// V (n·l) of the principled model, at most 1/(4 n·v), with S(n·v) ([`slanted`]); and its derivatives
+/// by n·v, n·l and α.
 ///
 /// With x = n·v, y = n·l and t = y S(x) + x S(y), V y = W = ½ y/t. From S′ = x(1−α²)/S and ∂S/∂α =
 /// α(1−x²)/S, and because S(y) − y S′(y) = α²/S(y),
@@ -105,8 +91,8 @@ pub(super) fn slanted(x: f64, alpha: f64) -> f64 {
 ///
 /// All quotients are of numbers that go to 0 together. Derivatives by y and α overflow at angles and
 /// roughnesses of 10⁻³⁰⁸, where D is 0; they are kept finite, so that the product is 0.
-#[inline]
-pub(super) fn masked_cosine_slopes(
+#[inline(always)]
+pub(super) fn masked_cosine(
     n_dot_v: f64,
     of_view: f64,
     n_dot_l: f64,

@@ -219,15 +219,13 @@ impl LampPictures<'_> {
         check::length("directions", pixels * lamps, self.directions.len())?;
         check::length("intensities", pixels * lamps, self.intensities.len())?;
         check::moderate("pictures", self.pictures.as_flattened(), LARGEST_F32)?;
-        check::moderate("weights", self.weights.as_flattened(), WEIGHT_MAX)?;
-        check::not_negative("weights", self.weights.as_flattened())?;
+        check::not_negative("weights", self.weights.as_flattened(), WEIGHT_MAX)?;
         check::moderate("intensities", self.intensities.as_flattened(), LARGEST_F32)?;
         let ambient = self.ambient.as_flattened().as_flattened();
         check::moderate("ambient", ambient, LARGEST_F32)?;
         check::moderate("prior_mean", self.prior_mean.as_flattened(), PRIOR_MAX)?;
         let precision = self.prior_precision.as_flattened();
-        check::moderate("prior_precision", precision, PRIOR_MAX)?;
-        check::not_negative("prior_precision", precision)?;
+        check::not_negative("prior_precision", precision, PRIOR_MAX)?;
         check::unit_vectors("views", self.views)?;
         check::unit_vectors("directions", self.directions)?;
         check::unit_vectors("base_normals", self.base_normals)?;

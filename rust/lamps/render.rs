@@ -2,7 +2,6 @@
 
 use glam::DVec3;
 
-use super::slopes::SurfaceWithSlopes;
 use super::surface::Surface;
 use crate::problem::render::pictures;
 use crate::reflectance::model::Model;
@@ -64,7 +63,7 @@ pub fn render_directional(
         let count = parts.first().map_or(0, |part| part.len() / 3);
         for i in 0..count {
             let p = first + i;
-            let surface = Surface::new(model, normals[p], views[p], &materials[p]);
+            let surface = Surface::<false>::new(model, normals[p], views[p], &materials[p]);
             for (light, part) in lights.iter().zip(parts.iter_mut()) {
                 let unit = surface.reflected_of_disk(light.direction, light.extent);
                 for c in 0..3 {
@@ -95,12 +94,14 @@ pub struct Lamplit<'a> {
 impl Lamplit<'_> {
     /// Lamps of each pixel.
     fn check(&self) -> Result<usize> {
-        let pixels = self.normals.len();
-        check::length("views", pixels, self.views.len())?;
-        check::length("materials", pixels, self.materials.len())?;
-        let lamps = lamps_each(pixels, self.directions)?;
-        check::unit_vectors("normals", self.normals)?;
-        check::unit_vectors("views", self.views)?;
+        let pixels = check::pixels(self.normals, self.views, self.materials.len())?;
+        let count = self.directions.len();
+        let lamps = count.checked_div(pixels).unwrap_or(0);
+        check::length("directions", pixels * lamps, count)?;
+        if count > MAX_SAMPLES {
+            let expected = format!("at most {MAX_SAMPLES} pixels times lamps");
+            return Err(Error::argument("directions", expected, count));
+        }
         check::unit_vectors("directions", self.directions)?;
         if !self.extents.is_empty() {
             check::length("extents", self.directions.len(), self.extents.len())?;
@@ -108,17 +109,6 @@ impl Lamplit<'_> {
         }
         Ok(lamps)
     }
-}
-
-/// Lamps of each pixel, from the directions of all.
-fn lamps_each(pixels: usize, directions: &[DVec3]) -> Result<usize> {
-    let lamps = directions.len().checked_div(pixels).unwrap_or(0);
-    check::length("directions", pixels * lamps, directions.len())?;
-    if directions.len() > MAX_SAMPLES {
-        let expected = format!("at most {MAX_SAMPLES} pixels times lamps");
-        return Err(Error::argument("directions", expected, directions.len()));
-    }
-    Ok(lamps)
 }
 
 /// Radiance of every pixel under unit light of each of its lamps: (pixel, lamp, channel).
@@ -135,7 +125,7 @@ pub fn lamp_radiance(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
         let of_pixels = radiance.as_chunks_mut::<3>().0.chunks_mut(lamps);
         for (p, radiance) in (piece * PIECE..).zip(of_pixels) {
             let [normal, view] = [pixels.normals[p], pixels.views[p]];
-            let surface = Surface::new(pixels.model, normal, view, &pixels.materials[p]);
+            let surface = Surface::<false>::new(pixels.model, normal, view, &pixels.materials[p]);
             for (k, radiance) in radiance.iter_mut().enumerate() {
                 let at = p * lamps + k;
                 let extent = pixels.extents.get(at).copied().unwrap_or(0.0);
@@ -207,7 +197,7 @@ pub fn lamp_slopes(pixels: Lamplit, threads: usize) -> Result<LampSlopes> {
         for i in 0..radiance.len() / lamps {
             let p = first + i;
             let [normal, view] = [pixels.normals[p], pixels.views[p]];
-            let surface = SurfaceWithSlopes::new(pixels.model, normal, view, &pixels.materials[p]);
+            let surface = Surface::<true>::new(pixels.model, normal, view, &pixels.materials[p]);
             for k in 0..lamps {
                 let reflected = surface.reflected(pixels.directions[p * lamps + k]);
                 let at = i * lamps + k;

@@ -16,8 +16,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::ambient::{SLOPES, radiance, under, weight_slopes};
-use super::slopes::SurfaceWithSlopes;
+use super::ambient::{SLOPES_OF_SAMPLE, under, weight_slopes};
 use super::surface::Surface;
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
@@ -98,36 +97,10 @@ impl Samples<'_> {
 
     /// The cost of a point.
     pub(super) fn cost<M: Reflection>(&self, point: &Point) -> f64 {
-        let surface = Surface::new(self.model, point.normal, self.view, &point.material);
-        let weights = (self.any_ambient)
-            .then(|| shade(&Frame::<M>::new(point.normal, self.view), &point.material));
         let mut cost = 0.0;
-        for (i, light) in self.lights.iter().enumerate() {
-            if self.weights[i] == [0.0; 3] {
-                continue;
-            }
-            let mut model = [0.0; 3];
-            for k in light.lamps.clone() {
-                let intensity = self.intensities[k];
-                if intensity == [0.0; 3] {
-                    continue;
-                }
-                let unit = surface.reflected(self.directions[k]);
-                for c in 0..3 {
-                    model[c] += intensity[c] * unit[c];
-                }
-            }
-            if let (Some(weights), Some(ambient)) = (&weights, &light.ambient) {
-                let reflected = radiance(weights, ambient);
-                for c in 0..3 {
-                    model[c] += reflected[c];
-                }
-            }
-            for c in 0..3 {
-                let residual = self.residual(i, c, model[c]);
-                cost += self.weights[i][c] * residual * residual;
-            }
-        }
+        self.each::<M, false>(point, None, |_, _, weight, residual| {
+            cost += weight * residual * residual;
+        });
         for (x, value) in point.values().into_iter().enumerate() {
             let deviation = value - self.prior_mean[x];
             cost += self.prior_precision[x] * deviation * deviation;
@@ -141,20 +114,38 @@ impl Samples<'_> {
         point: &Point,
         by_offset: Option<&[DVec3; 2]>,
     ) -> Equations {
-        let surface = SurfaceWithSlopes::new(self.model, point.normal, self.view, &point.material);
-        let weights = (self.any_ambient).then(|| {
-            let frame = Frame::<M>::new(point.normal, self.view);
-            let slopes = weight_slopes::<M>([point.normal, self.view], &point.material, by_offset);
-            (shade(&frame, &point.material), slopes)
-        });
         let mut equations = Equations::default();
+        self.each::<M, true>(point, by_offset, |c, slopes, weight, residual| {
+            equations.add(c, slopes, weight, residual);
+        });
+        for (x, value) in point.values().into_iter().enumerate() {
+            equations.matrix[x][x] += self.prior_precision[x];
+            equations.gradient[x] += self.prior_precision[x] * (value - self.prior_mean[x]);
+        }
+        equations
+    }
+
+    /// Calls `add` with channel, derivatives (of its own albedo, roughness, metallic, tangent offsets;
+    /// with `SLOPES`), weight and residual of each sample that counts.
+    #[inline(always)]
+    fn each<M: Reflection, const SLOPES: bool>(
+        &self,
+        point: &Point,
+        by_offset: Option<&[DVec3; 2]>,
+        mut add: impl FnMut(usize, &[f64; SLOPES_OF_SAMPLE], f64, f64),
+    ) {
+        let directions = [point.normal, self.view];
+        let surface = Surface::<SLOPES>::new(self.model, point.normal, self.view, &point.material);
+        let weights = (self.any_ambient)
+            .then(|| shade(&Frame::<M>::new(point.normal, self.view), &point.material));
+        let weights_by = (SLOPES && self.any_ambient)
+            .then(|| weight_slopes::<M>(directions, &point.material, by_offset));
         for (i, light) in self.lights.iter().enumerate() {
             if self.weights[i] == [0.0; 3] {
                 continue;
             }
             let mut model = [0.0; 3];
-            // By channel: its own albedo, roughness, metallic, tangent offsets.
-            let mut slopes = [[0.0; SLOPES]; 3];
+            let mut slopes = [[0.0; SLOPES_OF_SAMPLE]; 3];
             for k in light.lamps.clone() {
                 let intensity = self.intensities[k];
                 if intensity == [0.0; 3] {
@@ -164,37 +155,34 @@ impl Samples<'_> {
                 let turned = by_offset.map(|by| by.map(|change| unit.along(change)));
                 for c in 0..3 {
                     model[c] += intensity[c] * unit.radiance[c];
-                    slopes[c][0] += intensity[c] * unit.by_albedo[c];
-                    slopes[c][1] += intensity[c] * unit.by_roughness[c];
-                    slopes[c][2] += intensity[c] * unit.by_metallic[c];
-                    if let Some([by_a, by_b]) = &turned {
-                        slopes[c][3] += intensity[c] * by_a[c];
-                        slopes[c][4] += intensity[c] * by_b[c];
+                    if SLOPES {
+                        slopes[c][0] += intensity[c] * unit.by_albedo[c];
+                        slopes[c][1] += intensity[c] * unit.by_roughness[c];
+                        slopes[c][2] += intensity[c] * unit.by_metallic[c];
+                        if let Some([by_a, by_b]) = &turned {
+                            slopes[c][3] += intensity[c] * by_a[c];
+                            slopes[c][4] += intensity[c] * by_b[c];
+                        }
                     }
                 }
             }
-            if let (Some((weights, by)), Some(ambient)) = (&weights, &light.ambient) {
-                let reflected = radiance(weights, ambient);
+            if let (Some(weights), Some(ambient)) = (&weights, &light.ambient) {
                 for c in 0..3 {
-                    model[c] += reflected[c];
-                    for x in 0..SLOPES {
-                        slopes[c][x] += under(&by[c][x], &ambient[c]);
+                    model[c] += under(&weights[c], &ambient[c]);
+                    if let Some(by) = &weights_by {
+                        for x in 0..SLOPES_OF_SAMPLE {
+                            slopes[c][x] += under(&by[c][x], &ambient[c]);
+                        }
                     }
                 }
             }
             for c in 0..3 {
-                let weight = self.weights[i][c];
                 let residual = self.residual(i, c, model[c]);
                 if residual != 0.0 || self.is_data(i, c) {
-                    equations.add(c, &slopes[c], weight, residual);
+                    add(c, &slopes[c], self.weights[i][c], residual);
                 }
             }
         }
-        for (x, value) in point.values().into_iter().enumerate() {
-            equations.matrix[x][x] += self.prior_precision[x];
-            equations.gradient[x] += self.prior_precision[x] * (value - self.prior_mean[x]);
-        }
-        equations
     }
 
     /// Whether a sample says what radiance is, and no limit of it.
@@ -219,11 +207,17 @@ impl Samples<'_> {
 impl Equations {
     /// Adds a sample of a channel.
     #[inline]
-    fn add(&mut self, channel: usize, slopes: &[f64; SLOPES], weight: f64, residual: f64) {
+    fn add(
+        &mut self,
+        channel: usize,
+        slopes: &[f64; SLOPES_OF_SAMPLE],
+        weight: f64,
+        residual: f64,
+    ) {
         let weighted = slopes.map(|slope| weight * slope);
         self.matrix[channel][channel] += weighted[0] * slopes[0];
         self.gradient[channel] += weighted[0] * residual;
-        for f in 1..SLOPES {
+        for f in 1..SLOPES_OF_SAMPLE {
             let row = &mut self.matrix[ROUGHNESS + f - 1];
             row[channel] += weighted[0] * slopes[f];
             for g in 1..=f {

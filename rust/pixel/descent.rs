@@ -29,11 +29,11 @@ use crate::runtime::simd::{Instructions, Isa, Kernel};
 /// Longest move of perceptual roughness in one step; a longer one is cut to it. The derivative by
 /// roughness falls with r³ towards 0, so from there the step that Gauss–Newton proposes is far too
 /// long.
-pub(crate) const ROUGHNESS_STEP_MAX: f64 = 0.25;
+const ROUGHNESS_STEP_MAX: f64 = 0.25;
 /// Perceptual roughness ε in the limits of a step with free normals, which goes down at most half way
 /// to ε, and up at most to twice the roughness plus ε. With a wrong normal it is mostly the normal
 /// that asks for a mirror, and a mirror does not say how rough it should be.
-pub(crate) const ROUGHNESS_HALVING_FLOOR: f64 = 1e-3;
+const ROUGHNESS_HALVING_FLOOR: f64 = 1e-3;
 /// Least damping λ after a rejected step, as a share of the diagonal.
 const DAMPING_AFTER_REJECTION_MIN: f64 = 1e-3;
 /// Least damping λ at any time, as a share of the diagonal: it keeps the pivots positive.
@@ -50,7 +50,7 @@ const GAIN_RATIO_GOOD: f64 = 0.25;
 /// Gain ratio up to which damping grows; between both it stays.
 const GAIN_RATIO_POOR: f64 = 0.1;
 /// Diagonal entries up to this count as 0, and their unknowns are held: the inverse would overflow.
-pub(crate) const DIAGONAL_MIN: f64 = 1e-280;
+const DIAGONAL_MIN: f64 = 1e-280;
 /// The sums of squared residuals of a block of pixels as a function of their unknowns, U at most.
 pub(crate) trait LeastSquares<const C: usize, const U: usize> {
     /// Sum of squares, gradient and matrix at materials and tangent offsets; `sums` is overwritten.
@@ -335,9 +335,7 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             offsets,
             predicted,
         } = self;
-        let Point {
-            materials, sums, ..
-        } = point;
+        let materials = &point.materials;
         let metallic_free = if metallic_known { 0.0 } else { 1.0 };
         for x in 0..BLOCK {
             let mut value = [0.0; U];
@@ -346,74 +344,94 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             }
             value[C] = materials.roughness.0[x];
             value[C + 1] = materials.metallic.0[x];
-            let mut system = Arrowhead::<C, U>::of(sums, x);
-            let mut lowest = [0.0; U];
-            let mut highest = [0.0; U];
-            for j in 0..C + 2 {
-                lowest[j] = -value[j];
-                highest[j] = 1.0 - value[j];
-                let outwards = if system.gradient[j] > 0.0 {
-                    lowest[j] >= 0.0
-                } else {
-                    highest[j] <= 0.0
-                };
-                let held = outwards | (system.diagonal[j] <= DIAGONAL_MIN);
-                system.free[j] = if held { 0.0 } else { active.0[x] };
-            }
-            for j in C + 2..C + shared(U) {
-                let held = system.diagonal[j] <= DIAGONAL_MIN;
-                system.free[j] = if held { 0.0 } else { active.0[x] };
-            }
-            system.free[C + 1] *= metallic_free;
-            if U > UNKNOWNS {
-                let down = 0.5 * (ROUGHNESS_HALVING_FLOOR - value[C]);
-                lowest[C] = lowest[C].max(down);
-                highest[C] = highest[C].min(value[C] + ROUGHNESS_HALVING_FLOOR);
-            }
-            lowest[C] = lowest[C].max(-ROUGHNESS_STEP_MAX);
-            highest[C] = highest[C].min(ROUGHNESS_STEP_MAX);
+            let mut free = [active.0[x]; U];
+            free[C + 1] *= metallic_free;
+            let mut system = Arrowhead::<C, U>::of(&point.sums, x);
             let offset = [point.offsets[0].0[x], point.offsets[1].0[x]];
-
-            let damped = 1.0 + damping.0[x];
-            let mut step = system.solve(damped);
-            for j in 0..C + 2 {
-                let cut = step[j].max(lowest[j]).min(highest[j]);
-                let inside = cut == step[j];
-                system.free[j] = if inside { system.free[j] } else { 0.0 };
-                system.fixed[j] = if inside { 0.0 } else { cut };
-            }
-            if U > UNKNOWNS {
-                let wanted = [step[C + 2], step[C + 3]];
-                let (share, there) = limit_offset_step(offset, wanted);
-                // Turned round or shortened, it leads elsewhere than the step.
-                let inside = (share == 1.0)
-                    & (there[0] == offset[0] + wanted[0])
-                    & (there[1] == offset[1] + wanted[1]);
-                for t in 0..OFFSETS {
-                    let j = C + 2 + t;
-                    system.free[j] = if inside { system.free[j] } else { 0.0 };
-                    system.fixed[j] = if inside { 0.0 } else { there[t] - offset[t] };
-                }
-            }
-            step = system.solve(damped);
-            for j in 0..C + 2 {
-                step[j] = step[j].max(lowest[j]).min(highest[j]);
-            }
+            let (step, there) = boxed_step(&mut system, &value, offset, free, damping.0[x]);
             for c in 0..C {
                 trial.albedo[c].0[x] = (value[c] + step[c]).clamp(0.0, 1.0);
             }
             trial.roughness.0[x] = (value[C] + step[C]).clamp(0.0, 1.0);
             trial.metallic.0[x] = (value[C + 1] + step[C + 1]).clamp(0.0, 1.0);
             if U > UNKNOWNS {
-                let (_, there) = limit_offset_step(offset, [step[C + 2], step[C + 3]]);
                 for t in 0..OFFSETS {
-                    step[C + 2 + t] = there[t] - offset[t];
                     offsets[t].0[x] = there[t];
                 }
             }
             predicted.0[x] = system.decrease(&step);
         }
     }
+}
+
+/// How far the unknowns of a pixel go from `value` and its tangent offsets in one step, those that are
+/// `free` (1, else 0); and where this leads the tangent offsets.
+#[inline(always)]
+pub(crate) fn boxed_step<const C: usize, const U: usize>(
+    system: &mut Arrowhead<C, U>,
+    value: &[f64; U],
+    offset: [f64; OFFSETS],
+    free: [f64; U],
+    damping: f64,
+) -> ([f64; U], [f64; OFFSETS]) {
+    let mut lowest = [0.0; U];
+    let mut highest = [0.0; U];
+    for j in 0..C + 2 {
+        lowest[j] = -value[j];
+        highest[j] = 1.0 - value[j];
+        let outwards = if system.gradient[j] > 0.0 {
+            lowest[j] >= 0.0
+        } else {
+            highest[j] <= 0.0
+        };
+        let held = outwards | (system.diagonal[j] <= DIAGONAL_MIN);
+        system.free[j] = if held { 0.0 } else { free[j] };
+    }
+    for j in C + 2..C + shared(U) {
+        let held = system.diagonal[j] <= DIAGONAL_MIN;
+        system.free[j] = if held { 0.0 } else { free[j] };
+    }
+    if U > UNKNOWNS {
+        let down = 0.5 * (ROUGHNESS_HALVING_FLOOR - value[C]);
+        lowest[C] = lowest[C].max(down.min(0.0));
+        highest[C] = highest[C].min(value[C] + ROUGHNESS_HALVING_FLOOR);
+    }
+    lowest[C] = lowest[C].max(-ROUGHNESS_STEP_MAX);
+    highest[C] = highest[C].min(ROUGHNESS_STEP_MAX);
+
+    let damped = 1.0 + damping;
+    let mut step = system.solve(damped);
+    for j in 0..C + 2 {
+        let cut = step[j].max(lowest[j]).min(highest[j]);
+        let inside = cut == step[j];
+        system.free[j] = if inside { system.free[j] } else { 0.0 };
+        system.fixed[j] = if inside { 0.0 } else { cut };
+    }
+    if U > UNKNOWNS {
+        let wanted = [step[C + 2], step[C + 3]];
+        let (share, there) = limit_offset_step(offset, wanted);
+        // Turned round or shortened, it leads elsewhere than the step.
+        let inside = (share == 1.0)
+            & (there[0] == offset[0] + wanted[0])
+            & (there[1] == offset[1] + wanted[1]);
+        for t in 0..OFFSETS {
+            let j = C + 2 + t;
+            system.free[j] = if inside { system.free[j] } else { 0.0 };
+            system.fixed[j] = if inside { 0.0 } else { there[t] - offset[t] };
+        }
+    }
+    step = system.solve(damped);
+    for j in 0..C + 2 {
+        step[j] = step[j].max(lowest[j]).min(highest[j]);
+    }
+    let mut there = offset;
+    if U > UNKNOWNS {
+        (_, there) = limit_offset_step(offset, [step[C + 2], step[C + 3]]);
+        for t in 0..OFFSETS {
+            step[C + 2 + t] = there[t] - offset[t];
+        }
+    }
+    (step, there)
 }
 
 #[cfg(test)]

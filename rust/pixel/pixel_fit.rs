@@ -98,8 +98,7 @@ impl Problem {
             check::length("mean", count, prior.mean.len())?;
             check::length("precision", count, prior.precision.len())?;
             check::moderate("mean", prior.mean, PRIOR_MAX)?;
-            check::moderate("precision", prior.precision, PRIOR_MAX)?;
-            check::not_negative("precision", prior.precision)?;
+            check::not_negative("precision", prior.precision, PRIOR_MAX)?;
         }
         let free = self.free_normals() && !search.held_normals;
         by_kind!(self, free, M, C, D, U => fit::<M, C, D, U>(self, x, pixels, search))

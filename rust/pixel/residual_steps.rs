@@ -35,11 +35,6 @@ pub(crate) struct ResidualSteps<'a, M: Reflection, const C: usize, const D: usiz
     offsets: TangentOffsets,
     /// What descends, where normals are free.
     candidate: Option<Box<Point<C, U>>>,
-    workspace: Workspace<'a, M, C, D, U>,
-}
-
-/// What a descent needs beside the point that it moves.
-struct Workspace<'a, M: Reflection, const C: usize, const D: usize, const U: usize> {
     isa: Instructions,
     metallic_known: bool,
     lights: &'a [[f64; COEFFICIENTS]],
@@ -85,19 +80,17 @@ impl<'a, M: LeastSquaresFromProducts, const C: usize, const D: usize, const U: u
             best: Box::default(),
             offsets: TangentOffsets::default(),
             candidate: (U > UNKNOWNS).then(Box::default),
-            workspace: Workspace {
-                isa: problem.instructions(),
-                metallic_known: problem.known_metallic().is_some(),
-                lights,
-                block: Block::new(problem),
-                trial: Box::default(),
-            },
+            isa: problem.instructions(),
+            metallic_known: problem.known_metallic().is_some(),
+            lights,
+            block: Block::new(problem),
+            trial: Box::default(),
         }
     }
 
     /// Takes up pixels with the normals of `maps`, whose tangent offsets are `offsets`.
     pub(crate) fn place(&mut self, maps: &[f64], pixels: &[usize], offsets: &TangentOffsets) {
-        self.workspace.block.place(maps, pixels);
+        self.block.place(maps, pixels);
         self.offsets = *offsets;
     }
 
@@ -116,21 +109,24 @@ impl<'a, M: LeastSquaresFromProducts, const C: usize, const D: usize, const U: u
             best,
             offsets,
             candidate,
-            workspace,
+            lights,
+            block,
+            trial,
+            ..
         } = self;
-        let isa = workspace.isa;
+        let (isa, metallic_known) = (self.isa, self.metallic_known);
         let mut least_squares = FromResiduals {
-            lights: workspace.lights,
-            block: &mut workspace.block,
+            lights,
+            block,
             products,
         };
         let mut descent = Descent {
             isa,
             prior,
-            metallic_known: workspace.metallic_known,
+            metallic_known,
             floor: &Doubles::default(),
             damping: MATERIALS_DAMPING,
-            trial: &mut workspace.trial,
+            trial,
         };
         let Some(candidate) = candidate else {
             best.materials = *found;

@@ -178,12 +178,11 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
             weight_jacobian.turn(self.isa, offsets, &mut self.directions);
             self.fill_basis(&[]); // of directions alone
         }
-        self.isa.run(FillFunctions {
+        self.isa.run(FillFunctions::<M> {
             cosine: self.directions.cosines(),
             roughness: &self.materials.roughness,
             by_cosine: self.weight_jacobian.is_some(),
             functions: &mut self.functions,
-            model: self.model,
         });
         for c in 0..C {
             self.isa.run(FillResponses {
@@ -252,6 +251,27 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
         }
     }
 
+    /// Adds Σ ω w_ck w_cl of channel c over the pixels, for each picture or for all: (1 or picture, K, K).
+    pub(crate) fn add_grams(&self, c: usize, grams: &mut [f64]) {
+        let k = self.problem.coefficients();
+        for (i, gram) in grams.chunks_mut(k * k).enumerate() {
+            for (row, sums) in gram.chunks_mut(k).enumerate() {
+                self.add_weighted(c, i, &self.weights[c][row], sums);
+            }
+        }
+    }
+
+    /// Adds Σ ω w_ck v over the pixels, of channel c and a picture: (K).
+    pub(crate) fn add_weighted(&self, c: usize, picture: usize, v: &Doubles, sums: &mut [f64]) {
+        let [_, omega] = &self.given[c * self.problem.pictures() + picture];
+        self.isa.run(AddWeighted {
+            omega,
+            values: v,
+            weights: &self.weights[c],
+            sums,
+        });
+    }
+
     /// Sum of squares and, unless nobody asks for it, gradient with given normals, in the place of
     /// those that there are.
     pub(crate) fn put_residuals<const U: usize>(
@@ -278,6 +298,38 @@ impl<'a, M: Reflection, const C: usize, const D: usize> Block<'a, M, C, D> {
                 sums,
                 model: PhantomData::<M>,
             });
+        }
+    }
+}
+
+/// Adds Σ ω w_k v over the pixels.
+struct AddWeighted<'a> {
+    omega: &'a Doubles,
+    values: &'a Doubles,
+    weights: &'a [Doubles; COEFFICIENTS],
+    sums: &'a mut [f64],
+}
+
+impl Kernel for AddWeighted<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, _: I) {
+        /// Numbers that are summed side by side.
+        const LANES: usize = 8;
+        let mut weighted = Doubles::default();
+        for x in 0..BLOCK {
+            weighted.0[x] = self.omega.0[x] * self.values.0[x];
+        }
+        let weighted = weighted.0.as_chunks::<LANES>().0;
+        for (sum, weights) in self.sums.iter_mut().zip(self.weights) {
+            let mut lanes = [0.0; LANES];
+            for (weights, weighted) in weights.0.as_chunks::<LANES>().0.iter().zip(weighted) {
+                for x in 0..LANES {
+                    lanes[x] += weighted[x] * weights[x];
+                }
+            }
+            *sum += lanes.iter().sum::<f64>();
         }
     }
 }

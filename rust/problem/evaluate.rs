@@ -7,14 +7,14 @@
 use std::marker::PhantomData;
 use std::ops::Range;
 
-use super::robust::{ApplyRobustLoss, Robust};
-use super::{Problem, add};
+use super::robust::ApplyRobustLoss;
+use super::{Problem, add, chunks_of_planes, robust};
 use crate::block::adjoint::{ByFactors, ByLights, Flush, Parts, WideParts};
 use crate::block::basis::Basis;
 use crate::block::bounced::{ByBounced, LessBounced};
 use crate::block::factors::{FillFactors, Load, PullBack};
 use crate::block::normal_jacobian::{
-    ByBasis, LoadOffsets, NormalJacobian, OffsetNormals, PullBackNormals, TangentOffsets,
+    ByBasis, GivenNormals, NormalJacobian, OffsetNormals, PullBackNormals, TangentOffsets,
 };
 use crate::block::radiance::Residuals;
 use crate::block::weights::FillWeights;
@@ -23,39 +23,33 @@ use crate::reflectance::planes::{
     BLOCK, ChannelFactors, ChannelSums, Directions, Materials, Plane, no_functions,
 };
 use crate::reflectance::reflection::Reflection;
+use crate::reflectance::tangent_offset::OFFSET_MAX;
 use crate::runtime::simd::Ahead;
 use crate::runtime::{Result, check, pool};
 
 /// Pictures at most that go through the products together: their residuals stay in the cache.
-pub const GROUP: usize = 16;
+const GROUP: usize = 16;
 
 /// Blocks whose light derivatives are summed in float32 before float64 takes over.
 const FLUSH: usize = 16;
 
 impl Problem {
-    /// The loss at x, of squared residuals unless `robust` says otherwise; its gradient is written to
+    /// The loss at x, of squared residuals or, with a scale, Cauchy's; its gradient is written to
     /// `gradient`.
     pub fn value_and_grad(
         &self,
         x: &[f64],
-        robust: Option<Robust>,
+        scale: Option<f64>,
         gradient: &mut [f64],
     ) -> Result<f64> {
         let (maps, lighting) = self.split(x)?;
         check::length("gradient", self.size(), gradient.len())?;
-        if let Some(robust) = robust {
-            robust.check()?;
+        if let Some(scale) = scale {
+            robust::check(scale)?;
         }
-        let evaluate = choose(
-            self,
-            Has {
-                weights: !self.weights.is_empty(),
-                free_lights: self.lighting.is_none(),
-                free_normals: self.free_normals(),
-            },
-        );
+        let evaluate = choose(self);
         let lights = self.by_channel(lighting);
-        let scale = 2.0 / self.total_weight;
+        let factor = 2.0 / self.total_weight;
 
         let (by_maps, by_lighting) = gradient.split_at_mut(maps.len());
         let chunk = self.chunk();
@@ -67,8 +61,8 @@ impl Problem {
                 problem: self,
                 maps,
                 lights: &lights,
-                robust,
                 scale,
+                factor,
                 blocks,
             };
             evaluate(&piece, &mut out)
@@ -87,7 +81,7 @@ impl Problem {
         let (k, c) = (self.coefficients, self.channels);
         for (i, of_entry) in by_lighting.iter_mut().enumerate() {
             let (picture, coefficient, channel) = (i / (k * c), i / c % k, i % c);
-            *of_entry = scale * by_lights[(channel * self.pictures + picture) * k + coefficient];
+            *of_entry = factor * by_lights[(channel * self.pictures + picture) * k + coefficient];
         }
         Ok(loss / self.total_weight)
     }
@@ -104,91 +98,69 @@ impl Problem {
 }
 
 /// A piece of work.
-pub struct Piece<'a> {
+struct Piece<'a> {
     /// The pictures.
-    pub problem: &'a Problem,
+    problem: &'a Problem,
     /// The first part of x.
-    pub maps: &'a [f64],
+    maps: &'a [f64],
     /// In float32: (channel, picture, coefficient).
-    pub lights: &'a [f32],
-    /// φ, where it is not the square.
-    pub robust: Option<Robust>,
+    lights: &'a [f32],
+    /// δ of Cauchy's loss, where φ is not the square.
+    scale: Option<f64>,
     /// Factor on the gradient.
-    pub scale: f64,
+    factor: f64,
     /// What to evaluate.
-    pub blocks: Range<usize>,
+    blocks: Range<usize>,
 }
 
 /// Evaluates a piece of work and writes the planes of its gradient.
-pub type Evaluate = fn(&Piece, &mut [&mut [f64]]) -> Partial;
+type Evaluate = fn(&Piece, &mut [&mut [f64]]) -> Partial;
 
 /// What one piece of work adds to the sums over pixels.
-pub struct Partial {
+struct Partial {
     /// Σ ω φ(I − T)
-    pub loss: f64,
+    loss: f64,
     /// Derivatives of ½ Σ ω φ(I − T) by the lights: (channel, picture, coefficient).
-    pub by_lights: Vec<f64>,
+    by_lights: Vec<f64>,
     /// Whether all materials lay in \[0, 1\], and all tangent offsets were moderate.
-    pub in_range: bool,
-}
-
-/// Parts that a problem has or has not.
-#[derive(Clone, Copy, Debug)]
-pub struct Has {
-    /// Weights of samples.
-    pub weights: bool,
-    /// Unknown lights.
-    pub free_lights: bool,
-    /// Unknown normals.
-    pub free_normals: bool,
+    in_range: bool,
 }
 
 /// The version for a problem.
-fn choose(problem: &Problem, has: Has) -> Evaluate {
-    with_model_of!(problem, M => of_model::<M>(problem.channels, problem.coefficients, has))
+fn choose(problem: &Problem) -> Evaluate {
+    with_model_of!(problem, M => match (problem.channels, problem.coefficients) {
+        (1, 9) => with::<M, 1, 9>(problem),
+        (1, _) => with::<M, 1, 16>(problem),
+        (_, 9) => with::<M, 3, 9>(problem),
+        _ => with::<M, 3, 16>(problem),
+    })
 }
 
-fn of_model<M: Reflection>(channels: usize, coefficients: usize, has: Has) -> Evaluate {
-    match (channels, coefficients) {
-        (1, 9) => with::<M, 1, 9>(has),
-        (1, _) => with::<M, 1, 16>(has),
-        (_, 9) => with::<M, 3, 9>(has),
-        _ => with::<M, 3, 16>(has),
+fn with<M: Reflection, const C: usize, const K: usize>(problem: &Problem) -> Evaluate {
+    let free_lights = problem.lighting.is_none();
+    match (
+        !problem.weights.is_empty(),
+        free_lights,
+        problem.free_normals(),
+    ) {
+        (false, true, false) => evaluate::<M, C, K, false, true, false>,
+        (false, false, false) => evaluate::<M, C, K, false, false, false>,
+        (true, true, false) => evaluate::<M, C, K, true, true, false>,
+        (true, false, false) => evaluate::<M, C, K, true, false, false>,
+        (false, true, true) => evaluate::<M, C, K, false, true, true>,
+        (false, false, true) => evaluate::<M, C, K, false, false, true>,
+        (true, true, true) => evaluate::<M, C, K, true, true, true>,
+        (true, false, true) => evaluate::<M, C, K, true, false, true>,
     }
 }
 
-fn with<M: Reflection, const C: usize, const K: usize>(has: Has) -> Evaluate {
-    if has.free_normals {
-        with_normals::<M, C, K, true>(has)
-    } else {
-        with_normals::<M, C, K, false>(has)
-    }
-}
-
-fn with_normals<M: Reflection, const C: usize, const K: usize, const FREE_NORMALS: bool>(
-    has: Has,
-) -> Evaluate {
-    match (has.weights, has.free_lights) {
-        (false, true) => evaluate::<M, C, K, false, true, FREE_NORMALS>,
-        (false, false) => evaluate::<M, C, K, false, false, FREE_NORMALS>,
-        (true, true) => evaluate::<M, C, K, true, true, FREE_NORMALS>,
-        (true, false) => evaluate::<M, C, K, true, false, FREE_NORMALS>,
-    }
-}
-
-/// Where the pixels of a block look at their tangent offsets.
+/// Tangent offsets of a block, how directions change with them, and derivatives by them.
 #[derive(Default)]
-struct OffsetDirections {
+struct FreeNormals {
     offsets: TangentOffsets,
-    directions: Directions,
     jacobian: NormalJacobian,
-}
-
-/// Derivatives by the normals of a block.
-#[derive(Default)]
-struct ByNormals {
-    basis: Basis,
-    offsets: TangentOffsets,
+    by_basis: Basis,
+    by_offsets: TangentOffsets,
 }
 
 /// A block at a time: basis functions and factors of its pixels; then, channel by channel and
@@ -208,8 +180,8 @@ fn evaluate<
         problem,
         maps,
         lights,
-        robust,
         scale,
+        factor,
         ref blocks,
     } = piece;
     let (isa, pixels, pictures) = (problem.instructions(), problem.pixels(), problem.pictures());
@@ -236,50 +208,64 @@ fn evaluate<
     let mut residuals = [Plane::default(); GROUP];
     let (mut bounced, mut less) = (Vec::new(), [Plane::default(); GROUP]);
 
-    let mut offset_directions = FREE_NORMALS.then(Box::<OffsetDirections>::default);
-    let mut by_normals = FREE_NORMALS.then(Box::<ByNormals>::default);
+    let mut directions = Directions::default();
+    let mut free_normals = FREE_NORMALS.then(Box::<FreeNormals>::default);
+    if let Some(known) = problem.known_metallic() {
+        materials.metallic.0.fill(known);
+    }
 
     let mut ahead = Ahead::default();
     let first_pixel = blocks.start * BLOCK;
     for block in blocks.clone() {
         let first = block * BLOCK;
         let count = BLOCK.min(pixels - first);
+        let Materials {
+            albedo,
+            roughness,
+            metallic,
+        } = &mut materials;
         partial.in_range &= isa.run(Load {
             maps: of_materials,
             pixels,
             first,
             count,
-            known_metallic: problem.known_metallic(),
-            materials: &mut materials,
+            range: [0.0, 1.0],
+            unused: 0.5,
+            planes: albedo.iter_mut().chain([roughness, metallic]),
         });
-        if let Some(offset_directions) = &mut offset_directions {
-            partial.in_range &= isa.run(LoadOffsets {
-                maps: of_offsets,
-                pixels,
-                first,
-                count,
-                offsets: &mut offset_directions.offsets,
-            });
-            isa.run(OffsetNormals {
-                given: problem.given_directions(block),
-                offsets: &offset_directions.offsets,
-                directions: &mut offset_directions.directions,
-                jacobian: &mut offset_directions.jacobian,
-            });
+        let (given, to) = (problem.given_directions(block), &mut directions);
+        match &mut free_normals {
+            None => isa.run(GivenNormals {
+                given,
+                directions: to,
+            }),
+            Some(free) => {
+                partial.in_range &= isa.run(Load {
+                    maps: of_offsets,
+                    pixels,
+                    first,
+                    count,
+                    range: [-OFFSET_MAX, OFFSET_MAX],
+                    unused: 0.0,
+                    planes: free.offsets.iter_mut(),
+                });
+                isa.run(OffsetNormals {
+                    given,
+                    offsets: &free.offsets,
+                    directions: to,
+                    jacobian: &mut free.jacobian,
+                });
+            }
         }
-        let directions = match &offset_directions {
-            None => problem.known_directions(block),
-            Some(offset_directions) => &offset_directions.directions,
-        };
+        let directions = &directions;
         problem.fill_basis::<M, f32, K>(directions, first..first + count, &mut basis);
-        isa.run(FillFactors {
+        isa.run(FillFactors::<M, _, _> {
             directions,
             materials: &materials,
             pixels: count,
             by_cosine: FREE_NORMALS,
             functions: &mut functions,
             factors: &mut factors,
-            model,
         });
         isa.run(FillWeights {
             basis: &basis,
@@ -288,7 +274,7 @@ fn evaluate<
             model,
         });
         for c in 0..C {
-            piece.look_ahead::<C, FREE_NORMALS>(gradient, block, c, &mut ahead);
+            piece.look_ahead::<C>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
             if M::SURROUNDED {
@@ -323,37 +309,33 @@ fn evaluate<
                     residuals,
                     ahead: &mut ahead,
                 };
-                partial.loss += match robust {
+                partial.loss += match scale {
                     None => isa.run(step),
-                    Some(loss) => {
+                    Some(scale) => {
                         // The weights come after φ.
                         isa.run(step.unweighted());
                         isa.run(ApplyRobustLoss {
-                            loss,
+                            scale,
                             sample_weights,
                             residuals,
                         })
                     }
                 };
-                let step = ByFactors {
+                isa.run(ByFactors::<M, K, FREE_NORMALS> {
                     begin: group.start == 0,
                     basis: &basis,
                     lights,
                     residuals,
                     sums: &mut sums[c],
-                    by_weights: (),
-                    ahead: &mut ahead,
-                    model,
-                };
-                match &mut by_normals {
-                    None => isa.run(step),
-                    Some(by_normals) => isa.run(step.giving(ByBasis {
+                    by_basis: free_normals.as_mut().map(|free| ByBasis {
                         model,
                         begin: c == 0 && group.start == 0,
                         factors: &factors[c],
-                        sums: &mut by_normals.basis,
-                    })),
-                }
+                        sums: &mut free.by_basis,
+                    }),
+                    ahead: &mut ahead,
+                    model,
+                });
                 if M::SURROUNDED && !bounced.is_empty() {
                     isa.run(ByBounced::<M> {
                         residuals,
@@ -372,31 +354,29 @@ fn evaluate<
                 }
             }
         }
-        isa.run(PullBack {
+        isa.run(PullBack::<M, _> {
             directions,
             materials: &materials,
             functions: &functions,
             sums: &sums,
-            scale,
+            scale: factor,
             gradient: &mut by_materials,
-            model,
         });
         let to = first - first_pixel;
         by_materials.store(&mut gradient[..materials_of_gradient], to, count);
-        if let (Some(offset_directions), Some(by_normals)) = (&offset_directions, &mut by_normals) {
+        if let Some(free) = &mut free_normals {
             isa.run(PullBackNormals::<M, C, K> {
                 directions,
-                jacobian: &offset_directions.jacobian,
+                jacobian: &free.jacobian,
                 materials: &materials,
                 functions: &functions,
                 sums: &sums,
-                by_basis: &by_normals.basis,
-                scale,
-                gradient: &mut by_normals.offsets,
-                model,
+                by_basis: &free.by_basis,
+                scale: factor,
+                gradient: &mut free.by_offsets,
             });
             let planes = gradient[materials_of_gradient..].iter_mut();
-            for (plane, own) in planes.zip(&by_normals.offsets) {
+            for (plane, own) in planes.zip(&free.by_offsets) {
                 plane[to..][..count].copy_from_slice(&own.0[..count]);
             }
         }
@@ -419,7 +399,7 @@ fn evaluate<
 impl Piece<'_> {
     /// While channel c of a block is worked on: the next channel's targets, and a share of what the
     /// next block needs else.
-    fn look_ahead<const C: usize, const FREE_NORMALS: bool>(
+    fn look_ahead<const C: usize>(
         &self,
         gradient: &[&mut [f64]],
         block: usize,
@@ -437,11 +417,7 @@ impl Piece<'_> {
                 }
             }
             if c == 1 % C {
-                if FREE_NORMALS {
-                    ahead.push(std::slice::from_ref(self.problem.given_directions(next)));
-                } else {
-                    ahead.push(std::slice::from_ref(self.problem.known_directions(next)));
-                }
+                ahead.push(std::slice::from_ref(self.problem.given_directions(next)));
             }
             if c == C - 1 {
                 let first = self.blocks.start * BLOCK;
@@ -457,24 +433,8 @@ impl Piece<'_> {
     }
 }
 
-/// Planes of `pixels` values each, cut into pieces of `chunk` pixels.
-fn chunks_of_planes(
-    maps: &mut [f64],
-    pixels: usize,
-    chunk: usize,
-) -> impl Iterator<Item = Vec<&mut [f64]>> {
-    let mut planes: Vec<_> = maps
-        .chunks_mut(pixels)
-        .map(|plane| plane.chunks_mut(chunk))
-        .collect();
-    (0..pixels.div_ceil(chunk)).map(move |_| {
-        let pieces = planes.iter_mut().map(Iterator::next);
-        pieces.map(|piece| piece.expect("equal planes")).collect()
-    })
-}
-
 /// The pictures in groups of at most [`GROUP`], as even as fours allow.
-pub fn groups(pictures: usize) -> impl Iterator<Item = Range<usize>> {
+fn groups(pictures: usize) -> impl Iterator<Item = Range<usize>> {
     let size = pictures
         .div_ceil(pictures.div_ceil(GROUP))
         .next_multiple_of(4);

@@ -1,10 +1,6 @@
 //! The pictures of one scene, and the loss over them with its gradient by every unknown.
 
 mod evaluate;
-mod geometry;
-pub mod light_equations;
-mod low_words;
-pub mod penalties;
 pub mod render;
 pub mod robust;
 mod surroundings;
@@ -14,20 +10,18 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use self::geometry::Geometry;
 use self::targets::{Targets, planes};
 use crate::block::normal_jacobian::{
-    GivenDirections, NormalJacobian, OffsetNormals, TangentOffsets,
+    GivenDirections, GivenNormals, NormalJacobian, OffsetNormals, TangentOffsets,
 };
-use crate::reflectance::model::{Model, with_model, with_model_of};
+use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::{BLOCK, Directions, Material, Plane};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::reflectance::shade::{Frame, factors_at, shade};
 use crate::reflectance::tangent_offset;
 use crate::runtime::check::LARGEST_F32;
 use crate::runtime::simd::Instructions;
-use crate::runtime::{Error, Result, check, pool};
+use crate::runtime::{Error, Result, check};
 use crate::transport::table::Transfer;
 
 /// Pieces of work at most. Their borders depend on the pixel count alone, and their
@@ -112,7 +106,10 @@ pub struct Problem {
     instructions: Instructions,
     /// Sum of the weights of all samples and channels.
     total_weight: f64,
-    geometry: Geometry,
+    /// Whether normals are unknowns.
+    free_normals: bool,
+    /// By block.
+    given: Vec<GivenDirections>,
     transfer: Option<Transfer>,
     targets: Targets,
     /// (block, channel, picture), with one channel where all share a weight; or empty.
@@ -184,11 +181,6 @@ impl Problem {
                 check::moderate("bounced", &transfer.bounced, LARGEST_F32)?;
             }
         }
-        let geometry = if options.free_normals {
-            Geometry::Free(GivenDirections::blocks(normals, views)?)
-        } else {
-            Geometry::known(normals, views)?
-        };
         Ok(Self {
             pixels,
             pictures,
@@ -200,7 +192,8 @@ impl Problem {
             threads: options.threads,
             instructions: options.instructions,
             total_weight,
-            geometry,
+            free_normals: options.free_normals,
+            given: GivenDirections::blocks(normals, views, options.free_normals)?,
             transfer,
             targets,
             weights,
@@ -255,67 +248,13 @@ impl Problem {
 
     /// Whether normals are unknowns.
     pub(crate) fn free_normals(&self) -> bool {
-        matches!(self.geometry, Geometry::Free(_))
+        self.free_normals
     }
 
     /// Maps, in their planes of materials and of tangent offsets; the latter empty where normals
     /// are known.
     pub(crate) fn split_maps<'a>(&self, maps: &'a [f64]) -> (&'a [f64], &'a [f64]) {
         maps.split_at(self.unknowns_of_material() * self.pixels)
-    }
-
-    /// I − T of some pixels, without their weights, in float64 and rounded once: (picture, pixel of
-    /// `pixels`, channel).
-    pub fn residuals(&self, x: &[f64], pixels: &[usize]) -> Result<Vec<f32>> {
-        let (maps, lighting) = self.split(x)?;
-        self.check_maps(maps)?;
-        check::indices("pixels", self.pixels, pixels)?;
-        let pieces = pool::map(
-            self.threads,
-            pixels.chunks(BLOCK).collect(),
-            |pixels: &[usize]| {
-                with_model_of!(self, M => if self.channels == 1 {
-                    self.residuals_of::<M, 1>(maps, lighting, pixels)
-                } else {
-                    self.residuals_of::<M, 3>(maps, lighting, pixels)
-                })
-            },
-        );
-        let mut residuals = Vec::with_capacity(self.pictures * pixels.len() * self.channels);
-        for i in 0..self.pictures {
-            for of_pixels in &pieces {
-                let row = of_pixels.len() / self.pictures;
-                residuals.extend_from_slice(&of_pixels[i * row..][..row]);
-            }
-        }
-        Ok(residuals)
-    }
-
-    /// I − T of a few pixels: (picture, pixel, channel).
-    fn residuals_of<M: Reflection, const C: usize>(
-        &self,
-        maps: &[f64],
-        lighting: &[f64],
-        pixels: &[usize],
-    ) -> Vec<f32> {
-        let k = self.coefficients;
-        let mut residuals = vec![0.0; self.pictures * pixels.len() * C];
-        for (j, &p) in pixels.iter().enumerate() {
-            let (block, x) = (p / BLOCK, p % BLOCK);
-            let (frame, material) = (self.frame::<M>(maps, p), self.material::<C>(maps, p));
-            let weights = shade(&frame, &material);
-            let factors = M::SURROUNDED.then(|| factors_at(&frame, &material));
-            for (c, w) in weights.iter().enumerate() {
-                for i in 0..self.pictures {
-                    let light = lighting[i * k * C + c..].iter().step_by(C);
-                    let radiance: f64 = w[..k].iter().zip(light).map(|(w, l)| w * l).sum();
-                    residuals[(i * pixels.len() + j) * C + c] =
-                        (radiance + self.bounced_radiance::<M, C>(factors.as_ref(), p, c, i)
-                            - self.targets.get(block, c, i, x)) as f32;
-                }
-            }
-        }
-        residuals
     }
 
     /// The normals of all pixels; `maps` is the first part of x.
@@ -330,10 +269,7 @@ impl Problem {
         normals
             .try_reserve_exact(self.pixels)
             .map_err(|_| Error::Memory("normals"))?;
-        normals.extend((0..self.pixels).map(|p| match &self.geometry {
-            Geometry::Known { .. } => self.exact_directions(p).1[0],
-            Geometry::Free(_) => self.offset_normal(maps, p)[0],
-        }));
+        normals.extend((0..self.pixels).map(|p| self.normal(maps, p)));
         Ok(normals)
     }
 
@@ -420,7 +356,7 @@ impl Problem {
     }
 
     /// The pieces of work, as ranges of blocks.
-    fn chunks(&self) -> impl Iterator<Item = Range<usize>> {
+    pub(crate) fn chunks(&self) -> impl Iterator<Item = Range<usize>> {
         let (chunk, blocks) = (self.chunk(), self.blocks());
         (0..blocks)
             .step_by(chunk)
@@ -439,20 +375,9 @@ impl Problem {
         self.metallic
     }
 
-    /// Where the pixels of a block look, in float32; where normals are known.
-    pub(crate) fn known_directions(&self, block: usize) -> &Directions {
-        match &self.geometry {
-            Geometry::Known { directions, .. } => &directions[block],
-            Geometry::Free(_) => unreachable!("normals are free"),
-        }
-    }
-
-    /// What tangent offsets start from in a block; where normals are free.
+    /// Given normals and views of a block.
     pub(crate) fn given_directions(&self, block: usize) -> &GivenDirections {
-        match &self.geometry {
-            Geometry::Known { .. } => unreachable!("normals are known"),
-            Geometry::Free(given) => &given[block],
-        }
+        &self.given[block]
     }
 
     /// A plane for each picture.
@@ -462,34 +387,26 @@ impl Problem {
 
     /// Where some pixels look, at most [`BLOCK`] of them, from anywhere; at the tangent offsets of x.
     pub(crate) fn picked_directions(&self, maps: &[f64], pixels: &[usize]) -> Directions<f64> {
-        match &self.geometry {
-            Geometry::Known { .. } => {
-                let mut picked = Directions::default();
-                for (x, &p) in pixels.iter().enumerate() {
-                    let (cosine, [normal, mirror]) = self.exact_directions(p);
-                    picked.put(x, cosine, normal, mirror);
-                }
-                picked
-            }
-            Geometry::Free(_) => {
-                let mut picked = Directions::default();
-                self.instructions.run(OffsetNormals {
-                    given: &self.picked_given(pixels),
-                    offsets: &self.picked_offsets(maps, pixels),
-                    directions: &mut picked,
-                    jacobian: &mut NormalJacobian::default(),
-                });
-                picked
-            }
+        let (given, mut picked) = (&self.picked_given(pixels), Directions::default());
+        let directions = &mut picked;
+        if self.free_normals {
+            self.instructions.run(OffsetNormals {
+                given,
+                offsets: &self.picked_offsets(maps, pixels),
+                directions,
+                jacobian: &mut NormalJacobian::default(),
+            });
+        } else {
+            self.instructions.run(GivenNormals { given, directions });
         }
+        picked
     }
 
-    /// What the tangent offsets of some pixels start from, at most [`BLOCK`] of them; where normals
-    /// are free.
+    /// Given normals and views of some pixels, at most [`BLOCK`] of them.
     pub(crate) fn picked_given(&self, pixels: &[usize]) -> GivenDirections {
         let mut picked = GivenDirections::default();
         for (x, &p) in pixels.iter().enumerate() {
-            picked.copy(x, self.given_directions(p / BLOCK), p % BLOCK);
+            picked.set(x, self.given[p / BLOCK].get(p % BLOCK));
         }
         picked
     }
@@ -506,48 +423,13 @@ impl Problem {
         picked
     }
 
-    fn frame<M: Reflection>(&self, maps: &[f64], p: usize) -> Frame<M> {
-        match &self.geometry {
-            Geometry::Known { .. } => {
-                let (cosine, [normal, mirror]) = self.exact_directions(p);
-                match &self.transfer {
-                    Some(transfer) => Frame::surrounded(cosine, transfer.rows_of::<M>(p)),
-                    None => Frame::at(cosine, normal, mirror),
-                }
-            }
-            Geometry::Free(_) => {
-                let [normal, view] = self.offset_normal(maps, p);
-                Frame::new(normal, view)
-            }
+    /// The normal of a pixel, at its tangent offset if normals are free.
+    fn normal(&self, maps: &[f64], p: usize) -> DVec3 {
+        let [normal, _] = self.given[p / BLOCK].get(p % BLOCK);
+        if !self.free_normals {
+            return normal;
         }
-    }
-
-    /// Normal and view direction of a pixel at its tangent offset; where normals are free.
-    fn offset_normal(&self, maps: &[f64], p: usize) -> [DVec3; 2] {
-        let [normal, view] = self.given_directions(p / BLOCK).get(p % BLOCK);
-        [
-            tangent_offset::offset_normal(normal, self.offset(maps, p)).normal,
-            view,
-        ]
-    }
-
-    /// The clamped n·v of a pixel, and its normal and mirror direction to 48 bits; where normals are
-    /// known.
-    fn exact_directions(&self, p: usize) -> (f64, [DVec3; 2]) {
-        let Geometry::Known {
-            directions,
-            low_words,
-        } = &self.geometry
-        else {
-            unreachable!("normals are free");
-        };
-        let (block, x) = (p / BLOCK, p % BLOCK);
-        let [normal, mirror] = directions[block].rounded(x);
-        let [of_normal, of_mirror] = low_words[block].get(x);
-        (
-            directions[block].cosine(x),
-            [normal + of_normal, mirror + of_mirror],
-        )
+        tangent_offset::offset_normal(normal, self.offset(maps, p)).normal
     }
 
     /// Targets and weights of some pixels, at most [`BLOCK`]: (channel, picture); 0 where no pixel is.
@@ -582,6 +464,15 @@ impl Problem {
         }
     }
 
+    /// Gram matrices that lights of a channel have: 1, or one a picture where samples have weights.
+    pub(crate) fn grams(&self) -> usize {
+        if self.weights.is_empty() {
+            1
+        } else {
+            self.pictures
+        }
+    }
+
     /// A plane for each picture, or none where all samples weigh the same.
     pub(crate) fn weights(&self, block: usize, channel: usize) -> &[Plane] {
         if self.weights.is_empty() {
@@ -604,4 +495,20 @@ pub(crate) fn add(total: &mut [f64], partial: &[f64]) {
     for (t, p) in total.iter_mut().zip(partial) {
         *t += p;
     }
+}
+
+/// Planes of `pixels` values each, cut into pieces of `chunk` of them.
+fn chunks_of_planes(
+    maps: &mut [f64],
+    pixels: usize,
+    chunk: usize,
+) -> impl Iterator<Item = Vec<&mut [f64]>> {
+    let mut planes: Vec<_> = maps
+        .chunks_mut(pixels)
+        .map(|plane| plane.chunks_mut(chunk))
+        .collect();
+    (0..pixels.div_ceil(chunk)).map(move |_| {
+        let pieces = planes.iter_mut().map(Iterator::next);
+        pieces.map(|piece| piece.expect("equal planes")).collect()
+    })
 }

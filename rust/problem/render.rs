@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::chunks_of_planes;
 use crate::block::basis::{Basis, FillBasis};
 use crate::block::factors::FillFactors;
 use crate::block::radiance::Radiance;
@@ -13,7 +14,6 @@ use crate::reflectance::planes::{
 };
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::reflectance::surrounded::Surrounded;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check, pool};
 use crate::transport::table::Transfer;
@@ -33,12 +33,8 @@ pub fn render(
     (model, transfer): (Model, Option<&Transfer>),
     threads: usize,
 ) -> Result<Vec<f64>> {
-    let pixels = normals.len();
-    check::length("views", pixels, views.len())?;
-    check::length("materials", pixels, materials.len())?;
+    let pixels = check::pixels(normals, views, materials.len())?;
     check::moderate("lighting", lighting, check::LARGEST_F64)?;
-    check::unit_vectors("normals", normals)?;
-    check::unit_vectors("views", views)?;
     let (coefficients, rest) = lighting.as_chunks::<{ COEFFICIENTS * 3 }>();
     if !rest.is_empty() {
         return Err(Error::argument(
@@ -58,16 +54,16 @@ pub fn render(
         CHUNK * BLOCK,
         threads,
         |first, parts| {
-            with_model!(model, M => match transfer {
-                None => {
-                    render_chunk::<M>((normals, views), materials, &lights, None, first, parts);
-                }
-                Some(_) => {
-                    type Among = Surrounded<M>;
-                    let given = (normals, views);
-                    render_chunk::<Among>(given, materials, &lights, transfer, first, parts);
-                }
-            });
+            let given = (normals, views);
+            if transfer.is_some() {
+                with_model!(model, true, M => {
+                    render_chunk::<M>(given, materials, &lights, transfer, first, parts);
+                });
+            } else {
+                with_model!(model, M => {
+                    render_chunk::<M>(given, materials, &lights, None, first, parts);
+                });
+            }
         },
     )
 }
@@ -94,19 +90,10 @@ pub(crate) fn pictures(
         return Ok(images);
     }
     // Each piece of work writes its own part of every picture.
-    let mut pictures: Vec<_> = images
-        .chunks_mut(pixels * 3)
-        .map(|picture| picture.chunks_mut(piece * 3))
-        .collect();
-    let pieces = (0..pixels.div_ceil(piece))
-        .map(|i| {
-            let parts = pictures.iter_mut().map(Iterator::next);
-            let parts: Vec<_> = parts.map(|part| part.expect("equal pictures")).collect();
-            (i * piece, parts)
-        })
-        .collect();
-    pool::map(threads, pieces, |(first, mut parts): (usize, Vec<_>)| {
-        fill(first, &mut parts);
+    let pieces = chunks_of_planes(&mut images, pixels * 3, piece * 3);
+    let pieces = pieces.enumerate().collect();
+    pool::map(threads, pieces, |(i, mut parts): (usize, Vec<_>)| {
+        fill(i * piece, &mut parts);
     });
     Ok(images)
 }
@@ -144,14 +131,13 @@ fn render_chunk<M: Reflection>(
                 model,
             }),
         }
-        isa.run(FillFactors {
+        isa.run(FillFactors::<M, _, _> {
             directions: &directions,
             materials: &of_block,
             pixels: count,
             by_cosine: false,
             functions: &mut functions,
             factors: &mut factors,
-            model,
         });
         isa.run(FillWeights {
             basis: &basis,

@@ -1,14 +1,12 @@
-//! Losses to which a residual that fits badly adds less than its square: shadows, interreflections
-//! and highlights that the model does not know then weigh less beside what it does know.
+//! Cauchy's loss, to which a residual that fits badly adds less than its square: shadows,
+//! interreflections and highlights that the model does not know then weigh less beside what it does
+//! know.
 //!
 //! ```text
-//! squares   φ(e) = e²                                   φ'(e)/2 = e
-//! Huber     φ(e) = a (2|e| − a),   a = min(|e|, δ)      φ'(e)/2 = e, at most δ in size
-//! Cauchy    φ(e) = δ² ln(1 + u²),  u = e/δ              φ'(e)/2 = e / (1 + u²)
+//! φ(e) = δ² ln(1 + u²),   u = e/δ,   φ'(e)/2 = e / (1 + u²)
 //! ```
 //!
-//! Huber's is e² up to δ and the line 2δ|e| − δ² beyond. All three are e² for small e, so the scale
-//! δ says where they part.
+//! It is e² for small e, and logarithmic beyond the scale δ; the slope of far outliers falls to 0.
 
 use crate::reflectance::planes::{BLOCK, Plane};
 use crate::runtime::simd::{Isa, Kernel};
@@ -20,34 +18,23 @@ const SCALES: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
 /// Sums of values that run side by side.
 const LANES: usize = 16;
 
-/// A robust loss and its scale δ, in the unit of the residuals.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Robust {
-    /// Quadratic up to δ, linear beyond.
-    Huber(f64),
-    /// Logarithmic beyond δ; the slope of far outliers falls to 0.
-    Cauchy(f64),
-}
-
-impl Robust {
-    /// Whether the scale can be used.
-    pub(crate) fn check(self) -> Result<()> {
-        let (Self::Huber(scale) | Self::Cauchy(scale)) = self;
-        if SCALES.contains(&scale) {
-            return Ok(());
-        }
-        Err(Error::argument(
-            "robust",
-            "a scale from 1e-15 to 1e15",
-            format!("{scale:e}"),
-        ))
+/// Whether a scale can be used.
+pub(super) fn check(scale: f64) -> Result<()> {
+    if SCALES.contains(&scale) {
+        return Ok(());
     }
+    let found = format!("{scale:e}");
+    Err(Error::argument(
+        "robust",
+        "a scale from 1e-15 to 1e15",
+        found,
+    ))
 }
 
 /// Turns residuals e into ω φ'(e)/2 and returns Σ ω φ(e).
 pub struct ApplyRobustLoss<'a> {
-    /// φ
-    pub loss: Robust,
+    /// δ
+    pub scale: f64,
     /// ω, a plane for each picture; or none, where all are 1.
     pub sample_weights: &'a [Plane],
     /// e, a plane for each picture; written.
@@ -59,25 +46,19 @@ impl Kernel for ApplyRobustLoss<'_> {
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) -> f64 {
-        match self.loss {
-            Robust::Huber(scale) => self.with(Huber(scale as f32)),
-            Robust::Cauchy(scale) => scale * scale * self.with(Cauchy((1.0 / scale) as f32)),
-        }
-    }
-}
-
-impl ApplyRobustLoss<'_> {
-    #[inline(always)]
-    fn with(self, shape: impl Shape) -> f64 {
         const ONES: &Plane = &Plane([1.0; BLOCK]);
+        let inverse = (1.0 / self.scale) as f32;
+        // In units of δ², which float32 need not hold.
         let mut values = Plane::default();
         let mut sums = [0.0; LANES];
         for (j, e) in self.residuals.iter_mut().enumerate() {
             let omega = self.sample_weights.get(j).unwrap_or(ONES);
             for x in 0..BLOCK {
-                let (value, half_slope) = shape.at(e.0[x]);
-                values.0[x] = omega.0[x] * value;
-                e.0[x] = omega.0[x] * half_slope;
+                // The square fits into float32, and beyond nothing is left of the slope.
+                let u = (e.0[x] * inverse).abs().min(1e19);
+                let (log, inverse) = log_1p(u * u);
+                values.0[x] = omega.0[x] * log;
+                e.0[x] = omega.0[x] * (e.0[x] * inverse);
             }
             for values in values.0.as_chunks::<LANES>().0 {
                 for i in 0..LANES {
@@ -85,41 +66,8 @@ impl ApplyRobustLoss<'_> {
                 }
             }
         }
-        sums.iter().map(|&sum| f64::from(sum)).sum()
-    }
-}
-
-/// A loss of one residual, free of branches so that a loop over it becomes vector code.
-trait Shape: Copy {
-    /// φ(e), in a unit of its own, and φ'(e)/2.
-    fn at(self, e: f32) -> (f32, f32);
-}
-
-/// δ
-#[derive(Clone, Copy)]
-struct Huber(f32);
-
-impl Shape for Huber {
-    #[inline(always)]
-    fn at(self, e: f32) -> (f32, f32) {
-        let size = e.abs();
-        let a = size.min(self.0);
-        (a * (2.0 * size - a), a.copysign(e))
-    }
-}
-
-/// 1/δ; values are in units of δ², which float32 need not hold.
-#[derive(Clone, Copy)]
-struct Cauchy(f32);
-
-impl Shape for Cauchy {
-    #[inline(always)]
-    fn at(self, e: f32) -> (f32, f32) {
-        // The square fits into float32, and beyond nothing is left of the slope.
-        let u = (e * self.0).abs().min(1e19);
-        let z = u * u;
-        let (log, inverse) = log_1p(z);
-        (log, e * inverse)
+        let sum: f64 = sums.iter().map(|&sum| f64::from(sum)).sum();
+        self.scale * self.scale * sum
     }
 }
 

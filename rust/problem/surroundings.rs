@@ -3,7 +3,7 @@
 use super::Problem;
 use crate::block::basis::{Basis, FillBasis, MAX_PROJECTIONS};
 use crate::reflectance::planes::{BLOCK, Directions, Doubles, Plane};
-use crate::reflectance::reflection::{Factors, Reflection};
+use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::Real;
 use crate::transport::table::Transfer;
 
@@ -74,30 +74,6 @@ impl Problem {
                 }
             }
         }
-    }
-
-    /// What is brought to the radiance of a pixel with some factors; none where it is not among any.
-    pub(crate) fn bounced_radiance<M: Reflection, const C: usize>(
-        &self,
-        factors: Option<&M::Factors<C>>,
-        p: usize,
-        channel: usize,
-        picture: usize,
-    ) -> f64 {
-        let transfer = self.transfer.as_ref().filter(|t| !t.bounced.is_empty());
-        let (Some(transfer), Some(factors)) = (transfer, factors) else {
-            return 0.0;
-        };
-        (0..=M::ROWS)
-            .map(|s| {
-                let factor = match s {
-                    0 => factors.diffuse(channel),
-                    s => factors.row(channel, s - 1),
-                };
-                let of_row = self.bounced_of::<M>(transfer, p, s);
-                factor * f64::from(of_row[picture * self.channels + channel])
-            })
-            .sum()
     }
 
     /// Of one row of a pixel: (picture, channel).

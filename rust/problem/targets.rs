@@ -1,6 +1,5 @@
 //! The pictures as an evaluation reads them, taken up one at a time: they never all lie there twice.
 
-use crate::problem::low_words::high_and_low;
 use crate::problem::widen;
 use crate::reflectance::planes::{BLOCK, Plane};
 use crate::runtime::check::LARGEST_F32;
@@ -69,32 +68,19 @@ impl Targets {
         Ok(targets)
     }
 
-    /// Takes up the next picture: (pixel, channel).
-    pub fn push(&mut self, picture: &[f32]) -> Result<()> {
+    /// Takes up the next picture, (pixel, channel); of float64 to 48 bits.
+    pub fn push<T: Copy + Into<f64> + Sync>(&mut self, picture: &[T]) -> Result<()> {
         let i = self.next(picture)?;
         let layout = self.layout;
-        layout.put(&mut self.high_words, i, picture, |value| value);
-        Ok(())
-    }
-
-    /// The same of a picture in float64, to 48 bits.
-    pub fn push_exact(&mut self, picture: &[f64]) -> Result<()> {
-        let i = self.next(picture)?;
-        if self.low_words.is_empty() {
-            self.low_words = room(
-                "images",
-                self.pixels,
-                self.layout.pictures,
-                self.layout.channels,
-            )?;
+        let high = |value: T| value.into() as f32;
+        layout.put(&mut self.high_words, i, picture, high);
+        if size_of::<T>() > size_of::<f32>() {
+            if self.low_words.is_empty() {
+                self.low_words = room("images", self.pixels, layout.pictures, layout.channels)?;
+            }
+            let low = |value: T| (value.into() - f64::from(high(value))) as f32;
+            layout.put(&mut self.low_words, i, picture, low);
         }
-        let layout = self.layout;
-        layout.put(&mut self.high_words, i, picture, |value| {
-            high_and_low(value).0
-        });
-        layout.put(&mut self.low_words, i, picture, |value| {
-            high_and_low(value).1
-        });
         Ok(())
     }
 

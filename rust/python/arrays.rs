@@ -1,13 +1,13 @@
-//! Numpy arrays as they come in: checked, and read where they are or copied.
+//! Arrays of numpy: in, checked and read where they are or copied; and out.
 
 use std::borrow::Cow;
 
 use bytemuck::cast_slice;
 use glam::DVec3;
-use numpy::ndarray::{ArrayView, Dimension};
+use numpy::ndarray::{Array, ArrayView, Dim, Dimension, IntoDimension};
 use numpy::{
-    Element, Ix1, PyArray1, PyArrayDescrMethods, PyArrayMethods, PyReadonlyArray, PyReadonlyArray1,
-    PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods, dtype,
+    Element, IntoPyArray, Ix1, Ix2, PyArray, PyArray1, PyArrayDescrMethods, PyArrayMethods,
+    PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods, dtype,
 };
 use pyo3::prelude::*;
 
@@ -16,14 +16,74 @@ use crate::reflectance::planes::Material;
 use crate::runtime::check::MAX_SAMPLES;
 use crate::runtime::{Error, Result, check};
 
-/// The values in C order, whatever the array's strides.
-pub(super) fn copied<T: Element + Copy, D: Dimension>(array: &PyReadonlyArray<'_, T, D>) -> Vec<T> {
-    let view: ArrayView<T, D> = array.as_array();
-    view.iter().copied().collect()
+/// In a shape: as long as the array is.
+pub(super) const ANY: usize = usize::MAX;
+
+/// An array that is handed out.
+pub(super) type Out<'py, const N: usize, T = f64> = Bound<'py, PyArray<T, Dim<[usize; N]>>>;
+
+/// The values of an array in C order, and its shape, which has to be the expected one.
+pub(super) fn given<T: Element + Copy, const N: usize>(
+    name: &'static str,
+    argument: &Bound<'_, PyAny>,
+    expected: [usize; N],
+) -> PyResult<(Vec<T>, [usize; N])>
+where
+    Dim<[usize; N]>: Dimension,
+{
+    let array = array::<T, Dim<[usize; N]>>(name, argument)?;
+    let mut found = expected;
+    found.copy_from_slice(array.shape());
+    let expected: [usize; N] = std::array::from_fn(|i| match expected[i] {
+        ANY => found[i],
+        length => length,
+    });
+    shape(name, &expected, &found)?;
+    Ok((copied(name, &array)?, found))
 }
 
-/// The same where there may not be enough memory: a broadcast array can pretend to any size.
-pub(super) fn try_copied<T: Element + Copy, D: Dimension>(
+/// The values alone.
+pub(super) fn values<T: Element + Copy, const N: usize>(
+    name: &'static str,
+    argument: &Bound<'_, PyAny>,
+    expected: [usize; N],
+) -> PyResult<Vec<T>>
+where
+    Dim<[usize; N]>: Dimension,
+{
+    Ok(given(name, argument, expected)?.0)
+}
+
+/// As an array of some shape.
+pub(super) fn out<T: Element, const N: usize>(
+    py: Python<'_>,
+    values: Vec<T>,
+    shape: [usize; N],
+) -> Out<'_, N, T>
+where
+    Dim<[usize; N]>: Dimension,
+    [usize; N]: IntoDimension<Dim = Dim<[usize; N]>>,
+{
+    let array = Array::from_shape_vec(shape.into_dimension(), values);
+    array
+        .expect("the shape's own number of values")
+        .into_pyarray(py)
+}
+
+/// Rows of N numbers as an array (M, N).
+pub(super) fn rows<'py, const N: usize>(
+    py: Python<'py>,
+    name: &'static str,
+    rows: impl ExactSizeIterator<Item = [f64; N]>,
+) -> PyResult<Out<'py, 2>> {
+    let count = rows.len();
+    let rows = collect(name, count, rows)?;
+    Ok(out(py, rows.into_flattened(), [count, N]))
+}
+
+/// The values in C order, whatever the array's strides; an error where there is not enough memory, for
+/// a broadcast array can pretend to any size.
+pub(super) fn copied<T: Element + Copy, D: Dimension>(
     name: &'static str,
     array: &PyReadonlyArray<'_, T, D>,
 ) -> Result<Vec<T>> {
@@ -117,7 +177,7 @@ impl<'a, T: Element + Copy> Contiguous<'a, T> {
         // The slice of an array in Fortran order would have the values in that order.
         Ok(Self(match array.as_slice() {
             Ok(values) if array.is_c_contiguous() => Cow::Borrowed(values),
-            _ => Cow::Owned(try_copied(name, array)?),
+            _ => Cow::Owned(copied(name, array)?),
         }))
     }
 
@@ -126,49 +186,79 @@ impl<'a, T: Element + Copy> Contiguous<'a, T> {
     }
 }
 
-/// Rows of an (M, 3) array: its own memory where they lie there one after the other, else a copy.
-pub(super) fn vectors<'a>(
+/// Vectors from an array (M, 3), of `count` rows or any.
+pub(super) fn vectors(
     name: &'static str,
-    array: &'a PyReadonlyArray2<'_, f64>,
+    argument: &Bound<'_, PyAny>,
+    count: usize,
+) -> PyResult<Vec<DVec3>> {
+    let (values, [count, _]) = given::<f64, 2>(name, argument, [count, 3])?;
+    Ok(vectors_of(name, count, &values)?)
+}
+
+/// So many vectors from their coordinates.
+pub(super) fn vectors_of(name: &'static str, count: usize, values: &[f64]) -> Result<Vec<DVec3>> {
+    let vectors = values.as_chunks().0.iter();
+    collect(name, count, vectors.map(|&v| DVec3::from_array(v)))
+}
+
+/// Rows of an (M, 3) array: its own memory where they lie there one after the other, else a copy.
+pub(super) fn vector_rows<'a>(
+    name: &'static str,
+    array: &'a PyReadonlyArray<'_, f64, Ix2>,
 ) -> Result<Cow<'a, [DVec3]>> {
-    let rows = array.shape()[0];
-    shape(name, &[rows, 3], array.shape())?;
     Ok(match Contiguous::try_of(name, array)?.0 {
         Cow::Borrowed(values) => Cow::Borrowed(cast_slice(values)),
-        Cow::Owned(values) => {
-            let vectors = values.as_chunks().0.iter();
-            Cow::Owned(collect(name, rows, vectors.map(|&v| DVec3::from_array(v)))?)
-        }
+        Cow::Owned(values) => Cow::Owned(vectors_of(name, array.shape()[0], &values)?),
     })
 }
 
-/// Materials from (M, 3), (M,) and (M,) arrays, checked to lie in \[0, 1\].
-pub(super) fn materials(
-    albedo: &PyReadonlyArray2<'_, f64>,
-    roughness: &PyReadonlyArray1<'_, f64>,
-    metallic: &PyReadonlyArray1<'_, f64>,
-) -> Result<Vec<Material>> {
-    let pixels = albedo.shape()[0];
-    shape("albedo", &[pixels, 3], albedo.shape())?;
-    shape("roughness", &[pixels], roughness.shape())?;
-    shape("metallic", &[pixels], metallic.shape())?;
-    let albedo = Contiguous::try_of("albedo", albedo)?;
-    let roughness = Contiguous::try_of("roughness", roughness)?;
-    let metallic = Contiguous::try_of("metallic", metallic)?;
-    check::unit_interval("albedo", albedo.values())?;
-    check::unit_interval("roughness", roughness.values())?;
-    check::unit_interval("metallic", metallic.values())?;
-    let rows = albedo.values().as_chunks::<3>().0.iter();
-    let material = |((&albedo, &roughness), &metallic)| Material {
-        albedo,
-        roughness,
-        metallic,
-    };
-    let materials = rows
-        .zip(roughness.values())
-        .zip(metallic.values())
-        .map(material);
-    collect("albedo", pixels, materials)
+/// What is given for each pixel.
+pub(super) struct Pixels {
+    pub(super) normals: Vec<DVec3>,
+    pub(super) views: Vec<DVec3>,
+    /// In \[0, 1\].
+    pub(super) materials: Vec<Material>,
+}
+
+impl Pixels {
+    /// From normals and views, so called, (M, 3), albedo (M, 3), roughness (M,) and metallic (M,).
+    pub(super) fn new(
+        names: [&'static str; 2],
+        [normals, views, albedo, roughness, metallic]: [&Bound<'_, PyAny>; 5],
+    ) -> PyResult<Self> {
+        let (albedo, [count, _]) = given::<f64, 2>("albedo", albedo, [ANY, 3])?;
+        let roughness = values::<f64, 1>("roughness", roughness, [count])?;
+        let metallic = values::<f64, 1>("metallic", metallic, [count])?;
+        check::unit_interval("albedo", &albedo)?;
+        check::unit_interval("roughness", &roughness)?;
+        check::unit_interval("metallic", &metallic)?;
+        let each = albedo
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .zip(roughness.iter().zip(&metallic));
+        let material = |(&albedo, (&roughness, &metallic)): (_, (_, _))| Material {
+            albedo,
+            roughness,
+            metallic,
+        };
+        Ok(Self {
+            normals: vectors(names[0], normals, count)?,
+            views: vectors(names[1], views, count)?,
+            materials: collect("albedo", count, each.map(material))?,
+        })
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.materials.len()
+    }
+}
+
+/// Indices out of an array of uint64.
+pub(super) fn indices(name: &'static str, argument: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+    let indices = values::<u64, 1>(name, argument, [ANY])?;
+    Ok(indices.into_iter().map(|i| i as usize).collect())
 }
 
 pub(super) fn shape(name: &'static str, expected: &[usize], found: &[usize]) -> Result<()> {

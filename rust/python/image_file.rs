@@ -12,6 +12,7 @@ use pyo3::types::{PyBytes, PyDict};
 use super::InputError;
 use super::arrays::copied;
 use crate::image_file::{self, ExrChannel, Format, PngSamples, PngTag, Samples};
+use crate::runtime::Result;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Raster>()?;
@@ -123,13 +124,13 @@ fn write_exr(
             plane.shape()[1]
         )));
     }
-    let channels: Vec<_> = channels
+    let channels = channels
         .into_iter()
-        .map(|(name, plane)| ExrChannel {
-            name,
-            values: copied(&plane),
+        .map(|(name, plane)| {
+            let values = copied("channels", &plane)?;
+            Ok(ExrChannel { name, values })
         })
-        .collect();
+        .collect::<Result<Vec<_>>>()?;
     py.detach(|| image_file::write_exr(&path, shape[1], shape[0], channels, half))?;
     Ok(())
 }
@@ -169,11 +170,11 @@ impl Integers {
     fn of(image: &Bound<'_, PyAny>) -> PyResult<Self> {
         if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u8>>() {
             let shape = png_shape(image.shape())?;
-            let values = Samples::U8(copied(&image));
+            let values = Samples::U8(copied("image", &image)?);
             Ok(Self { values, shape })
         } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u16>>() {
             let shape = png_shape(image.shape())?;
-            let values = Samples::U16(copied(&image));
+            let values = Samples::U16(copied("image", &image)?);
             Ok(Self { values, shape })
         } else {
             let kind = image

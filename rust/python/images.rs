@@ -91,9 +91,7 @@ impl<'py> Picture<'py> {
     fn push_to(self, targets: &mut Targets) -> Result<()> {
         match self {
             Self::Single(picture) => targets.push(Contiguous::try_of("images", &picture)?.values()),
-            Self::Double(picture) => {
-                targets.push_exact(Contiguous::try_of("images", &picture)?.values())
-            }
+            Self::Double(picture) => targets.push(Contiguous::try_of("images", &picture)?.values()),
         }
     }
 }

@@ -11,7 +11,6 @@ mod image_file;
 mod images;
 mod lamps;
 mod model;
-mod penalties;
 mod problem;
 mod surroundings;
 
@@ -74,7 +73,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     environment::register(module)?;
     problem::register(module)?;
     surroundings::register(module)?;
-    penalties::register(module)?;
     ending::register(module)?;
     image_file::register(module)
 }

@@ -1,27 +1,18 @@
 //! `pbrfit._core`: the forward model on flat arrays.
 
-use glam::DVec3;
-use numpy::ndarray::{Array1, Array2, Array3};
-use numpy::{
-    IntoPyArray, Ix1, Ix2, Ix3, PyArray1, PyArray2, PyArray3, PyReadonlyArray,
-    PyUntypedArrayMethods,
-};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use super::arrays::{array, collect, materials, shape, try_copied, vectors};
+use super::arrays::{ANY, Out, Pixels, collect, given, out, rows, values, vectors};
 use super::surroundings::given as given_transfer;
 use crate::problem::render::render as render_pixels;
 use crate::reflectance::lobe_table;
 use crate::reflectance::model::{Model, with_model};
-use crate::reflectance::planes::Material;
-use crate::reflectance::reflection::{Reflection, Weights};
-use crate::reflectance::shade::{
-    Frame, FrameWithSlopes, shade as shade_pixel, shade_vjp_by_normal as pull_back_pixel,
-};
+use crate::reflectance::reflection::Reflection;
+use crate::reflectance::shade::{Frame, shade as shade_pixel, shade_vjp as pull_back_pixel};
 use crate::reflectance::{ggx, sh};
-use crate::runtime::check::MAX_SAMPLES;
-use crate::runtime::{Error, Result, check};
+use crate::runtime::check::{self, MAX_SAMPLES};
+use crate::runtime::{Error, Result};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
@@ -34,79 +25,61 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 #[pyfunction]
-fn sh_basis<'py>(
-    py: Python<'py>,
-    directions: &Bound<'py, PyAny>,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let directions = array("directions", directions)?;
-    let directions = vectors("directions", &directions)?.into_owned();
+fn sh_basis<'py>(py: Python<'py>, directions: &Bound<'py, PyAny>) -> PyResult<Out<'py, 2>> {
+    let directions = vectors("directions", directions, ANY)?;
     let basis = py.detach(|| {
         check::unit_vectors("directions", &directions)?;
-        let rows = directions.iter().map(|&d| sh::basis(d.to_array()));
-        collect("directions", directions.len(), rows)
+        let basis = directions.iter().map(|&d| sh::basis(d.to_array()));
+        collect("directions", directions.len(), basis)
     })?;
-    Ok(array2(basis).into_pyarray(py))
+    rows(py, "directions", basis.into_iter())
 }
 
 #[pyfunction]
-#[expect(clippy::type_complexity)]
 fn ggx_band_weights<'py>(
     py: Python<'py>,
     r: &Bound<'py, PyAny>,
-) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)> {
-    let r = array::<f64, Ix1>("r", r)?;
-    let r = try_copied("r", &r)?;
-    let (weights, slopes) = py.detach(|| {
+) -> PyResult<(Out<'py, 2>, Out<'py, 2>)> {
+    let r = values::<f64, 1>("r", r, [ANY])?;
+    let bands = py.detach(|| {
         check::unit_interval("r", &r)?;
-        let bands = collect("r", r.len(), r.iter().map(|&r| ggx::bands(r)))?;
-        Ok::<_, Error>((
-            collect("r", r.len(), bands.iter().map(|b| b.weight))?,
-            collect("r", r.len(), bands.iter().map(|b| b.slope))?,
-        ))
+        collect("r", r.len(), r.iter().map(|&r| ggx::bands(r)))
     })?;
-    Ok((
-        array2(weights).into_pyarray(py),
-        array2(slopes).into_pyarray(py),
-    ))
+    let weights = rows(py, "r", bands.iter().map(|b| b.weight))?;
+    Ok((weights, rows(py, "r", bands.iter().map(|b| b.slope))?))
 }
 
 #[pyfunction]
-#[expect(clippy::type_complexity)]
 fn lobe_functions<'py>(
     py: Python<'py>,
     r: &Bound<'py, PyAny>,
     cosine: &Bound<'py, PyAny>,
-) -> PyResult<(
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray2<f64>>,
-)> {
-    let r = array::<f64, Ix1>("r", r)?;
-    let cosine = array::<f64, Ix1>("cosine", cosine)?;
-    shape("cosine", r.shape(), cosine.shape())?;
-    let (r, cosine) = (try_copied("r", &r)?, try_copied("cosine", &cosine)?);
-    let rows = py.detach(|| {
+) -> PyResult<(Out<'py, 2>, Out<'py, 2>, Out<'py, 2>)> {
+    let (r, shape) = given::<f64, 1>("r", r, [ANY])?;
+    let cosine = values::<f64, 1>("cosine", cosine, shape)?;
+    let found = py.detach(|| {
         check::unit_interval("r", &r)?;
         check::unit_interval("cosine", &cosine)?;
-        let rows = r.iter().zip(&cosine);
-        collect(
-            "r",
-            r.len(),
-            rows.map(|(&r, &cosine)| lobe_table::values(r, cosine)),
-        )
+        let places = r.iter().zip(&cosine);
+        let found = places.map(|(&r, &cosine)| lobe_table::values(r, cosine));
+        collect("r", r.len(), found)
     })?;
-    let column = |i: usize| collect("r", rows.len(), rows.iter().map(|row| row[i]));
-    Ok((
-        array2(column(0)?).into_pyarray(py),
-        array2(column(1)?).into_pyarray(py),
-        array2(column(2)?).into_pyarray(py),
-    ))
+    let column = |i: usize| rows(py, "r", found.iter().map(|row| row[i]));
+    Ok((column(0)?, column(1)?, column(2)?))
 }
 
 #[pyfunction]
 #[pyo3(name = "lobe_table")]
 fn lobe_table_file(py: Python<'_>) -> Bound<'_, PyBytes> {
     PyBytes::new(py, lobe_table::file())
+}
+
+/// Pixels whose directions are of unit length.
+fn unit_pixels(given: [&Bound<'_, PyAny>; 5]) -> PyResult<Pixels> {
+    let pixels = Pixels::new(["normal", "view"], given)?;
+    check::unit_vectors("normal", &pixels.normals)?;
+    check::unit_vectors("view", &pixels.views)?;
+    Ok(pixels)
 }
 
 #[pyfunction]
@@ -119,27 +92,27 @@ fn shade<'py>(
     roughness: &Bound<'py, PyAny>,
     metallic: &Bound<'py, PyAny>,
     model: &str,
-) -> PyResult<Bound<'py, PyArray3<f64>>> {
+) -> PyResult<Out<'py, 3>> {
     let model: Model = model.parse()?;
-    let pixels = Pixels::new(
-        ("normal", normal),
-        ("view", view),
-        albedo,
-        roughness,
-        metallic,
-    )?;
+    let pixels = unit_pixels([normal, view, albedo, roughness, metallic])?;
     let weights = py.detach(|| {
-        pixels.check()?;
-        with_model!(model, M => pixels.shade::<M>())
+        let each = pixels
+            .normals
+            .iter()
+            .zip(&pixels.views)
+            .zip(&pixels.materials);
+        with_model!(model, M => {
+            let weights = each.map(|((&n, &v), m)| shade_pixel(&Frame::<M>::new(n, v), m));
+            collect("normal", pixels.count(), weights)
+        })
     })?;
-    let shape = [pixels.count(), 3, sh::COEFFICIENTS];
     let weights = weights.into_flattened().into_flattened();
-    Ok(array3(weights, shape).into_pyarray(py))
+    Ok(out(py, weights, [pixels.count(), 3, sh::COEFFICIENTS]))
 }
 
 #[pyfunction]
 #[pyo3(signature = (normal, view, albedo, roughness, metallic, cotangent, model = "paper"))]
-#[expect(clippy::too_many_arguments, clippy::type_complexity)]
+#[expect(clippy::too_many_arguments)]
 fn shade_vjp<'py>(
     py: Python<'py>,
     normal: &Bound<'py, PyAny>,
@@ -149,47 +122,33 @@ fn shade_vjp<'py>(
     metallic: &Bound<'py, PyAny>,
     cotangent: &Bound<'py, PyAny>,
     model: &str,
-) -> PyResult<(
-    Bound<'py, PyArray2<f64>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyArray2<f64>>,
-)> {
+) -> PyResult<(Out<'py, 2>, Out<'py, 1>, Out<'py, 1>, Out<'py, 2>)> {
     let model: Model = model.parse()?;
-    let pixels = Pixels::new(
-        ("normal", normal),
-        ("view", view),
-        albedo,
-        roughness,
-        metallic,
-    )?;
-    let cotangent = array::<f64, Ix3>("cotangent", cotangent)?;
-    let expected = [pixels.count(), 3, sh::COEFFICIENTS];
-    shape("cotangent", &expected, cotangent.shape())?;
-    let cotangent = try_copied("cotangent", &cotangent)?;
+    let pixels = unit_pixels([normal, view, albedo, roughness, metallic])?;
+    let shape = [pixels.count(), 3, sh::COEFFICIENTS];
+    let cotangent = values::<f64, 3>("cotangent", cotangent, shape)?;
     let gradients = py.detach(|| {
-        pixels.check()?;
         check::moderate("cotangent", &cotangent, check::LARGEST_F64)?;
-        let weights = cotangent
-            .as_chunks::<{ sh::COEFFICIENTS }>()
-            .0
-            .as_chunks::<3>()
-            .0;
-        with_model!(model, M => pixels.pull_back::<M>(weights))
+        let weights = cotangent.as_chunks::<{ sh::COEFFICIENTS }>().0;
+        let weights = weights.as_chunks::<3>().0;
+        let directions = pixels.normals.iter().zip(&pixels.views);
+        let each = directions.zip(&pixels.materials).zip(weights);
+        with_model!(model, M => {
+            let gradients = each.map(|(((&n, &v), m), w)| pull_back_pixel::<M, 3>(n, v, m, w));
+            collect("normal", pixels.count(), gradients)
+        })
     })?;
-    let (materials, normals) = (
-        || gradients.iter().map(|g| g.0),
-        gradients.iter().map(|g| g.1),
-    );
-    let albedo = collect("albedo", pixels.count(), materials().map(|g| g.albedo))?;
-    let roughness: Array1<f64> = materials().map(|g| g.roughness).collect();
-    let metallic: Array1<f64> = materials().map(|g| g.metallic).collect();
-    let normal = collect("normal", pixels.count(), normals.map(|g| g.to_array()))?;
+    let of_materials = || gradients.iter().map(|(material, _)| material);
+    let count = [pixels.count()];
     Ok((
-        array2(albedo).into_pyarray(py),
-        roughness.into_pyarray(py),
-        metallic.into_pyarray(py),
-        array2(normal).into_pyarray(py),
+        rows(py, "albedo", of_materials().map(|m| m.albedo))?,
+        out(py, of_materials().map(|m| m.roughness).collect(), count),
+        out(py, of_materials().map(|m| m.metallic).collect(), count),
+        rows(
+            py,
+            "normal",
+            gradients.iter().map(|(_, normal)| normal.to_array()),
+        )?,
     ))
 }
 
@@ -208,32 +167,21 @@ fn render<'py>(
     model: &str,
     transfer: Option<&Bound<'py, PyAny>>,
     bounced: Option<&Bound<'py, PyAny>>,
-) -> PyResult<Bound<'py, PyArray3<f64>>> {
+) -> PyResult<Out<'py, 3>> {
     let model: Model = model.parse()?;
-    let pixels = Pixels::new(
-        ("normals", normals),
-        ("views", views),
-        albedo,
-        roughness,
-        metallic,
-    )?;
-    let lighting = array::<f64, Ix3>("lighting", lighting)?;
-    let lights = lighting.shape()[0];
-    shape("lighting", &[lights, sh::COEFFICIENTS, 3], lighting.shape())?;
+    let given_pixels = [normals, views, albedo, roughness, metallic];
+    let pixels = Pixels::new(["normals", "views"], given_pixels)?;
+    let expected = [ANY, sh::COEFFICIENTS, 3];
+    let (lighting, [lights, ..]) = given::<f64, 3>("lighting", lighting, expected)?;
     not_too_many("lighting", lights, pixels.count())?;
-    let lighting = try_copied("lighting", &lighting)?;
     let rows = with_model!(model, M => 1 + M::ROWS);
     let transfer = given_transfer(transfer, bounced, [pixels.count(), rows, lights * 3])?;
     let surface = (model, transfer.as_ref());
-    let Pixels {
-        normals,
-        views,
-        materials,
-        ..
-    } = &pixels;
+    let (normals, views) = (&pixels.normals, &pixels.views);
+    let materials = &pixels.materials;
     let images =
         py.detach(|| render_pixels(normals, views, materials, &lighting, surface, threads))?;
-    Ok(array3(images, [lights, pixels.count(), 3]).into_pyarray(py))
+    Ok(out(py, images, [lights, pixels.count(), 3]))
 }
 
 /// Pictures of so many pixels under so many lights must be possible.
@@ -244,83 +192,4 @@ pub(super) fn not_too_many(name: &'static str, lights: usize, pixels: usize) -> 
         return Err(Error::argument(name, expected, samples));
     }
     Ok(())
-}
-
-/// Copies of what is given for each pixel.
-pub(super) struct Pixels {
-    names: [&'static str; 2],
-    pub(super) normals: Vec<DVec3>,
-    pub(super) views: Vec<DVec3>,
-    pub(super) materials: Vec<Material>,
-}
-
-impl Pixels {
-    /// From arrays of as many rows each; the first two by their names.
-    pub(super) fn new(
-        normals: (&'static str, &Bound<'_, PyAny>),
-        views: (&'static str, &Bound<'_, PyAny>),
-        albedo: &Bound<'_, PyAny>,
-        roughness: &Bound<'_, PyAny>,
-        metallic: &Bound<'_, PyAny>,
-    ) -> PyResult<Self> {
-        let names = [normals.0, views.0];
-        let normals: PyReadonlyArray<'_, f64, Ix2> = array(normals.0, normals.1)?;
-        let views: PyReadonlyArray<'_, f64, Ix2> = array(views.0, views.1)?;
-        let materials = materials(
-            &array("albedo", albedo)?,
-            &array("roughness", roughness)?,
-            &array("metallic", metallic)?,
-        )?;
-        shape(names[0], &[materials.len(), 3], normals.shape())?;
-        shape(names[1], &[materials.len(), 3], views.shape())?;
-        Ok(Self {
-            names,
-            normals: vectors(names[0], &normals)?.into_owned(),
-            views: vectors(names[1], &views)?.into_owned(),
-            materials,
-        })
-    }
-
-    pub(super) fn count(&self) -> usize {
-        self.materials.len()
-    }
-
-    fn check(&self) -> Result<()> {
-        check::unit_vectors(self.names[0], &self.normals)?;
-        check::unit_vectors(self.names[1], &self.views)
-    }
-
-    fn shade<M: Reflection>(&self) -> Result<Vec<Weights>> {
-        let weights = self
-            .each()
-            .map(|(n, v, m)| shade_pixel(&Frame::<M>::new(n, v), m));
-        collect("normal", self.count(), weights)
-    }
-
-    fn pull_back<M: Reflection>(&self, cotangent: &[Weights]) -> Result<Vec<(Material, DVec3)>> {
-        let pairs = self.each().zip(cotangent);
-        let gradients =
-            pairs.map(|((n, v, m), w)| pull_back_pixel(&FrameWithSlopes::<M>::new(n, v), m, w));
-        collect("normal", self.count(), gradients)
-    }
-
-    /// Normal, view direction and material.
-    fn each(&self) -> impl Iterator<Item = (DVec3, DVec3, &Material)> {
-        let directions = self.normals.iter().zip(&self.views);
-        directions
-            .zip(&self.materials)
-            .map(|((&n, &v), m)| (n, v, m))
-    }
-}
-
-pub(super) fn array2<const N: usize>(rows: Vec<[f64; N]>) -> Array2<f64> {
-    Array2::from(rows)
-}
-
-pub(super) fn array3<T>(values: Vec<T>, shape: [usize; 3]) -> Array3<T> {
-    Array3::from_shape_vec(shape, values).expect("the shape's own number of values")
-}
-
-pub(super) fn matrix<T>(values: Vec<T>, shape: [usize; 2]) -> Array2<T> {
-    Array2::from_shape_vec(shape, values).expect("the shape's own number of values")
 }

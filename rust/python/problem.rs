@@ -1,20 +1,20 @@
 //! `pbrfit._core.Problem`: the pictures, and the loss over them.
 
+use std::ops::Deref;
 use std::sync::{Mutex, MutexGuard};
 
 use glam::DVec3;
-use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyUntypedArrayMethods,
-    get_array_module,
-};
+use numpy::{IxDyn, PyArray1, PyArrayMethods, PyUntypedArrayMethods, get_array_module};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
-use super::arrays::{Contiguous, array, collect, copied, shape, try_copied, vectors, writable};
+use super::arrays::{
+    ANY, Contiguous, Out, array, given, indices, out, rows, shape, values, vector_rows, writable,
+};
 use super::images::Images;
-use super::model::{array2, array3, matrix};
 use super::surroundings::given as given_transfer;
 use crate::pixel::pixel_fit::{GaussianPrior, Search};
-use crate::problem::robust::Robust;
 use crate::problem::{Options, Pictures, Problem};
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::reflection::Reflection;
@@ -27,12 +27,11 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyKeptSystem>()
 }
 
-/// A robust loss by its name and scale.
-fn of_name((name, scale): (String, f64)) -> Result<Robust, Error> {
+/// The scale of a robust loss, which is Cauchy's.
+fn of_name((name, scale): (String, f64)) -> Result<f64, Error> {
     match name.as_str() {
-        "huber" => Ok(Robust::Huber(scale)),
-        "cauchy" => Ok(Robust::Cauchy(scale)),
-        _ => Err(Error::argument("robust", "huber or cauchy", name)),
+        "cauchy" => Ok(scale),
+        _ => Err(Error::argument("robust", "cauchy", name)),
     }
 }
 
@@ -69,33 +68,31 @@ impl PyProblem {
         let images = Images::of(images)?;
         let normals = array("normals", normals)?;
         let views = array("views", views)?;
-        let [pictures, pixels, channels] = images.shape;
+        let samples @ [pictures, pixels, channels] = images.shape;
         // Before anything is copied: a broadcast array may pretend to more than any memory holds.
         check::samples(pictures, pixels)?;
         let rows = normals.shape()[0];
         shape("normals", &[rows, 3], normals.shape())?;
         shape("views", &[rows, 3], views.shape())?;
         shape("images", &[pictures, rows, channels], &images.shape)?;
-        let samples = [pictures, pixels, channels];
         let weights = weights
-            .map(|weights| array::<f32, numpy::IxDyn>("weights", weights))
+            .map(|weights| array::<f32, IxDyn>("weights", weights))
             .transpose()?;
         if let Some(weights) = &weights {
             let of_samples = &samples[..if weights.shape().len() == 2 { 2 } else { 3 }];
             shape("weights", of_samples, weights.shape())?;
         }
+        let coefficients = match sh_order {
+            2 | 3 => (sh_order + 1).pow(2),
+            _ => ANY, // refused below
+        };
         let lighting = lighting
-            .map(|lighting| array::<f64, numpy::Ix3>("lighting", lighting))
+            .map(|lighting| values("lighting", lighting, [pictures, coefficients, channels]))
             .transpose()?;
-        if let (Some(lighting), 2 | 3) = (&lighting, sh_order) {
-            let coefficients = (sh_order + 1).pow(2);
-            shape(
-                "lighting",
-                &[pictures, coefficients, channels],
-                lighting.shape(),
-            )?;
-        }
-        let (normals, views) = (vectors("normals", &normals)?, vectors("views", &views)?);
+        let (normals, views) = (
+            vector_rows("normals", &normals)?,
+            vector_rows("views", &views)?,
+        );
         let weights = weights
             .as_ref()
             .map(|weights| Contiguous::try_of("weights", weights))
@@ -106,9 +103,7 @@ impl PyProblem {
         let options = Options {
             sh_order,
             metallic,
-            lighting: lighting
-                .map(|lighting| try_copied("lighting", &lighting))
-                .transpose()?,
+            lighting,
             free_normals,
             model,
             threads,
@@ -164,7 +159,6 @@ impl PyProblem {
     ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>)> {
         let robust = robust.map(of_name).transpose()?;
         let x = self.x(x)?;
-        let x = x.values();
         // numpy's memory, because numpy asks the system for large pages: with a vector of ours the
         // first touch of each small page takes a third of the time at 1024². By numpy's function,
         // which raises MemoryError where `PyArray1::zeros` panics.
@@ -176,7 +170,7 @@ impl PyProblem {
         };
         let mut access = gradient.readwrite();
         let values = access.as_slice_mut()?;
-        let value = py.detach(|| self.problem.value_and_grad(x, robust, values))?;
+        let value = py.detach(|| self.problem.value_and_grad(&x, robust, values))?;
         drop(access);
         Ok((value, gradient))
     }
@@ -186,54 +180,33 @@ impl PyProblem {
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let residuals = py.detach(|| self.problem.residuals(x, &pixels))?;
-        let shape = [
-            self.problem.pictures(),
-            pixels.len(),
-            self.problem.channels(),
-        ];
-        Ok(array3(residuals, shape).into_pyarray(py))
+    ) -> PyResult<Out<'py, 3, f32>> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let residuals = py.detach(|| self.problem.residuals(&x, &pixels))?;
+        let (pictures, channels) = (self.problem.pictures(), self.problem.channels());
+        Ok(out(py, residuals, [pictures, pixels.len(), channels]))
     }
 
-    fn normals<'py>(
-        &self,
-        py: Python<'py>,
-        maps: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn normals<'py>(&self, py: Python<'py>, maps: &Bound<'py, PyAny>) -> PyResult<Out<'py, 2>> {
         let maps = self.copied("maps", maps, self.problem.maps())?;
-        let maps = maps.values();
-        let rows = py.detach(|| {
-            let normals = self.problem.normals(maps)?;
-            collect(
-                "normals",
-                normals.len(),
-                normals.iter().map(DVec3::to_array),
-            )
-        })?;
-        Ok(array2(rows).into_pyarray(py))
+        let normals = py.detach(|| self.problem.normals(&maps))?;
+        rows(py, "normals", normals.iter().map(DVec3::to_array))
     }
 
-    #[expect(clippy::type_complexity)]
     fn light_equations<'py>(
         &self,
         py: Python<'py>,
         maps: &Bound<'py, PyAny>,
-    ) -> PyResult<(Bound<'py, PyArray4<f64>>, Bound<'py, PyArray3<f64>>)> {
+    ) -> PyResult<(Out<'py, 4>, Out<'py, 3>)> {
         let maps = self.copied("maps", maps, self.problem.maps())?;
-        let maps = maps.values();
-        let equations = py.detach(|| self.problem.light_equations(maps))?;
+        let equations = py.detach(|| self.problem.light_equations(&maps))?;
         let (channels, k) = (self.problem.channels(), self.problem.coefficients());
         let gram: Vec<f64> = equations.iter().flat_map(|e| &e.gram).copied().collect();
         let right: Vec<f64> = equations.iter().flat_map(|e| &e.right).copied().collect();
         let grams = gram.len() / (channels * k * k);
-        let gram = numpy::ndarray::Array4::from_shape_vec([channels, grams, k, k], gram)
-            .expect("Gram matrices of every channel");
         Ok((
-            gram.into_pyarray(py),
-            array3(right, [channels, self.problem.pictures(), k]).into_pyarray(py),
+            out(py, gram, [channels, grams, k, k]),
+            out(py, right, [channels, self.problem.pictures(), k]),
         ))
     }
 
@@ -244,17 +217,15 @@ impl PyProblem {
         pixels: &Bound<'py, PyAny>,
         roughness: &Bound<'py, PyAny>,
         metallic: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
-        let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
+    ) -> PyResult<Out<'py, 3, f32>> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let (roughness, [r]) = given("roughness", roughness, [ANY])?;
+        let (metallic, [m]) = given("metallic", metallic, [ANY])?;
         let grid = py.detach(|| {
             self.problem
-                .material_grid(x, &pixels, &roughness, &metallic)
+                .material_grid(&x, &pixels, &roughness, &metallic)
         })?;
-        let shape = [pixels.len(), roughness.len(), metallic.len()];
-        Ok(array3(grid, shape).into_pyarray(py))
+        Ok(out(py, grid, [pixels.len(), r, m]))
     }
 
     #[pyo3(signature = (
@@ -262,7 +233,7 @@ impl PyProblem {
         starts = 1, steps = 10, exact_steps = 1, mean = None, precision = None,
         held_normals = false
     ))]
-    #[expect(clippy::too_many_arguments, clippy::type_complexity)]
+    #[expect(clippy::too_many_arguments)]
     fn fit_materials<'py>(
         &self,
         py: Python<'py>,
@@ -276,19 +247,15 @@ impl PyProblem {
         mean: Option<&Bound<'py, PyAny>>,
         precision: Option<&Bound<'py, PyAny>>,
         held_normals: bool,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let roughness = copied(&array::<f64, numpy::Ix1>("roughness", roughness)?);
-        let metallic = copied(&array::<f64, numpy::Ix1>("metallic", metallic)?);
+    ) -> PyResult<(Out<'py, 2>, Out<'py, 1>)> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let roughness = values("roughness", roughness, [ANY])?;
+        let metallic = values("metallic", metallic, [ANY])?;
         let (q, d) = (pixels.len(), self.problem.unknowns_of_pixel());
+        let shape = [q, d - self.problem.channels()];
         let of_pixels = |name, argument: Option<&Bound<'py, PyAny>>| {
-            let Some(argument) = argument else {
-                return Ok(None);
-            };
-            let values = array::<f64, numpy::Ix2>(name, argument)?;
-            shape(name, &[q, d - self.problem.channels()], values.shape())?;
-            PyResult::Ok(Some(try_copied(name, &values)?))
+            let values = argument.map(|argument| values::<f64, 2>(name, argument, shape));
+            values.transpose()
         };
         let (mean, precision) = (of_pixels("mean", mean)?, of_pixels("precision", precision)?);
         let prior = match (&mean, &precision) {
@@ -306,76 +273,58 @@ impl PyProblem {
             held_normals,
             prior,
         };
-        let fitted = py.detach(|| self.problem.fit_materials(x, &pixels, &search))?;
+        let fitted = py.detach(|| self.problem.fit_materials(&x, &pixels, &search))?;
         Ok((
-            matrix(fitted.materials, [q, d]).into_pyarray(py),
-            fitted.sum_sq_residuals.into_pyarray(py),
+            out(py, fitted.materials, [q, d]),
+            out(py, fitted.sum_sq_residuals, [q]),
         ))
     }
 
-    #[expect(clippy::type_complexity)]
     fn best_albedo<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let best = py.detach(|| self.problem.best_albedo(x, &pixels))?;
-        let shape = [pixels.len(), self.problem.channels()];
+    ) -> PyResult<(Out<'py, 2>, Out<'py, 1>)> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let best = py.detach(|| self.problem.best_albedo(&x, &pixels))?;
         Ok((
-            matrix(best.albedo, shape).into_pyarray(py),
-            best.sum_sq_residuals.into_pyarray(py),
+            out(py, best.albedo, [pixels.len(), self.problem.channels()]),
+            out(py, best.sum_sq_residuals, [pixels.len()]),
         ))
     }
 
-    #[expect(clippy::type_complexity)]
     fn normal_equations<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
-    ) -> PyResult<(
-        Bound<'py, PyArray3<f64>>,
-        Bound<'py, PyArray2<f64>>,
-        Bound<'py, PyArray1<f64>>,
-    )> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let found = py.detach(|| self.problem.normal_equations(x, &pixels))?;
+    ) -> PyResult<(Out<'py, 3>, Out<'py, 2>, Out<'py, 1>)> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let found = py.detach(|| self.problem.normal_equations(&x, &pixels))?;
         let (p, d) = (pixels.len(), self.problem.unknowns_of_pixel());
         Ok((
-            array3(found.matrices, [p, d, d]).into_pyarray(py),
-            matrix(found.gradient, [p, d]).into_pyarray(py),
-            found.sum_sq_residuals.into_pyarray(py),
+            out(py, found.matrices, [p, d, d]),
+            out(py, found.gradient, [p, d]),
+            out(py, found.sum_sq_residuals, [p]),
         ))
     }
 
-    #[expect(clippy::type_complexity)]
     fn derivatives<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
-    ) -> PyResult<(
-        Bound<'py, PyArray4<f64>>,
-        Bound<'py, PyArray3<f64>>,
-        Bound<'py, PyArray3<f64>>,
-    )> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let found = py.detach(|| self.problem.derivatives(x, &pixels))?;
+    ) -> PyResult<(Out<'py, 4>, Out<'py, 3>, Out<'py, 3>)> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let found = py.detach(|| self.problem.derivatives(&x, &pixels))?;
         let problem = &self.problem;
         let (p, n, c) = (pixels.len(), problem.pictures(), problem.channels());
         let derivatives = if problem.free_normals() { 5 } else { 3 };
-        let by_material =
-            numpy::ndarray::Array4::from_shape_vec([p, n, c, derivatives], found.by_material)
-                .expect("derivatives of every sample");
         Ok((
-            by_material.into_pyarray(py),
-            array3(found.by_light, [p, c, problem.coefficients()]).into_pyarray(py),
-            array3(found.weights, [p, n, c]).into_pyarray(py),
+            out(py, found.by_material, [p, n, c, derivatives]),
+            out(py, found.by_light, [p, c, problem.coefficients()]),
+            out(py, found.weights, [p, n, c]),
         ))
     }
 
@@ -386,121 +335,99 @@ impl PyProblem {
         pixels: &Bound<'py, PyAny>,
         covariances: &Bound<'py, PyAny>,
         modes: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
+    ) -> PyResult<Out<'py, 2>> {
+        let (x, pixels) = self.at(x, pixels)?;
         let problem = &self.problem;
         let (p, d) = (pixels.len(), problem.unknowns_of_pixel());
-        let covariances = array::<f64, numpy::Ix3>("covariances", covariances)?;
-        shape("covariances", &[p, d, d], covariances.shape())?;
-        let covariances = try_copied("covariances", &covariances)?;
-        let modes = array::<f64, numpy::Ix4>("modes", modes)?;
-        let count = modes.shape()[0];
+        let covariances = values::<f64, 3>("covariances", covariances, [p, d, d])?;
         let (n, k, c) = (
             problem.pictures(),
             problem.coefficients(),
             problem.channels(),
         );
-        shape("modes", &[count, n, k, c], modes.shape())?;
-        let modes = try_copied("modes", &modes)?;
-        let moves = py.detach(|| problem.moves_with_lights(x, &pixels, &covariances, &modes))?;
-        Ok(matrix(moves, [p, d]).into_pyarray(py))
+        let modes = values::<f64, 4>("modes", modes, [ANY, n, k, c])?;
+        let moves = py.detach(|| problem.moves_with_lights(&x, &pixels, &covariances, &modes))?;
+        Ok(out(py, moves, [p, d]))
     }
 
-    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
-    #[expect(clippy::type_complexity, clippy::too_many_arguments)]
+    #[pyo3(signature = (x, pixels, **options))]
     fn schur_complement<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
-        damping: f64,
-        mono: bool,
-        precision: Option<&Bound<'py, PyAny>>,
-        deviation: Option<&Bound<'py, PyAny>>,
-        cluster: Option<(Bound<'py, PyAny>, usize)>,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
-        let how = elimination(damping, mono, prior.as_ref());
-        let found = py.detach(|| self.problem.schur_complement(x, &pixels, &how))?;
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<(Out<'py, 2>, Out<'py, 1>)> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let options = self.options(options, pixels.len())?;
+        let found = py.detach(|| {
+            self.problem
+                .schur_complement(&x, &pixels, &options.elimination())
+        })?;
         let size = found.gradient.len();
         Ok((
-            matrix(found.matrix, [size, size]).into_pyarray(py),
-            found.gradient.into_pyarray(py),
+            out(py, found.matrix, [size, size]),
+            out(py, found.gradient, [size]),
         ))
     }
 
-    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
-    #[expect(clippy::type_complexity, clippy::too_many_arguments)]
+    #[pyo3(signature = (x, pixels, v, **options))]
     fn schur_product<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
         v: &Bound<'py, PyAny>,
-        damping: f64,
-        mono: bool,
-        precision: Option<&Bound<'py, PyAny>>,
-        deviation: Option<&Bound<'py, PyAny>>,
-        cluster: Option<(Bound<'py, PyAny>, usize)>,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
-        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
-        let how = elimination(damping, mono, prior.as_ref());
-        let found = py.detach(|| self.problem.schur_product(x, &pixels, &v, &how))?;
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<(Out<'py, 1>, Out<'py, 1>)> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let (v, shape) = given("v", v, [ANY])?;
+        let options = self.options(options, pixels.len())?;
+        let found = py.detach(|| {
+            self.problem
+                .schur_product(&x, &pixels, &v, &options.elimination())
+        })?;
         Ok((
-            found.product.into_pyarray(py),
-            found.gradient.into_pyarray(py),
+            out(py, found.product, shape),
+            out(py, found.gradient, shape),
         ))
     }
 
-    #[pyo3(signature = (x, pixels, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
-    #[expect(clippy::too_many_arguments)]
-    fn kept_system(
+    #[pyo3(signature = (x, pixels, **options))]
+    fn kept_system<'py>(
         &self,
-        py: Python<'_>,
-        x: &Bound<'_, PyAny>,
-        pixels: &Bound<'_, PyAny>,
-        damping: f64,
-        mono: bool,
-        precision: Option<&Bound<'_, PyAny>>,
-        deviation: Option<&Bound<'_, PyAny>>,
-        cluster: Option<(Bound<'_, PyAny>, usize)>,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        pixels: &Bound<'py, PyAny>,
+        options: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<PyKeptSystem> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
-        let how = elimination(damping, mono, prior.as_ref());
-        let kept = py.detach(|| self.problem.kept_system(x, &pixels, &how))?;
+        let (x, pixels) = self.at(x, pixels)?;
+        let options = self.options(options, pixels.len())?;
+        let kept = py.detach(|| {
+            self.problem
+                .kept_system(&x, &pixels, &options.elimination())
+        })?;
         Ok(PyKeptSystem(kept))
     }
 
-    #[pyo3(signature = (x, pixels, v, *, damping = 0.0, mono = false, precision = None, deviation = None, cluster = None))]
-    #[expect(clippy::too_many_arguments)]
+    #[pyo3(signature = (x, pixels, v, **options))]
     fn back_substitute<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         pixels: &Bound<'py, PyAny>,
         v: &Bound<'py, PyAny>,
-        damping: f64,
-        mono: bool,
-        precision: Option<&Bound<'py, PyAny>>,
-        deviation: Option<&Bound<'py, PyAny>>,
-        cluster: Option<(Bound<'py, PyAny>, usize)>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let (x, pixels) = (self.x(x)?, indices("pixels", pixels)?);
-        let x = x.values();
-        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
-        let prior = self.prior(pixels.len(), precision, deviation, cluster)?;
-        let how = elimination(damping, mono, prior.as_ref());
-        let materials = py.detach(|| self.problem.back_substitute(x, &pixels, &v, &how))?;
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Out<'py, 2>> {
+        let (x, pixels) = self.at(x, pixels)?;
+        let v = values("v", v, [ANY])?;
+        let options = self.options(options, pixels.len())?;
+        let materials = py.detach(|| {
+            self.problem
+                .back_substitute(&x, &pixels, &v, &options.elimination())
+        })?;
         let shape = [pixels.len(), self.problem.unknowns_of_pixel()];
-        Ok(matrix(materials, shape).into_pyarray(py))
+        Ok(out(py, materials, shape))
     }
 }
 
@@ -510,38 +437,40 @@ struct PyKeptSystem(KeptSystem);
 #[pymethods]
 impl PyKeptSystem {
     #[getter]
-    fn gradient<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+    fn gradient<'py>(&self, py: Python<'py>) -> Out<'py, 1> {
         PyArray1::from_slice(py, self.0.gradient())
     }
 
-    fn product<'py>(
-        &self,
-        py: Python<'py>,
-        v: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let v = copied(&array::<f64, numpy::Ix1>("v", v)?);
-        Ok(py.detach(|| self.0.product(&v))?.into_pyarray(py))
+    fn product<'py>(&self, py: Python<'py>, v: &Bound<'py, PyAny>) -> PyResult<Out<'py, 1>> {
+        let (v, shape) = given("v", v, [ANY])?;
+        Ok(out(py, py.detach(|| self.0.product(&v))?, shape))
     }
 }
 
-fn elimination(damping: f64, mono: bool, prior: Option<&Prior>) -> Elimination<'_> {
-    Elimination {
-        damping,
-        mono,
-        prior: prior.map(|prior| PriorTerm {
-            precision: &prior.precision,
-            deviation: &prior.deviation,
-            clusters: (prior.cluster.as_ref())
-                .map(|&(ref of_pixels, count)| Clusters { of_pixels, count }),
-        }),
-    }
-}
-
-/// A Gaussian prior of some pixels: (pixels, unknowns without albedo), and their clusters.
-struct Prior {
-    precision: Vec<f64>,
-    deviation: Vec<f64>,
+/// How pixels are eliminated: the options of all methods that do, and what is made of them.
+#[derive(Default)]
+struct EliminationOptions {
+    damping: f64,
+    mono: bool,
+    /// Precision and deviation of a Gaussian prior: (pixels, unknowns without albedo).
+    prior: Option<[Vec<f64>; 2]>,
+    /// Of each pixel, and how many there are.
     cluster: Option<(Vec<usize>, usize)>,
+}
+
+impl EliminationOptions {
+    fn elimination(&self) -> Elimination<'_> {
+        let clusters = self.cluster.as_ref();
+        Elimination {
+            damping: self.damping,
+            mono: self.mono,
+            prior: self.prior.as_ref().map(|[precision, deviation]| PriorTerm {
+                precision,
+                deviation,
+                clusters: clusters.map(|&(ref of_pixels, count)| Clusters { of_pixels, count }),
+            }),
+        }
+    }
 }
 
 /// See [`PyProblem::copied`].
@@ -550,8 +479,10 @@ struct Copied<'a> {
     own: Vec<f64>,
 }
 
-impl Copied<'_> {
-    fn values(&self) -> &[f64] {
+impl Deref for Copied<'_> {
+    type Target = [f64];
+
+    fn deref(&self) -> &[f64] {
         self.kept.as_deref().unwrap_or(&self.own)
     }
 }
@@ -559,6 +490,15 @@ impl Copied<'_> {
 impl PyProblem {
     fn x(&self, x: &Bound<'_, PyAny>) -> PyResult<Copied<'_>> {
         self.copied("x", x, self.problem.size())
+    }
+
+    /// x, and some pixels by number.
+    fn at(
+        &self,
+        x: &Bound<'_, PyAny>,
+        pixels: &Bound<'_, PyAny>,
+    ) -> PyResult<(Copied<'_>, Vec<usize>)> {
+        Ok((self.x(x)?, indices("pixels", pixels)?))
     }
 
     /// A copy to work from, in the memory of the last one unless another thread uses that.
@@ -585,42 +525,45 @@ impl PyProblem {
         Ok(copied)
     }
 
-    fn prior(
+    fn options(
         &self,
+        given: Option<&Bound<'_, PyDict>>,
         pixels: usize,
-        precision: Option<&Bound<'_, PyAny>>,
-        deviation: Option<&Bound<'_, PyAny>>,
-        cluster: Option<(Bound<'_, PyAny>, usize)>,
-    ) -> PyResult<Option<Prior>> {
-        let (precision, deviation) = match (precision, deviation) {
-            (None, None) if cluster.is_none() => return Ok(None),
-            (Some(precision), Some(deviation)) => (precision, deviation),
+    ) -> PyResult<EliminationOptions> {
+        let mut options = EliminationOptions::default();
+        let shape = [
+            pixels,
+            self.problem.unknowns_of_pixel() - self.problem.channels(),
+        ];
+        let (mut precision, mut deviation) = (None, None);
+        for (name, value) in given.into_iter().flatten() {
+            match name.extract::<&str>()? {
+                "damping" => options.damping = value.extract()?,
+                "mono" => options.mono = value.extract()?,
+                _ if value.is_none() => (),
+                "precision" => precision = Some(values("precision", &value, shape)?),
+                "deviation" => deviation = Some(values("deviation", &value, shape)?),
+                "cluster" => {
+                    let (of_pixels, count): (Bound<'_, PyAny>, usize) = value.extract()?;
+                    options.cluster = Some((indices("cluster", &of_pixels)?, count));
+                }
+                other => {
+                    let message = format!("unexpected keyword argument '{other}'");
+                    return Err(PyTypeError::new_err(message));
+                }
+            }
+        }
+        options.prior = match (precision, deviation) {
+            (None, None) if options.cluster.is_none() => None,
+            (Some(precision), Some(deviation)) => Some([precision, deviation]),
             (Some(_), None) => return Err(missing("deviation", "precision")),
             (None, Some(_)) => return Err(missing("precision", "deviation")),
             (None, None) => return Err(missing("precision", "cluster")),
         };
-        let shared = self.problem.unknowns_of_pixel() - self.problem.channels();
-        let values = |name, argument| {
-            let values = array::<f64, numpy::Ix2>(name, argument)?;
-            shape(name, &[pixels, shared], values.shape())?;
-            PyResult::Ok(copied(&values))
-        };
-        Ok(Some(Prior {
-            precision: values("precision", precision)?,
-            deviation: values("deviation", deviation)?,
-            cluster: cluster
-                .map(|(of_pixels, count)| PyResult::Ok((indices("cluster", &of_pixels)?, count)))
-                .transpose()?,
-        }))
+        Ok(options)
     }
 }
 
 fn missing(name: &'static str, other: &str) -> PyErr {
     Error::argument(name, format!("an array beside {other}"), "None").into()
-}
-
-/// Pixels, or clusters, by number.
-fn indices(name: &'static str, given: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-    let given = array::<u64, numpy::Ix1>(name, given)?;
-    Ok(copied(&given).into_iter().map(|p| p as usize).collect())
 }

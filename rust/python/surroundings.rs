@@ -1,11 +1,9 @@
 //! `pbrfit._core.Surroundings`: triangles that light meets.
 
 use glam::DVec3;
-use numpy::{IntoPyArray, Ix1, Ix3, PyArray1, PyArray3, PyReadonlyArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use super::arrays::{array, shape, try_copied, vectors};
-use super::model::array3;
+use super::arrays::{ANY, Out, given as given_array, out, values, vectors};
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
@@ -22,9 +20,6 @@ struct PySurroundings {
     surroundings: Surroundings,
 }
 
-/// Rows of pixels, and what is brought to them.
-type Tables<'py> = (Bound<'py, PyArray3<f32>>, Option<Bound<'py, PyArray3<f32>>>);
-
 #[pymethods]
 impl PySurroundings {
     #[new]
@@ -33,11 +28,8 @@ impl PySurroundings {
         triangles: &Bound<'_, PyAny>,
         surfaces: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
-        let triangles: PyReadonlyArray<'_, f32, Ix3> = array("triangles", triangles)?;
-        let count = triangles.shape()[0];
-        shape("triangles", &[count, 3, 3], triangles.shape())?;
-        let corners = try_copied("triangles", &triangles)?;
-        let surfaces = try_copied("surfaces", &array::<u8, Ix1>("surfaces", surfaces)?)?;
+        let (corners, _) = given_array::<f32, 3>("triangles", triangles, [ANY, 3, 3])?;
+        let surfaces = values::<u8, 1>("surfaces", surfaces, [ANY])?;
         let surroundings = py.detach(|| {
             let corners: &[[f32; 3]] = corners.as_chunks().0;
             Surroundings::new(corners.as_chunks().0, &surfaces)
@@ -56,10 +48,9 @@ impl PySurroundings {
         py: Python<'py>,
         origins: &Bound<'py, PyAny>,
         directions: &Bound<'py, PyAny>,
-    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
-        let (origins, directions) = (array("origins", origins)?, array("directions", directions)?);
-        let origins = vectors("origins", &origins)?.into_owned();
-        let directions = vectors("directions", &directions)?.into_owned();
+    ) -> PyResult<Out<'py, 1, f32>> {
+        let origins = vectors("origins", origins, ANY)?;
+        let directions = vectors("directions", directions, ANY)?;
         let distances = py.detach(|| {
             check::length("directions", origins.len(), directions.len())?;
             check::unit_vectors("directions", &directions)?;
@@ -75,7 +66,7 @@ impl PySurroundings {
                 .collect::<Vec<_>>(),
             )
         })?;
-        Ok(distances.into_pyarray(py))
+        Ok(out(py, distances, [origins.len()]))
     }
 
     #[pyo3(signature = (
@@ -96,27 +87,17 @@ impl PySurroundings {
         radiance: Option<&Bound<'py, PyAny>>,
         half_width: f32,
         nearest: Option<&Bound<'py, PyAny>>,
-    ) -> PyResult<Tables<'py>> {
+    ) -> PyResult<(Out<'py, 3, f32>, Option<Out<'py, 3, f32>>)> {
         let model: Model = model.parse()?;
-        let points = array("points", points)?;
-        let normals = array("normals", normals)?;
-        let views = array("views", views)?;
-        let [points, normals, views] = [
-            vectors("points", &points)?.into_owned(),
-            vectors("normals", &normals)?.into_owned(),
-            vectors("views", &views)?.into_owned(),
-        ];
-        let seeds = try_copied("seeds", &array::<u64, Ix1>("seeds", seeds)?)?;
+        let points = vectors("points", points, ANY)?;
+        let normals = vectors("normals", normals, ANY)?;
+        let views = vectors("views", views, ANY)?;
+        let seeds = values::<u64, 1>("seeds", seeds, [ANY])?;
         let radiance = radiance
-            .map(|radiance| {
-                let radiance = array::<f32, Ix3>("radiance", radiance)?;
-                let size = [radiance.shape()[0], radiance.shape()[1]];
-                let values = radiance.shape()[2];
-                PyResult::Ok((try_copied("radiance", &radiance)?, size, values))
-            })
+            .map(|radiance| given_array::<f32, 3>("radiance", radiance, [ANY; 3]))
             .transpose()?;
         let nearest = match nearest {
-            Some(nearest) => try_copied("nearest", &array::<u32, Ix1>("nearest", nearest)?)?,
+            Some(nearest) => values::<u32, 1>("nearest", nearest, [ANY])?,
             None => Vec::new(),
         };
         let origins = Origins {
@@ -125,20 +106,21 @@ impl PySurroundings {
             views: &views,
             seeds: &seeds,
         };
-        let given = radiance.as_ref().map(|(samples, size, _)| Radiance {
+        let given = (radiance.as_ref()).map(|(samples, [height, width, _])| Radiance {
             samples,
-            size: *size,
+            size: [*height, *width],
             half_width,
             nearest: &nearest,
         });
         let found =
             py.detach(|| transfer(&self.surroundings, origins, model, rays, given, threads))?;
         let rows = with_model!(model, M => 1 + M::ROWS);
-        let bounced = radiance.map(|(_, _, values)| {
-            array3(found.bounced, [points.len(), rows, values]).into_pyarray(py)
-        });
-        let rows = array3(found.rows, [points.len(), rows, COEFFICIENTS]).into_pyarray(py);
-        Ok((rows, bounced))
+        let bounced =
+            radiance.map(|(_, [.., values])| out(py, found.bounced, [points.len(), rows, values]));
+        Ok((
+            out(py, found.rows, [points.len(), rows, COEFFICIENTS]),
+            bounced,
+        ))
     }
 }
 
@@ -155,18 +137,13 @@ pub(super) fn given(
         }
         return Ok(None);
     };
-    let [pixels, rows, values] = expected;
-    let transfer = array::<f32, Ix3>("transfer", transfer)?;
-    shape("transfer", &[pixels, rows, COEFFICIENTS], transfer.shape())?;
+    let [pixels, rows, brought] = expected;
+    let rows_of_pixels = values("transfer", transfer, [pixels, rows, COEFFICIENTS])?;
     let bounced = bounced
-        .map(|bounced| {
-            let bounced = array::<f32, Ix3>("bounced", bounced)?;
-            shape("bounced", &[pixels, rows, values], bounced.shape())?;
-            PyResult::Ok(try_copied("bounced", &bounced)?)
-        })
+        .map(|bounced| values("bounced", bounced, [pixels, rows, brought]))
         .transpose()?;
     Ok(Some(Transfer {
-        rows: try_copied("transfer", &transfer)?,
+        rows: rows_of_pixels,
         bounced: bounced.unwrap_or_default(),
     }))
 }

@@ -10,5 +10,4 @@ pub mod principled;
 pub mod reflection;
 pub mod sh;
 pub mod shade;
-pub mod surrounded;
 pub mod tangent_offset;

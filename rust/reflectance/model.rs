@@ -14,16 +14,20 @@ pub enum Model {
     Principled,
 }
 
-/// `with_model!(model, M => f::<M>(…))`: code that is compiled for each model, with its type as M.
+/// `with_model!(model, M => f::<M>(…))`: code that is compiled for each model, with its type as M; with
+/// `true` before it, for pixels among surroundings.
 macro_rules! with_model {
     ($model:expr, $type:ident => $code:expr) => {
+        $crate::reflectance::model::with_model!($model, false, $type => $code)
+    };
+    ($model:expr, $surrounded:literal, $type:ident => $code:expr) => {
         match $model {
             $crate::reflectance::model::Model::Paper => {
-                type $type = $crate::reflectance::paper::Paper;
+                type $type = $crate::reflectance::paper::Paper<$surrounded>;
                 $code
             }
             $crate::reflectance::model::Model::Principled => {
-                type $type = $crate::reflectance::principled::Principled;
+                type $type = $crate::reflectance::principled::Principled<$surrounded>;
                 $code
             }
         }
@@ -35,10 +39,7 @@ pub(crate) use with_model;
 macro_rules! with_model_of {
     ($problem:expr, $type:ident => $code:expr) => {
         if $problem.transfer().is_some() {
-            $crate::reflectance::model::with_model!($problem.model(), Open => {
-                type $type = $crate::reflectance::surrounded::Surrounded<Open>;
-                $code
-            })
+            $crate::reflectance::model::with_model!($problem.model(), true, $type => $code)
         } else {
             $crate::reflectance::model::with_model!($problem.model(), $type => $code)
         }

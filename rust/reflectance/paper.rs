@@ -11,22 +11,21 @@
 
 use std::f64::consts::FRAC_1_PI;
 
-use glam::DVec3;
-
 use crate::reflectance::band_table::{FUNCTIONS, TABLE};
 use crate::reflectance::ggx::{self, Bands, DIELECTRIC_F0};
 use crate::reflectance::lobe_table::Tabled;
 use crate::reflectance::planes::{BLOCK, Plane};
 use crate::reflectance::planes::{BlockFunctions, ByRow, MAX_ENTRIES, MAX_ROWS, Material};
-use crate::reflectance::reflection::{self, Reflection, Weights};
-use crate::reflectance::sh::{self, BAND_OF, BANDS, COEFFICIENTS, Real};
+use crate::reflectance::reflection::{self, Reflection};
+use crate::reflectance::sh::{self, BANDS, COEFFICIENTS, Real};
 use crate::runtime::simd::Isa;
 
-/// See the [module](self).
+/// See the [module](self); its pixels are in the open or among surroundings.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Paper;
+pub struct Paper<const SURROUNDED: bool = false>;
 
-impl Reflection for Paper {
+impl<const SURROUNDED: bool> Reflection for Paper<SURROUNDED> {
+    const SURROUNDED: bool = SURROUNDED;
     const FIRST_ROW: [usize; BANDS + 1] = [0, 1, 2, 3, 4];
 
     type Functions = Bands;
@@ -111,22 +110,6 @@ impl Reflection for Paper {
         });
         [[T::default(); 3], by]
     }
-
-    fn lobe_by_normal<const C: usize>(
-        [_, mirror]: [DVec3; 2],
-        factors: &Factors<C>,
-        cotangent: &Weights<C>,
-    ) -> [DVec3; 2] {
-        let slopes = sh::slopes(mirror.to_array()).map(DVec3::from);
-        let h = factors.bands.weight;
-        let mut by_mirror = DVec3::ZERO;
-        for c in 0..C {
-            for k in 0..COEFFICIENTS {
-                by_mirror += cotangent[c][k] * factors.specular[c] * h[BAND_OF[k]] * slopes[k];
-            }
-        }
-        [DVec3::ZERO, by_mirror]
-    }
 }
 
 /// The factors of the weights that depend on the material, and what their derivatives need.
@@ -204,6 +187,8 @@ impl<const C: usize> Factors<C> {
 }
 
 impl<const C: usize> reflection::Factors<C> for Factors<C> {
+    const ROWS: usize = BANDS;
+
     #[inline(always)]
     fn diffuse(&self, channel: usize) -> f64 {
         self.diffuse[channel]
@@ -265,25 +250,5 @@ impl<const C: usize> reflection::Factors<C> for Factors<C> {
             }
         }
         (diffuse, rows)
-    }
-
-    #[inline(always)]
-    fn by_cosine(
-        &self,
-        cosine: f64,
-        material: &Material<C>,
-        by_diffuse: &[f64; C],
-        band_sums: &[ByRow; C],
-    ) -> [f64; C] {
-        let (diffuse, specular) = self.slopes(cosine, material);
-        let mut by = [0.0; C];
-        for c in 0..C {
-            let mut by_specular = 0.0;
-            for l in 0..BANDS {
-                by_specular += self.bands.weight[l] * band_sums[c][l];
-            }
-            by[c] = diffuse[c] * by_diffuse[c] + specular[c] * by_specular;
-        }
-        by
     }
 }

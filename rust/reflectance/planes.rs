@@ -143,11 +143,6 @@ impl<T: Real> Directions<T> {
     /// Puts a pixel into the block.
     pub fn set(&mut self, pixel: usize, normal: DVec3, view: DVec3) {
         let (cosine, mirror) = directions(normal, view);
-        self.put(pixel, cosine, normal, mirror);
-    }
-
-    /// Puts a pixel into the block from its clamped n·v, normal and mirror direction.
-    pub fn put(&mut self, pixel: usize, cosine: f64, normal: DVec3, mirror: DVec3) {
         self.cosine.0[pixel] = cosine;
         for axis in 0..3 {
             self.normal[axis].0[pixel] = T::from_f64(normal[axis]);
@@ -194,11 +189,6 @@ impl<T: Real> Directions<T> {
     #[inline(always)]
     pub fn mirror(&self, pixel: usize) -> [T; 3] {
         vector(&self.mirror, pixel)
-    }
-
-    /// Normal and mirror direction of a pixel, as they were rounded.
-    pub fn rounded(&self, pixel: usize) -> [DVec3; 2] {
-        [self.normal(pixel), self.mirror(pixel)].map(|d| DVec3::from(d.map(Real::to_f64)))
     }
 }
 

@@ -8,8 +8,6 @@
 
 use std::fmt::Debug;
 
-use glam::DVec3;
-
 use super::lobe_table::Tabled;
 use super::planes::{
     BLOCK, BlockFunctions, ByRow, ChannelFactors, ChannelSums, Directions, MAX_ENTRIES, MAX_ROWS,
@@ -119,30 +117,13 @@ pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
         }
     }
 
-    /// Derivatives by normal and mirror direction of Σ_ck g_ck Σ_j s_cj R_jk, with the cotangent g.
-    fn lobe_by_normal<const C: usize>(
-        [normal, mirror]: [DVec3; 2],
-        factors: &Self::Factors<C>,
-        cotangent: &Weights<C>,
-    ) -> [DVec3; 2] {
-        let mut by_lobe = [0.0; MAX_ENTRIES];
-        for c in 0..C {
-            each_entry::<Self, COEFFICIENTS>(|k, row, entry| {
-                by_lobe[entry] += cotangent[c][k] * factors.row(c, row);
-            });
-        }
-        Self::lobe_adjoint::<f64, COEFFICIENTS>(normal.to_array(), mirror.to_array(), |entry| {
-            by_lobe[entry]
-        })
-        .map(DVec3::from)
-    }
-
     /// Number of rows.
     const ROWS: usize = Self::FIRST_ROW[BANDS];
 
     /// Whether basis functions are those of a [transfer](crate::transport): then every row, and the
-    /// matt part, sees all bands.
-    const SURROUNDED: bool = false;
+    /// matt part, sees all bands. They are given then, and none of the functions of directions is
+    /// called.
+    const SURROUNDED: bool;
 
     /// Coefficients that the matt part sees.
     const DIFFUSE: usize = if Self::SURROUNDED {
@@ -166,6 +147,9 @@ pub const fn rows_of_band<M: Reflection>(l: usize) -> (usize, usize) {
 
 /// Factors of the weights that depend on the material, with what their derivatives need.
 pub trait Factors<const C: usize>: Copy + Debug {
+    /// Rows of the lobe.
+    const ROWS: usize;
+
     /// kd_c
     fn diffuse(&self, channel: usize) -> f64;
 
@@ -191,13 +175,24 @@ pub trait Factors<const C: usize>: Copy + Debug {
 
     /// The derivative of a scalar by n·v, what each channel adds to it; arguments as of
     /// [`pull_back`](Self::pull_back), and the same holds for n·v.
+    #[inline(always)]
     fn by_cosine(
         &self,
         cosine: f64,
         material: &Material<C>,
         by_diffuse: &[f64; C],
         by_row: &[ByRow; C],
-    ) -> [f64; C];
+    ) -> [f64; C] {
+        let (diffuse, rows) = self.slopes_by_cosine(cosine, material);
+        let mut by = [0.0; C];
+        for c in 0..C {
+            by[c] = diffuse[c] * by_diffuse[c];
+            for j in 0..Self::ROWS {
+                by[c] += rows[c][j] * by_row[c][j];
+            }
+        }
+        by
+    }
 }
 
 /// Where the basis functions R_jk of coefficient k begin; there is one for each row of its band.

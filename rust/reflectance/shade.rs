@@ -52,48 +52,6 @@ impl<M: Reflection> Frame<M> {
             model: PhantomData,
         }
     }
-
-    /// From the clamped n·v and the rows of a transfer: the matt part's, then the lobe's.
-    pub fn surrounded(cosine: f64, rows: &[[f32; COEFFICIENTS]]) -> Self {
-        let mut lobe = [0.0; MAX_LOBE];
-        each_entry::<M, COEFFICIENTS>(|k, row, entry| lobe[entry] = rows[1 + row][k].into());
-        Self {
-            cosine,
-            diffuse: rows[0].map(f64::from),
-            lobe,
-            model: PhantomData,
-        }
-    }
-}
-
-/// A [`Frame`], and how it changes with the normal.
-#[derive(Clone, Copy, Debug)]
-pub struct FrameWithSlopes<M> {
-    /// At this normal.
-    pub frame: Frame<M>,
-    normal: DVec3,
-    view: DVec3,
-    mirror: DVec3,
-    /// A_l ∇Y_k(n)
-    diffuse: [DVec3; COEFFICIENTS],
-}
-
-impl<M: Reflection> FrameWithSlopes<M> {
-    /// From unit normal and unit view direction (surface to camera).
-    pub fn new(normal: DVec3, view: DVec3) -> Self {
-        let (cosine, mirror) = directions(normal, view);
-        let mut diffuse = sh::slopes(normal.to_array()).map(DVec3::from);
-        for (slope, &l) in diffuse.iter_mut().zip(&BAND_OF) {
-            *slope *= COSINE_TRANSFER[l];
-        }
-        Self {
-            frame: Frame::at(cosine, normal, mirror),
-            normal,
-            view,
-            mirror,
-            diffuse,
-        }
-    }
 }
 
 /// The weights of one pixel in double precision.
@@ -122,19 +80,9 @@ pub(crate) fn factors_at<M: Reflection, const C: usize>(
     M::factors(frame.cosine, material, functions)
 }
 
-/// The adjoint of [`shade`] by the material: `cotangent` holds the derivatives of a scalar by the
-/// weights, the result its derivatives by albedo, roughness and metallic.
-pub fn shade_vjp<M: Reflection, const C: usize>(
-    frame: &Frame<M>,
-    material: &Material<C>,
-    cotangent: &Weights<C>,
-) -> Material<C> {
-    let (by_diffuse, by_row) = sums(frame, cotangent);
-    factors_at(frame, material).pull_back(material, &by_diffuse, &by_row)
-}
-
-/// [`shade_vjp`], and the derivative by the normal: a vector in the normal's tangent plane, so that
-/// its product with a small change dn of the normal is the change of the scalar.
+/// The adjoint of [`shade`]: `cotangent` holds the derivatives of a scalar by the weights, the result
+/// its derivatives by the material and by the normal. The latter is a vector in the normal's tangent
+/// plane, so that its product with a small change dn of the normal is the change of the scalar.
 ///
 /// With g_ck the cotangent and R the mirror direction, dR = 2(v·dn)n + 2(n·v)dn and d(n·v) = v·dn:
 ///
@@ -146,37 +94,42 @@ pub fn shade_vjp<M: Reflection, const C: usize>(
 ///
 /// of which the part along n is taken away. The mirror direction is not clamped, so g_R holds
 /// everywhere.
-pub fn shade_vjp_by_normal<M: Reflection, const C: usize>(
-    turning: &FrameWithSlopes<M>,
+pub fn shade_vjp<M: Reflection, const C: usize>(
+    normal: DVec3,
+    view: DVec3,
     material: &Material<C>,
     cotangent: &Weights<C>,
 ) -> (Material<C>, DVec3) {
-    let FrameWithSlopes {
-        frame,
-        normal,
-        view,
-        mirror,
-        diffuse,
-    } = turning;
-    let (by_diffuse, by_row) = sums(frame, cotangent);
-    let factors = factors_at(frame, material);
+    let (cosine, mirror) = directions(normal, view);
+    let frame = Frame::<M>::at(cosine, normal, mirror);
+    let (by_diffuse, by_row) = sums(&frame, cotangent);
+    let factors = factors_at(&frame, material);
     let mut by_normal = DVec3::ZERO;
+    let mut by_lobe = [0.0; MAX_ENTRIES];
+    let slopes = sh::slopes(normal.to_array()).map(DVec3::from);
     for c in 0..C {
         for k in 0..COEFFICIENTS {
-            by_normal += cotangent[c][k] * factors.diffuse(c) * diffuse[k];
+            let transfer = COSINE_TRANSFER[BAND_OF[k]];
+            by_normal += cotangent[c][k] * factors.diffuse(c) * transfer * slopes[k];
         }
+        each_entry::<M, COEFFICIENTS>(|k, row, entry| {
+            by_lobe[entry] += cotangent[c][k] * factors.row(c, row);
+        });
     }
-    let [lobe_by_normal, by_mirror] = M::lobe_by_normal([*normal, *mirror], &factors, cotangent);
-    let cosine = normal.dot(*view);
-    by_normal += lobe_by_normal + 2.0 * (by_mirror.dot(*normal) * *view + cosine * by_mirror);
+    let places = [normal, mirror].map(|d| d.to_array());
+    let [lobe_by_normal, by_mirror] =
+        M::lobe_adjoint::<f64, COEFFICIENTS>(places[0], places[1], |entry| by_lobe[entry])
+            .map(DVec3::from);
+    let cosine = normal.dot(view);
+    by_normal += lobe_by_normal + 2.0 * (by_mirror.dot(normal) * view + cosine * by_mirror);
     if cosine > MIN_COSINE {
         for by in factors.by_cosine(cosine, material, &by_diffuse, &by_row) {
-            by_normal += by * *view;
+            by_normal += by * view;
         }
     }
     (
         factors.pull_back(material, &by_diffuse, &by_row),
-        by_normal - by_normal.dot(*normal) / normal.length_squared() * *normal,
+        by_normal - by_normal.dot(normal) / normal.length_squared() * normal,
     )
 }
 

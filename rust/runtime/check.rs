@@ -91,14 +91,15 @@ pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T
     }
 }
 
-pub(crate) fn not_negative(name: &'static str, values: &[f64]) -> Result<()> {
+/// From 0, and no larger than a limit.
+pub(crate) fn not_negative(name: &'static str, values: &[f64], limit: f64) -> Result<()> {
+    moderate(name, values, limit)?;
     match values.iter().position(|&v| v < 0.0) {
         None => Ok(()),
-        Some(i) => Err(Error::argument(
-            name,
-            "numbers from 0",
-            format!("{} at {i}", values[i]),
-        )),
+        Some(i) => {
+            let found = format!("{} at {i}", values[i]);
+            Err(Error::argument(name, "numbers from 0", found))
+        }
     }
 }
 

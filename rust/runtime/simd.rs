@@ -105,7 +105,7 @@ impl Instructions {
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             // pulp's one-lane fallback would be slow: its fused multiply-add is a library call.
-            Arch::Scalar => kernel.run(Baseline),
+            Arch::Scalar => kernel.run(Lanes::<_, false>(Scalar128b)),
             arch => arch.dispatch(Adapter(kernel)),
         }
     }
@@ -118,32 +118,24 @@ impl<K: Kernel> WithSimd for Adapter<K> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> K::Output {
-        self.0.run(Fused(simd))
+        self.0.run(Lanes::<_, true>(simd))
     }
 }
 
-/// Instruction sets with a fused multiply-add.
+/// The vectors of an instruction set; what all processors have are four lanes, multiplication and
+/// addition apart.
 #[derive(Clone, Copy)]
-struct Fused<S>(S);
+struct Lanes<S, const FUSED: bool>(S);
 
-/// What all processors have: four lanes, multiplication and addition apart.
-#[derive(Clone, Copy)]
-struct Baseline;
-
-impl<S: Simd> Isa for Fused<S> {
-    const REGISTERS: usize = S::REGISTER_COUNT;
-    const FUSED: bool = true;
-}
-
-impl Isa for Baseline {
-    const REGISTERS: usize = 16;
-    const FUSED: bool = false;
+impl<S: Simd, const FUSED: bool> Isa for Lanes<S, FUSED> {
+    const REGISTERS: usize = if FUSED { S::REGISTER_COUNT } else { 16 };
+    const FUSED: bool = FUSED;
 }
 
 macro_rules! vectors {
     ($t:ty, $vector:ident, $lanes:ident, $of:ident, $of_mut:ident,
      $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident) => {
-        impl<S: Simd> Vectors<$t> for Fused<S> {
+        impl<S: Simd, const FUSED: bool> Vectors<$t> for Lanes<S, FUSED> {
             type Vector = S::$vector;
             const LANES: usize = S::$lanes;
             #[inline(always)]
@@ -164,7 +156,11 @@ macro_rules! vectors {
             }
             #[inline(always)]
             fn mul_add(self, a: S::$vector, b: S::$vector, c: S::$vector) -> S::$vector {
-                self.0.$mul_add(a, b, c)
+                if FUSED {
+                    self.0.$mul_add(a, b, c)
+                } else {
+                    self.0.$add(self.0.$mul(a, b), c)
+                }
             }
             #[inline(always)]
             fn of(values: &[$t]) -> &[S::$vector] {
@@ -173,39 +169,6 @@ macro_rules! vectors {
             #[inline(always)]
             fn of_mut(values: &mut [$t]) -> &mut [S::$vector] {
                 S::$of_mut(values).0
-            }
-        }
-
-        impl Vectors<$t> for Baseline {
-            type Vector = <Scalar128b as Simd>::$vector;
-            const LANES: usize = Scalar128b::$lanes;
-            #[inline(always)]
-            fn splat(self, value: $t) -> Self::Vector {
-                Scalar128b.$splat(value)
-            }
-            #[inline(always)]
-            fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-                Scalar128b.$add(a, b)
-            }
-            #[inline(always)]
-            fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-                Scalar128b.$sub(a, b)
-            }
-            #[inline(always)]
-            fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-                Scalar128b.$mul(a, b)
-            }
-            #[inline(always)]
-            fn mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector {
-                Scalar128b.$add(Scalar128b.$mul(a, b), c)
-            }
-            #[inline(always)]
-            fn of(values: &[$t]) -> &[Self::Vector] {
-                Scalar128b::$of(values).0
-            }
-            #[inline(always)]
-            fn of_mut(values: &mut [$t]) -> &mut [Self::Vector] {
-                Scalar128b::$of_mut(values).0
             }
         }
     };

@@ -1,7 +1,7 @@
 //! A block of pixels whose unknowns are eliminated.
 
 use super::PriorTerm;
-use super::kernels::{Collect, Eliminated, FillRows, LANES, Project, Whiten};
+use super::kernels::{Collect, Eliminated, FillRows, Project, Whiten};
 use super::tied::{SharedSums, Tied};
 use crate::pixel::offset_step::limit_offset_step;
 use crate::pixel::samples::{Block, DERIVATIVES, Sums, free_unknowns, unknowns_of_channel};
@@ -251,26 +251,10 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
 
     /// Σ ω w_ck w_cl over the pixels: (channel, 1 or picture, K, K).
     pub(super) fn grams(&self) -> Vec<f64> {
-        let (n, k) = (self.problem.pictures(), self.problem.coefficients());
-        let each = if self.problem.weights(0, 0).is_empty() {
-            1
-        } else {
-            n
-        };
-        let mut grams = vec![0.0; C * each * k * k];
-        for (i, gram) in grams.chunks_mut(k * k).enumerate() {
-            let (c, picture) = (i / each, i % each);
-            let [_, omega] = &self.block.given[c * n + picture];
-            let weights = &self.block.weights[c];
-            for row in 0..k {
-                for column in 0..k {
-                    let mut sum = [0.0; LANES];
-                    for x in 0..BLOCK {
-                        sum[x % LANES] += omega.0[x] * weights[row].0[x] * weights[column].0[x];
-                    }
-                    gram[row * k + column] = sum.iter().sum();
-                }
-            }
+        let of_channel = self.problem.grams() * self.problem.coefficients().pow(2);
+        let mut grams = vec![0.0; C * of_channel];
+        for (c, grams) in grams.chunks_mut(of_channel).enumerate() {
+            self.block.add_grams(c, grams);
         }
         grams
     }

@@ -63,6 +63,12 @@ impl Problem {
         })
     }
 
+    /// I − T of some pixels, without their weights, in float64 and rounded once: (picture, pixel of
+    /// `pixels`, channel).
+    pub fn residuals(&self, x: &[f64], pixels: &[usize]) -> Result<Vec<f32>> {
+        by_kind!(self, false, M, C, D, U => residuals::<M, C, D, U>(self, x, pixels))
+    }
+
     /// Derivatives of the radiance of some pixels by their materials and by the lights.
     pub fn derivatives(&self, x: &[f64], pixels: &[usize]) -> Result<Derivatives> {
         by_kind!(self, self.free_normals(), M, C, D, U => {
@@ -131,6 +137,41 @@ fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usiz
         gradient,
         sum_sq_residuals,
     })
+}
+
+fn residuals<M: Reflection, const C: usize, const D: usize, const U: usize>(
+    problem: &Problem,
+    x: &[f64],
+    pixels: &[usize],
+) -> Result<Vec<f32>> {
+    let (maps, lights) = problem.at(x, pixels)?;
+    let pictures = problem.pictures();
+    let pieces = pixels.chunks(CHUNK * BLOCK).collect();
+    let pieces = pool::map(problem.threads(), pieces, |pixels: &[usize]| {
+        let mut block = Block::<M, C, D>::new(problem);
+        // (picture, pixel, channel)
+        let mut found = vec![0.0; pictures * pixels.len() * C];
+        for (b, of_block) in pixels.chunks(BLOCK).enumerate() {
+            block.load(maps, of_block);
+            block.add_samples(&lights, true, &mut Sums::<U>::default());
+            for (sample, residuals) in block.residuals.iter().enumerate() {
+                let (c, picture) = (sample / pictures, sample % pictures);
+                let first = (picture * pixels.len() + b * BLOCK) * C + c;
+                for x in 0..of_block.len() {
+                    found[first + x * C] = residuals.0[x] as f32;
+                }
+            }
+        }
+        found
+    });
+    let mut residuals = Vec::with_capacity(pictures * pixels.len() * C);
+    for picture in 0..pictures {
+        for found in &pieces {
+            let row = found.len() / pictures;
+            residuals.extend_from_slice(&found[picture * row..][..row]);
+        }
+    }
+    Ok(residuals)
 }
 
 fn derivatives<M: Reflection, const C: usize, const D: usize, const U: usize>(

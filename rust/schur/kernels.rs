@@ -13,7 +13,7 @@ const RIDGE: f64 = 1e-12;
 const TOGETHER: usize = 4;
 
 /// Numbers that are summed side by side.
-pub(super) const LANES: usize = 8;
+const LANES: usize = 8;
 
 /// Sums by the coefficients of a light, in parts that add up.
 #[derive(Clone, Copy, Debug, Default)]

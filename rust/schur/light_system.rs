@@ -136,8 +136,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             let expected = pixels.len() * (problem.unknowns_of_pixel() - C);
             check::length("precision", expected, prior.precision.len())?;
             check::length("deviation", expected, prior.deviation.len())?;
-            check::moderate("precision", prior.precision, check::LARGEST_F64)?;
-            check::not_negative("precision", prior.precision)?;
+            check::not_negative("precision", prior.precision, check::LARGEST_F64)?;
             check::moderate("deviation", prior.deviation, check::LARGEST_F64)?;
             if let Some(clusters) = prior.clusters {
                 check::length("cluster", pixels.len(), clusters.of_pixels.len())?;

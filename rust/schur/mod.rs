@@ -6,6 +6,7 @@ mod eliminated_block;
 pub mod gauss_newton_hessian;
 pub mod kept;
 mod kernels;
+pub mod light_equations;
 mod light_system;
 mod schur_complement;
 mod tied;

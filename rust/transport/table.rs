@@ -418,7 +418,6 @@ mod tests {
         Surroundings::new(&[], &[]).unwrap()
     }
 
-    #[derive(Clone)]
     struct Pixels {
         points: Vec<DVec3>,
         normals: Vec<DVec3>,
@@ -500,6 +499,8 @@ mod tests {
         let pixels = Pixels::new(150, 100.0);
         for model in MODELS {
             let found = pixels.transfer(&nothing(), model, 2048);
+            let none = Pixels::new(0, 0.0).transfer(&cube(), model, 64);
+            assert!(none.rows.is_empty());
             with_model!(model, M => for p in 0..150 {
                 let open = Frame::<M>::new(pixels.normals[p], pixels.views[p]);
                 let mut expected = vec![[0.0; COEFFICIENTS]; 1 + M::ROWS];
@@ -793,124 +794,80 @@ mod tests {
 
     #[test]
     fn unusable_arguments_are_named_in_one_line() {
-        let pixels = Pixels::new(3, 30.0);
-        let message = |change: &dyn Fn(&mut Pixels), rays: usize, given: Option<Radiance>| {
-            let mut changed = pixels.clone();
-            change(&mut changed);
-            let origins = changed.origins();
-            let error = transfer(&cube(), origins, Model::Paper, rays, given, 1).unwrap_err();
-            let message = error.to_string();
-            assert!(!message.contains('\n'));
-            message
+        type Change = fn(&mut Pixels, &mut usize, &mut Radiance);
+        let nearest: Vec<u32> = (0..6 * 4).map(|i| i % 4).collect();
+        let message = |change: Change| {
+            let (mut pixels, mut rays) = (Pixels::new(3, 30.0), 64);
+            let mut given = Radiance {
+                samples: &[1.0; 4],
+                size: [2, 2],
+                half_width: 0.5,
+                nearest: &nearest,
+            };
+            change(&mut pixels, &mut rays, &mut given);
+            let found = transfer(
+                &cube(),
+                pixels.origins(),
+                Model::Paper,
+                rays,
+                Some(given),
+                1,
+            );
+            found.unwrap_err().to_string()
         };
-        for (change, expected) in [
+        let cases: [(Change, &str); 17] = [
+            (|p, _, _| p.points[1].y = f64::NAN, "points: expected "),
+            (|p, _, _| p.points[1].y = 1e300, "points: expected "),
             (
-                (|pixels: &mut Pixels| pixels.points[1].y = f64::NAN) as fn(&mut Pixels),
-                "points: expected ",
-            ),
-            (
-                |pixels| pixels.points[1].y = f64::INFINITY,
-                "points: expected ",
-            ),
-            (|pixels| pixels.points[1].y = 1e300, "points: expected "),
-            (
-                |pixels| pixels.normals[2] *= 2.0,
+                |p, _, _| p.normals[2] *= 2.0,
                 "normals: expected unit vectors",
             ),
+            (|p, _, _| p.views[0] *= 0.0, "views: expected unit vectors"),
             (
-                |pixels| pixels.views[0] *= 0.0,
-                "views: expected unit vectors",
-            ),
-            (
-                |pixels| pixels.normals.truncate(2),
+                |p, _, _| p.normals.truncate(2),
                 "normals: expected 3 numbers, found 2",
             ),
             (
-                |pixels| pixels.views.truncate(2),
+                |p, _, _| p.views.truncate(2),
                 "views: expected 3 numbers, found 2",
             ),
             (
-                |pixels| pixels.seeds.truncate(2),
+                |p, _, _| p.seeds.truncate(2),
                 "seeds: expected 3 numbers, found 2",
             ),
-        ] {
-            let found = message(&change, 64, None);
-            assert!(found.starts_with(expected), "{found}");
-        }
-        for rays in [0, usize::MAX] {
-            let found = message(&|_| (), rays, None);
-            assert!(found.starts_with("rays: expected "), "{found}");
-        }
-        let nearest: Vec<u32> = (0..6 * 4).map(|i| i % 4).collect();
-        let given = Radiance {
-            samples: &[1.0; 4],
-            size: [2, 2],
-            half_width: 0.5,
-            nearest: &nearest,
-        };
-        let beyond = [4; 24];
-        for (given, expected) in [
+            (|_, rays, _| *rays = 0, "rays: expected "),
+            (|_, rays, _| *rays = usize::MAX, "rays: expected "),
             (
-                Radiance {
-                    nearest: &nearest[1..],
-                    ..given
-                },
+                |_, _, g| g.nearest = &g.nearest[1..],
                 "nearest: expected 24 numbers, found 23",
             ),
             (
-                Radiance {
-                    nearest: &beyond,
-                    ..given
-                },
+                |_, _, g| g.nearest = &[4; 24],
                 "nearest: expected pixels below 4, found 4",
             ),
             (
-                Radiance {
-                    samples: &[],
-                    size: [0, 2],
-                    nearest: &[],
-                    ..given
-                },
+                |_, _, g| g.size = [0, 2],
+                "radiance: expected at least one pixel",
+            ),
+            (|_, _, g| g.samples = &[1.0; 5], "radiance: expected "),
+            (
+                |_, _, g| g.samples = &[1.0, f32::NAN, 1.0, 1.0],
                 "radiance: expected ",
             ),
+            (|_, _, g| g.half_width = f32::NAN, "half_width: expected "),
             (
-                Radiance {
-                    samples: &[1.0; 5],
-                    ..given
-                },
-                "radiance: expected ",
-            ),
-            (
-                Radiance {
-                    samples: &[1.0, f32::NAN, 1.0, 1.0],
-                    ..given
-                },
-                "radiance: expected ",
-            ),
-            (
-                Radiance {
-                    half_width: f32::NAN,
-                    ..given
-                },
+                |_, _, g| g.half_width = f32::INFINITY,
                 "half_width: expected ",
             ),
-            (
-                Radiance {
-                    half_width: -1.0,
-                    ..given
-                },
-                "half_width: expected ",
-            ),
-        ] {
-            let found = message(&|_| (), 64, Some(given));
-            assert!(found.starts_with(expected), "{found}");
+            (|_, _, g| g.half_width = -1.0, "half_width: expected "),
+        ];
+        for (change, expected) in cases {
+            let found = message(change);
+            assert!(
+                found.starts_with(expected) && !found.contains('\n'),
+                "{found}"
+            );
         }
-    }
-
-    #[test]
-    fn no_pixels_have_no_rows() {
-        let none = Pixels::new(0, 0.0);
-        assert!(none.transfer(&cube(), Model::Paper, 64).rows.is_empty());
     }
 
     /// The functions that the least squares take are those of the model's factors: a₀ and b₀ of the

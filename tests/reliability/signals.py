@@ -167,7 +167,7 @@ def commands(folder: Path, size: int) -> Iterator[Way]:
         "decompose lbfgsb": [*short, "--solver", "lbfgsb"],
         "decompose gauss-newton": [*short, "--solver", "gauss-newton"],
         "decompose, normals": [*short, "--refine-normals", "on"],
-        "decompose, huber": [*short, "--robust", "huber"],
+        "decompose, cauchy": [*short, "--robust", "cauchy"],
         "inspect": ["inspect", scene],
         "synth": ["synth", out, "--size", size, "--lights", LIGHTS],
         "export": ["export", result, "--out", out],

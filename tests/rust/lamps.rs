@@ -6,8 +6,7 @@ use pbrfit::lamps::pixel_fit::{LampFit, LampFitted, LampPictures, NUMBERS, fit_u
 use pbrfit::lamps::render::{
     DirectionalLight, Lamplit, lamp_radiance, lamp_slopes, render_directional,
 };
-use pbrfit::lamps::slopes::{Reflected, SurfaceWithSlopes};
-use pbrfit::lamps::surface::Surface;
+use pbrfit::lamps::surface::{Reflected, Surface};
 use pbrfit::reflectance::ggx::MIN_COSINE;
 use pbrfit::reflectance::model::Model;
 use pbrfit::reflectance::planes::Material;
@@ -95,11 +94,12 @@ struct Sight {
 
 impl Sight {
     fn radiance(&self) -> [f64; 3] {
-        Surface::new(self.model, self.normal, self.view, &self.material).reflected(self.light)
+        let surface = Surface::<false>::new(self.model, self.normal, self.view, &self.material);
+        surface.reflected(self.light).radiance
     }
 
     fn slopes(&self) -> Reflected {
-        let surface = SurfaceWithSlopes::new(self.model, self.normal, self.view, &self.material);
+        let surface = Surface::<true>::new(self.model, self.normal, self.view, &self.material);
         surface.reflected(self.light)
     }
 

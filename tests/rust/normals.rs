@@ -6,7 +6,7 @@ use pbrfit::reflectance::paper::Paper;
 use pbrfit::reflectance::planes::Material;
 use pbrfit::reflectance::reflection::Weights;
 use pbrfit::reflectance::sh;
-use pbrfit::reflectance::shade::{Frame, FrameWithSlopes, shade, shade_vjp, shade_vjp_by_normal};
+use pbrfit::reflectance::shade::{Frame, shade, shade_vjp};
 use pbrfit::reflectance::tangent_offset;
 
 /// Numbers in \[0, 1) that look random.
@@ -177,9 +177,7 @@ fn assert_slope_by_normal(
     step: f64,
 ) {
     let cotangent = numbers.cotangent();
-    let turning = FrameWithSlopes::<Paper>::new(normal, view);
-    let (by_material, by_normal) = shade_vjp_by_normal(&turning, material, &cotangent);
-    assert_eq!(by_material, shade_vjp(&turning.frame, material, &cotangent));
+    let (_, by_normal) = shade_vjp::<Paper, 3>(normal, view, material, &cotangent);
 
     let scalar = |normal: DVec3| {
         let weights = shade(&Frame::<Paper>::new(normal, view), material);
@@ -256,11 +254,7 @@ fn at_the_clamp_itself_fresnel_and_masking_stand_still() {
         let pairs = weights.as_flattened().iter().zip(cotangent.as_flattened());
         pairs.map(|(w, g)| w * g).sum::<f64>()
     };
-    let (_, found) = shade_vjp_by_normal(
-        &FrameWithSlopes::<Paper>::new(normal, view),
-        &material,
-        &cotangent,
-    );
+    let (_, found) = shade_vjp::<Paper, 3>(normal, view, &material, &cotangent);
     // n·v grows with t: from below, where it is raised to the same, and from above.
     let step = 1e-7;
     let below = (scalar(0.0) - scalar(-step)) / step;

@@ -212,14 +212,6 @@ def squares(e: Array) -> tuple[Array, Array]:
     return e**2, 2 * e
 
 
-def huber(scale: float) -> Loss:
-    """e² up to the scale, and the tangent there beyond."""
-    return lambda e: (
-        np.where(np.abs(e) <= scale, e**2, 2 * scale * np.abs(e) - scale**2),
-        np.where(np.abs(e) <= scale, 2 * e, 2 * scale * np.sign(e)),
-    )
-
-
 def cauchy(scale: float) -> Loss:
     """s² ln(1 + e²/s²) for scale s."""
     return lambda e: (scale**2 * np.log1p(e**2 / scale**2), 2 * e / (1 + e**2 / scale**2))

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from pbrfit.result.options import Priors, prior_names
+from pbrfit.result.options import Priors, Solver, prior_names
 from pbrfit_evaluation.recipes import PAPER_PRIORS
 
-Robust = Literal["none", "huber", "cauchy"]
+Robust = Literal["none", "cauchy"]
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,13 @@ class Configuration:
     title: str
     priors: Priors | None
     robust: Robust = "none"
+
+    @property
+    def solver(self) -> Solver:
+        """The default where it knows the priors."""
+        of = self.priors
+        others = of is not None and (of.cohesion or of.smoothness or of.sparsity)
+        return "lbfgsb" if others else "gauss-newton"
 
 
 def alone(name: str, weight: float) -> Configuration:
@@ -51,7 +58,6 @@ NONE = Configuration("none", "no priors", None)
 
 DEFAULT = Configuration("default", "default", Priors())
 PAPER = Configuration("paper", "the paper's four", PAPER_PRIORS)
-HUBER = Configuration("huber", "default, Huber loss", Priors(), "huber")
 CAUCHY = Configuration("cauchy", "default, Cauchy loss", Priors(), "cauchy")
 
 WEIGHTS = replace(PAPER_PRIORS, material=1.0)
@@ -63,7 +69,6 @@ CONFIGURATIONS: tuple[Configuration, ...] = (
     alone("material", 1.0),
     PAPER,
     *each_off(PAPER),
-    HUBER,
     CAUCHY,
 )
 """Those of every case."""

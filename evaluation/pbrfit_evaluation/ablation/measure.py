@@ -41,7 +41,12 @@ def room(task: RoomTask, threads: int) -> dict[str, Any]:
     scores, shown = {}, {}
     for one in task.configurations:
         result, scores[one.key] = fit_and_score(
-            scene, threads, iterations=task.iterations, priors=one.priors, robust=one.robust
+            scene,
+            threads,
+            iterations=task.iterations,
+            solver=one.solver,
+            priors=one.priors,
+            robust=one.robust,
         )
         if one in FEW:
             shown[one.title] = result

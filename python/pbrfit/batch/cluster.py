@@ -10,8 +10,7 @@ from importlib.metadata import version
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.batch.executors import share
-from pbrfit.batch.heartbeat import Watch
+from pbrfit.batch.executors import Workers, share
 
 ANSWERS_WITHIN = 10
 """Seconds that a scheduler may take to answer, and then its first worker to be there."""
@@ -19,7 +18,7 @@ ANSWERS_WITHIN = 10
 LOCAL = "local"
 
 
-class Cluster:
+class Cluster(Workers):
     """Workers of a dask cluster, each with one task at a time.
 
     Workers that come later are used too. A task whose worker is gone is given to another by dask
@@ -27,11 +26,6 @@ class Cluster:
     "local" is a cluster of its own on this machine. `jobs` run at the same time; None = as many as
     there are workers. Raises InputError if dask is not installed, or nobody answers.
     """
-
-    apart = True
-    patience: float | None = 1.0
-    threads: int | None = None
-    watch: Watch | None = None
 
     def __init__(self, address: str, jobs: int | None = None) -> None:
         try:
@@ -49,7 +43,7 @@ class Cluster:
             ) from None
         # What it logs is for those who run the cluster, pages of it; here all ends in one line.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
+        self.deaths = (KilledWorker,)
         self._address, self._jobs = address, jobs
         self._executor: Executor | None = None
         self._cluster: Any = None

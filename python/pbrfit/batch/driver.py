@@ -95,18 +95,13 @@ def drive(
         would take more; one runs always.
     """
     waiting, suspects = deque(tasks), deque[T]()
+    room = _Room(memory, available)
     try:
         while waiting or suspects:
-            alone = not waiting
-            _one_pool(
-                suspects if alone else waiting,
-                work,
-                workers,
-                ended,
-                meanwhile,
-                suspects=None if alone else suspects,
-                room=_Room(memory, available),
-            )
+            if waiting:
+                _one_pool(waiting, work, workers, ended, meanwhile, room, suspects)
+            else:
+                _one_pool(suspects, work, workers, ended, meanwhile, room, None)
     finally:
         workers.stop()
 
@@ -117,18 +112,19 @@ def _one_pool(
     workers: Workers,
     ended: Callable[[T, Attempt[R]], None],
     meanwhile: Callable[[int], None],
-    *,
-    suspects: deque[T] | None,
     room: _Room[T],
+    suspects: deque[T] | None,
 ) -> None:
     """Hand over tasks until there are none, or the pool breaks; without `suspects` one by one."""
     executor, broken = workers.start(), False
     running: dict[Future[Attempt[R]], tuple[T, int | None]] = {}
-    watch, stalled = workers.watch, set[int]()
+    watch, stalled = workers.watch, set[int | None]()
     while running or (queue and not broken):
         at_once = workers.slots() if suspects is not None else 1
-        while queue and not broken and len(running) < at_once and room.admits(queue[0]):
+        while queue and not broken and len(running) < at_once:
             task = queue[0]
+            if running and not room.admits(task, [one for one, _ in running.values()]):
+                break
             slot = None if watch is None else watch.begin()
             try:
                 future = executor.submit(attempt, work, task, workers.threads, workers.apart, slot)
@@ -138,16 +134,14 @@ def _one_pool(
                     watch.end(slot)
             else:
                 running[future] = queue.popleft(), slot
-                room.take(task)
         if not running:
             continue
         meanwhile(len(running))
         done, _ = wait(running, timeout=workers.patience, return_when=FIRST_COMPLETED)
         if watch is not None and not stalled:
-            stalled = watch.kill_stalled()
+            stalled |= watch.kill_stalled()
         for future in sorted(done, key=lambda one: _failure(one) is not None):
             task, slot = running.pop(future)
-            room.give_back(task)
             found, died = _outcome(future, workers.deaths)
             broken = broken or (died and isinstance(_failure(future), BrokenExecutor))
             if watch is not None and slot is not None:
@@ -160,6 +154,24 @@ def _one_pool(
                 suspects.append(task)
             else:
                 ended(task, found)
+
+
+class _Room(Generic[T]):
+    """Memory, as far as it is known."""
+
+    def __init__(self, memory: Callable[[T], int] | None, available: int | None) -> None:
+        self._memory, self._available = memory, available
+        self._sizes: dict[int, int] = {}
+        """By the identity of a task: its size is read from files, once."""
+
+    def admits(self, task: T, running: Sequence[T]) -> bool:
+        """Whether there is enough for a task beside those that run."""
+        if self._memory is None or self._available is None:
+            return True
+        for one in (task, *running):
+            if id(one) not in self._sizes:
+                self._sizes[id(one)] = self._memory(one)
+        return sum(self._sizes[id(one)] for one in (task, *running)) <= self._available
 
 
 def attempt(
@@ -242,31 +254,3 @@ def _listening(apart: bool) -> Iterator[list[tuple[int, str]]]:
         yield said
     finally:
         log.removeHandler(collector)
-
-
-class _Room(Generic[T]):
-    """Memory, as far as it is known."""
-
-    def __init__(self, memory: Callable[[T], int] | None, available: int | None) -> None:
-        self._memory, self._available = memory, available
-        self._taken: list[tuple[T, int]] = []
-        self._next: tuple[T, int] | None = None
-
-    def admits(self, task: T) -> bool:
-        if self._memory is None or self._available is None or not self._taken:
-            return True
-        return sum(size for _, size in self._taken) + self._size(task) <= self._available
-
-    def take(self, task: T) -> None:
-        self._taken.append((task, self._size(task)))
-
-    def give_back(self, task: T) -> None:
-        at = next(i for i, (taken, _) in enumerate(self._taken) if taken is task)
-        del self._taken[at]
-
-    def _size(self, task: T) -> int:
-        if self._memory is None or self._available is None:
-            return 0
-        if self._next is None or self._next[0] is not task:  # read from files only once
-            self._next = task, self._memory(task)
-        return self._next[1]

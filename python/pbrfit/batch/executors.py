@@ -7,12 +7,13 @@ import multiprocessing
 import os
 import signal
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from types import FrameType
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from pbrfit.batch import heartbeat
 from pbrfit.batch.heartbeat import Watch
@@ -22,39 +23,40 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Workers(Protocol):
+class Workers(ABC):
     """Those who do tasks."""
 
-    apart: bool
+    apart = True
     """Whether tasks run in other processes."""
-    threads: int | None
+    threads: int | None = None
     """That a task may use: 0 = one for each processor; None = as many as its worker has."""
-    deaths: tuple[type[BaseException], ...]
+    deaths: tuple[type[BaseException], ...] = ()
     """What a future raises when the process of its task died, beside `BrokenExecutor`."""
-    patience: float | None
+    patience: float | None = 1.0
     """Seconds to wait for a task to end before looking around: whether there are more slots, and to
     tell that work goes on. None = until one ends."""
-    watch: Watch | None
+    watch: Watch | None = None
     """Of tasks that make no step; None = nobody looks."""
 
+    @abstractmethod
     def start(self) -> Executor:
         """Give an executor that works: a new one where the last one broke."""
 
+    @abstractmethod
     def slots(self) -> int:
         """How many tasks may run now."""
 
+    @abstractmethod
     def stop(self) -> None:
         """Let go of everything; what still runs is ended at once."""
 
 
-class Here:
+class Here(Workers):
     """In this process, a task at a time."""
 
     apart = False
-    threads: int | None = 0
-    deaths: tuple[type[BaseException], ...] = ()
-    patience: float | None = None
-    watch: Watch | None = None
+    threads = 0
+    patience = None
 
     def start(self) -> Executor:
         """Give an executor whose `submit` does the task."""
@@ -78,23 +80,19 @@ class _AtOnce(Executor):
         return future
 
 
-class Processes:
+class Processes(Workers):
     """Processes of this machine, started afresh (spawn).
 
     So nothing is inherited from a process whose threads may hold locks. Processors are shared out
     among them. A process whose task makes no step for `patience` seconds is ended; 0 = none is.
     """
 
-    apart = True
-    deaths: tuple[type[BaseException], ...] = ()
-    patience: float | None = 1.0
-
     def __init__(self, jobs: int, patience: float = heartbeat.PATIENCE) -> None:
         self._jobs = jobs
         self.watch = Watch(jobs, patience) if patience else None
         self._pool: ProcessPoolExecutor | None = None
         self._others: set[BaseProcess] = set()
-        self.threads: int | None = share(jobs)
+        self.threads = share(jobs)
 
     def start(self) -> Executor:
         """Give a pool; the one before is let go."""

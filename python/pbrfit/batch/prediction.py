@@ -31,7 +31,9 @@ _HEAD = 1 << 20
 """Bytes of an EXR or HDR file in which its size is sought."""
 
 
-def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitMemory:
+def of_scene(
+    folder: Path, reading: Reading, options: FitOptions, threads: int = 0
+) -> memory.FitMemory:
     """What reading and fitting a scene needs at most, beside the interpreter and its libraries.
 
     Of what no head tells, the dearer is assumed: no pixel is masked, no picture is grey, integer
@@ -71,10 +73,12 @@ def of_scene(folder: Path, reading: Reading, options: FitOptions) -> memory.FitM
         held=held,
         refine_normals=refining,
         optional=optional,
-        transfer=memory.TransferMemory.of(layout, model, options.transport, depth=depth),
+        transport=options.transport if depth else "none",
+        model=model,
+        threads=threads,
     ).needed
     reading_takes = held + DECODING_BYTES * full[0] * full[1]
-    return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0, 0, 0)
+    return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0)
 
 
 def picture_size(path: Path) -> tuple[int, int]:

@@ -156,12 +156,15 @@ def decompose_scene(
     )
 
 
-def memory_of(task: SceneTask) -> int:
-    """Bytes that a worker will take with a scene; 0 for what cannot be read, as it will say."""
+def memory_of(task: SceneTask, threads: int) -> int:
+    """Bytes that a worker of so many threads will take with a scene; 0 for what cannot be read."""
     from pbrfit.batch.prediction import of_scene
 
     try:
-        return LIBRARIES_BYTES + of_scene(task.scene, task.reading, task.options).peak
+        return (
+            LIBRARIES_BYTES
+            + of_scene(task.scene, task.reading, task.options, task.threads or threads).peak
+        )
     except (InputError, OSError):
         return 0
 
@@ -216,15 +219,11 @@ def table(result: Result, scene: Scene, output: Path) -> list[str]:
             lines.append(f"{name:<22}{at_start:>10}{rmse_in_words(result.metrics[key]):>10}")
     lines.append(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
     if result.depth is not None:
-        lines.append(f"surroundings ({result.options.transport}): {_surroundings(result)}")
+        found = result.assumed.get("surroundings", f"none: {result.transport.why}")
+        lines.append(f"surroundings ({result.options.transport}): {found}")
     if result.left_out:
         lines.append(f"left out: {'; '.join(result.left_out)}")
     return lines
-
-
-def _surroundings(result: Result) -> str:
-    """What was decided about them."""
-    return result.assumed.get("surroundings", f"none: {result.transport.why}")
 
 
 def rmse_in_words(value: float) -> str:

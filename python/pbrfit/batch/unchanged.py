@@ -35,7 +35,7 @@ def kept(
         same = (
             content["version"] == version("pbrfit")
             and content["options"] == options.to_json()
-            and {**content["scene"], "path": ""} == {**_as_json(reading.as_json()), "path": ""}
+            and {**content["scene"], "path": ""} == {**reading.as_json(), "path": ""}
             and bool(verdicts_of(content["uncertainty"])) == options.uncertainty
             and content["files"] == {name: digest(output / name) for name in files_of(output)}
             and content["inputs"] == scene_folder.digests(scene)
@@ -64,8 +64,3 @@ def check_model(output: Path, scene: Path, options: FitOptions) -> None:
             f"{output}: expected a result of model {wanted} to resume, found one of model {found}; "
             f"--model {found} keeps it, --overwrite replaces it"
         )
-
-
-def _as_json(values: Mapping[str, Any]) -> Any:
-    """As it comes back from a file."""
-    return json.loads(json.dumps(values))

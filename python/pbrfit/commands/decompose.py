@@ -6,6 +6,7 @@ import argparse
 import time
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from pbrfit import address_space
@@ -146,7 +147,7 @@ def _run_all(
                     done_by,
                     ended=display.tell,
                     meanwhile=display.show if done_by.apart else lambda _: None,
-                    memory=memory_of if beside else None,
+                    memory=partial(memory_of, threads=done_by.threads or 0) if beside else None,
                     available=memory.available(),
                 )
         except ConnectionError as error:

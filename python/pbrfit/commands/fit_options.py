@@ -65,7 +65,9 @@ def given(options: argparse.Namespace, name: str) -> Any:
 def fit_options(options: argparse.Namespace) -> FitOptions:
     """What the flags of `add_fit_options` ask for."""
     asked = {name: given(options, name) for name in FLAGS if hasattr(options, name)}
-    return FitOptions(**asked, priors=given_priors(options))
+    found = FitOptions(**asked, priors=given_priors(options))
+    found.check_priors()
+    return found
 
 
 def add_priors(parser: argparse.ArgumentParser) -> None:

@@ -32,14 +32,6 @@ FEW_PICTURES = 6
 SCALE_PART = 0.5
 """Part of an albedo map's squared error that the common scale makes, from which it is named."""
 
-Cause = tuple[str, str]
-"""What is wrong, and what would help."""
-
-OF_SCALE: Cause = (
-    "the pictures hardly tell the common factor of albedo and light",
-    "a patch of known albedo (option white) would help",
-)
-
 
 def with_causes(
     verdicts: Mapping[str, Verdict],
@@ -49,33 +41,28 @@ def with_causes(
     discrepancy: Discrepancy | None,
     camera: Camera,
     transport: Transport,
-    lighting: Array,
-    lamps: bool,
+    lighting: Array | None,
     albedo_scale: tuple[float, float, float],
     albedo: NDArray[np.floating[Any]],
 ) -> dict[str, Verdict]:
     """Verdicts with cause and remedy, where maps are not usable.
 
-    `normals` (H, W, 3) are those of the result, `lighting` is (N, 16, 3), `lamps` whether the
-    pictures were fitted under lamps, `albedo` (H, W, 3) the map that was found.
+    `normals` (H, W, 3) are those of the result, `lighting` is (N, 16, 3), None under lamps,
+    `albedo` (H, W, 3) the map that was found.
     """
-    of_all = list(
-        _causes(
-            scene, normals, discrepancy, camera, transport, None if lamps else lighting, lamps=lamps
-        )
-    )
-    found = {}
-    for name, verdict in verdicts.items():
-        causes = of_all
-        if name == "albedo":
-            level = float(np.sqrt(np.nanmean(np.square(albedo))))
-            by_scale = (level * float(np.mean(albedo_scale))) ** 2
-            if by_scale > SCALE_PART * verdict.expected_error**2:
-                causes = [OF_SCALE, *causes]
-        cause, remedy = causes[0]
-        if verdict.level != "usable":
-            verdict = replace(verdict, cause=cause, remedy=remedy)
-        found[name] = verdict
+    cause, remedy = next(_causes(scene, normals, discrepancy, camera, transport, lighting))
+    found = {
+        name: verdict
+        if verdict.level == "usable"
+        else replace(verdict, cause=cause, remedy=f"{remedy} would help")
+        for name, verdict in verdicts.items()
+    }
+    of_albedo = found["albedo"]
+    by_scale = np.nanmean(np.square(albedo)) * np.mean(albedo_scale) ** 2
+    if of_albedo.level != "usable" and by_scale > SCALE_PART * of_albedo.expected_error**2:
+        cause = "the pictures hardly tell the common factor of albedo and light"
+        remedy = "a patch of known albedo (option white) would help"
+        found["albedo"] = replace(of_albedo, cause=cause, remedy=remedy)
     return found
 
 
@@ -86,37 +73,27 @@ def _causes(
     camera: Camera,
     transport: Transport,
     lighting: Array | None,
-    *,
-    lamps: bool,
-) -> Iterator[Cause]:
-    """From the worst on; the last always holds."""
+) -> Iterator[tuple[str, str]]:
+    """What is wrong, and what would help, from the worst on; the last always holds."""
     count = len(scene.images)
     if (normals[scene.valid] == (0.0, 0.0, 1.0)).all():
-        yield "all normals face the camera", "normals (pbrfit normals) would help"
+        yield "all normals face the camera", "normals (pbrfit normals)"
     if camera.contradicted:
-        yield "the pictures contradict the field of view", "the true field of view would help"
+        yield "the pictures contradict the field of view", "the true field of view"
+    sides = None
     if lighting is not None and count > 1:
         sides = one_side(main_directions(lighting))
-        if sides is not None:
-            yield (
-                f"light from one side, {sides[0]}, in all pictures",
-                f"pictures lit from {sides[1]} would help",
-            )
+    if sides is not None:
+        yield f"light from one side, {sides[0]}, in all pictures", f"pictures lit from {sides[1]}"
     if count < FEW_PICTURES:
-        yield f"only {count} picture{'s' * (count > 1)}", "pictures under other lights would help"
-    clipped = _clipped_share(scene)
+        yield f"only {count} picture{'s' * (count > 1)}", "pictures under other lights"
+    clipped = 0.0
+    if scene.limits is not None:
+        clipped = float(np.mean(scene.limits[:, scene.valid] > 0))
     if clipped > CLIPPED_SHARE:
-        yield (
-            f"{100 * clipped:.0f} % of the samples are clipped",
-            "shorter exposures or RAW files would help",
-        )
+        yield f"{100 * clipped:.0f} % of the samples are clipped", "shorter exposures or RAW files"
     if discrepancy is not None and discrepancy.misfit**2 > discrepancy.of_noise:
-        lacks = "better normals" if lamps or transport.blocks else "a depth map or better normals"
-        yield "the model does not explain what is in the pictures", f"{lacks} would help"
-    yield "noise hides the highlights", "more pictures, or longer exposures, would help"
-
-
-def _clipped_share(scene: Scene) -> float:
-    if scene.limits is None:
-        return 0.0
-    return float(np.mean(scene.limits[:, scene.valid] > 0))
+        depth = lighting is not None and not transport.blocks
+        lacks = "a depth map or better normals" if depth else "better normals"
+        yield "the model does not explain what is in the pictures", lacks
+    yield "noise hides the highlights", "more pictures, or longer exposures,"

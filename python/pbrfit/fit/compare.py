@@ -31,7 +31,8 @@ from pbrfit.fit import settings
 from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.lamps.shape import FirstShape, first_shape
+from pbrfit.fit.lamps.samples import FirstShape
+from pbrfit.fit.lamps.shape import first_shape
 from pbrfit.fit.left_out import (
     Explanation,
     LeftOut,
@@ -43,7 +44,7 @@ from pbrfit.fit.left_out import (
 )
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.tiles.windows import SceneCutter, strided_window
+from pbrfit.fit.tiles.windows import cut, strided_window
 from pbrfit.fit.transport import Surrounded, search
 from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.io import limits as file_limits
@@ -236,8 +237,7 @@ class _Comparison:
                 raise InputError(f"transport: expected a scene with {what} for {asked}, found none")
         if self._no_surroundings:
             return
-        window = strided_window(scene.valid, 1, 2 * settings.TRANSPORT_PIXELS)
-        part = SceneCutter(scene).cut(window)
+        part = cut(scene, strided_window(scene.valid, 2 * settings.TRANSPORT_PIXELS))
         try:
             found = search(part, self._objective(part), asked, self._is_late)
         except InputError as error:
@@ -546,16 +546,15 @@ class _Comparison:
         if self._scene.normals_known:
             return scene, None
         if (response, number) not in self._shapes:
-            self._shapes[response, number] = first_shape(
-                scene.of_pictures(kept), places_max=settings.COMPARE_PIXELS
-            )
+            self._shapes[response, number] = first_shape(scene.of_pictures(kept))
         shape = self._shapes[response, number]
         told = np.isfinite(shape.normals).all(axis=-1, keepdims=True)
         facing = np.where(told, shape.normals, [0.0, 0.0, 1.0])
         known = replace(scene, normals=facing, normals_known=True)
-        window = strided_window(known.valid, 1, settings.COMPARE_PIXELS)
-        few = SceneCutter(known).cut(window)
-        return few, replace(shape, normals=window.of(facing), albedo=window.of(shape.albedo))
+        window = strided_window(known.valid, settings.COMPARE_PIXELS)
+        return cut(known, window), replace(
+            shape, normals=window.of(facing), albedo=window.of(shape.albedo)
+        )
 
     def _setup_with(self, **options: Any) -> FitSetup:
         """That of a fit that is compared: maps alone, with some options in place of the given."""
@@ -749,8 +748,7 @@ def _reduced(scene: Scene) -> Scene:
     Without normals, pictures are averaged down: neighbours tell the shape.
     """
     if scene.normals_known:
-        window = strided_window(scene.valid, 1, settings.COMPARE_PIXELS)
-        return SceneCutter(scene).cut(window)
+        return cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
     full = scene.height, scene.width
     size = reduced_size(full, settings.COMPARE_SIDE)
     if size == full:

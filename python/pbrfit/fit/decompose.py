@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from pbrfit import address_space
 from pbrfit._core import InputError
-from pbrfit.fit import memory
+from pbrfit.fit import memory, plan
 from pbrfit.fit.bar import notebook_bar
 from pbrfit.fit.causes import with_causes
-from pbrfit.fit.plan import FitPlan
 from pbrfit.fit.run import Progress, material_errors
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
@@ -108,13 +107,14 @@ def decompose(
         If memory runs short.
     """
     options = _overridden(options, overrides)
+    options.check_priors()
     if progress is True:
         with notebook_bar(options.iterations) as show:
             return decompose(scene, options, start=start, threads=threads, progress=show)
     scene = _read(scene)
     model = chosen_model(options.model, scene.model)
     threads = whole_number("threads", threads)
-    start = _to_start_from(start, model)
+    begin = _to_start_from(start, model)
     # Here and not above: scipy would double the time of `import pbrfit`. Before the clock starts:
     # loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
@@ -149,7 +149,7 @@ def decompose(
         why_normals=hindered or "",
     )
     check_light(scene, setup)
-    chosen = compare.choose(scene, setup, start_given=start is not None)
+    chosen = compare.choose(scene, setup, start_given=begin is not None)
     how = chosen.explanation
     if how.response is not None:
         scene = scene.decoded_by(how.response)
@@ -176,28 +176,26 @@ def decompose(
     by_pictures = start_shape is not None
     if start_shape is not None:
         scene = replace(scene, normals=start_shape.normals, normals_known=True)
-    layout = setup.layout(scene)
-    transfer = memory.TransferMemory.of(
-        layout, model, chosen.transport.kind, depth=scene.depth is not None
-    )
+    layout, blocking = setup.layout(scene), chosen.transport.kind
     way = memory.plan(
         layout,
         options.solver,
         held=memory.bytes_of(scene),
-        exact=scene.images.dtype != np.float32,
         refine_normals=setup.refines,
         optional=options.refine_normals == "auto",
-        transfer=transfer,
+        transport=blocking,
+        model=model,
+        threads=threads,
     )
     memory.check(options.solver, way.needed)  # before anything large is made
-    if way.tiled and layout.pixels <= memory.whole_pixels_max(transfer):
+    if way.tiled and layout.pixels <= memory.whole_pixels_max(blocking):
         log.warning("fitted in tiles: there is not enough memory for all pixels at once")
     if way.hindered:
         setup = replace(setup, refines=False, why_normals=way.hindered)
     if chosen.scenery is not None:
         surrounded = Surrounded(scene, chosen.transport, chosen.scenery)
         setup = replace(setup, surrounded=surrounded)
-    found = (fit_tiles if way.tiled else fit_whole)(scene, setup, start)
+    found = (fit_tiles if way.tiled else fit_whole)(scene, setup, begin)
     if by_pictures:
         found = replace(found, refinement=found.refinement.of_normals_from_pictures())
     return _result(scene, setup, found, options, chosen)
@@ -218,14 +216,14 @@ def _result(
         camera = replace(camera, contradicted=True, figures=figures)
     found = replace(found, camera=camera)
     threads, model = setup.threads, setup.model
-    layout = setup.layout(scene)
-    plan = FitPlan.of(
-        scene,
-        layout,
-        priors=options.priors,
-        robust=options.robust,
-        uncertainty=options.uncertainty,
-        lighting=found.measured_lighting,
+    left_out = tuple(
+        plan.left_out(
+            scene,
+            setup.layout(scene),
+            options.priors,
+            uncertainty=options.uncertainty,
+            lighting=found.measured_lighting,
+        )
     )
     scene = scene.through(found.camera.fov_degrees, found.camera.correction)
     given = np.asarray(scene.normals, dtype=np.float64)
@@ -236,7 +234,6 @@ def _result(
     segments = None
     if surrounded is not None and surrounded.scene.segments is not None:
         segments = storable_segments(surrounded.scene.segments)
-    left_out = plan.left_out
     if not transport.blocks:
         left_out = (*left_out, f"surroundings: {transport.why}")
     if found.lamps is None:
@@ -255,8 +252,7 @@ def _result(
             discrepancy=found.discrepancy,
             camera=found.camera,
             transport=transport,
-            lighting=found.lighting,
-            lamps=found.lamps is not None,
+            lighting=found.lighting if found.lamps is None else None,
             albedo_scale=uncertainty.albedo_scale,
             albedo=found.materials.albedo,
         )
@@ -334,8 +330,12 @@ def _signature() -> inspect.Signature:
     return own.replace(parameters=[*named, *options])
 
 
-def _to_start_from(start: Start, model: Model) -> Materials | tuple[Materials, NDArray[Any]] | None:
-    """Take maps and lights out of a result, if it is of the same model."""
+def _to_start_from(
+    start: Start, model: Model
+) -> tuple[Materials, NDArray[np.float64] | None] | None:
+    """Maps and perhaps lights; those of a result, if it is of the same model."""
+    if isinstance(start, Materials):
+        return start, None
     if not isinstance(start, Result):
         return start
     if start.model != model:

@@ -131,7 +131,7 @@ def find(
         variance = (settings.MISFIT_SHARE_MAX * settings.MEAN_RADIANCE) ** 2
     shared = _shared(few, part, np.searchsorted(pixels, pairs)) if pairs.size else 0.0
     if modes is None:
-        modes = light_modes(few, part, settings.LIGHT_PIXELS_MAX, of_pixels=objective.pixels)
+        modes = light_modes(few, part, of_pixels=objective.pixels)
     share = _light_share(few, part, variance, modes)
     uses = settings.SAMPLE_USES + 2 * refined
     return Discrepancy(variance, shared, modes, share, picture_effect, objective.channels, uses)

@@ -8,8 +8,7 @@
    only noise next to nothing in the end.
 2. **Material prior** (`priors.mixture`): what roughness and metallic each segment is made of, found
    together with the lights by as many pixels, evenly spread over the segments.
-3. **Scale** (`scale`): lights, and so their scale, without what the prior has of the same data.
-4. **All pixels**: each by itself under these lights, from the grid and around its prior; without
+3. **All pixels**: each by itself under these lights, from the grid and around its prior; without
    one, joint steps of all pixels and lights follow.
 
 A scene that the model fits and one that it does not go the same way. Where lights are known, steps
@@ -24,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import discrepancy, lbfgsb, misfit, scale, settings
+from pbrfit.fit import discrepancy, lbfgsb, misfit, settings
 from pbrfit.fit.coarse import Lights, Watch, judged, reweighted, rounds
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.joint import SharedFit, minimize
@@ -34,7 +33,7 @@ from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, retry_outliers
-from pbrfit.fit.plan import FitPlan
+from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.priors.penalties import Monochrome, penalties
@@ -48,35 +47,30 @@ Array = NDArray[np.float64]
 AS_FAR = "; all pixels were fitted once, under the lights so far"
 
 
-def solve(
-    run: Run, x: Array, *, start_given: bool, lights: Lights | None = None
-) -> tuple[Array, Status, str]:
+def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]:
     """X of a fit from x by the solver of the options, and why it ended.
 
-    `start_given` tells L-BFGS-B to trust the start: it has no stages then. `lights` are those that
-    were found from x, if they were.
+    `start_given` tells L-BFGS-B to trust the start: it has no stages then.
     """
     loss = run.evaluate(x)[0]  # not the gradient, which is as large as x
     run.record(x, loss)
     if run.left <= 0:
         return x, Status.ITERATION_LIMIT, "0 iterations asked for"
     if run.options.solver == "gauss-newton":
-        return gauss_newton(run, x, lights)
+        return gauss_newton(run, x)
     return by_lbfgsb(run, x, loss, start_given=start_given)
 
 
-def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Array, Status, str]:
+def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
-    start, rows, loss = x, len(run.rows), run.rows[-1].loss
+    start, rows = x, len(run.rows)
     with one_blas_thread():
-        if lights is None:
-            lights = find_lights(run, x)
+        lights = find_lights(run, x)
         x = lights.x
         noise = lights.noise if run.shared_state is None else run.shared_state.noise
         run.noise = noise
         if not lights.exact and run.goes_on:
             weigh_samples(run, run.objective, x, noise)
-            loss = run.evaluate(start)[0]
         prior = None
         if run.has_mixture_prior and run.goes_on:
             if lights.exact:
@@ -89,18 +83,7 @@ def gauss_newton(run: Run, x: Array, lights: Lights | None = None) -> tuple[Arra
     if len(run.rows) == rows:  # lights without materials that were fitted under them
         ended = run.ended("", AS_FAR)
         return fit_once(run, start, x), *ended
-    if not _beyond_squares(run, prior):
-        return x, *run.ended("no joint step lowers the sum further")
-    why = "the loss falls no further"
-    if run.goes_on:
-        with run.stage("L-BFGS-B, for penalties") as notes:
-            before = run.iteration
-            _, x = lbfgsb.by_scipy(run, x, run.left, stall=settings.STALL)
-            notes.append(f"{run.iteration - before} iterations")
-    if not run.has_mixture_prior and run.rows[-1].loss > loss:
-        # Squares know nothing of penalties, and there was no time to lower these.
-        return start, *run.ended(why, "; kept the start, whose loss is lower")
-    return x, *run.ended(why)
+    return x, *run.ended("no joint step lowers the sum further")
 
 
 def fit_once(run: Run, start: Array, x: Array) -> Array:
@@ -121,7 +104,7 @@ def fit_once(run: Run, start: Array, x: Array) -> Array:
 def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
     with run.stage("L-BFGS-B"):
-        x, _, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
+        x, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
     if run.has_mixture_prior and not run.out_of_time():
         with one_blas_thread():
             x, prior = fit_mixture_prior(run, judged(run.objective.reweighted(x), x))
@@ -174,27 +157,18 @@ def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | 
     Where time runs out before, x is as it was and there is no prior. Weights that are chosen by
     rule are chosen by the lights that were found with it.
     """
-    objective, x, held = run.objective, lights.x, []
-    if lights.shared is not None:
-        with run.stage("material prior"):
-            lights = _with_prior(run, lights)
-        # One distribution for all of a picture is too rough for so soft a direction.
-        if not lights.exact and objective.layout.segments is not None:
-            with run.stage("scale") as notes:
-                lights = _with_scale(run, lights, notes)
+    objective, x = run.objective, lights.x
     with run.stage("material prior") as notes:
+        if lights.shared is not None and not lights.exact:
+            lights = _with_prior(run, lights)
         found = _fitted_prior(run, lights, notes)
         if found is None:
             notes.append("stopped before all pixels had theirs")
             return x, None
         x, prior = found
-        if run.shared_state is not None:
-            held = run.shared_state.penalties(objective.layout)
         run.measured_lighting = objective.unpack(x)[1]
-        plan = FitPlan.of(
-            run.scene, objective.layout, priors=run.options.priors, lighting=run.measured_lighting
-        )
-        objective.penalties = [*penalties(objective.layout, plan.priors), *held, prior]
+        priors = chosen_priors(objective.layout, run.options.priors, run.measured_lighting)
+        objective.penalties = [*penalties(objective.layout, priors), prior]
         objective.robust = run.robust_around(x)
         loss = run.evaluate(x)[0]
         run.iteration += 1
@@ -208,22 +182,6 @@ def _with_prior(run: Run, lights: Lights) -> Lights:
     strength, variance = run.options.priors.material_strength, lights.misfit.of_likelihood
     objective = reweighted(run, run.objective, lights.x)
     x = with_lights(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
-    return replace(lights, x=x)
-
-
-def _with_scale(run: Run, lights: Lights, notes: list[str]) -> Lights:
-    """Lights with their scale and its deviation."""
-    assert lights.shared is not None
-    strength, variance = run.options.priors.material_strength, lights.misfit.of_likelihood
-    found = None
-    if not run.out_of_time():
-        objective = reweighted(run, run.objective, lights.x)
-        found = scale.find(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
-    if found is None:
-        notes.append("stopped before it was found")
-        return lights
-    x, run.scale = found
-    notes.append(run.scale.note)
     return replace(lights, x=x)
 
 
@@ -251,15 +209,13 @@ def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, Ga
     run.discrepancy = discrepancy_of(run, objective, x)
     notes.append(run.discrepancy.in_words())
     steps = run.options.solver == "gauss-newton"
-    # Penalties that follow have to weigh against the data as they are.
-    once = steps and not _beyond_squares(run, None)
     fitted = fit_prior(
         objective,
         x,
         strength,
         run.discrepancy.of_pixel,
         run.out_of_time,
-        counted_once=once,
+        counted_once=steps,
         pooling=run.discrepancy.pooling,
     )
     if fitted is None:
@@ -341,9 +297,3 @@ def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | 
             weighed = objective.weighed(noise.weights(objective, x, first=number == 0))
         objective.adopt(weighed)
         notes.append(noise.in_words())
-
-
-def _beyond_squares(run: Run, prior: GaussianPrior | None) -> bool:
-    """Whether the objective has penalties that joint steps do not know."""
-    others = [one for one in run.objective.penalties if one is not prior]
-    return not all(isinstance(one, Monochrome) for one in others)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout, pixel_index
+from pbrfit.fit.sampling import stride
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,28 +47,9 @@ def strided_subset(
     The latter is by row and column the position in the former, or −1 where the pixel there is not
     valid.
     """
-    step = max(1, math.ceil(math.sqrt(layout.pixels / at_most)))
-    # A long and narrow picture or mask has more pixels in every s-th row and column than a square.
-    while (first := _first_pixel(layout.valid, step))[0] > settings.STRIDED_SUBSET_EXCESS * at_most:
-        step += 1
-    _, row, column = first
+    step, row, column = stride(layout.valid, at_most)
     found = pixel_index(layout)[row::step, column::step]
     inside = found >= 0
     index = np.full(found.shape, -1)
     index[inside] = np.arange(np.count_nonzero(inside))
     return found[inside].astype(np.uint64), index
-
-
-def _first_pixel(valid: NDArray[np.bool_], step: int) -> tuple[int, int, int]:
-    """How many valid pixels a strided subset has, and its first row and column.
-
-    It begins half a step from the border, unless a mask with a pattern of its own (every other
-    row, say) leaves it less than half of its share there.
-    """
-    rows, columns = np.nonzero(valid)
-    counts = np.bincount(rows % step * step + columns % step, minlength=step**2)
-    middle = [min(step // 2, size - 1) for size in valid.shape]
-    first = middle[0] * step + middle[1]
-    if 2 * step**2 * counts[first] < len(rows):
-        first = int(counts.argmax())
-    return int(counts[first]), first // step, first % step

@@ -1,12 +1,19 @@
-"""How the lights of a fit may move when noise, and what pictures share, pull at them."""
+"""How the lights of a fit may move when noise, and what pictures share, pull at them.
+
+With G the information on the lights if materials were known, and S what is left of it where the
+pixels are eliminated (`pbrfit.fit.joint`), directions of the light are scaled to the same effect on
+the pictures, √(vᵀ G v). In these units S has eigenvalues λ in [0, 1]: the share of information that
+is left. Few are much below 1, however many pictures there are: those directions that materials can
+imitate. All of them lie in the span of the lights over the pictures (`Objective.light_basis`);
+beyond it λ is 1.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.light_spectrum import of_objective
-from pbrfit.fit.normal_equations import held_at_bounds
+from pbrfit.fit.normal_equations import known_materials
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import (
@@ -17,46 +24,57 @@ from pbrfit.fit.settings import (
 
 Array = NDArray[np.float64]
 
+DARK_SHARE = 1e-12
+"""Share of the largest eigenvalue of G up to which a direction of the light counts as seen by no
+pixel: it moves no material and is left out."""
 
-def light_modes(
-    objective: Objective,
-    x: Array,
-    light_pixels: int = LIGHT_PIXELS_MAX,
-    of_pixels: int | None = None,
-) -> Array:
+
+def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) -> Array:
     """(R, N, K, C): the lights' covariance, of noise 1, as independent modes of deviation 1.
 
     From their spectrum over some pixels of a fit; those modes that matter to materials. None, R is
-    0, where they are known. `of_pixels` is how many pixels saw them, if not those of the
+    0, where lights are known. `of_pixels` is how many pixels saw them, if not those of the
     objective alone.
 
     The mode of λ adds (1 − λ)/λ to the sum over pixels of their variances in units of A⁻¹. That
     ranks the modes and bounds what those left out would add. A direction that materials can make up
     for completely has the least λ that is not rounding.
     """
-    if objective.lighting is None:
-        return np.zeros((0, objective.layout.pictures, objective.layout.coefficients, 1))
-    held = held_at_bounds(x, objective.layout)
     layout = objective.layout
-    pixels = evenly_spaced(layout.pixels, light_pixels)
-    own_held = held[pixels]
-    known = of_objective(objective, x, pixels, own_held)
-    left, vectors = known.left, known.vectors
-    light_channels, k = layout.light_channels, layout.coefficients
-    blocks = layout.pictures * light_channels
-
-    def in_x(of_units: Array) -> Array:
-        """(modes, N, K, C) from modes in the columns."""
-        modes = np.einsum("aki,aim->mak", known.from_units, of_units.reshape(blocks, k, -1))
-        modes = modes.reshape(-1, layout.pictures, light_channels, k).transpose(0, 1, 3, 2)
-        return np.ascontiguousarray(np.repeat(modes, layout.channels // light_channels, axis=-1))
-
+    if objective.lighting is None:
+        return np.zeros((0, layout.pictures, layout.coefficients, 1))
+    pixels = evenly_spaced(layout.pixels, LIGHT_PIXELS_MAX)
+    few, part = objective.restricted(pixels), objective.part_of(x, pixels)
+    channels, k = layout.light_channels, layout.coefficients
+    alone = known_materials(few, part)
+    basis, problem, for_core = few.light_basis(part), few.problem, few.for_core(part)
+    if basis is None:
+        basis = np.broadcast_to(np.eye(layout.pictures), (channels, *2 * (layout.pictures,)))
+    else:  # sums of the pictures, whose samples have their mean weights
+        problem, for_core = few.combined(part, basis)
+        alone = np.broadcast_to(alone.mean(axis=0), (basis.shape[2], *alone.shape[1:]))
+    rank = basis.shape[2]
+    everything = np.arange(few.pixels, dtype=np.uint64)
+    left, _ = problem.schur_complement(for_core, everything, mono=channels < layout.channels)
+    # T with Tᵀ G T = 1, a block for each light in a channel.
+    blocks = np.einsum("nckcl->cnkl", alone.reshape(rank, channels, k, channels, k))
+    sizes, directions = np.linalg.eigh(blocks.reshape(-1, k, k))
+    seen = sizes > DARK_SHARE * sizes.max()
+    scale = np.where(seen, 1 / np.sqrt(np.where(seen, sizes, 1.0)), 0.0)
+    units = directions * scale[:, None]
+    left = left.reshape(len(units), k, len(units), k)
+    scaled = np.einsum("aki,akbl,blj->aibj", units, left, units, optimize=True)
+    scaled = scaled.reshape(len(units) * k, -1)
+    unseen = ~seen.ravel()
+    scaled[unseen, unseen] = 1.0
+    shares, vectors = np.linalg.eigh(scaled)  # λ rises
+    shares = np.clip(shares, LIGHT_INFORMATION_MIN, 1.0)
     # What the other pixels know of the lights is taken to be like what these know.
-    more = (of_pixels or layout.pixels) / len(pixels)
-    left = np.maximum(left, LIGHT_INFORMATION_MIN)
-    deviation = 1 / np.sqrt(more * left)
-    adds = (1 - left) / left
-    remaining = np.cumsum(adds[::-1])[::-1] + known.rest / left[-1]  # λ rises
-    remaining /= more * max(1, int(np.count_nonzero(~own_held)))
+    more = (of_pixels or layout.pixels) / few.pixels
+    remaining = np.cumsum(((1 - shares) / shares)[::-1])[::-1]
+    remaining /= more * few.layout.maps.stop
     used = int(np.count_nonzero(remaining > OMITTED_VARIANCE_SHARE_MAX))
-    return in_x((vectors * deviation)[:, :used])
+    modes = (vectors / np.sqrt(more * shares))[:, :used].reshape(len(units), k, used)
+    modes = (units @ modes).reshape(channels, rank, k, used)
+    found = np.einsum("cnj,cjkm->mnkc", basis, modes, optimize=True)
+    return np.ascontiguousarray(np.repeat(found, layout.channels // channels, axis=-1))

@@ -6,72 +6,52 @@ import logging
 import math
 import os
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
-
-import numpy as np
+from typing import Any
 
 from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.settings import (
-    LAMP_PIXELS,
-    PIXELS_AT_ONCE,
-    PRIOR_FIT_PIXELS,
-    PRIOR_METALLIC_NODES,
-    PRIOR_ROUGHNESS_NODES,
-    PRODUCT_PIXELS,
     TILES_SUBSET_PIXELS_MAX,
     TRANSPORT_WHOLE_PIXELS_MAX,
     WHOLE_PIXELS_MAX,
 )
-from pbrfit.model.reflection import Model
-from pbrfit.result.options import TransportChoice
+from pbrfit.model.reflection import DEFAULT_MODEL, Model
+from pbrfit.result.options import Solver, TransportChoice
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import AT_ONCE_MAX
+from pbrfit.threads import AT_ONCE_MAX, processors
 
 log = logging.getLogger("pbrfit")
 
-Method = Literal["gauss-newton", "lbfgsb"]
-"""Solvers whose memory is known."""
+FIXED_BYTES = 20 << 20
+PIECE_BYTES = 30 << 20
+PIECE_PIXEL_BYTES = 208
+UNKNOWN_BYTES: dict[Solver, int] = {"gauss-newton": 76, "lbfgsb": 420}
+"""Bytes of any fit; of a piece of work, of which there are as many at once as threads, and a pixel
+of each; and an unknown. Rooms of 256² and 512² with 16 pictures took 136 and 320 MiB with two
+threads, 222 and 485 with four; by lbfgsb 256² took 239 with two."""
 
-METHODS: tuple[Method, ...] = get_args(Method)
+LAMP_BYTES = 3 << 20
+"""Bytes a picture of joint steps with a lamp in each, on some of the pixels."""
 
-SOLVER_BYTES: dict[Method, int] = {"gauss-newton": 16 * 8, "lbfgsb": 480}
-"""Bytes an unknown. Of gauss-newton sixteen float64 vectors; between 256² and 512² it takes 90. Of
-lbfgsb measured with scipy 1.17's L-BFGS-B and 10 pairs: its workspace, bounds, x and gradient."""
+REFINING_BYTES = 60 << 20
+REFINING_PIXEL_BYTES = 450
+"""Bytes while normals are refined, beside pieces of work, and a pixel of these beside cores. 256²
+with 16 pictures took 295 to 311 MiB in all with two threads and 437 with four, 512² took 666 with
+two."""
 
-BLOCK = 128
-"""Pixels in a block of the Rust core; pixels are padded to whole blocks."""
-
-DIRECTION_BYTES = 32 + 24
-"""Bytes a pixel in the Rust core: normal and mirror direction in float32 and what that leaves of
-them, n·v in float64."""
-
-GIVEN_DIRECTION_BYTES = 48
-"""The same where normals are free: given normal and view direction in float64."""
-
-REFINING_BYTES = 8 * (7 + 3 * 5) + 64 + 3 * 24 + 2 * 32
-"""Bytes a pixel while its normal is refined, beside cores: its unknowns with tangent offsets, and
-without them in three states; pairs of neighbours and their weights; normals in three states; the
-priors of two fits. Whole fits of 512² and 1024² with 16 pictures took 340 and 205 beside the
-rest."""
-
-TRANSFER_ROWS: dict[Model, int] = {"paper": 5, "principled": 11}
-"""Rows R of a pixel's table of surroundings."""
-
-TRANSFER_COLUMNS = 16
-"""SH functions that each row has a value of, whatever the lights' order is."""
-
-VECTOR_BYTES = 5 * 24
-"""Bytes a pixel while the core is made: view directions, and two copies of those and of normals."""
-
-WORTH_SAYING = 2**30
-"""Bytes above which a fit says how much memory it needs."""
+TABLE_ROWS: dict[Model, int] = {"paper": 5, "principled": 11}
+TABLE_COLUMNS = 16
+"""Rows of a pixel's table of surroundings, by model, and SH functions that each has a value of."""
 
 MAPS_BYTES = 470
 """Bytes a pixel: the maps that a fit in tiles finds, and what is made of them when they are
-written. 8 MP with 16 pictures took 466 at their peak."""
+written."""
+
+WORTH_SAYING = 2**30
+"""Bytes above which a fit says how much memory it needs."""
 
 ROOT = Path("/")
 """Where the system's files are; tests have their own."""
@@ -83,69 +63,72 @@ class FitMemory:
 
     scene: int
     """Its arrays, which are there already."""
-    core: int
-    """Pictures and directions in the Rust core."""
-    making: int
-    """For a while, beside these, while the core is made: pictures in the unit of x."""
-    solver: int
-    """Beside scene and core while the solver runs: its vectors."""
+    fit: int
+    """Of a fit with the given normals and without surroundings."""
     refining: int = 0
-    """Beside all of these while the solver fits refined normals: cores of the fits before and of
-    free normals, and states of all pixels; 0 where normals are held."""
-    transfer: int = 0
-    """Beside all but the last: tables of surroundings, in which no normals are refined."""
+    """Beside these while normals are refined."""
+    tables: int = 0
+    """Beside these for tables of surroundings, with which no normals are refined."""
 
     @property
     def further(self) -> int:
         """That are not there yet."""
-        return self.core + max(self.making, self.solver) + max(self.refining, self.transfer)
+        return self.fit + max(self.refining, self.tables)
 
     @property
     def peak(self) -> int:
         """At the peak."""
         return self.scene + self.further
 
+    @property
+    def saved(self) -> tuple[int, str] | None:
+        """What the fit would need less without the dearer of both, and the option that says so."""
+        if self.refining == self.tables:
+            return None
+        option = "refine_normals off" if self.refining > self.tables else "transport none"
+        return abs(self.refining - self.tables), option
+
 
 def of_fit(
-    scene: Scene, layout: ParameterLayout, method: Method, *, refine_normals: bool = False
+    layout: ParameterLayout,
+    solver: Solver,
+    *,
+    held: int,
+    refine_normals: bool = False,
+    transport: TransportChoice = "none",
+    model: Model = DEFAULT_MODEL,
+    tiled: bool = False,
+    threads: int = 0,
 ) -> FitMemory:
-    """What `decompose` needs of memory with a solver, without surroundings."""
-    return of_layout(
-        layout,
-        method,
-        held=bytes_of(scene),
-        exact=scene.images.dtype != np.float32,
-        refine_normals=refine_normals,
+    """What a fit needs of a scene whose arrays take `held` bytes, by so many threads (0 = all).
+
+    The core has the samples, twice while it is made; while normals are refined there are three
+    more. In tiles that is what the subset needs, and maps of all pixels. A table of surroundings is
+    in Python and in the core and, for a while, there is what is reflected once more, in the unit of
+    x; for that all pictures are there twice.
+    """
+    pixels = min(TILES_SUBSET_PIXELS_MAX, layout.pixels) if tiled else layout.pixels
+    samples = layout.pictures * layout.channels
+    in_core = 4 * samples * (1 + layout.weighted)
+    unknowns = layout.channels + 1 + (not layout.metallic_known)
+    of_unknowns = UNKNOWN_BYTES[solver] * unknowns
+    pieces = min(threads or processors(), AT_ONCE_MAX)
+    fit = FIXED_BYTES + (in_core + max(in_core, of_unknowns)) * pixels
+    fit += pieces * (PIECE_BYTES + PIECE_PIXEL_BYTES * pixels)
+    refining = REFINING_BYTES + pieces * PIECE_BYTES
+    refining += (3 * in_core + REFINING_PIXEL_BYTES) * pixels
+    fit = max(fit, LAMP_BYTES * layout.pictures)
+    tables = 0
+    if transport != "none":
+        reflected = 0 if transport == "occlusion" else samples
+        tables = 4 * TABLE_ROWS[model] * (2 * TABLE_COLUMNS + 3 * reflected) * pixels
+        tables += 2 * 4 * reflected * layout.valid.size
+    return FitMemory(
+        scene=held,
+        fit=fit + MAPS_BYTES * layout.pixels * tiled,
+        refining=refining * refine_normals,
+        tables=tables,
     )
-
-
-@dataclass(frozen=True)
-class TransferMemory:
-    """Bytes that tables of surroundings take."""
-
-    of_pixel: int
-    """A pixel that is fitted: R × (16 + N·C) float32 in Python and in the core, and for a while
-    what is reflected once more, in the unit of x."""
-    of_picture: int
-    """A pixel of the whole picture: all pictures in float32, here and in the core; 0 where nothing
-    is reflected."""
-
-    @classmethod
-    def of(
-        cls, layout: ParameterLayout, model: Model, asked: TransportChoice, *, depth: bool
-    ) -> TransferMemory | None:
-        """What a fit may need that is asked for some `FitOptions.transport`; None = nothing."""
-        if not depth or asked == "none":
-            return None
-        samples = layout.pictures * layout.channels if asked != "occlusion" else 0
-        rows = TRANSFER_ROWS[model]
-        return cls(4 * rows * (2 * TRANSFER_COLUMNS + 3 * samples), 2 * 4 * samples)
-
-
-def whole_pixels_max(transfer: TransferMemory | None) -> int:
-    """Pixels that are fitted at once at most."""
-    limit = WHOLE_PIXELS_MAX
-    return limit if transfer is None else min(limit, TRANSPORT_WHOLE_PIXELS_MAX)
 
 
 def bytes_of(scene: Scene) -> int:
@@ -160,112 +143,24 @@ def bytes_of(scene: Scene) -> int:
     return held
 
 
-def of_layout(
-    layout: ParameterLayout,
-    method: Method,
-    *,
-    held: int,
-    exact: bool = False,
-    refine_normals: bool = False,
-    transfer: TransferMemory | None = None,
-) -> FitMemory:
-    """As `of_fit`, for `held` bytes of the scene's arrays, with tables of surroundings if any.
-
-    With `exact` pictures are in float64, and the core has them in 48 bits.
-    """
-    pixels, channels, pictures = layout.pixels, layout.channels, layout.pictures
-    planes = pictures * channels * (1 + layout.weighted)
-    size = layout.valid.size
-    blocks = BLOCK * -(-pixels // BLOCK)
-    samples = 4 * (planes + exact * pictures * channels)
-    core = (samples + DIRECTION_BYTES) * blocks
-    refining = 0
-    if refine_normals:
-        # The first fit, the one before the last, and free normals.
-        refining = 2 * core + (samples + GIVEN_DIRECTION_BYTES) * blocks
-        refining += REFINING_BYTES * pixels
-    solver = SOLVER_BYTES[method] * layout.size
-    if method == "gauss-newton":
-        few = _of_few_pixels(layout, (samples + DIRECTION_BYTES))
-        solver += few if layout.lighting is None else max(few, _of_lamps(layout))
-    return FitMemory(
-        scene=held,
-        core=core,
-        making=(samples + VECTOR_BYTES) * pixels,
-        solver=solver,
-        refining=refining,
-        transfer=0 if transfer is None else transfer.of_pixel * pixels + transfer.of_picture * size,
-    )
-
-
-def _of_few_pixels(layout: ParameterLayout, core: int) -> int:
-    """Of joint steps and the mixture prior, for which some pixels stand for all.
-
-    The core of those that products are from takes `core` bytes each, and keeps 4 for each of K
-    weights and 3 derivatives in all pictures (5 where normals are free) a channel. The
-    preconditioner is a matrix of the lights of K pictures at most, beside the one that it is made
-    from. Of the prior there are all likelihoods of the pixels that it is fitted to, and three
-    arrays like them of each piece that is worked on.
-    """
-    derivatives = 5 if layout.free_normals else 3
-    of_channel = layout.coefficients + layout.pictures * derivatives
-    few = min(PRODUCT_PIXELS, layout.pixels)
-    products = (core + 4 * layout.channels * of_channel) * few
-    lights = layout.channels * layout.coefficients * min(layout.pictures, layout.coefficients)
-    likelihoods = min(PRIOR_FIT_PIXELS, layout.pixels) + 3 * AT_ONCE_MAX * PIXELS_AT_ONCE
-    nodes = PRIOR_ROUGHNESS_NODES[2] * PRIOR_METALLIC_NODES[2]
-    return products + 2 * 8 * lights**2 + 4 * nodes * likelihoods
-
-
-def _of_lamps(layout: ParameterLayout) -> int:
-    """Of joint steps of a lamp a picture, in float64.
-
-    A picture has nine unknowns: place, colour, ambient light. There are four matrices of those of
-    all pictures (`lamps.shared_step`), and four arrays that couple them to six of each pixel.
-    """
-    unknowns = 9 * layout.pictures
-    return 4 * 8 * unknowns * (unknowns + 6 * min(layout.pixels, LAMP_PIXELS))
-
-
-def of_tiles(
-    layout: ParameterLayout,
-    *,
-    held: int,
-    exact: bool = False,
-    refine_normals: bool = False,
-    transfer: TransferMemory | None = None,
-) -> FitMemory:
-    """The same where the scene is fitted in tiles: as of a subset, and maps of all pixels."""
-    pixels = min(TILES_SUBSET_PIXELS_MAX, layout.pixels)
-    few = replace(layout, valid=np.ones((1, pixels), dtype=bool), segments=None)
-    subset = of_layout(few, "gauss-newton", held=held, exact=exact, refine_normals=refine_normals)
-    tables = 0
-    if transfer is not None:
-        tables = transfer.of_pixel * pixels + transfer.of_picture * layout.valid.size
-    solver = subset.solver + MAPS_BYTES * layout.pixels
-    return replace(subset, solver=solver, transfer=tables)
-
-
-def check(method: Method, needed: FitMemory) -> None:
+def check(solver: Solver, needed: FitMemory) -> None:
     """Say how much memory a fit needs if that is much, and refuse it if there is not so much.
 
     Where nobody knows what the process may still have, it is never refused.
     """
     free = available()
     if free is not None and needed.further > free:
-        advice = "; solver gauss-newton needs less" if method == "lbfgsb" else ""
-        if needed.transfer > needed.refining:
-            less = needed.transfer - needed.refining
-            advice += f"; transport none needs {size(less)} less"
-        elif needed.refining:
-            advice += f"; refine_normals off needs {size(needed.refining - needed.transfer)} less"
+        advice = "; solver gauss-newton needs less" if solver == "lbfgsb" else ""
+        if needed.saved is not None:
+            less, option = needed.saved
+            advice += f"; {option} needs {size(less)} less"
         raise InputError(
-            f"solver {method}: expected {size(needed.further)} of memory to be available, "
+            f"solver {solver}: expected {size(needed.further)} of memory to be available, "
             f"found {size(free)}; use smaller or fewer pictures{advice}"
         )
     if needed.further > WORTH_SAYING:
         known = "" if free is None else f"; {size(free)} are available"
-        log.warning("solver %s needs about %s of memory%s", method, size(needed.further), known)
+        log.warning("solver %s needs about %s of memory%s", solver, size(needed.further), known)
 
 
 @dataclass(frozen=True)
@@ -282,40 +177,41 @@ class Plan:
 
 def plan(
     layout: ParameterLayout,
-    solver: Method,
+    solver: Solver,
     *,
-    held: int,
-    exact: bool = False,
     refine_normals: bool,
     optional: bool = False,
-    transfer: TransferMemory | None = None,
+    transport: TransportChoice = "none",
+    **takes: Any,
 ) -> Plan:
     """How a scene is fitted: the first of these ways that there is memory for.
 
     The solver gauss-newton fits it at once, or in tiles where it has more than `whole_pixels_max`
     valid pixels; or in tiles all the same; or without refining normals, where that is `optional`.
     The solver lbfgsb has no tiles. Where there is memory for none, it is the way that needs least.
-    Other arguments are those of `of_layout`.
+    Other arguments are those of `of_fit`.
     """
-    ways = []
-    for refining in (refine_normals, False) if refine_normals and optional else (refine_normals,):
-        takes: dict[str, Any] = {"held": held, "exact": exact, "transfer": transfer}
-        if solver == "lbfgsb" or layout.pixels <= whole_pixels_max(transfer):
-            needed = of_layout(layout, solver, refine_normals=refining, **takes)
-            ways.append(Plan(False, refining, needed))
-        if solver == "gauss-newton":
-            needed = of_tiles(layout, refine_normals=refining, **takes)
-            ways.append(Plan(True, refining, needed))
+    whole = solver == "lbfgsb" or layout.pixels <= whole_pixels_max(transport)
+    needed = partial(of_fit, layout, solver, transport=transport, **takes)
+    ways = [
+        Plan(tiled, refining, needed(refine_normals=refining, tiled=tiled))
+        for refining in ((True, False) if refine_normals and optional else (refine_normals,))
+        for tiled in [False] * whole + [True] * (solver == "gauss-newton")
+    ]
     free = available()
     fit = [way for way in ways if free is None or way.needed.further <= free]
     chosen = fit[0] if fit else min(ways, key=lambda way: way.needed.further)
     if chosen.refine_normals == refine_normals or free is None:
         return chosen
     least = min(way.needed.further for way in ways if way.refine_normals)
-    return replace(
-        chosen,
-        hindered=f"it needs {size(least)} of memory, and {size(free)} are available",
-    )
+    why = f"it needs {size(least)} of memory, and {size(free)} are available"
+    return replace(chosen, hindered=why)
+
+
+def whole_pixels_max(transport: TransportChoice) -> int:
+    """Pixels that are fitted at once at most."""
+    limit = WHOLE_PIXELS_MAX
+    return limit if transport == "none" else min(limit, TRANSPORT_WHOLE_PIXELS_MAX)
 
 
 def available() -> int | None:

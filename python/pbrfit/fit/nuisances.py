@@ -269,7 +269,7 @@ def _eliminated(
     held[:, : materials.shape[1]] = ((materials <= 0) & (bounded > 0)) | (
         (materials >= 1) & (bounded < 0)
     )
-    whiten = whitening(matrices, held, 0.0)
+    whiten = whitening(matrices, held)
     solved = whiten @ slopes
     gram: Array = np.einsum("pnci,pncj->ij", columns, weighted)
     gram -= np.einsum("pdi,pdj->ij", solved, solved)

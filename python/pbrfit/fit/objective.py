@@ -14,7 +14,7 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
-from pbrfit.fit.robust import irls_weights, loss_scale, noise_sigma
+from pbrfit.fit.robust import CAUCHY_SCALE, irls_weights, noise_sigma
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import (
     LARGEST_LIGHT,
@@ -123,8 +123,8 @@ class Objective:
     model
         That was decided for.
     robust
-        Loss that takes the place of the squares, "huber" or "cauchy", and its scale in units of the
-        divided pictures; None = squares. A solver may change it between evaluations.
+        Loss that takes the place of the squares, "cauchy", and its scale in units of the divided
+        pictures; None = squares. A solver may change it between evaluations.
     penalties
         List of the terms beside the data. A solver may change it between evaluations.
     size
@@ -344,7 +344,7 @@ class Objective:
     def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
         """What `robust` may be at x, a fit: a loss with the scale that the residuals tell.
 
-        The name is "huber" or "cauchy"; others give None.
+        The name is "cauchy"; others give None.
         """
         if name not in ROBUST_LOSSES:
             return None
@@ -354,7 +354,7 @@ class Objective:
             None if self.weights is None else self.weights[:, pixels],
             unknowns=self.size * len(pixels) / self.pixels,
         )
-        return name, loss_scale(name, max(sigma, NOISE_SIGMA_MIN))
+        return name, CAUCHY_SCALE * max(sigma, NOISE_SIGMA_MIN)
 
     def reweighted(self, x: NDArray[np.float64]) -> Objective:
         """Squares instead of the robust loss, with the weights that they have in it at x.
@@ -365,7 +365,7 @@ class Objective:
         if self.robust is None:
             return self
         pixels = np.arange(self.pixels, dtype=np.uint64)
-        factors = irls_weights(self.robust, self.problem.residuals(self.for_core(x), pixels))
+        factors = irls_weights(self.robust[1], self.problem.residuals(self.for_core(x), pixels))
         if self.sample_weights is not None:
             factors *= self.sample_weights
         found = copy.copy(self)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
-from pbrfit.fit.normal_equations import Cholesky
+from pbrfit.fit.normal_equations import Cholesky, known_materials
 from pbrfit.fit.objective import Objective
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ class Preconditioner:
         in_span = _solver(matrix)
         if basis is None:
             return cls(in_span)
-        blocks = times * _with_known_materials(objective, x) + lights.of_pictures()
+        blocks = times * known_materials(objective, x) + lights.of_pictures()
         ridge = settings.PRECONDITIONER_DAMPING * np.einsum("nii->n", blocks) + np.finfo(float).tiny
         np.einsum("nii->ni", blocks)[:] += ridge[:, None]
         return cls(in_span, basis, np.asarray(np.linalg.inv(blocks / lights.pixels), np.float64))
@@ -92,22 +92,6 @@ class Preconditioner:
         inside = solved[:count].reshape(channels, rank, -1)
         found = found + self.basis @ (inside - self.basis.transpose(0, 2, 1) @ found)
         return np.concatenate([found.ravel(), solved[count:]])
-
-
-def _with_known_materials(objective: Objective, x: Array) -> Array:
-    """G: (N, light channels K, light channels K), of the objective's pixels."""
-    layout = objective.layout
-    everything = np.arange(objective.pixels, dtype=np.uint64)
-    for_core = objective.for_core(x)
-    channels, k = layout.light_channels, layout.coefficients
-    found = np.zeros((layout.pictures, channels, k, channels, k))
-    _, by_light, weights = objective.problem.derivatives(for_core, everything)
-    for c in range(layout.channels):
-        w = by_light[:, c]
-        products = (w[:, :, None] * w[:, None, :]).reshape(len(w), -1)
-        grams = weights[:, :, c].T @ products
-        found[:, c % channels, :, c % channels] += grams.reshape(-1, k, k)
-    return found.reshape(layout.pictures, channels * k, channels * k)
 
 
 def _solver(matrix: Array) -> Solve:

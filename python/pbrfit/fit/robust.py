@@ -1,4 +1,4 @@
-"""Robust losses: their scale from residuals, and the pixels that it is estimated at.
+"""Cauchy's loss: its scale from residuals, and the weights that it stands for.
 
 A robust loss φ(e) is e² for residuals e that noise explains and grows slower beyond, so that
 shadows, interreflections and highlights outside the model weigh less (the formulas are in
@@ -14,11 +14,10 @@ its role in robust estimation", J. Am. Stat. Assoc. 69, 1974).
 A fit takes up some of the noise: of n samples with p unknowns the residuals' variance is
 (n − p) / n of the noise's. So σ is larger by √(n / (n − p)).
 
-δ is 1.345 σ for Huber's loss and 2.385 σ for Cauchy's. On purely Gaussian noise estimates then have
-95 % of the efficiency of least squares: σ² E[φ'']² / E[φ'²] = 0.95, where E is the mean over
-e ~ N(0, σ²) and φ = e² gives 1 (P. J. Huber, "Robust estimation of a location
-parameter", Ann. Math. Stat. 35, 1964; P. W. Holland and R. E. Welsch, "Robust regression using
-iteratively reweighted least-squares", Commun. Stat. A6, 1977).
+δ is 2.385 σ. On purely Gaussian noise estimates then have 95 % of the efficiency of least squares:
+σ² E[φ'']² / E[φ'²] = 0.95, where E is the mean over e ~ N(0, σ²) and φ = e² gives 1 (P. W. Holland
+and R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Commun. Stat. A6,
+1977).
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit._core import InputError
 from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN
 
-SCALES = {"huber": 1.345, "cauchy": 2.385}
-"""δ/σ by loss, for an efficiency of 95 % on Gaussian noise."""
+CAUCHY_SCALE = 2.385
+"""δ/σ, for an efficiency of 95 % on Gaussian noise."""
 
 MEDIAN_TO_SIGMA = 1.482602218505602
 """1 / 0.6745: σ over the median of |e| where e is Gaussian."""
@@ -40,24 +39,12 @@ LARGEST_RATIO = np.float32(1e19)
 """
 
 
-def loss_scale(loss: str, sigma: float) -> float:
-    """Scale δ of a loss, "huber" or "cauchy", for noise of standard deviation `sigma` above 0."""
-    if loss not in SCALES:
-        raise InputError(f"robust: expected {' or '.join(SCALES)}, found {loss}")
-    if not 0 < sigma < np.inf:
-        raise InputError(f"sigma: expected a positive number, found {sigma:g}")
-    return SCALES[loss] * sigma
-
-
-def irls_weights(loss: tuple[str, float], residuals: NDArray[np.float32]) -> NDArray[np.float32]:
+def irls_weights(scale: float, residuals: NDArray[np.float32]) -> NDArray[np.float32]:
     """φ'(e)/2e: the weight of a residual beside its square, 1 for small ones.
 
-    Squares with these weights have the slopes that the loss, given with its scale δ, has.
+    Squares with these weights have the slopes that the loss of scale δ has.
     """
-    name, scale = loss
     sizes = np.minimum(np.abs(residuals), LARGEST_RATIO * np.float32(scale)) / np.float32(scale)
-    if name == "huber":
-        return np.asarray(1 / np.maximum(sizes, 1))
     return np.asarray(1 / (1 + np.square(sizes)))
 
 

@@ -16,10 +16,7 @@ from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import FittedPrior
-from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.fit.priors.posterior import Posterior
 from pbrfit.fit.scale import Scale
 from pbrfit.model.materials import Materials
@@ -75,25 +72,81 @@ class SharedState:
     """Of samples; None where none was found."""
     discrepancy: Discrepancy | None = None
     """How far samples are off; None where nothing asked for it."""
-    cohesion: tuple[Array, float] | None = None
-    """(S + 1, F): mean roughness and metallic of the segments, by label, and the precision that
-    each pixel is pulled to it with; None where the prior has no weight."""
-
-    def penalties(self, layout: ParameterLayout) -> list[Penalty]:
-        """Those that hold from the start."""
-        if self.cohesion is None or layout.segments is None:
-            return []
-        means, weight = self.cohesion
-        centre = means[layout.segments]
-        known = np.isfinite(centre) & (layout.segments > 0)[:, None]
-        precision = np.where(known, weight, 0.0)
-        centre = np.where(known, centre, 0.0)
-        blocks, factor = layout.roughness_metallic, 1 / layout.pixels
-        return [GaussianPrior(centre, precision, None, blocks, factor, "cohesion")]
 
 
-class Run:
-    """One fit: counts iterations and passes, keeps the history, watches the clock.
+class Trace:
+    """What a running fit has been doing: its clock and limits, stages, history and progress."""
+
+    def __init__(
+        self, options: FitOptions, *, progress: Callable[[Progress], None] | None, began: float
+    ) -> None:
+        self.options = options
+        self._progress, self._began = progress, began
+        self._iteration_limit = options.iterations
+        self.unmeasured = 0.0
+        """Seconds spent on comparing with the ground truth and in `progress`."""
+        self.evaluations = self.iteration = 0
+        self.rows: list[HistoryRow] = []
+        self.stages: list[Stage] = []
+        self._late_in = ""
+        """The stage in which the time limit was reached."""
+
+    @property
+    def left(self) -> int:
+        """Iterations."""
+        return self._iteration_limit - self.iteration
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the fit began, without what is unmeasured."""
+        return time.perf_counter() - self._began - self.unmeasured
+
+    def out_of_time(self) -> bool:
+        """Whether the time limit is reached."""
+        return self.options.time_limit is not None and self.elapsed >= self.options.time_limit
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether no limit is reached."""
+        return self.left > 0 and not self.out_of_time()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[list[str]]:
+        """Notes the time of a stage of the fit; what is said about it goes into the list."""
+        began, notes = self.elapsed, list[str]()
+        yield notes
+        self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
+        if not self._late_in and self.out_of_time():
+            self._late_in = name
+
+    def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
+        """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
+        if self.out_of_time():
+            where = f" in stage {self._late_in}" if self._late_in else ""
+            limit = f"time limit of {self.options.time_limit:g} s reached{where}"
+            return Status.TIME_LIMIT, f"{limit}{kept}"
+        if self.left <= 0:
+            return Status.ITERATION_LIMIT, f"{self._iteration_limit} iterations done{kept}"
+        return Status.CONVERGED, why
+
+    def tell(
+        self,
+        recon_rmse: float,
+        state: Callable[[], tuple[Materials, Array]],
+        *,
+        tiles: tuple[int, int] | None = None,
+        elapsed: float | None = None,
+    ) -> None:
+        """Call `progress`, whose fields these are; what is done since `elapsed` is unmeasured."""
+        elapsed = self.elapsed if elapsed is None else elapsed
+        if self._progress is not None:
+            done = self.iteration, self._iteration_limit, self.evaluations
+            self._progress(Progress(*done, recon_rmse, elapsed, state, tiles))
+        self.unmeasured += self.elapsed - elapsed
+
+
+class Run(Trace):
+    """One fit of an objective, and what it has found so far.
 
     `shared_state` is what a subset of the scene's pixels has found, where this is another part of
     it; None = the whole scene, which finds it itself.
@@ -109,9 +162,9 @@ class Run:
         began: float,
         shared_state: SharedState | None = None,
     ) -> None:
+        super().__init__(options, progress=progress, began=began)
         self.shared_state = shared_state
-        self.scene, self.objective, self.options = scene, objective, options
-        self._iteration_limit = options.iterations
+        self.scene, self.objective = scene, objective
         self.measured_lighting: Array | None = None
         """When the material prior was fitted: the monochrome weight is chosen by it."""
         self.fitted_prior: FittedPrior | None = None
@@ -130,13 +183,7 @@ class Run:
         """Whether the first rounds take all surfaces for dielectrics."""
         self.scale: Scale | None = None
         """What is known of the common scale of lights and albedo."""
-        self._progress, self._began = progress, began
-        self.unmeasured = 0.0
-        """Seconds spent on comparing with the ground truth and in `progress`."""
-        self.evaluations = self.iteration = 0
         self._last = math.nan, math.nan  # loss and its data term, of the last evaluation
-        self.rows: list[HistoryRow] = []
-        self.stages: list[Stage] = []
 
     def continued(self, scene: Scene, objective: Objective) -> Run:
         """A run that goes on with another scene and objective, and has all iterations again.
@@ -161,45 +208,9 @@ class Run:
         return 1.0 if self.noise is None else self.noise.picture_effect
 
     @property
-    def left(self) -> int:
-        """Iterations."""
-        return self._iteration_limit - self.iteration
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds since the fit began, without what is unmeasured."""
-        return time.perf_counter() - self._began - self.unmeasured
-
-    def out_of_time(self) -> bool:
-        """Whether the time limit is reached."""
-        return self.options.time_limit is not None and self.elapsed >= self.options.time_limit
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether no limit is reached."""
-        return self.left > 0 and not self.out_of_time()
-
-    @property
     def has_mixture_prior(self) -> bool:
         """Whether the fit has a mixture prior on materials."""
         return self.options.priors.material_strength > 0
-
-    def ended(self, why: str, kept: str = "") -> tuple[Status, str]:
-        """Status and reason of a fit that stops here: `why`, unless a limit stopped it."""
-        if self.out_of_time():
-            where = f" in stage {self.stages[-1].name}" if self.stages else ""
-            limit = f"time limit of {self.options.time_limit:g} s reached{where}"
-            return Status.TIME_LIMIT, f"{limit}{kept}"
-        if self.left <= 0:
-            return Status.ITERATION_LIMIT, f"{self._iteration_limit} iterations done{kept}"
-        return Status.CONVERGED, why
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[list[str]]:
-        """Notes the time of a stage of the fit; what is said about it goes into the list."""
-        began, notes = self.elapsed, list[str]()
-        yield notes
-        self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
 
     def robust_around(self, x: Array) -> tuple[str, float] | None:
         """The loss and its scale for residuals as they are at x; None = squares."""
@@ -235,21 +246,6 @@ class Run:
             HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
         )
         self.tell(recon, lambda: self.objective.unpack(x), elapsed=elapsed)
-
-    def tell(
-        self,
-        recon_rmse: float,
-        state: Callable[[], tuple[Materials, Array]],
-        *,
-        tiles: tuple[int, int] | None = None,
-        elapsed: float | None = None,
-    ) -> None:
-        """Call `progress`, whose fields these are; what is done since `elapsed` is unmeasured."""
-        elapsed = self.elapsed if elapsed is None else elapsed
-        if self._progress is not None:
-            done = self.iteration, self._iteration_limit, self.evaluations
-            self._progress(Progress(*done, recon_rmse, elapsed, state, tiles))
-        self.unmeasured += self.elapsed - elapsed
 
 
 def material_errors(found: Materials, true: Materials) -> dict[str, float]:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
+
+from pbrfit.fit.settings import STRIDED_SUBSET_EXCESS
 
 _GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
 
@@ -40,6 +45,29 @@ def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uin
     rest = order[~taken[order]]
     taken[rest[evenly_spaced(len(rest), at_most - int(np.count_nonzero(taken)))]] = True
     return np.flatnonzero(taken).astype(np.uint64)
+
+
+def stride(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int, int]:
+    """Step s, first row and first column: every s-th row and column has about `at_most` pixels.
+
+    Of the valid ones (H, W); `STRIDED_SUBSET_EXCESS` times as many at most. It begins half a step
+    from the border, unless a mask with a pattern of its own (every other row, say) leaves it less
+    than half of its share there.
+    """
+
+    def count(first: tuple[int, int]) -> int:
+        return int(np.count_nonzero(valid[first[0] :: step, first[1] :: step]))
+
+    pixels = int(np.count_nonzero(valid))
+    step = max(1, math.ceil(math.sqrt(pixels / at_most)))
+    while True:
+        row, column = (min(step // 2, size - 1) for size in valid.shape)
+        if 2 * step**2 * count((row, column)) < pixels:
+            row, column = max(product(range(step), range(step)), key=count)
+        if count((row, column)) <= STRIDED_SUBSET_EXCESS * at_most:
+            return step, row, column
+        # A long and narrow picture has more pixels in every s-th row and column than a square.
+        step += 1
 
 
 def slices(count: int, size: int) -> list[slice]:

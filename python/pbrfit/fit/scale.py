@@ -1,70 +1,44 @@
-"""The common scale of albedo and lights: its step, and its deviation.
+"""The common scale of albedo and lights: how uncertain it is, and scales by a reference.
 
 Lights that are e^t times as bright with albedos e^−t times as large leave what a dielectric
 reflects diffusely as it is. Only its highlight, whose F0 is fixed at 0.04, tells t: it is the
-softest direction of a fit, and what is a small bias elsewhere is a large one here.
+softest direction of a fit. The scale of lights is that of the irradiance, a ∝ A_l² L with the band
+factors A_l of a diffuse surface, so that t = a · (change of the lights).
 
-**Bias.** Where lights are found with each pixel's roughness at its best, of many possible
-highlights the best one is the one that suits the noise best. So lights are a little off, with
-however many pixels (J. Neyman and E. Scott, Econometrica 16, 1948). With the material prior they
-are found once more, with a prior of pixels that has no data in it. Where roughness and metallic v
-of a pixel are summed over instead, lights have no such bias (J. Kiefer and J. Wolfowitz, Ann. Math.
-Stat. 27, 1956). By Laplace's method that is
+**Deviation.** With S the Gauss–Newton matrix of the lights, pixels eliminated (`pbrfit.fit.joint`),
+and residuals of the variance s², independent noise gives t the variance s² C, C = a S⁻¹ aᵀ. What
+residuals share, and materials that were not found, show as groups b of pixels that pull the scale
+further apart. From the scores s_b and the share S_b of S that groups have, the jackknife that
+leaves out one at a time is
 
-    −2 ln L(lights) = Σ_p min over v of [‖r‖²/s² + prior] + ln det H_p,    H = (Jᵀ(1 − P)J + A)/s²
-
-with J the derivatives of the residuals r by v, albedos solved for (P projects on what they can do),
-and A the precision of the prior. Its minimum is that of the first term, and a step of Newton's
-method further: with t = a L the scale of each channel's lights, to first order in their change,
-
-    t = −½ s² C g      C = a S⁻¹ aᵀ      g = d/dt Σ_p ln det H_p
-
-along the directions V = S⁻¹ aᵀ C⁻¹ in which all lights go best with a change of t (S as in
-`pbrfit.fit.joint`; the derivative is a central difference). The measure is that of ln albedo, in
-which albedo's own determinant does not change with t. The scale of lights is that of the
-irradiance, a ∝ A_l² L with the band factors A_l of a diffuse surface. A fit without a prior has t
-as an error.
-
-Such a bias goes with how few samples a pixel has, and Laplace's method has errors of its own, so
-the step is taken where samples are few (`takes_step`).
-
-**Deviation.** Noise that is independent gives the variance s² C. What residuals share, and segments
-whose material was not found, show as groups b of pixels that pull the scale further apart. From the
-scores s_b and the share S_b of S that groups have, the jackknife that leaves out one at a time is
-
-    (B − 1)/B Σ_b u_b²      u_b = (a S⁻¹ s_b + ½ s² C g_b)/(1 − a S⁻¹ S_b S⁻¹ aᵀ/C), less their mean
+    (B − 1)/B Σ_b u_b²      u_b = a S⁻¹ s_b/(1 − a S⁻¹ S_b S⁻¹ aᵀ/C), less their mean
 
 (J. MacKinnon and H. White, J. Econometrics 29, 1985; for groups R. Bell and D. McCaffrey, Survey
-Methodology 28, 2002). Groups are segments (without them clusters of the prior), or square patches;
-the largest of the three variances counts. Few groups tell a variance badly: with ν = (Σ u²)²/Σ u⁴
-degrees of freedom (F. Satterthwaite, Biometrics Bulletin 2, 1946) the deviation is that whose
-double is the 95 % of Student's t. And the prior is one of several that describe the same pixels:
-the lights before it was without data, and without the step, are another answer. Two answers that
-are d apart, and equally likely, have the standard deviation d/2 (D. Draper, J. R. Statist. Soc.
-B 57, 1995).
+Methodology 28, 2002). Groups are segments, and square patches; the largest of the variances counts.
+Few groups tell a variance badly: with ν = (Σ u²)²/Σ u⁴ degrees of freedom (F. Satterthwaite,
+Biometrics Bulletin 2, 1946) the deviation is that whose double is the 95 % of Student's t.
 
-**References.** Where the albedo of some pixels is known, it tells t, and lights move along V until
-it is met.
+**References.** Where the albedo of some pixels is known, it tells t, and lights move along the
+directions S⁻¹ aᵀ C⁻¹, in which all lights go best with a change of t, until it is met.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.joint import JointFit, SharedFit, Stop, minimize
+from pbrfit.fit.joint import JointFit, SharedFit
 from pbrfit.fit.light_prior import LightPrior, as_in_core
-from pbrfit.fit.normal_equations import albedo_solved_for, as_in_x
+from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import Pixels, fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.mixture import prior_without_data
-from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
+from pbrfit.fit.sampling import evenly_spaced
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
@@ -81,71 +55,23 @@ class Scale:
     """(light channels,): relative standard deviation."""
     assumed: str
     """What it rests on, in words, for `Result.assumed`."""
-    note: str = ""
-    """For the stage."""
     referred: bool = False
     """Whether it rests on pixels of known albedo."""
-
-
-def find(
-    objective: Objective, x: Array, strength: float, variance: float, shared: SharedFit, stop: Stop
-) -> tuple[Array, Scale] | None:
-    """X with lights that some pixels find with a prior without data, from those with the prior.
-
-    Where samples are few, they take their step. `strength` and `variance` as for the material
-    prior. None if stopped before.
-    """
-    labels = objective.layout.segments
-    no_labels = np.zeros(objective.pixels, np.intp)
-    pixels = evenly_spaced_over(no_labels if labels is None else labels, settings.SCALE_PIXELS)
-    few, part = objective.restricted(pixels), objective.part_of(x, pixels)
-    prior = prior_without_data(few, part, strength, variance)
-    if stop():
-        return None
-    sum_sq = few.put_best_albedo(part, np.arange(few.pixels, dtype=np.uint64))
-    fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
-    before = part[few.layout.maps.stop :].copy()
-    minimize(fit, settings.SCALE_STEPS, settings.GAIN_MIN)
-    if stop():
-        return None
-    with_step, of_step = takes_step(objective), ""
-    curve = _Curve.of(fit, variance, slopes=with_step)
-    if with_step:
-        step = np.clip(curve.step, -settings.SCALE_STEP_MAX, settings.SCALE_STEP_MAX)
-        part[few.layout.lighting] += as_in_x(step @ curve.directions, few.layout)
-        of_step = f", of it {_percent(step)} by the marginal likelihood"
-    moved = change(part[few.layout.maps.stop :], before, few)
-    by_group = curve.variances(groupings(objective.layout, pixels, prior.cluster))
-    variances = by_group + (moved / 2) ** 2
-    x = x.copy()
-    x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
-    deviation = np.sqrt(variances)
-    note = (
-        f"{few.pixels} pixels; lights {_percent(moved)}{of_step}; "
-        f"standard deviation {_percent(deviation, '')}"
-    )
-    said = "by the highlights of dielectrics, with the material prior"
-    return x, Scale(deviation, said, note)
-
-
-def takes_step(objective: Objective) -> bool:
-    """Whether samples are so few that lights take the step of the marginal likelihood."""
-    most = settings.SCALE_SAMPLES_OF_UNKNOWN * objective.layout.maps.stop
-    return bool(objective.samples < most)
 
 
 def judge(
     objective: Objective, x: Array, prior: GaussianPrior | None, picture_effect: float
 ) -> Scale:
-    """What is known of the scale of a fit at x, which has had no step of its own.
+    """What is known of the scale of a fit that ended at x.
 
-    Without a prior, roughness and metallic are taken to be uniform in [0, 1]. What the step would
-    be is an error of these lights. `picture_effect` as of the noise of samples.
+    Without a prior, roughness and metallic are taken to be uniform in [0, 1]. `picture_effect` is
+    that of the noise of samples.
     """
     fit, variance, pixels = _at_end(objective, x, prior, settings.SCALE_PIXELS)
     curve = _Curve.of(fit, variance * picture_effect)
-    variances = curve.variances(groupings(objective.layout, pixels)) + curve.step**2
-    said = "by the highlights of dielectrics" + ("" if prior is not None else ", without priors")
+    variances = curve.variances(groupings(objective.layout, pixels))
+    said = "by the highlights of dielectrics"
+    said += ", with the material prior" if prior is not None else ", without priors"
     return Scale(np.sqrt(variances), said)
 
 
@@ -169,7 +95,7 @@ def refer(
         fit, variance, _ = _at_end(objective, x, held, settings.COARSE_PIXELS)
         largest = settings.SCALE_STEP_MAX
         step = np.clip(wanted, -largest, largest)
-        directions = _Curve.of(fit, variance, slopes=False).directions
+        directions = _Curve.of(fit, variance).directions
         x[objective.layout.lighting] += as_in_x(step @ directions, objective.layout)
         moved += step
         fit_all(objective, x, starts=0, prior=held)
@@ -184,16 +110,12 @@ def refer(
     return x, Scale(np.sqrt(variances), said, referred=True)
 
 
-def groupings(
-    layout: ParameterLayout, pixels: Pixels, cluster: Labels | None = None
-) -> list[Labels]:
-    """Groups (Q,) of some pixels: patches of the picture, and segments, or else clusters (Q,)."""
+def groupings(layout: ParameterLayout, pixels: Pixels) -> list[Labels]:
+    """Groups (Q,) of some pixels: patches of the picture, and segments."""
     rows, columns = (of_all[pixels] for of_all in np.nonzero(layout.valid))
     side = max(1, round(max(layout.valid.shape) / settings.SCALE_PATCHES))
     found = [rows // side * layout.valid.shape[1] + columns // side]
-    if layout.segments is not None:
-        cluster = layout.segments[pixels]
-    return found if cluster is None else [*found, cluster]
+    return found if layout.segments is None else [*found, layout.segments[pixels]]
 
 
 def checked_white(
@@ -261,7 +183,7 @@ def _at_end(
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """The marginal likelihood along the scale, where a joint fit has ended."""
+    """The scale of lights where a joint fit has ended."""
 
     fit: JointFit
     measures: Array
@@ -269,22 +191,15 @@ class _Curve:
     solved: Array
     """The same: a S⁻¹."""
     variance: float
-    slopes: Array
-    """(P, C): g of each pixel."""
+    """s² in the likelihood of a pixel."""
 
     @classmethod
-    def of(cls, fit: JointFit, variance: float, *, slopes: bool = True) -> _Curve:
-        """Of a fit, with s² in the likelihood of a pixel."""
+    def of(cls, fit: JointFit, variance: float) -> _Curve:
+        """Of a fit."""
         fit.renew_preconditioner()
         a = measures(fit.objective, fit.x)
         a = np.pad(a, ((0, 0), (0, fit.shared.size - a.shape[1])))
-        solved = np.stack([fit.solved(one) for one in a])
-        found = cls(fit, a, solved, variance, np.zeros((fit.objective.pixels, len(a))))
-        if not slopes:
-            return found
-        prior = fit.pixel_prior(fit.offsets)
-        of_each = [_slope(fit, one, prior, variance) for one in found.directions]
-        return replace(found, slopes=np.stack(of_each, axis=-1))
+        return cls(fit, a, np.stack([fit.solved(one) for one in a]), variance)
 
     @property
     def covariance(self) -> Array:
@@ -293,14 +208,9 @@ class _Curve:
 
     @property
     def directions(self) -> Array:
-        """(C, M): V, of the lights alone."""
+        """(C, M): S⁻¹ aᵀ C⁻¹, of the lights alone."""
         found = np.linalg.solve(self.covariance, self.solved)
         return np.asarray(found[:, : self.fit.lights.mean.size], np.float64)
-
-    @property
-    def step(self) -> Array:
-        """(C,): t."""
-        return np.asarray(-0.5 * self.variance * self.covariance @ self.slopes.sum(axis=0))
 
     def variances(self, groupings: list[Labels]) -> Array:
         """(C,): the largest of those by noise and by each grouping (P,) of the pixels."""
@@ -334,10 +244,8 @@ class _Curve:
             objective.problem.schur_product(objective.for_core(fit.x), group, one, **options)
             for one in self.solved
         ]
-        score = self.solved @ products[0][1]
-        bias = 0.5 * self.variance * self.slopes[group].sum(axis=0) @ self.covariance
         own = [one @ product for one, (product, _) in zip(self.solved, products, strict=True)]
-        return score + bias, np.array(own) / np.diag(self.covariance)
+        return self.solved @ products[0][1], np.array(own) / np.diag(self.covariance)
 
 
 def measures(objective: Objective, x: Array) -> Array:
@@ -351,39 +259,5 @@ def measures(objective: Objective, x: Array) -> Array:
     return found.reshape(len(lights), -1)
 
 
-def change(after: Array, before: Array, objective: Objective) -> Array:
-    """(light channels,): by what share the scale of lights (of x, both) has changed."""
-    x = np.concatenate([np.zeros(objective.layout.maps.stop), before])
-    change = as_in_core(after - before, objective).ravel()
-    return np.asarray(measures(objective, x) @ change)
-
-
 def _percent(shares: Array, sign: str = "+") -> str:
     return ", ".join(f"{100 * share:{sign}.2g} %" for share in shares)
-
-
-def _slope(fit: JointFit, direction: Array, prior: GaussianPrior | None, variance: float) -> Array:
-    """(P,): d/dt ln det H along a direction of the lights, pixels at their best.
-
-    0 where H is singular, as it can be where rounding alone is left.
-    """
-    objective, layout = fit.objective, fit.objective.layout
-    ends = []
-    for sign in (-1, 1):
-        x = fit.x.copy()
-        x[layout.lighting] += as_in_x(sign * settings.SCALE_DIFFERENCE * direction, layout)
-        fit_all(objective, x, starts=0, steps=settings.DESCENT_STEPS_AFTER_JOINT, prior=prior)
-        ends.append(_log_determinants(objective, x, prior, variance))
-    found = np.zeros(objective.pixels)
-    np.subtract(ends[1], ends[0], out=found, where=np.isfinite(ends[0]) & np.isfinite(ends[1]))
-    return np.asarray(found / (2 * settings.SCALE_DIFFERENCE))
-
-
-def _log_determinants(
-    objective: Objective, x: Array, prior: GaussianPrior | None, variance: float
-) -> Array:
-    """(P,): ln det H."""
-    left, _ = albedo_solved_for(objective, x)
-    if prior is not None:
-        np.einsum("pff->pf", left)[:] += prior.precision
-    return np.asarray(np.linalg.slogdet(left / variance)[1])

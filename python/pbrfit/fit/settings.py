@@ -369,10 +369,6 @@ ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
 """The same where a start is given. A robust loss needs a fit by squares first, which tells its
 scale."""
 
-STALL = (10, 1e-5)
-"""(Iterations, share): after Gauss-Newton, L-BFGS stops where the loss fell by less than this share
-of itself over so many iterations."""
-
 
 # --- Mixture prior on materials ---------------------------------------------------------------
 
@@ -386,10 +382,14 @@ PRIOR_NODE_SPACING = 0.03
 PRIOR_SIGMA_MIN = 0.01
 """Smallest standard deviation of a pixel's Gaussian prior in roughness and metallic."""
 
-PRIOR_ROUNDS = ((0.05, 1024, 8), (0.02, 1024, 8), (PRIOR_SIGMA_MIN, 2048, 4))
+PRIOR_ROUNDS = ((0.05, 1024, 8), (0.02, 1024, 8), (PRIOR_SIGMA_MIN, 2048, 4), (0.0, 4096, 6))
 """Rounds that find lights and prior together: that deviation, wide at first, while lights are
-wrong; pixels; and joint steps at most. The stage after them, which finds the scale, has more
-pixels (`SCALE_PIXELS`)."""
+wrong; pixels; and joint steps at most. Where the deviation is 0 pixels have that of their group:
+the softest direction, the common scale, settles last, and takes more pixels."""
+
+SPREAD_MIN = 0.002
+"""Smallest standard deviation of roughness and metallic in a group of pixels of one material. It is
+below what pixels tell together: 0.1/√1000 of a thousand dielectric ones."""
 
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
@@ -424,27 +424,10 @@ small that clusters move almost freely."""
 # --- Scale ------------------------------------------------------------------------------------
 
 SCALE_PIXELS = 4096
-SCALE_STEPS = 6
-"""Pixels that find the common scale of lights and albedo, and joint steps at most: more than the
-rounds before have, because the softest direction settles last."""
-
-SPREAD_MIN = 0.002
-"""Smallest standard deviation of roughness and metallic in a group of pixels of one material. It is
-below what pixels tell together: 0.1/√1000 of a thousand dielectric ones."""
-
-SCALE_DIFFERENCE = 0.02
-"""Relative change of the scale on either side, in the differences that tell how determinants change
-with it: about its standard deviation, far above rounding."""
+"""Pixels that tell how uncertain the common scale of lights and albedo is."""
 
 SCALE_STEP_MAX = 0.1
 """Largest relative step of the scale by a linear change of the lights: its square leaves 1 %."""
-
-SCALE_SAMPLES_OF_UNKNOWN = 5
-"""Samples for each unknown of a pixel below which lights take the step of the marginal likelihood:
-in colour, up to 8 pictures. In furnished rooms with 1 % of noise, paper's model and principled,
-their error without → with the step is 0.070 → 0.042 and 0.050 → 0.046 with 5 pictures, 0.025 →
-0.022 and 0.039 → 0.031 with 8, 0.020 → 0.018 and 0.029 → 0.050 with 16 (mean of 8, 6 and 22
-rooms); and of 10 grey rooms with 16, which have 5.3, albedo is 0.028 → 0.030 (principled)."""
 
 SCALE_PATCHES = 8
 """Patches along the longer side of the picture, the groups of its jackknife: 64 tell a variance to
@@ -567,13 +550,6 @@ NORMALS_PRIOR_UPDATES = 3
 """Times that all pixels refine their normals, each time with a prior around where their neighbours
 were the time before."""
 
-NORMALS_ROUGHNESS_METALLIC_SIGMA = 0.03
-"""Standard deviation of roughness and metallic, while normals are refined again, around those of
-the fit before, which has all priors."""
-
-NORMALS_PASSES = 2
-"""Times that all normals are refined, and then held in a fit."""
-
 NORMALS_GAIN_WINDOW = 5
 """Rows and columns of pixels over which the gain of refined normals is averaged."""
 
@@ -593,19 +569,13 @@ TILES_SUBSET_PIXELS_MAX = 1 << 18
 that comes from the lights is then 1 % of that from its own noise, and a fit of so many takes a
 minute."""
 
-TILES_SUBSET_PIXELS_MIN = 1 << 12
-"""Pixels that find the lights at least, where a mask would leave a strided subset fewer."""
-
 TILE_SIDE = 512
 """Rows and columns of a tile, at most: memory grows with its square."""
 
-TILE_MARGIN = 2
-"""Pixels around a tile that are fitted with it and left to its neighbours, where pixels are fitted
-each for itself: only those that are tried again look beside."""
-
-TILE_MARGIN_SMOOTH = 32
-"""The same where neighbouring pixels are to be alike: the borders of two tiles then come from
-almost the same pixels."""
+TILE_MARGIN = 32
+"""Pixels around a tile that are fitted with it and left to its neighbours, where normals are
+refined and so neighbours are to be alike: the borders of two tiles then come from almost the same
+pixels."""
 
 
 # --- Uncertainty ------------------------------------------------------------------------------

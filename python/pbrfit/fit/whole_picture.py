@@ -34,8 +34,8 @@ from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
-Start = Materials | tuple[Materials, Array] | None
-"""Maps to start from, alone or with lights."""
+Start = tuple[Materials, Array | None] | None
+"""Maps to start from, and perhaps lights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,14 +166,47 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         deviation = scale_deviation_of(run, found_off)
         uncertainty = estimate(run.objective, x, found_off, run.posterior, deviation)
     materials, lighting = run.objective.unpack(x)
-    return FitOutput(
+    return output_of(
+        run,
+        setup,
+        refinement,
+        (found.status, found.reason),
         materials=materials,
         lighting=lighting,
         normals=np.asarray(run.scene.normals, dtype=np.float64),
         uncertainty=uncertainty,
+        seconds=seconds,
+        recon_rmse=None if setup.surrounded is None else recon_among(run, x),
+    )
+
+
+def output_of(
+    run: Run,
+    setup: FitSetup,
+    refinement: Refinement,
+    ended: tuple[Status, str],
+    *,
+    materials: Materials,
+    lighting: Array,
+    normals: Array,
+    uncertainty: Uncertainty | None,
+    seconds: float,
+    recon_rmse: float | None,
+) -> FitOutput:
+    """What a run found, with these arrays of the whole picture."""
+    if run.scale is not None:
+        scale_in_words = run.scale.assumed
+    else:
+        known = run.objective.lighting is None
+        scale_in_words = "by the known lights" if known else "by the start"
+    return FitOutput(
+        materials=materials,
+        lighting=lighting,
+        normals=normals,
+        uncertainty=uncertainty,
         discrepancy=run.discrepancy,
-        status=found.status,
-        reason=found.reason,
+        status=ended[0],
+        reason=ended[1],
         rows=tuple(run.rows),
         evaluations=run.evaluations,
         iterations=run.iteration,
@@ -182,11 +215,11 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         refinement=refinement,
         camera=run.camera,
         exposures=run.objective.exposures,
-        scale=scale_in_words(run),
+        scale=scale_in_words,
         measured_lighting=run.measured_lighting,
         noise=run.noise,
         surrounded=setup.surrounded,
-        recon_rmse=None if setup.surrounded is None else recon_among(run, x),
+        recon_rmse=recon_rmse,
     )
 
 
@@ -203,13 +236,6 @@ def scale_deviation_of(run: Run, discrepancy: Discrepancy) -> Array:
     if run.scale is None:
         return scale_deviation(None, discrepancy, referred=False)
     return scale_deviation(run.scale.deviation, discrepancy, referred=run.scale.referred)
-
-
-def scale_in_words(run: Run) -> str:
-    """What the scale of a fit rests on."""
-    if run.scale is not None:
-        return run.scale.assumed
-    return "by the known lights" if run.objective.lighting is None else "by the start"
 
 
 def fit_pixels(
@@ -263,6 +289,6 @@ def _start_of(objective: Objective, start: Start) -> Array:
     """X of the maps to start from."""
     if start is None:
         return objective.start()
-    materials, lighting = (start, None) if isinstance(start, Materials) else start
+    materials, lighting = start
     x = objective.pack(materials.albedo, materials.roughness, materials.metallic, lighting)
     return np.clip(x, *objective.bounds.T)

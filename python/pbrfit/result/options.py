@@ -20,9 +20,9 @@ from pbrfit.result.refinement import CHOICES, RefineNormals
 Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
-Loss = Literal["auto", "none", "huber", "cauchy"]
+Loss = Literal["auto", "none", "cauchy"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
-ROBUST_LOSSES: tuple[Loss, ...] = ("huber", "cauchy")
+ROBUST_LOSSES: tuple[Loss, ...] = ("cauchy",)
 
 Align = Literal["auto", "off"]
 ALIGNMENTS: tuple[Align, ...] = get_args(Align)
@@ -131,11 +131,11 @@ class FitOptions:
     Attributes
     ----------
     solver
-        `"gauss-newton"`: joint steps of lights and materials, then L-BFGS-B on the whole objective
-        where it has cohesion, smoothness or sparsity; above 2 MP, or where memory is short, lights
-        from a subset of the pixels and then tiles. `"lbfgsb"`: scipy's L-BFGS-B on the joint
+        `"gauss-newton"`: joint steps of lights and materials; above 2 MP, or where memory is short,
+        lights from a subset of the pixels and then tiles. `"lbfgsb"`: scipy's L-BFGS-B on the joint
         problem (the paper's recipe), in stages that keep off roughness 0; in one stage when `start`
-        is given. docs/solver.md has more.
+        is given. It alone knows the priors cohesion, smoothness and sparsity. docs/solver.md has
+        more.
     iterations
         Largest number of iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these
         at most as many steps on a subset of the pixels, which find the lights and do not count.
@@ -152,8 +152,8 @@ class FitOptions:
     robust
         `"auto"`: samples weigh by their noise, which is found from what the fit leaves of them, by
         picture, radiance and file, and outliers weigh less where there are some (`lbfgsb` takes
-        squares); `"huber"` or `"cauchy"`: a loss in which outliers weigh less in any case, its
-        scale estimated from the residuals; `"none"`: squares (docs/solver.md).
+        squares); `"cauchy"`: a loss in which outliers weigh less in any case, its scale estimated
+        from the residuals; `"none"`: squares (docs/solver.md).
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
@@ -257,6 +257,18 @@ class FitOptions:
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
+    def check_priors(self) -> None:
+        """Raise InputError where the solver does not know a prior of weight above 0.
+
+        Results of earlier versions may have such options, so they can be made.
+        """
+        for name in ("cohesion", "smoothness", "sparsity"):
+            if getattr(self.priors, name) and self.solver != "lbfgsb":
+                raise InputError(
+                    f"prior {name}: expected --solver lbfgsb, which alone knows it, found "
+                    f"{self.solver}"
+                )
+
     def to_json(self) -> dict[str, Any]:
         """What `result.json` holds under `options`."""
         values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
@@ -297,8 +309,8 @@ FLAGS: dict[str, Flag] = {
         values={"free": None, "0": 0.0},
     ),
     "robust": Flag(
-        "auto: samples weigh by their noise, and outliers less; huber, cauchy: losses in which "
-        "outliers weigh less; none: squares (default: %(default)s)",
+        "auto: samples weigh by their noise, and outliers less; cauchy: a loss in which outliers "
+        "weigh less; none: squares (default: %(default)s)",
         values=LOSSES,
     ),
     "response": Flag(

@@ -348,6 +348,15 @@ class SceneArrays:
         """
         return None if self.segments is None else consecutive_labels(self.segments[self.valid])
 
+    @lazy
+    def label_map(self) -> NDArray[np.int32] | None:
+        """(H, W): these labels, 0 at pixels that are not valid."""
+        if self.labels is None:
+            return None
+        found = np.zeros(self.valid.shape, np.int32)
+        found[self.valid] = self.labels[0]
+        return found
+
     def samples(
         self, picture: int, places: NDArray[np.intp] | None = None
     ) -> NDArray[np.floating[Any]]:

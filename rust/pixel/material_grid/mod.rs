@@ -13,7 +13,6 @@ use crate::reflectance::model::with_model_of;
 use crate::reflectance::planes::{BLOCK, Doubles, Plane, no_functions};
 use crate::reflectance::reflection::{ExactFunctions, Reflection};
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::reflectance::surrounded::Surrounded;
 use crate::runtime::memory::zeros;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Result, check, pool};
@@ -44,12 +43,11 @@ pub(crate) trait AlbedoFromProducts: Reflection {
         roughness: f64,
         functions: &mut ExactFunctions<Self>,
     ) {
-        isa.run(FillFunctions {
+        isa.run(FillFunctions::<Self> {
             cosine,
             roughness: &Plane([roughness; BLOCK]),
             by_cosine: false,
             functions,
-            model: Self::default(),
         });
     }
 
@@ -63,36 +61,6 @@ pub(crate) trait AlbedoFromProducts: Reflection {
         isa: Instructions,
         by_albedo: ByAlbedo<'_, Self::AtRoughness>,
     );
-}
-
-impl<M: AlbedoFromProducts> AlbedoFromProducts for Surrounded<M> {
-    type AtRoughness = M::AtRoughness;
-
-    fn fill_shared(
-        isa: Instructions,
-        cosine: &Doubles,
-        roughness: f64,
-        functions: &mut ExactFunctions<Self>,
-    ) {
-        M::fill_shared(isa, cosine, roughness, functions);
-    }
-
-    fn set_channel(isa: Instructions, given: Given<'_, Self>, to: &mut M::AtRoughness) {
-        let given = Given {
-            products: given.products,
-            cosine: given.cosine,
-            roughness: given.roughness,
-            functions: given.functions,
-        };
-        M::set_channel(isa, given, to);
-    }
-
-    fn minimize<const STEPS: usize, const EXACT: usize>(
-        isa: Instructions,
-        by_albedo: ByAlbedo<'_, M::AtRoughness>,
-    ) {
-        M::minimize::<STEPS, EXACT>(isa, by_albedo);
-    }
 }
 
 /// What a channel is taken up from.
@@ -277,12 +245,11 @@ impl<'a, M: AlbedoFromProducts> Block<'a, M> {
 
     /// Best albedo and χ² at the roughness and metallic that each pixel has.
     pub(crate) fn at_own_roughness(&mut self) {
-        self.isa.run(FillFunctions {
+        self.isa.run(FillFunctions::<M> {
             cosine: &self.cosine,
             roughness: &self.roughness,
             by_cosine: false,
             functions: &mut self.functions,
-            model: M::default(),
         });
         self.set_channels();
         self.minimize::<NEWTON_STEPS, EXACT_STEPS>();

@@ -36,7 +36,7 @@ pub(crate) struct AtRoughness {
     found: [Plane<f32>; 2],
 }
 
-impl AlbedoFromProducts for Paper {
+impl<const S: bool> AlbedoFromProducts for Paper<S> {
     type AtRoughness = AtRoughness;
 
     fn fill_shared(_: Instructions, _: &Doubles, roughness: f64, functions: &mut BlockFunctions) {
@@ -61,12 +61,12 @@ impl AlbedoFromProducts for Paper {
 }
 
 /// From the products of bands to those of S = Σ h_l B_l.
-struct TakeRoughness<'a> {
-    given: Given<'a, Paper>,
+struct TakeRoughness<'a, const S: bool> {
+    given: Given<'a, Paper<S>>,
     at_roughness: &'a mut AtRoughness,
 }
 
-impl Kernel for TakeRoughness<'_> {
+impl<const S: bool> Kernel for TakeRoughness<'_, S> {
     type Output = ();
 
     #[inline(always)]

@@ -80,7 +80,7 @@ fn dot<T: Real>(f: &Mix<T>, g: &Mix<T>) -> T {
     f.diffuse * g.diffuse + f.a * g.a + f.b * g.b
 }
 
-impl AlbedoFromProducts for Principled {
+impl<const S: bool> AlbedoFromProducts for Principled<S> {
     type AtRoughness = AtRoughness;
 
     fn set_channel(isa: Instructions, given: Given<'_, Self>, at_roughness: &mut AtRoughness) {
@@ -99,12 +99,12 @@ impl AlbedoFromProducts for Principled {
 }
 
 /// From the products of rows to those of U and V.
-struct TakeLobe<'a> {
-    given: Given<'a, Principled>,
+struct TakeLobe<'a, const S: bool> {
+    given: Given<'a, Principled<S>>,
     at_roughness: &'a mut AtRoughness,
 }
 
-impl Kernel for TakeLobe<'_> {
+impl<const S: bool> Kernel for TakeLobe<'_, S> {
     type Output = ();
 
     #[inline(always)]

@@ -16,7 +16,6 @@ use crate::pixel::samples::{DERIVATIVES, FillResponses, Responses, Sums, unknown
 use crate::reflectance::planes::{BLOCK, Directions, Doubles, Materials, no_functions};
 use crate::reflectance::principled::Principled;
 use crate::reflectance::reflection::{ExactFunctions, Reflection};
-use crate::reflectance::surrounded::Surrounded;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 
 mod paper;
@@ -51,24 +50,7 @@ pub(crate) trait LeastSquaresFromProducts: Reflection {
     }
 }
 
-impl LeastSquaresFromProducts for Principled {}
-
-impl<M: LeastSquaresFromProducts> LeastSquaresFromProducts for Surrounded<M> {
-    fn fill_sums<const C: usize, const U: usize>(
-        isa: Instructions,
-        channels: Channels<'_, Self, C, U>,
-    ) {
-        let channels = Channels {
-            directions: channels.directions,
-            products: channels.products,
-            functions: channels.functions,
-            materials: channels.materials,
-            responses: channels.responses,
-            sums: channels.sums,
-        };
-        M::fill_sums(isa, channels);
-    }
-}
+impl<const S: bool> LeastSquaresFromProducts for Principled<S> {}
 
 /// The channels of a block.
 pub(crate) struct Channels<'a, M: Reflection, const C: usize, const U: usize> {
@@ -87,7 +69,6 @@ pub(crate) struct Form<M: Reflection> {
     isa: Instructions,
     functions: Box<ExactFunctions<M>>,
     responses: Responses,
-    model: M,
 }
 
 impl<M: LeastSquaresFromProducts> Form<M> {
@@ -96,32 +77,7 @@ impl<M: LeastSquaresFromProducts> Form<M> {
             isa,
             functions: no_functions(),
             responses: Responses::default(),
-            model: M::default(),
         }
-    }
-
-    pub(crate) fn take<const C: usize, const U: usize>(
-        &mut self,
-        products: &PixelProducts,
-        materials: &Materials<C>,
-        sums: &mut Sums<U>,
-    ) {
-        self.isa.run(FillFunctions {
-            cosine: products.directions.cosines(),
-            roughness: &materials.roughness,
-            by_cosine: false,
-            functions: &mut self.functions,
-            model: self.model,
-        });
-        let channels = Channels {
-            directions: &products.directions,
-            products: &products.by_channel,
-            functions: &self.functions,
-            materials,
-            responses: &mut self.responses,
-            sums,
-        };
-        M::fill_sums(self.isa, channels);
     }
 }
 
@@ -141,7 +97,22 @@ impl<M: LeastSquaresFromProducts, const C: usize, const U: usize> LeastSquares<C
         _only_squares: bool,
         sums: &mut Sums<U>,
     ) {
-        self.0.take(self.1, materials, sums);
+        let Self(form, products) = self;
+        form.isa.run(FillFunctions::<M> {
+            cosine: products.directions.cosines(),
+            roughness: &materials.roughness,
+            by_cosine: false,
+            functions: &mut form.functions,
+        });
+        let channels = Channels {
+            directions: &products.directions,
+            products: &products.by_channel,
+            functions: &form.functions,
+            materials,
+            responses: &mut form.responses,
+            sums,
+        };
+        M::fill_sums(form.isa, channels);
     }
 }
 

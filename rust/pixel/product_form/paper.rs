@@ -19,7 +19,7 @@ use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::sh::BANDS;
 use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 
-impl LeastSquaresFromProducts for Paper {
+impl<const S: bool> LeastSquaresFromProducts for Paper<S> {
     fn fill_sums<const C: usize, const U: usize>(
         isa: Instructions,
         channels: Channels<'_, Self, C, U>,
@@ -29,9 +29,9 @@ impl LeastSquaresFromProducts for Paper {
 }
 
 /// Fills in sum of squares, gradient and matrix, from products.
-struct FillSums<'a, const C: usize, const U: usize>(Channels<'a, Paper, C, U>);
+struct FillSums<'a, const S: bool, const C: usize, const U: usize>(Channels<'a, Paper<S>, C, U>);
 
-impl<const C: usize, const U: usize> Kernel for FillSums<'_, C, U> {
+impl<const S: bool, const C: usize, const U: usize> Kernel for FillSums<'_, S, C, U> {
     type Output = ();
 
     #[inline(always)]
@@ -49,7 +49,7 @@ impl<const C: usize, const U: usize> Kernel for FillSums<'_, C, U> {
     }
 }
 
-impl<const C: usize, const U: usize> FillSums<'_, C, U> {
+impl<const S: bool, const C: usize, const U: usize> FillSums<'_, S, C, U> {
     #[inline(always)]
     fn all<I: Vectors<f64>>(self, isa: I, shared: &[Doubles; 3]) {
         let Channels {

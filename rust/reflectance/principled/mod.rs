@@ -52,9 +52,9 @@ const _: () = assert!(UNIFORM * UNIFORM - 4.0 * PI < 1e-14 && 4.0 * PI - UNIFORM
 /// The mean of (1−x)⁵ over the cosine-weighted hemisphere.
 const SCHLICK_MEAN: f64 = 1.0 / 21.0;
 
-/// See the [module](self).
+/// See the [module](self); its pixels are in the open or among surroundings.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Principled;
+pub struct Principled<const SURROUNDED: bool = false>;
 
 /// a_j, b_j over sinᵐ of the view angle, and what remains of the lobe otherwise.
 #[derive(Clone, Copy, Debug)]
@@ -122,7 +122,8 @@ pub struct Functions {
     by_cosine: Lobe,
 }
 
-impl Reflection for Principled {
+impl<const SURROUNDED: bool> Reflection for Principled<SURROUNDED> {
+    const SURROUNDED: bool = SURROUNDED;
     const FIRST_ROW: [usize; BANDS + 1] = [0, 1, 3, 6, 10];
 
     type Functions = Functions;
@@ -338,7 +339,7 @@ impl<T: Real> Mixer<T> {
 
 /// Of one channel kd, and by what the dielectric's and the metal's lobe are multiplied, d = (1−m)
 /// M(0.04) and e = m M(ρ); or a derivative of them.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Parts {
     /// kd
     pub(crate) ground: f64,
@@ -440,6 +441,8 @@ pub(crate) fn worth<T: Real>(mix: &Mix<T>, [by_diffuse, by_a, by_b]: [T; 3]) -> 
 }
 
 impl<const C: usize> reflection::Factors<C> for Factors<C> {
+    const ROWS: usize = ROWS;
+
     #[inline(always)]
     fn diffuse(&self, channel: usize) -> f64 {
         self.mix[channel].diffuse
@@ -506,21 +509,5 @@ impl<const C: usize> reflection::Factors<C> for Factors<C> {
             }
         }
         (diffuse, rows)
-    }
-
-    #[inline(always)]
-    fn by_cosine(
-        &self,
-        cosine: f64,
-        material: &Material<C>,
-        by_diffuse: &[f64; C],
-        by_row: &[ByRow; C],
-    ) -> [f64; C] {
-        let (diffuse, rows) = self.slopes_by_cosine(cosine, material);
-        let mut by = [0.0; C];
-        for c in 0..C {
-            by[c] = diffuse[c] * by_diffuse[c] + dot(&rows[c], &by_row[c]);
-        }
-        by
     }
 }

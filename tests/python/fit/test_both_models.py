@@ -111,7 +111,8 @@ def test_robust_losses_and_penalties_run() -> None:
     weights = Priors(material=0.01, cohesion=0.01, smoothness=0.01, sparsity=1e-5)
     result = decompose(
         scene,
-        robust="huber",
+        solver="lbfgsb",
+        robust="cauchy",
         priors=weights,
         iterations=20,
         refine_normals="off",

@@ -41,7 +41,6 @@ def said(scene: Scene, error: float = 0.2, **facts: Any) -> dict[str, Verdict]:
         "camera": Camera(60.0, "given"),
         "transport": Transport(),
         "lighting": around(len(scene.images)),
-        "lamps": False,
         "albedo_scale": (0.0, 0.0, 0.0),
         "albedo": np.full((8, 8, 3), 0.5),
     } | facts
@@ -80,7 +79,7 @@ def test_light_from_one_side_is_named(scene: Scene) -> None:
     assert found.cause == "light from one side, the right, in all pictures"
     assert found.remedy == "pictures lit from the left would help"
     assert "one side" not in said(scene)["roughness"].cause
-    assert "one side" not in said(scene, lighting=light, lamps=True)["roughness"].cause
+    assert "one side" not in said(scene, lighting=None)["roughness"].cause
 
 
 def test_few_pictures_are_counted(scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""FitPlan: which parts of a fit apply, and why others do not."""
+"""Which parts of a fit apply, and why others do not."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pbrfit
 from pbrfit import decompose
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.plan import FitPlan, color_deviation
+from pbrfit.fit.plan import chosen_priors, color_deviation, left_out
 from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
 from pbrfit.result.options import SOLVERS, Priors, Solver, prior_names
 from pbrfit.synthetic import make_scene
@@ -38,11 +38,12 @@ def grey() -> pbrfit.Scene:
     return dataclasses.replace(made, images=np.repeat(made.images[..., :1], 3, axis=-1))
 
 
-def needs(of: pbrfit.Scene, priors: Priors | None = ALL, **options: Any) -> FitPlan:
-    """Of a fit with `options` of a layout, and others."""
-    keys = ("sh_order", "metallic_known", "mono_light")
-    layout = ParameterLayout.of(of, **{key: options.pop(key) for key in keys if key in options})
-    return FitPlan.of(of, layout, priors=priors, **options)
+def needs(
+    of: pbrfit.Scene, priors: Priors = ALL, *, uncertainty: bool = True, **options: Any
+) -> tuple[str, ...]:
+    """What is left out of a fit with `options` of a layout."""
+    layout = ParameterLayout.of(of, **options)
+    return tuple(left_out(of, layout, priors, uncertainty=uncertainty))
 
 
 def off_grey(deviation: float) -> NDArray[np.float64]:
@@ -56,20 +57,8 @@ def off_grey(deviation: float) -> NDArray[np.float64]:
 
 
 def test_a_scene_that_has_all_leaves_out_nothing() -> None:
-    found = needs(scene())
-    assert found.left_out == ()
-    assert found.priors == ALL
-    assert found.used == (
-        f"{SIZE**2} pixels of {N} pictures",
-        "albedo in three channels",
-        "roughness",
-        "metallic",
-        "lights of order 3 in three channels",
-        "prior material, weight 1: learnt for "
-        f"{ParameterLayout.of(scene()).segment_count} segments",
-        *(f"prior {name}, weight 1" for name in prior_names() if name != "material"),
-        "uncertainty",
-    )
+    assert needs(scene()) == ()
+    assert chosen_priors(ParameterLayout.of(scene()), ALL) == ALL
 
 
 HALF = np.arange(SIZE**2).reshape(SIZE, SIZE) % 2 == 0
@@ -77,7 +66,7 @@ KNOWN = "lights and their gradient: known, so only materials were fitted"
 
 
 @pytest.mark.parametrize(
-    ("of", "options", "left_out"),
+    ("of", "options", "expected"),
     [
         (scene(mask=HALF), {}, ("32 pixels outside the mask",)),
         (scene(weights=HALF), {}, ("32 pixels of weight 0 in all pictures",)),
@@ -124,7 +113,6 @@ KNOWN = "lights and their gradient: known, so only materials were fitted"
             {},
             ("prior smoothness: no two neighbours that could be alike",),
         ),
-        (scene(), {"priors": None}, ("priors: none asked for",)),
         (scene(), {"priors": Priors.none()}, ("priors: none asked for",)),
         (
             scene(),
@@ -135,24 +123,9 @@ KNOWN = "lights and their gradient: known, so only materials were fitted"
     ],
 )
 def test_what_is_left_out_is_said(
-    of: pbrfit.Scene, options: dict[str, Any], left_out: tuple[str, ...]
+    of: pbrfit.Scene, options: dict[str, Any], expected: tuple[str, ...]
 ) -> None:
-    assert needs(of, **options).left_out == left_out
-
-
-def test_the_parts_used_are_those_left() -> None:
-    of = dataclasses.replace(
-        grey(), segments=None, weights=np.linspace(1, 2, SIZE**2).reshape(SIZE, SIZE)
-    )
-    found = needs(of, Priors(), sh_order=2, metallic_known=True, robust="huber", uncertainty=False)
-    assert found.used == (
-        f"{SIZE**2} pixels of {N} pictures, with weights",
-        "albedo in one channel",
-        "roughness",
-        "lights of order 2 in one channel",
-        "prior material, weight 1: learnt for one segment",
-        "robust loss: huber",
-    )
+    assert needs(of, **options) == expected
 
 
 @pytest.mark.parametrize(
@@ -164,7 +137,7 @@ def test_the_parts_used_are_those_left() -> None:
     ],
 )
 def test_idle_priors_have_no_weight(of: pbrfit.Scene, idle: set[str]) -> None:
-    found = needs(of).priors
+    found = chosen_priors(ParameterLayout.of(of), ALL)
     assert {name for name in prior_names() if getattr(found, name) == 0} == idle
     penalties = Objective(of, priors=found).penalties
     assert [p.name for p in penalties] == [p.name for p in Objective(of, priors=ALL).penalties]
@@ -190,21 +163,21 @@ def test_deviation_from_grey_by_hand() -> None:
 def test_monochrome_is_for_lights_near_grey(deviation: float, weight: float) -> None:
     lighting = off_grey(deviation)
     assert color_deviation(lighting) == pytest.approx(deviation, abs=1e-12)
-    found = needs(scene(), Priors(), lighting=lighting)
-    assert found.priors.monochrome == weight
-    said = [entry for entry in found.left_out if "monochrome" in entry]
+    of, layout = scene(), ParameterLayout.of(scene())
+    assert chosen_priors(layout, Priors(), lighting).monochrome == weight
+    found = left_out(of, layout, Priors(), lighting=lighting)
+    said = [entry for entry in found if "monochrome" in entry]
     assert len(said) == (weight == 0)
     assert all("off grey, above 0.05" in entry for entry in said)
 
 
 def test_monochrome_waits_for_lights_and_obeys() -> None:
-    found = needs(scene(), Priors())
-    assert found.priors.monochrome is None
-    assert found.left_out == ()
-    assert found.used[-2] == "prior monochrome, if the fitted lights are near grey"
+    layout = ParameterLayout.of(scene())
+    assert chosen_priors(layout, Priors()).monochrome is None
+    assert needs(scene(), Priors()) == ()
     for weight, lighting in ((0.0, off_grey(0)), (2.0, off_grey(0.4))):
-        asked = needs(scene(), Priors(monochrome=weight), lighting=lighting)
-        assert asked.priors.monochrome == weight
+        asked = chosen_priors(layout, Priors(monochrome=weight), lighting)
+        assert asked.monochrome == weight
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -29,7 +29,6 @@ from reference import unit
 Array = NDArray[Any]
 
 LOSSES: dict[str, Callable[[float], reference.Loss]] = {
-    "huber": reference.huber,
     "cauchy": reference.cauchy,
 }
 Pixel = tuple[Array, Array, Array, Array, Array]
@@ -205,7 +204,6 @@ def test_robust_losses(loss: str, weights: int | None, model: Model, scale: floa
 
 @pytest.mark.parametrize("loss", LOSSES)
 def test_robust_losses_where_all_residuals_are_the_scale(loss: str) -> None:
-    """In float32, so that some fall on either side of Huber's corner."""
     case = Seen(pixels=40)
     case.take(case.radiance(case.truth) - 0.05)
     sizes = case.radiance(case.truth) - case.targets
@@ -418,7 +416,7 @@ def test_bad_scales_of_losses_are_refused(loss: str, scale: float, found: str) -
 
 
 def test_another_loss_is_refused() -> None:
-    with pytest.raises(InputError, match=r"^robust: expected huber or cauchy, found tukey$"):
+    with pytest.raises(InputError, match=r"^robust: expected cauchy, found tukey$"):
         GOOD.fast().value_and_grad(X, ("tukey", 1.0))
 
 

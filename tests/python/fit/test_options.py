@@ -15,7 +15,7 @@ SCENE = make_scene("room", size=8, lights=2, held_out=1)
 
 UNUSABLE: dict[str, tuple[str, list[Any]]] = {
     "solver": ("one of gauss-newton, lbfgsb, found", ["auto", "adam", "LBFGSB", "", None, 3]),
-    "robust": ("one of auto, none, huber, cauchy, found", ["l1", "Huber", None, 1]),
+    "robust": ("one of auto, none, cauchy, found", ["l1", "huber", None, 1]),
     "refine_normals": ("one of off, auto, on, found", ["yes", "", "ON", None, True]),
     "seed": ("", [-1, 0.5]),
     "iterations": ("", [4.5, -1]),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 import pbrfit
 import scene_kinds
-from pbrfit import InputError, _core
+from pbrfit import InputError
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties, tied_neighbours
@@ -380,44 +379,3 @@ def test_an_x_of_another_length_is_refused(shift: int) -> None:
     objective = Objective(scene_of(), mono_light=True)
     with pytest.raises(InputError, match=r"^x: expected shape"):
         objective.value_and_grad(np.full(objective.size + shift, 0.5))
-
-
-# --- The border to Rust ---
-
-
-@pytest.mark.parametrize(
-    ("make", "complaint"),
-    [
-        (lambda: _core.Neighbours(3, ints(0, 1), ints(1, 3)), "neighbours: expected indices below"),
-        (lambda: _core.Neighbours(3, ints(0, 1), ints(1)), "second: expected shape"),
-        (lambda: _core.Neighbours(3, ints(-1), ints(1)), "first: expected numbers of 0 or more"),
-        (lambda: _core.Groups(ints(0, 4, 1)), "labels: expected labels up to the number of pixels"),
-        (lambda: _core.Groups(ints(0, -1)), "labels: expected numbers of 0 or more"),
-        (lambda: _core.Groups(ints(2**40)), "labels: expected 32-bit labels"),
-        (lambda: _core.Groups(np.zeros(3)), "labels: expected an array of int64"),  # type: ignore[arg-type]
-    ],
-)
-def test_unusable_pairs_and_labels_are_named(make: Callable[[], object], complaint: str) -> None:
-    with pytest.raises(InputError, match=f"^{complaint}"):
-        make()
-
-
-@pytest.mark.parametrize(
-    "penalty",
-    [_core.Neighbours(3, np.array([0, 1]), np.array([1, 2])), _core.Groups(np.ones(3, int))],
-)
-def test_arrays_that_cannot_be_used_are_named(penalty: _core.Neighbours | _core.Groups) -> None:
-    values, gradient = np.array([0.0, 1.0, 3.0]), np.zeros(3)
-    fixed = np.zeros(3)
-    fixed.flags.writeable = False
-    for bad in (fixed, np.zeros(6)[::2], np.zeros(3, np.float32), values):
-        with pytest.raises(InputError, match=r"^gradient: expected a writable contiguous array"):
-            penalty.add_penalty(values, 1.0, bad)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"^gradient: expected 3 numbers, found 4"):
-        penalty.add_penalty(values, 1.0, np.zeros(4))
-    with pytest.raises(InputError, match=r"^values: expected 3 numbers, found 2"):
-        penalty.add_penalty(values[:2], 1.0, gradient)
-    assert not gradient.any()
-    expected = penalty.add_penalty(values, 1.0, gradient)
-    # Values may have gaps: they are copied then.
-    assert penalty.add_penalty(np.repeat(values, 2)[::2], 1.0, gradient) == expected > 0

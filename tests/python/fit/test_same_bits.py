@@ -9,6 +9,7 @@ import pytest
 
 from pbrfit import Priors, decompose
 from pbrfit.model.reflection import MODELS, Model
+from pbrfit.result.options import Solver
 from pbrfit.synthetic import make_scene
 from random_pixels import Array, Example, Kind, Pixels
 
@@ -82,11 +83,26 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
 
 
 @pytest.mark.parametrize("model", ["paper", pytest.param("principled", marks=pytest.mark.slow)])
-def test_of_a_fit_with_all_priors_and_its_uncertainty(model: Model) -> None:
+@pytest.mark.parametrize(
+    ("solver", "priors"),
+    [
+        ("gauss-newton", Priors(monochrome=1e-3)),
+        ("lbfgsb", Priors(cohesion=1e-3, smoothness=1e-3, sparsity=1e-4, monochrome=1e-3)),
+    ],
+)
+def test_of_a_fit_with_all_priors_and_its_uncertainty(
+    model: Model, solver: Solver, priors: Priors
+) -> None:
     scene = make_scene("room", size=40, lights=6, held_out=1, seed=3, model=model, noise=0.01)
-    priors = Priors(cohesion=1e-3, smoothness=1e-3, sparsity=1e-4, monochrome=1e-3)
     one, other = (
-        decompose(scene, iterations=5, priors=priors, refine_normals="off", threads=threads)
+        decompose(
+            scene,
+            solver=solver,
+            iterations=5,
+            priors=priors,
+            refine_normals="off",
+            threads=threads,
+        )
         for threads in (1, 2)
     )
     for name in ("albedo", "roughness", "metallic", "lighting"):

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 import pbrfit
-from pbrfit import Priors
 from pbrfit.cli import main
 from pbrfit.fit import memory
 from pbrfit.fit.run import Progress
-from pbrfit.fit.settings import WHOLE_PIXELS_MAX
-from pbrfit.fit.tiles.fit import SUBSET_PIXELS, ending
+from pbrfit.fit.settings import TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
+from pbrfit.fit.tiles.fit import ending
 from pbrfit.fit.tiles.windows import strided_window, tiles
 from pbrfit.result.data import Status
 from pbrfit.synthetic import make_scene
@@ -66,12 +65,12 @@ class TestCutting:
         valid = np.zeros(shape, bool)
         valid[striped] = True
         at_least, at_most = wanted
-        found = np.count_nonzero(strided_window(valid, at_least, at_most).of(valid))
+        found = np.count_nonzero(strided_window(valid, at_most).of(valid))
         assert at_least <= found <= 1.25 * at_most
 
     def test_a_small_picture_is_its_own_subset(self) -> None:
         valid = np.ones((30, 40), bool)
-        assert strided_window(valid, *SUBSET_PIXELS).of(valid).shape == (30, 40)
+        assert strided_window(valid, TILES_SUBSET_PIXELS_MAX).of(valid).shape == (30, 40)
 
     @pytest.mark.parametrize("margin", [0, 7])
     def test_tiles_cover_each_pixel_once(self, margin: int) -> None:
@@ -110,26 +109,6 @@ class TestFit:
         difference = np.abs(result.roughness - whole.roughness)
         assert np.mean(difference > 1e-3) < 0.01
         assert np.median(difference) < 1e-5
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("prior", ["smoothness", "cohesion"])
-    def test_borders_do_not_show_with_penalties_either(
-        self, noisy: pbrfit.Scene, prior: str
-    ) -> None:
-        """Penalties tie neighbours, so what differs is only how far a fit came."""
-        segments = np.ones(noisy.valid.shape, int)
-        segments[36:] = 2
-        scene = replace(noisy, segments=segments)
-        priors = Priors(**{prior: 1e-3})
-        in_nine = held(scene, priors=priors, uncertainty=False)
-        with pytest.MonkeyPatch.context() as patch:
-            in_tiles(patch, **NINE | {"side": 200})
-            whole = held(scene, priors=priors, uncertainty=False)
-        off = np.abs(in_nine.roughness - whole.roughness)
-        borders = np.zeros(off.shape, bool)
-        for border in (24, 48):
-            borders[border - 1 : border + 1] = borders[:, border - 1 : border + 1] = True
-        assert off[borders].mean() < 1.5 * off[~borders].mean() + 1e-4
 
     @pytest.mark.slow
     def test_it_is_as_good_as_a_fit_of_all_pixels(
@@ -248,24 +227,6 @@ class TestFit:
         found = ending(Status(of_subset), "as the subset", statuses, options)
         assert found[0] is Status(status)
         assert found[1].startswith(reason)
-
-    @pytest.mark.slow
-    def test_penalties_are_as_strong_where_all_weights_are_small(
-        self, noisy: pbrfit.Scene, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """As in a fit of all at once, which knows lights from the start."""
-        weights = np.ones(noisy.images.shape[:3], np.float32)
-        weights[:, :40, :40] = 0.05
-        segments = np.ones(noisy.valid.shape, int)
-        scene = replace(
-            noisy, weights=weights, lighting=truth_of(noisy).lighting, segments=segments, truth=None
-        )
-        priors = replace(Priors.none(), cohesion=1e-3)
-        tiled = held(scene, priors=priors, uncertainty=False)
-        monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 1 << 21)
-        whole = held(scene, priors=priors, uncertainty=False)
-        off = np.abs(tiled.metallic - whole.metallic)
-        assert off[:40, :40].mean() < 0.01
 
     def test_progress_counts_tiles(self, noisy: pbrfit.Scene) -> None:
         told: list[Progress] = []
@@ -403,5 +364,5 @@ class TestWhenTilesAreUsed:
             valid=np.broadcast_to(np.True_, (1, pixels)),
         )
         held = pixels * (16 * 12 + 24)
-        needed = memory.of_tiles(layout, held=held, refine_normals=True)
+        needed = memory.of_fit(layout, "gauss-newton", held=held, refine_normals=True, tiled=True)
         assert needed.peak < 8 * 2**30

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import pbrfit
-from pbrfit.fit import discrepancy, light_modes, light_spectrum, normal_equations, uncertainty
+from pbrfit.fit import discrepancy, light_modes, uncertainty
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.population import LOG_ALBEDO_DEVIATION
@@ -137,35 +137,6 @@ def test_sharp_deviations_are_those_of_dense_algebra(
         np.testing.assert_allclose(marginal, conditional)
     else:
         assert (marginal > 1.05 * conditional).any()  # the comparison was one of two things
-
-
-def test_many_lights_need_few_of_their_modes(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, objective, x = scene_and_x()
-    monkeypatch.setattr(light_modes, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
-    noise = told(1e-12, objective, x)
-    whole = uncertainty.spread(objective, x, noise, None)
-    monkeypatch.setattr(light_spectrum, "DENSE_UNKNOWNS_MAX", 6 * 16 * 3 - 1)
-    fewer = told(1e-12, objective, x)
-    assert len(fewer.modes) == light_spectrum.LEADING_EIGENVALUES < len(noise.modes)
-    few = uncertainty.spread(objective, x, fewer, None)
-    np.testing.assert_allclose(np.sqrt(few.variance), np.sqrt(whole.variance), rtol=0.01)
-
-
-@pytest.mark.parametrize("options", [{}, {"grey": True}, {"mono_light": True}], ids=str)
-def test_what_materials_imitate_is_what_they_take_away(options: dict[str, Any]) -> None:
-    _, objective, x = scene_and_x(**options)
-    layout = objective.layout
-    pixels = np.arange(layout.pixels, dtype=np.uint64)
-    held = normal_equations.held_at_bounds(x, layout)
-    part = normal_equations.eliminate(
-        objective.problem, objective.for_core(x), layout, pixels, held
-    )
-    n, lit, k = layout.pictures, layout.light_channels, layout.coefficients
-    lights = np.random.default_rng(6).normal(size=(n, lit, k, 3))
-    alone = np.einsum("nlkj,nljr->nlkr", part.information_alone(layout), lights)
-    left = (part.information(layout) @ lights.reshape(n * lit * k, 3)).reshape(lights.shape)
-    found, expected = part.imitated(lights, layout), alone - left
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
 def test_noise_has_its_degrees_of_freedom() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from pbrfit import decompose
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.tiles.windows import SceneCutter, Window
+from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.synthetic import make_scene
 
 
@@ -24,7 +24,7 @@ def test_values_at_limits_do_not_count_and_others_of_their_samples_do() -> None:
     kept = np.stack([of[scene.valid] for of in limits]) == 0
     squares = np.square(residuals, dtype=np.float64)[kept].sum()
     assert bounded.value_and_grad(x)[0] == pytest.approx(squares / kept.sum(), rel=1e-5)
-    bounded.robust = "huber", 0.05
+    bounded.robust = "cauchy", 0.05
     weights = bounded.reweighted(x).sample_weights
     assert weights is not None
     assert ((weights > 0) == kept).all()
@@ -59,7 +59,7 @@ def test_windows_of_a_scene_have_its_limits() -> None:
     scene = make_scene("room", size=16, lights=4, held_out=1, seed=2, noise=0.01)
     limits = np.zeros(scene.images.shape, np.uint8)
     limits[1, 3, 4, 0], limits[:, 9, 9] = 1, 2
-    part = SceneCutter(replace(scene, limits=limits)).cut(Window(slice(2, 12), slice(4, 12)))
+    part = cut(replace(scene, limits=limits), Window(slice(2, 12), slice(4, 12)))
     np.testing.assert_array_equal(part.limits, limits[:, 2:12, 4:12])
     assert np.argwhere(~part.valid).tolist() == [[7, 5]]
     assert part.noise_floor(0) is None

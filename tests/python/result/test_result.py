@@ -121,7 +121,7 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "fov": "60 degrees, asked for",
         "model": f"{DEFAULT_MODEL}, the default",
         "alignment": "not checked: pictures below 24 pixels",
-        "scale": "by the highlights of dielectrics",
+        "scale": "by the highlights of dielectrics, with the material prior",
     }
     masked, monochrome, surroundings, lamps = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"

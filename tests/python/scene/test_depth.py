@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from command_runs import done
 from pbrfit import InputError, Scene
-from pbrfit.fit.tiles.windows import SceneCutter, Window
+from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import from_depth
@@ -248,9 +248,9 @@ def test_a_part_of_a_scene_has_its_part_of_the_depth() -> None:
     assert whole.depth is not None
     for rows in (slice(10, 40), slice(1, None, 3)):
         window = Window(rows, slice(5, 90, 1))
-        part = SceneCutter(whole).cut(window)
+        part = cut(whole, window)
         np.testing.assert_array_equal(part.depth, window.of(whole.depth))
-    assert SceneCutter(scene(None, normals)).cut(window).depth is None
+    assert cut(scene(None, normals), window).depth is None
 
 
 def test_normals_of_the_depth_of_a_plane_are_its_normals() -> None:

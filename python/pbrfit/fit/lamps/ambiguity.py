@@ -1,11 +1,20 @@
 """The matrix that a factorisation leaves open: the most likely one by all cues.
 
-C has nine entries, of which the size does not matter. The negative log likelihood of `cues` is
-minimised over it by the method of Broyden, Fletcher, Goldfarb and Shanno from several starts,
-because it has several minima: a surface and the one that is bulged in where it was bulged out, and
-flatter and steeper ones. c₁ and c₂ start as integrability has them, with either sign, and c₃ such
-that lamps stand about equally far in front, at several heights; beside these, at the matrix that
-makes the surface most like the mask blown up as a balloon.
+The unknown is the matrix of cofactors C (3, 3) of `integrability`. Pseudo-normals b become those of
+the surface, and lamps s those in front of it, by
+
+    m = ± C⁻¹ b,    l = ± Cᵀ s,
+
+up to their scales, on which no cue depends, with the sign for which the surface faces the camera.
+The albedo is |m|. Cues are negative log likelihoods, whose sum is minimised over C by the method of
+Broyden, Fletcher, Goldfarb and Shanno from several starts, because it has several minima: a surface
+and the one that is bulged in where it was bulged out, and flatter and steeper ones.
+
+Cues differ in how many places they look at, and neighbours err alike: gloss, shadows and light from
+other surfaces change slowly across a picture. A hundred pixels are not a hundred observations. So
+the picture is divided in blocks, and a cue that is a mean over places counts as one observation a
+block that has any (clusters that err as one: Kish, "Survey sampling", Wiley 1965; Varin, Reid and
+Firth, "An overview of composite likelihood methods", Statistica Sinica 21, 2011).
 """
 
 from __future__ import annotations
@@ -15,77 +24,319 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import expit
 
-from pbrfit.fit.lamps.cues import CUES, Places, Transforms, unit_and_length
+from pbrfit.fit.lamps.integrability import Integrability, equations
+from pbrfit.fit.lamps.outline import Outline
+from pbrfit.fit.lamps.photometric import PseudoNormals
+from pbrfit.fit.lamps.samples import Samples, blocks_of, some_of
 
 Array = NDArray[np.float64]
 
+PLACES_MAX = 2500
+"""Pixels that cues look at: the sampling error of a mean over them, 2 %, is below that of the
+blocks, 12 %."""
+
+OUTLINE_MAX = 600
+"""Pixels of the outline that cues look at."""
+
+PARTNERS = 12
+"""Pixels at random that the one of the likest colour is taken from, as a partner of equal
+albedo."""
+
+KNOWN_MIN = 0.05
+"""Least part of a pixel's information, in the direction it says least of, of the median pixel's,
+with which its normal is its own and not its neighbours'."""
+
+ALBEDO_SPREAD_MIN = 0.05
+"""Least spread of the logarithm of albedo: lamps that are not quite far away, and light from other
+surfaces, change it by about 5 % across an object, whatever its albedo."""
+
+STRENGTH_SPREAD = 0.1
+"""Spread of the logarithm of lamps' strengths that is expected: one lamp moved by hand at arm's
+length with 5 % of change in its distance."""
+
+STRENGTH_CERTAINTY = 4.0
+"""Lamps that the expected spread counts as, beside those there are."""
+
+OUTLINE_CONCENTRATION = 15.0
+"""κ of von Mises' and Fisher's distribution of normals at the outline about those of a ball: a
+deviation of 15 degrees."""
+
+CUT = 0.2
+"""Share of the outline where nothing turns away: an edge of a table, of another thing."""
+
+FACING_MIN = 0.05
+"""n·v, 87 degrees: what pixels show of steeper surfaces is less than half a pixel's own."""
+
+BEHIND = 0.1
+"""Cosine of the angle to the camera's axis: how far lamps may be behind the picture's plane before
+they cost as much as a deviation from a cue's own spread."""
+
 SLANTS = (0.25, 0.5, 1.0, 2.0)
 """Tangents of the lamps' root mean square angle to the camera's axis that c₃ starts from."""
-
-IMPOSSIBLE = 1e6
-"""Cost of a C that no matrix has; far above any other."""
-
-STEPS_MAX = 100
-"""Steps of a search at most."""
-
-STEP = 1e-7
-"""Step of the differences, of the length of C: errors of rounding and of curvature are both about
-1e-7 of the slope's own scale."""
 
 SLOPE_MAX = 0.1
 """Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a
 search ends: C changes the surface by a degree where an entry changes by about 0.02."""
 
-FEW = 500
-"""Places from which each start is followed; what leads to likely minima goes on with all."""
 
-POLISHED_MAX = 4
-"""Minima that are found with all places."""
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Pixels that cues look at, and what the pictures say there.
 
-SAME = 0.05
-"""Mean chord of the angle between normals, 3 degrees, up to which two searches have led to one
-minimum."""
+    Attributes
+    ----------
+    chosen
+        (P,) which of the mask's pixels they are.
+    vectors, views
+        (P, 3) b, divided by brightness, and (P, 3).
+    blocks
+        Blocks of the picture that they lie in.
+    brightness
+        (P,) what b is multiplied by.
+    pairs
+        (R, 2) indices of pixels that may share an albedo.
+    outline_vectors, outline_blocks
+        The same at the outline, (E, 3) and a number.
+    of_ball
+        (E, 3) normals that are expected there, as in `outline`.
+    lamps
+        (N, 3) s.
+    integrability
+        Its equations.
+    """
 
-FAR = 20.0
-"""Negative log likelihood above the least at which a minimum is not looked at again."""
+    chosen: NDArray[np.intp]
+    vectors: Array
+    views: Array
+    blocks: int
+    brightness: Array
+    pairs: NDArray[np.intp]
+    outline_vectors: Array
+    outline_blocks: int
+    of_ball: Array
+    lamps: Array
+    integrability: Integrability
 
-EQUALLY_LIKELY = 3.0
-"""Difference of the negative log likelihood below which two minima are told to be undecided: odds
-of 20 to 1."""
+    @classmethod
+    def of(
+        cls,
+        data: Samples,
+        rays: Array,
+        views: Array,
+        normals: PseudoNormals,
+        lamps: Array,
+        edge: Outline,
+    ) -> Places:
+        """Places of pixels whose own samples tell their normals."""
+        blocks = blocks_of(data.where)
+        information = np.linalg.eigvalsh(normals.precision)[:, 0]
+        least = KNOWN_MIN * float(np.median(information))
+        good = information > least
+        covariances = np.linalg.inv(normals.precision + (least + 1e-12) * np.eye(3))
+        known = data.plane(good, 0.0).astype(bool)
+        of_block = data.plane(blocks.astype(np.float64), -1.0).astype(np.intp)
+        planes = data.plane(np.where(good[:, None], normals.vectors, 0.0), 0.0)
+        integrable = equations(planes, data.plane(covariances, 0.0), known, rays, of_block)
+        candidates = np.flatnonzero(good)
+        chosen = candidates[some_of(len(candidates), PLACES_MAX)]
+        at_edge = np.flatnonzero(known[edge.rows, edge.columns])
+        at_edge = at_edge[some_of(len(at_edge), OUTLINE_MAX)]
+        where = (edge.rows[at_edge], edge.columns[at_edge])
+        return cls(
+            chosen=chosen,
+            vectors=normals.vectors[chosen],
+            views=views[data.where][chosen],
+            blocks=len(np.unique(blocks[chosen])),
+            brightness=data.brightness[chosen],
+            pairs=_pairs(data, normals, chosen),
+            outline_vectors=planes[where],
+            of_ball=edge.normals[at_edge],
+            outline_blocks=len(np.unique(of_block[where])),
+            lamps=lamps,
+            integrability=integrable,
+        )
+
+
+def _pairs(data: Samples, normals: PseudoNormals, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(R, 2) places, each beside the one of the likest colour of some at random."""
+    count = len(chosen)
+    if count < 2:
+        return np.zeros((0, 2), np.intp)
+    weights = normals.weights[chosen] * data.told[chosen].all(axis=2)
+    sums = np.einsum("pn,pnc->pc", weights, data.colors[chosen])
+    chroma = sums / np.maximum(sums.sum(axis=1, keepdims=True), 1e-12)
+    others = np.random.default_rng(0).integers(0, count - 1, (count, PARTNERS))
+    first = np.arange(count)
+    others += others >= first[:, None]
+    unlike = np.sum((chroma[others] - chroma[:, None]) ** 2, axis=2)
+    return np.stack([first, others[first, unlike.argmin(axis=1)]], axis=1)
+
+
+def unit_and_length(vectors: Array) -> tuple[Array, Array]:
+    """Unit vectors (..., 3) and lengths (...), which are kept above 0."""
+    squared = np.einsum("...i,...i->...", vectors, vectors)
+    length: Array = np.sqrt(np.maximum(squared, 1e-24))
+    return vectors / length[..., None], length
+
+
+def _dot(first: Array, second: Array) -> Array:
+    return np.asarray(np.einsum("pi,pi->p", first, second))
+
+
+# Cues: each gives its negative log likelihood, but for a constant, and its slopes.
+
+
+def albedo_cost(length: Array, places: Places) -> tuple[float, Array]:
+    """Of each pair: pixels are of a few albedos, so differences of ln |m| are mostly small.
+
+    Their density is Cauchy's, ln s + ln(1 + (r/s)²): its tails are for pairs of different albedos.
+    The sum with the best s is the logarithm of a robust spread, and so close to an entropy
+    (Alldrin, Mallick and Kriegman, "Resolving the generalized bas-relief ambiguity by entropy
+    minimization", CVPR 2007). The slope is by ln |m|; the best s has none.
+    """
+    logs = np.log(length * places.brightness)
+    first, second = places.pairs.T
+    residual = logs[first] - logs[second]
+    scale = _cauchy_scale(residual, ALBEDO_SPREAD_MIN)
+    cost = np.log(scale) + np.log1p((residual / scale) ** 2).mean()
+    push = 2 * residual / (scale**2 + residual**2) / len(residual)
+    slope = np.zeros(len(logs))
+    np.add.at(slope, first, push)
+    np.subtract.at(slope, second, push)
+    return places.blocks * float(cost), places.blocks * slope
+
+
+def _cauchy_scale(residuals: Array, least: float) -> float:
+    """Most likely scale s of Cauchy's distribution for residuals: the mean of 1/(1 + (r/s)²) is ½.
+
+    By Newton's method in ln s.
+    """
+    squared: Array = residuals**2
+    scale = max(float(np.median(np.abs(residuals))), least)
+    for _ in range(6):
+        share = scale**2 / (scale**2 + squared)
+        step = (0.5 - float(np.mean(share))) / max(float(np.mean(2 * share * (1 - share))), 1e-3)
+        scale = max(scale * float(np.exp(np.clip(step, -1.0, 1.0))), least)
+    return scale
+
+
+def integrability_cost(C: Array, places: Places) -> tuple[float, Array]:
+    """Equations are normal with a variance that is ν times that of their noise.
+
+    With the best ν this is ½ ln(CᵀQC/CᵀNC) an observation. The slope is by C.
+    """
+    of = places.integrability
+    c = C.T.ravel()
+    by_squares, by_noise = of.squares @ c, of.noise @ c
+    squares = max(float(c @ by_squares), 1e-300)
+    noise = max(float(c @ by_noise), 1e-300)
+    slope = of.blocks * (by_squares / squares - by_noise / noise)
+    return 0.5 * of.blocks * float(np.log(squares / noise)), slope.reshape(3, 3).T
+
+
+def strength_cost(length: Array) -> tuple[float, Array]:
+    """Of all lamps: they are equally strong but for a spread that is not known.
+
+    Normal ln |l| whose variance has an inverse χ² distribution of `STRENGTH_CERTAINTY` degrees of
+    freedom about `STRENGTH_SPREAD`² make Student's distribution, here of the deviations from their
+    mean. The slope is by ln |l|.
+    """
+    logs = np.log(length)
+    deviation = logs - logs.mean()
+    spread = STRENGTH_CERTAINTY * STRENGTH_SPREAD**2
+    freedom = STRENGTH_CERTAINTY + len(logs) - 1
+    total = spread + deviation @ deviation
+    return freedom / 2 * float(np.log(total / spread)), freedom * deviation / total
+
+
+def outline_cost(normals: Array, places: Places) -> tuple[float, Array]:
+    """Of each pixel at the outline: the normal is as of a ball, but at a share `CUT`.
+
+    The slope is by normals, as that of the next cue.
+    """
+    kappa = OUTLINE_CONCENTRATION
+    peaked = (1 - CUT) * 2 * kappa * np.exp(kappa * (_dot(normals, places.of_ball) - 1))
+    share = places.outline_blocks / len(normals)
+    slope = -share * kappa * (peaked / (peaked + CUT))[:, None] * places.of_ball
+    return -share * float(np.log(peaked + CUT).sum()), slope
+
+
+def visible_cost(normals: Array, places: Places) -> tuple[float, Array]:
+    """Of each pixel: what is seen faces the camera, n·v > 0 but for `FACING_MIN`."""
+    away = -_dot(normals, places.views) / FACING_MIN
+    share = places.blocks / len(normals)
+    push = -share / FACING_MIN * expit(away)
+    return share * float(np.logaddexp(0.0, away).sum()), push[:, None] * places.views
+
+
+def front_cost(directions: Array) -> tuple[float, Array]:
+    """Of each lamp: it stands in front of the picture's plane, if only just."""
+    behind = -directions[:, 2] / BEHIND
+    slope = np.zeros_like(directions)
+    slope[:, 2] = -expit(behind) / BEHIND
+    return float(np.logaddexp(0.0, behind).sum()), slope
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """A C that is most likely among its neighbours.
+    """What the cues say of a C (3, 3).
 
     Attributes
     ----------
     normals, lamps
         (3, 3): what b and s are multiplied by, in rows.
-    cost
-        Negative log likelihood but for a constant.
     parts
-        That of each cue.
+        Negative log likelihood, but for a constant, of each cue.
+    slope
+        (3, 3), of their sum by C.
     """
 
     normals: Array
     lamps: Array
-    cost: float
     parts: dict[str, float]
+    slope: Array
+
+    @property
+    def cost(self) -> float:
+        """Negative log likelihood but for a constant."""
+        return sum(self.parts.values())
 
     @classmethod
-    def at(cls, C: Array, places: Places) -> Minimum | None:
-        """What the cues say of C (3, 3); None if no matrix has these cofactors."""
-        transforms = Transforms.of(C[None], places)
-        if not transforms.possible[0]:
-            return None
-        parts = {cue.name: float(cue.values(transforms, places)[0]) for cue in CUES}
-        return cls(transforms.normals[0], transforms.lamps[0], sum(parts.values()), parts)
+    def at(cls, C: Array, places: Places) -> Minimum:
+        """What the cues say of C (3, 3)."""
+        inverse = np.asarray(np.linalg.inv(C).T, np.float64)
+        facing = _dot(places.vectors @ inverse, places.views)
+        sign = 1.0 if (facing > 0).mean() >= 0.5 else -1.0
+        normals, albedo = unit_and_length(sign * places.vectors @ inverse)
+        directions, strengths = unit_and_length(sign * places.lamps @ C)
+        parts = {}
+        parts["integrability"], slope = integrability_cost(C, places)
+        parts["albedo"], by_albedo = albedo_cost(albedo, places)
+        parts["strengths"], by_strengths = strength_cost(strengths)
+        parts["visible"], by_visible = visible_cost(normals, places)
+        parts["lamps in front"], by_front = front_cost(directions)
+        by_inverse = places.vectors.T @ _by_vectors(normals, albedo, by_visible, by_albedo)
+        by_lamps = places.lamps.T @ _by_vectors(directions, strengths, by_front, by_strengths)
+        if len(places.outline_vectors):
+            at_edge, length = unit_and_length(sign * places.outline_vectors @ inverse)
+            parts["outline"], by_edge = outline_cost(at_edge, places)
+            by_edge = _by_vectors(at_edge, length, by_edge, np.zeros(len(length)))
+            by_inverse = by_inverse + places.outline_vectors.T @ by_edge
+        # d C⁻ᵀ = -C⁻ᵀ dCᵀ C⁻ᵀ
+        slope = slope + sign * (by_lamps - inverse @ by_inverse.T @ inverse)
+        return cls(sign * inverse, sign * C, parts, slope)
 
 
-def minima(places: Places, rough: Array | None, few_places: int = FEW) -> list[Minimum]:
-    """Minima of the negative log likelihood, the least first.
+def _by_vectors(unit: Array, length: Array, by_unit: Array, by_log: Array) -> Array:
+    """Slopes (P, 3) by vectors of those by their unit vectors and by the logarithm of lengths."""
+    along = by_log - _dot(unit, by_unit)
+    return np.asarray((by_unit + along[:, None] * unit) / length[:, None])
+
+
+def minima(places: Places, rough: Array | None) -> list[Minimum]:
+    """Minima of the negative log likelihood that searches lead to, the least first.
 
     Parameters
     ----------
@@ -93,83 +344,45 @@ def minima(places: Places, rough: Array | None, few_places: int = FEW) -> list[M
         What cues look at.
     rough
         (P, 3) normals of a rough shape to start from beside other starts; None = there is none.
-    few_places
-        From which each start is followed.
     """
-    few = places.thinned(few_places)
-    rounds = [_searched(start, few, places) for start in _starts(places, rough)]
-    rounds.sort(key=lambda one: one[0])
-    found: list[Minimum] = []
-    seen: list[Array] = []
-    for cost, C in rounds:
-        if cost > rounds[0][0] + FAR or len(found) == POLISHED_MAX:
-            break
-        about = Minimum.at(C, places)
-        if about is None:
-            continue
-        normals, _ = unit_and_length(places.vectors @ about.normals)
-        if any(np.linalg.norm(normals - other, axis=1).mean() < SAME for other in seen):
-            continue
-        seen.append(normals)
-        _, better = _searched(C, places, places)
-        found.append(Minimum.at(better, places) or about)
-    found.sort(key=lambda one: one.cost)
-    return found
 
+    def cost_and_slope(c: Array) -> tuple[float, Array]:
+        here = Minimum.at(c.reshape(3, 3), places)
+        return here.cost, here.slope.ravel()
 
-def _searched(start: Array, few: Places, places: Places) -> tuple[float, Array]:
-    """Cost, at all places, and C of the minimum that a search at a few places leads to."""
-    search = minimize(
-        _cost_and_slope,
-        start.ravel() / np.linalg.norm(start),
-        (few,),
-        jac=True,
-        method="BFGS",
-        options={"maxiter": STEPS_MAX, "gtol": SLOPE_MAX},
-    )
-    C = np.asarray(search.x.reshape(3, 3))
-    return float(_costs(C[None], places)[0]), C / np.linalg.norm(C)
-
-
-def _cost_and_slope(c: Array, places: Places) -> tuple[float, Array]:
-    """Cost of C (9,), and its slope by forward differences."""
-    step = STEP * np.linalg.norm(c)
-    costs = _costs((c + step * np.vstack([np.zeros(9), np.eye(9)])).reshape(-1, 3, 3), places)
-    return float(costs[0]), (costs[1:] - costs[0]) / step
-
-
-def _costs(C: Array, places: Places) -> Array:
-    """Costs (T,) of C (T, 3, 3)."""
-    transforms = Transforms.of(C, places)
-    total = np.sum([cue.values(transforms, places) for cue in CUES], axis=0)
-    return np.where(transforms.possible, total, IMPOSSIBLE)
+    found = [
+        minimize(cost_and_slope, C.ravel(), jac=True, method="BFGS", options={"gtol": SLOPE_MAX}).x
+        for C in _starts(places, rough)
+    ]
+    return sorted((Minimum.at(c.reshape(3, 3), places) for c in found), key=lambda one: one.cost)
 
 
 def _starts(places: Places, rough: Array | None) -> list[Array]:
-    """Matrices C (3, 3) of determinant above 0."""
+    """Matrices C (3, 3) of length 1.
+
+    c₁ and c₂ are as integrability has them, with either sign, and c₃ such that lamps stand about
+    equally far in front, at several heights; beside these, the matrix that makes the surface most
+    like a rough one.
+    """
     starts = []
     lamps = places.lamps
-    _, null = places.integrability.null_vectors()
+    null = places.integrability.null_vector()
+    level = np.linalg.lstsq(lamps, np.ones(len(lamps)), rcond=None)[0]
     for sign in (1.0, -1.0):
-        across = sign * null[0].reshape(2, 3).T
+        across = sign * null.T
         size = np.sqrt(np.mean(np.sum((lamps @ across) ** 2, axis=1)))
-        level = np.linalg.lstsq(lamps, np.ones(len(lamps)), rcond=None)[0]
-        for slant in SLANTS:
-            starts.append(np.column_stack([across, size / slant * level]))
+        starts += [np.column_stack([across, size / slant * level]) for slant in SLANTS]
     if rough is not None:
         starts.append(_like(places.vectors, rough))
     starts = [C / np.linalg.norm(C) for C in starts if np.isfinite(C).all()]
-    for C in starts:
-        if np.linalg.det(C) < 0:
-            C[:, 2] *= -1  # G mirrors b: lamps are in front of it by S C/det G all the same
-    return [C for C in starts if np.linalg.det(C) > 1e-10]
+    return [C for C in starts if abs(np.linalg.det(C)) > 1e-10]
 
 
 def _like(vectors: Array, normals: Array) -> Array:
     """C of the G with which b G is most like albedo times given normals, in alternation."""
     G = np.linalg.lstsq(vectors, normals, rcond=None)[0]
     for _ in range(10):
-        albedo = np.maximum(np.einsum("pi,pi->p", vectors @ G, normals), 0.0)
+        albedo = np.maximum(_dot(vectors @ G, normals), 0.0)
         weight = 1 / (albedo + 0.1 * albedo.mean() + 1e-12)
         G = np.linalg.lstsq(
             vectors * weight[:, None], normals * (albedo * weight)[:, None], rcond=None
@@ -177,4 +390,4 @@ def _like(vectors: Array, normals: Array) -> Array:
         G /= max(np.linalg.norm(G), 1e-12)
     if np.linalg.matrix_rank(G, tol=1e-6) < 3:
         return np.full((3, 3), np.nan)
-    return np.asarray(np.linalg.inv(G).T * np.linalg.det(G))
+    return np.asarray(np.linalg.inv(G).T)

@@ -8,9 +8,7 @@ itself with shadows and metals (`surfaces`).
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,8 +29,8 @@ from pbrfit.fit.lamps.joint import (
 )
 from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Noise
-from pbrfit.fit.lamps.shape import FirstShape
-from pbrfit.fit.run import Progress, material_errors
+from pbrfit.fit.lamps.samples import FirstShape
+from pbrfit.fit.run import Trace, material_errors
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
 from pbrfit.fit.settings import LAMP_PIXELS
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
@@ -41,7 +39,6 @@ from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
-from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import Uncertainty
@@ -143,67 +140,6 @@ class Found:
     """Horizontal field of view in degrees."""
 
 
-class _Clock:
-    """Stages, history and limits of a fit of lamps."""
-
-    def __init__(self, scene: Scene, setup: FitSetup) -> None:
-        self.scene, self.setup = scene, setup
-        self.stages: list[Stage] = []
-        self.rows: list[HistoryRow] = []
-        self.steps = 0
-        self.unmeasured = 0.0
-        self.late_in: str | None = None
-        """The stage in which the time limit was reached."""
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds since the fit began."""
-        return time.perf_counter() - self.setup.began - self.unmeasured
-
-    def out_of_time(self) -> bool:
-        """Whether the limits of time or steps are reached."""
-        return self.late() or self.steps >= self.setup.options.iterations
-
-    def late(self) -> bool:
-        """Whether the time limit is reached."""
-        limit = self.setup.options.time_limit
-        return limit is not None and self.elapsed >= limit
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[list[str]]:
-        """Time a part, with notes about it."""
-        began, notes = self.elapsed, list[str]()
-        yield notes
-        self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
-        if self.late_in is None and self.late():
-            self.late_in = name
-
-    def record(self, fit: JointLamps, scale: float, samples: int) -> None:
-        """A row of the history, and a call of `progress`."""
-        shown = radiance(fit.pixels, fit.state)
-        residual = fit.pixels.residuals(shown)
-        rmse = float(np.sqrt(np.mean(residual**2))) * scale
-        self.rows.append(
-            HistoryRow(self.elapsed, self.steps, self.steps, fit.cost / max(samples, 1), rmse)
-        )
-        if self.setup.progress is not None:
-            began = time.perf_counter()
-            limit = self.setup.options.iterations
-            state = fit.state
-            maps = Materials(state.albedo, state.roughness, state.metallic)
-            self.setup.progress(
-                Progress(
-                    min(self.steps, limit),
-                    limit,
-                    self.steps,
-                    rmse,
-                    self.elapsed,
-                    lambda: (maps, state.ambient),
-                )
-            )
-            self.unmeasured += time.perf_counter() - began
-
-
 def learnt_roughness(
     pixels: LampPixels, state: LampState, prior: SurfacePrior, spreads: tuple[float, float]
 ) -> SurfacePrior:
@@ -278,7 +214,7 @@ class LampFit:
     ) -> None:
         self.scene, self.setup, self.options = scene, setup, setup.options
         self.begin, self.rounds = begin, rounds
-        self.clock = _Clock(scene, setup)
+        self.trace = Trace(setup.options, progress=setup.progress, began=setup.began)
         assert setup.options.model is not None
         self.model = setup.options.model
         self.start = start
@@ -294,7 +230,7 @@ class LampFit:
         labels = np.zeros(len(places), np.intp) if scene.labels is None else scene.labels[0]
         rows = evenly_spaced_over(labels, LAMP_PIXELS).astype(np.intp)
         fit = self.joint(places[rows])
-        with self.clock.stage("surfaces") as notes:
+        with self.trace.stage("surfaces") as notes:
             bands = self._bands(fit)
             metal = float(np.mean(np.concatenate([one.state.metallic for one in bands]) > 0.5))
             notes.append(f"{len(places)} pixels, {100 * metal:.2g} % metal")
@@ -302,10 +238,10 @@ class LampFit:
 
     def joint(self, places: NDArray[np.intp]) -> JointLamps:
         """The joint fit of pixels at places that explains them best."""
-        with self.clock.stage("lamps: start") as notes:
+        with self.trace.stage("lamps: start") as notes:
             few, starts = self._starts(places)
             notes += [name for name, _, _ in starts]
-        with self.clock.stage("lamps") as notes:
+        with self.trace.stage("lamps") as notes:
             fits = [(name, self._joint(few, lamps, albedo)) for name, lamps, albedo in starts]
             name, fit = min(
                 fits, key=lambda one: float(seen_error(one[1].pixels, one[1].state).sum())
@@ -360,8 +296,7 @@ class LampFit:
             return few, [("known lamps", *colored(few, known))]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
         if few.points is not None:
-            lamps, albedo, _ = near_lamps(few)
-            found.append(("near lamps", lamps, albedo))
+            found.append(("near lamps", *near_lamps(few)))
         return few, found
 
     def _offset_sigma(self, places: NDArray[np.intp]) -> Array:
@@ -390,7 +325,6 @@ class LampFit:
             normals=self.free_normals,
             places=False,
             colors=False,
-            ambient_terms=self.ambient_terms,
             same_lamp=self.options.same_lamp,
         )
         prior = first_prior(few, self._offset_sigma(few.places))
@@ -401,18 +335,15 @@ class LampFit:
         near = bool(lamps.near.any())
         noise = Noise.first(few, proportional=near)
         fit = JointLamps(few, state, noise, prior, freedom, lit=self.lit_at(few))
-        samples = int(np.count_nonzero(few.weights))
         fit.reweigh(renew=False)
         fit.state, _, _ = fit_surfaces(
             few, fit.state, fit.weights, fit.prior, iterations=10, free_normals=freedom.normals
         )
-        if not self.clock.rows:
-            self.clock.record(fit, few.scale, samples)
+        if not self.trace.rows:
+            self._record(fit)
         first = 0 if self.begin is None else CONTINUED_ROUND
         for number in range(first, self.rounds):
-            if self.clock.steps >= self.options.iterations or (
-                number > first and self.clock.late()
-            ):
+            if self.trace.left <= 0 or (number > first and self.trace.out_of_time()):
                 break  # lamps as they began leave too much to be a result
             if number in LOOKS:
                 factors, degrees = LOOKS[number]
@@ -437,7 +368,9 @@ class LampFit:
                 and self._relative_left(fit) < NOTHING_LEFT
             ):
                 fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
-            self.clock.steps += minimize(fit, steps=STEPS, stop=self.clock.out_of_time)
+            made = minimize(fit, steps=STEPS, stop=lambda: not self.trace.goes_on)
+            self.trace.iteration += made
+            self.trace.evaluations += made
             fit.state, _, _ = fit_surfaces(
                 few,
                 fit.state,
@@ -450,8 +383,19 @@ class LampFit:
             spreads = ROUGHNESS_SPREADS if freedom.normals else KNOWN_NORMALS_SPREADS
             fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)
             fit.reweigh()
-            self.clock.record(fit, few.scale, samples)
+            self._record(fit)
         return fit
+
+    def _record(self, fit: JointLamps) -> None:
+        """A row of the history, and a call of `progress`."""
+        trace, pixels, state = self.trace, fit.pixels, fit.state
+        residual = pixels.residuals(radiance(pixels, state))
+        rmse = float(np.sqrt(np.mean(residual**2))) * pixels.scale
+        loss = fit.cost / max(int(np.count_nonzero(pixels.weights)), 1)
+        done = trace.iteration, trace.evaluations
+        trace.rows.append(HistoryRow(trace.elapsed, *done, loss, rmse))
+        maps = Materials(state.albedo, state.roughness, state.metallic)
+        trace.tell(rmse, lambda: (maps, state.ambient))
 
     def _look(self, fit: JointLamps, scales: tuple[float, ...], fields: tuple[float, ...]) -> None:
         """Choose roughnesses of labels, a scale of all lamps and a field of view.
@@ -583,11 +527,6 @@ class LampFit:
             state, left = surfaces.better_of(state, left, *self._fitted(fit, begin))
         fit.state = state
 
-    @property
-    def ambient_terms(self) -> int:
-        """Coefficients of ambient light: a constant; more would stand for the lamps themselves."""
-        return 1
-
     def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
         """Which samples of some pixels lamps reach, by rays; None without surroundings."""
         scenery = self._scenery
@@ -684,7 +623,7 @@ class LampFit:
                     scene.width,
                     metals=self.options.metallic is None,
                     uncertain=self._covariance(fit) if self.options.uncertainty else None,
-                    once=self.clock.late(),
+                    once=self.trace.out_of_time(),
                 )
             )
         return found
@@ -709,8 +648,8 @@ class LampFit:
     # Output
 
     def _output(self, fit: JointLamps, bands: list[surfaces.Band]) -> FitOutput:
-        scene, clock = self.scene, self.clock
-        seconds, scale = clock.elapsed, fit.pixels.scale
+        scene, trace = self.scene, self.trace
+        seconds, scale = trace.elapsed, fit.pixels.scale
 
         def whole(name: str) -> Array:
             return _map(np.concatenate([getattr(one.state, name) for one in bands]), scene.valid)
@@ -721,19 +660,13 @@ class LampFit:
         maps = Materials(whole("albedo"), whole("roughness"), whole("metallic"))
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * scale)
         errors = {} if scene.truth is None else material_errors(maps, scene.truth.materials)
-        loss = clock.rows[-1].loss if clock.rows else 0.0
-        row = HistoryRow(seconds, clock.steps, clock.steps, loss, rmse, **errors)
-        limit = self.options.time_limit
-        status, reason = Status.CONVERGED, "lamps, ambient light and surfaces change no more"
-        if clock.late_in is not None:
-            status = Status.TIME_LIMIT
-            reason = (
-                f"time limit of {limit:g} s reached in stage {clock.late_in}; pixels that were "
-                "left were fitted once, under the lamps so far"
-            )
-        elif clock.steps >= self.options.iterations:
-            status = Status.ITERATION_LIMIT
-            reason = f"{clock.steps} iterations were made"
+        row = HistoryRow(
+            seconds, trace.iteration, trace.evaluations, trace.rows[-1].loss, rmse, **errors
+        )
+        once = "; pixels that were left were fitted once, under the lamps so far"
+        status, reason = trace.ended(
+            "lamps, ambient light and surfaces change no more", once if trace.out_of_time() else ""
+        )
         refined = self.free_normals and scene.normals_known
         why = "asked for" if refined else FROM_PICTURES if self.free_normals else "held"
         return FitOutput(
@@ -743,10 +676,10 @@ class LampFit:
             uncertainty=self._uncertainty(fit, bands, scale) if self.options.uncertainty else None,
             status=status,
             reason=reason,
-            rows=(*clock.rows, row),
-            evaluations=clock.steps,
-            iterations=clock.steps,
-            stages=tuple(clock.stages),
+            rows=(*trace.rows, row),
+            evaluations=trace.evaluations,
+            iterations=trace.iteration,
+            stages=tuple(trace.stages),
             seconds=seconds,
             refinement=Refinement(self.options.refine_normals, refined, why),
             camera=Camera(self.fov, "given" if scene.fov_known else "fitted"),

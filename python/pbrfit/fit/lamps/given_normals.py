@@ -90,8 +90,8 @@ def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     )
 
 
-def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, float]:
-    """A near lamp for each picture, albedos (P, 3), and how much they leave: Σ|I − c ρ s|/Σ I."""
+def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
+    """A near lamp for each picture, and albedos (P, 3)."""
     assert pixels.points is not None
     few = pixels.of_rows(evenly_spaced(len(pixels), NEAR_PIXELS).astype(np.intp))
     points = few.points
@@ -102,12 +102,11 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
     size = high - low
     low, high = low - OUTSIDE * size, high + OUTSIDE * size
-    low[2], high[2] = low[2], front * float(np.median(np.linalg.norm(points, axis=-1)))
+    high[2] = float(np.median(np.linalg.norm(points, axis=-1)))
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, GRID, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     cell = np.array([axis[1] - axis[0] for axis in axes])
     places = np.zeros((pixels.pictures, 3))
-    left = np.zeros(pixels.pictures)
     everywhere = _shading(few, grid)
     corners = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     for _ in range(NEAR_ROUNDS):
@@ -122,7 +121,7 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
                 scores, colors = _judged(grey[:, i], albedo, nearby, usable[:, i])
                 best = int(np.argmin(scores))
                 place, width = around[best], width / 2
-                left[i], shading[:, i] = scores[best], colors[best] * nearby[best]
+                shading[:, i] = colors[best] * nearby[best]
             places[i] = place
         bright = usable & (shading > 0) & (grey > DARK * grey.mean(axis=0))
         ratio = np.where(bright, np.log(np.maximum(grey, TINY) / np.maximum(shading, TINY)), np.nan)
@@ -131,19 +130,18 @@ def near_lamps(pixels: LampPixels, front: float = 1.0) -> tuple[Lamps, Array, fl
             found = np.nanmedian(ratio, axis=1)
         found = np.where(np.isfinite(found), found, np.nanmedian(found))
         albedo = np.exp(found - found.mean()) * ALBEDO_MEAN
-    places, _ = _refined(few, grey, usable, places, FIRST_SCALE)
+    places = _refined(few, grey, usable, places, FIRST_SCALE)
     grey, usable = grey_samples(pixels.samples, pixels.told)
-    places, left_over = _refined(pixels, grey, usable, places, SECOND_SCALE)
+    places = _refined(pixels, grey, usable, places, SECOND_SCALE)
     lamps = Lamps(np.arange(pixels.pictures), places, np.ones(pixels.pictures, bool))
     shading = _shading(pixels, places).T
-    lamps, of_all = colored_by(pixels, lamps, shading, (shading > 0).astype(np.float64))
-    return lamps, of_all, left_over
+    return colored_by(pixels, lamps, shading, (shading > 0).astype(np.float64))
 
 
 def _refined(
     few: LampPixels, grey: Array, usable: NDArray[np.bool_], places: Array, first: float
-) -> tuple[Array, float]:
-    """Places by Gauss and Newton on logarithms, and the median of what they leave.
+) -> Array:
+    """Places by Gauss and Newton on logarithms.
 
     With a = ln ρ of each pixel and b = ln c of each lamp the residual ln I − a − b − ln s is linear
     in a and b, and ln s = ln n·(q−p) − 3 ln |q−p| has the slope n/(n·(q−p)) − 3 (q−p)/|q−p|² by q.
@@ -156,7 +154,6 @@ def _refined(
     dark = grey < DARK * grey.mean(axis=0)
     logs = np.log(np.maximum(grey, TINY))
     a, b = np.zeros(count), np.zeros(lamps)
-    residual = np.zeros_like(grey)
     for number in range(REFINING_STEPS):
         away = places[:, None] - points
         squared = np.maximum((away**2).sum(axis=-1), TINY)
@@ -188,8 +185,7 @@ def _refined(
         longest = 0.3 * float(np.median(np.sqrt(squared)))
         places = places + change[:, :3] * np.minimum(1, longest / np.maximum(length, TINY))[:, None]
         b = b + change[:, 3]
-    told = lit & (weights > 0.1)
-    return places, float(np.median(np.abs(residual[told]))) if told.any() else np.inf
+    return places
 
 
 def _shading(pixels: LampPixels, places: Array) -> Array:

@@ -49,17 +49,6 @@ ROUNDS = 5
 """Rounds in which jumps of depth, where no surface goes on, are weighed down."""
 
 
-BLOCKS_DRAWN = 6
-"""Blocks that a null vector is tried from: six unknowns need more than one shape."""
-
-DRAWS = 60
-"""Draws of blocks: if a third of them is spoiled, 0.67⁶ = 9 % of the draws are clean, and one of 60
-is so with a probability of 99.6 %."""
-
-JUDGED = 4000
-"""Equations that draws are judged by."""
-
-
 @dataclass(frozen=True, eq=False)
 class Integrability:
     """Equations of integrability, summed.
@@ -76,17 +65,11 @@ class Integrability:
     noise: Array
     blocks: int
 
-    def ratios(self, C: Array) -> tuple[Array, Array]:
-        """Cᵀ Q C and Cᵀ N C, (T,) each, for C (T, 3, 3)."""
-        c = np.swapaxes(C, 1, 2).reshape(-1, 9)
-        return ((c @ self.squares) * c).sum(axis=1), ((c @ self.noise) * c).sum(axis=1)
-
-    def null_vectors(self) -> tuple[Array, Array]:
-        """c₁ and c₂ (6,) with c₃ = 0 by rising ratio: (6,) ratios, (6, 6) in rows."""
+    def null_vector(self) -> Array:
+        """c₁ and c₂ (2, 3) of the least ratio with c₃ = 0."""
         Q, N = self.squares[:6, :6], self.noise[:6, :6]
         N = N + 1e-9 * np.trace(N) * np.eye(6)
-        values, vectors = scipy.linalg.eigh(Q, N)
-        return values, vectors.T
+        return np.asarray(scipy.linalg.eigh(Q, N, subset_by_index=(0, 0))[1][:, 0].reshape(2, 3))
 
 
 def equations(
@@ -121,7 +104,7 @@ def equations(
     inside[1:-1, 1:-1] = (
         mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
     )
-    row, column = np.nonzero(inside & (blocks >= 0))
+    row, column = np.nonzero(inside)
     b = smooth[row, column]
     along_x = (smooth[row, column + 1] - smooth[row, column - 1]) / 2
     along_y = (smooth[row - 1, column] - smooth[row + 1, column]) / 2
@@ -134,65 +117,22 @@ def equations(
     # Equations count by the square of the direction of b alone, not by brightness.
     size = np.maximum(np.einsum("pi,pi->p", b, b), np.finfo(np.float64).tiny)
     rows /= size[:, None]
-    cross = _cross_matrices(b)
-    shaken = np.einsum("pij,pjk,plk->pil", cross, covariances[row, column], cross)
+    cross = np.cross(np.eye(3), b[:, None])  # rows e_i × b, which is [b]ₓ
+    shaken = cross @ covariances[row, column] @ np.swapaxes(cross, 1, 2)
     shaken /= size[:, None, None] ** 2
-    factors = np.zeros((len(b), 3, 3))
-    factors[:, 0, 0] = factors[:, 1, 1] = 1
-    factors[:, 0, 2] = factors[:, 2, 0] = x
-    factors[:, 1, 2] = factors[:, 2, 1] = y
-    factors[:, 2, 2] = x**2 + y**2
+    # A column's row of derivatives, (1, 0), (0, 1) and (x, y), by those of the others.
+    by = np.stack([[1 + 0 * x, 0 * x], [0 * x, 1 + 0 * x], [x, y]])
+    factors = np.einsum("adp,bdp->pab", by, by)
     count = len(np.unique(blocks[row, column]))
-
-    def gathered_at(at: NDArray[np.intp]) -> Integrability:
-        mean = np.einsum("pab,pij->aibj", factors[at], shaken[at], optimize=True)
-        return Integrability(rows[at].T @ rows[at], mean.reshape(9, 9), count)
-
-    def gathered(weights: Array) -> Integrability:
+    weights = np.ones(len(b))
+    for _ in range(ROUNDS + 1):
         mean = np.einsum("p,pab,pij->aibj", weights, factors, shaken, optimize=True)
-        return Integrability((rows * weights[:, None]).T @ rows, mean.reshape(9, 9), count)
-
-    def relative(null: Array, at: slice) -> Array:
-        halves = null.reshape(2, 3)
-        shake = np.einsum("ki,pij,kj->p", halves, shaken[at], halves, optimize=True)
-        deviation = np.sqrt(np.maximum(shake, np.finfo(np.float64).tiny))
-        return np.asarray(np.abs(rows[at, :6] @ null) / deviation)
-
-    best = gathered(np.ones(len(b)))
-    if not len(b):
-        return best
-    if count > BLOCKS_DRAWN:
-        # Jumps and shadows' edges may outweigh all else in a sum of squares: the null vector is
-        # that of a few blocks, drawn many times, for which the median residual is least.
-        ids, block = np.unique(blocks[row, column], return_inverse=True)
-        order = np.argsort(block, kind="stable")
-        ends = np.searchsorted(block[order], np.arange(len(ids) + 1))
-        parts = [order[ends[k] : ends[k + 1]] for k in range(len(ids))]
-        sums = [gathered_at(part) for part in parts]
-        at = slice(None, None, max(len(b) // JUDGED, 1))
-        least = float(np.median(relative(best.null_vectors()[1][0], at)))
-        draws = np.random.default_rng(0)
-        for _ in range(DRAWS):
-            some = draws.choice(len(parts), BLOCKS_DRAWN, replace=False)
-            tried = Integrability(
-                np.sum([sums[k].squares for k in some], axis=0),
-                np.sum([sums[k].noise for k in some], axis=0),
-                count,
-            )
-            middle = float(np.median(relative(tried.null_vectors()[1][0], at)))
-            if middle < least:
-                least, best = middle, tried
-    for _ in range(ROUNDS):
-        misfit = relative(best.null_vectors()[1][0], slice(None))
+        found = Integrability((rows * weights[:, None]).T @ rows, mean.reshape(9, 9), count)
+        if not len(b):
+            break
+        halves = found.null_vector()
+        variance = np.einsum("ki,pij,kj->p", halves, shaken, halves, optimize=True)
+        misfit = np.abs(rows[:, :6] @ halves.ravel()) / np.sqrt(np.maximum(variance, 1e-300))
         middle = max(1.4826 * float(np.median(misfit)), np.finfo(np.float64).tiny)
-        best = gathered(1 / (1 + (misfit / (3 * middle)) ** 2) ** 2)
-    return best
-
-
-def _cross_matrices(b: Array) -> Array:
-    """[b]ₓ (P, 3, 3), with [b]ₓ v = b×v."""
-    found = np.zeros((len(b), 3, 3))
-    found[:, 0, 1], found[:, 0, 2] = -b[:, 2], b[:, 1]
-    found[:, 1, 0], found[:, 1, 2] = b[:, 2], -b[:, 0]
-    found[:, 2, 0], found[:, 2, 1] = -b[:, 1], b[:, 0]
+        weights = 1 / (1 + (misfit / (3 * middle)) ** 2) ** 2
     return found

@@ -27,6 +27,7 @@ from pbrfit.fit.lamps.problem import (
     MEAN_RADIANCE,
     LampPixels,
     LampState,
+    Slopes,
     radiance,
     slopes,
     tangents,
@@ -83,8 +84,6 @@ class Freedom:
     normals: bool
     places: bool = True
     colors: bool = True
-    ambient_terms: int = 1
-    """Coefficients of each picture's ambient light: 0, 1, 4 or 9."""
     same_lamp: bool = False
     """Whether all lamps have one colour."""
     scale: bool = False
@@ -183,8 +182,7 @@ class JointLamps:
         return float(max(1 - taken / samples, 0.1))
 
     def _size(self) -> int:
-        count = 6 * len(self.state.lamps)
-        return count + 3 * self.freedom.ambient_terms * self.pixels.pictures
+        return 6 * len(self.state.lamps) + 3 * self.pixels.pictures
 
     def scale_of(self, lamps: Lamps) -> Array:
         """(4,): what the lamps' strength and tint are off, in standard deviations of their prior.
@@ -211,10 +209,7 @@ class JointLamps:
         shown = radiance(self.pixels, state) if shown is None else shown
         residuals = self.pixels.residuals(shown)
         cost = float((self.weights * residuals * residuals).sum())
-        cost += (
-            float((state.ambient[:, : self.freedom.ambient_terms] ** 2).sum())
-            / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
-        )
+        cost += float((state.ambient**2).sum()) / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
         surface = np.concatenate(
             [
                 offsets(self.pixels.normals, state.normals),
@@ -259,8 +254,8 @@ class JointLamps:
 
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
-        pixels, state, terms = self.pixels, self.state, self.freedom.ambient_terms
-        found = slopes(pixels, state, ambient_terms=terms)
+        pixels, state = self.pixels, self.state
+        found = slopes(pixels, state)
         residuals = pixels.residuals(found.radiance)
         bounded = (residuals == 0) & (pixels.limits > 0)
         weights = np.where(bounded, 0.0, self.weights)
@@ -304,11 +299,9 @@ class JointLamps:
             mixed[..., columns] = np.einsum("pcu,pcm->pum", weighted[:, i], slope)
         # Priors of what is shared.
         first = 6 * lamps
-        if terms:
-            precision_of = 1 / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
-            values = state.ambient[:, :terms].reshape(-1)
-            gradient[first:] += precision_of * values
-            shared[np.arange(first, size), np.arange(first, size)] += precision_of
+        precision_of = 1 / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
+        gradient[first:] += precision_of * state.ambient[:, 0].reshape(-1)
+        np.einsum("mm->m", shared)[first:] += precision_of
         if self.freedom.colors:
             slope = np.zeros((4, size))
             slope[:, 3 * lamps : first] = self._slope_of_scale(state.lamps)
@@ -316,36 +309,24 @@ class JointLamps:
             gradient += slope.T @ self.scale_of(state.lamps)
         return shared, gradient, own, mixed, gradients
 
-    def _of_picture(self, picture: int, found: object) -> tuple[NDArray[np.intp], Array]:
+    def _of_picture(self, picture: int, found: Slopes) -> tuple[NDArray[np.intp], Array]:
         """Which of the shared unknowns a picture sees, and its slopes (P, 3, those)."""
-        lamps, terms = self.state.lamps, self.freedom.ambient_terms
-        count = len(self.pixels)
-        of = np.flatnonzero(lamps.pictures == picture)
+        lamps, count = self.state.lamps, len(self.pixels)
         columns, parts = [], []
-        for k in of:
-            slope = found.by_place[:, k]  # type: ignore[attr-defined]
+        for k in np.flatnonzero(lamps.pictures == picture):
             if self.freedom.places:
                 columns.append(3 * k + np.arange(3))
-                parts.append(slope)
+                parts.append(found.by_place[:, k])
             if self.freedom.colors:
-                by_color = np.zeros((count, 3, 3))
-                np.einsum("pcc->pc", by_color)[:] = found.by_color[:, k]  # type: ignore[attr-defined]
-                columns.append(3 * len(lamps) + 3 * k + np.arange(3))
-                parts.append(by_color)
-        if terms:
-            by_ambient = np.zeros((count, 3, terms, 3))
-            weights = found.by_ambient[..., :terms]  # type: ignore[attr-defined]
-            for c in range(3):
-                by_ambient[:, c, :, c] = weights[:, c]
-            columns.append(6 * len(lamps) + 3 * terms * picture + np.arange(3 * terms))
-            parts.append(by_ambient.reshape(count, 3, -1))
-        if not columns:
-            return np.zeros(0, np.intp), np.zeros((count, 3, 0))
+                columns.append(3 * (len(lamps) + k) + np.arange(3))
+                parts.append(found.by_color[:, k, :, None] * np.eye(3))
+        columns.append(6 * len(lamps) + 3 * picture + np.arange(3))
+        parts.append(np.broadcast_to(found.by_ambient[..., :1] * np.eye(3), (count, 3, 3)))
         return np.concatenate(columns), np.concatenate(parts, axis=-1)
 
     def _moved(self, system: tuple[Array, Array, Array, Array, Array]) -> LampState | None:
         """The state after a step with the present damping; None if there is none."""
-        lamps, terms = self.state.lamps, self.freedom.ambient_terms
+        lamps = self.state.lamps
         found = step_of(*system, self.directions(len(system[1])), self.damping)
         if found is None:
             return None
@@ -353,8 +334,7 @@ class JointLamps:
         places = change[: 3 * len(lamps)].reshape(-1, 3)
         colors = change[3 * len(lamps) : 6 * len(lamps)].reshape(-1, 3)
         ambient = self.state.ambient.copy()
-        if terms:
-            ambient[:, :terms] += change[6 * len(lamps) :].reshape(-1, terms, 3)
+        ambient[:, 0] += change[6 * len(lamps) :].reshape(-1, 3)
         reach = np.where(lamps.near, np.linalg.norm(lamps.places, axis=-1), 1.0)
         longest = np.maximum(np.linalg.norm(places, axis=-1) / (PLACE_STEP_MAX * reach), 1.0)
         moved = lamps.places + places / longest[:, None]
@@ -382,20 +362,18 @@ class JointLamps:
 
     def directions(self, size: int) -> Directions:
         """In which what is shared may move: places, colours, ambient light."""
-        lamps, terms = self.state.lamps, self.freedom.ambient_terms
-        count, pictures = len(lamps), self.pixels.pictures
+        lamps, count = self.state.lamps, len(self.state.lamps)
         found = Directions(size)
         if self.freedom.places:
             frames = tangents(np.where(lamps.near[:, None], [0.0, 0.0, 1.0], lamps.places))
             for k in range(count):
                 vectors = np.eye(3) if lamps.near[k] else frames[k]
-                found.add(3 * k + np.arange(3), vectors.T, int(lamps.pictures[k]))
+                found.add(3 * k + np.arange(3), vectors.T)
         if self.freedom.colors:
             for k in range(1 if self.freedom.same_lamp else count):
                 rows = 3 * np.arange(count if self.freedom.same_lamp else 1)[:, None] + 3 * k
                 at = (3 * count + rows + np.arange(3)).ravel()
-                group = pictures if self.freedom.same_lamp else int(lamps.pictures[k])
-                found.add(at, np.tile(np.eye(3), (len(rows), 1)), group)
+                found.add(at, np.tile(np.eye(3), (len(rows), 1)))
             if not self.freedom.scale:
                 # Changes leave the mean logarithm of each channel.
                 by_log = 1 / np.maximum(lamps.colors, 1e-12)
@@ -403,10 +381,8 @@ class JointLamps:
                     slope = np.zeros(size)
                     slope[3 * count + c : 6 * count : 3] = by_log[:, c]
                     found.held.append(slope)
-        if terms:
-            for i in range(pictures):
-                at = 6 * count + 3 * terms * i + np.arange(3 * terms)
-                found.add(at, np.eye(3 * terms), i)
+        for i in range(self.pixels.pictures):
+            found.add(6 * count + 3 * i + np.arange(3), np.eye(3))
         return found
 
 

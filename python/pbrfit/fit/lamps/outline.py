@@ -44,16 +44,13 @@ class Outline:
     ----------
     rows, columns
         (E,) where they are.
-    outward
-        (E, 3) unit vectors perpendicular to the view: the azimuth of normals.
-    facing
-        (E,) n·v of the ball there.
+    normals
+        (E, 3) of the ball there.
     """
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
-    outward: Array
-    facing: Array
+    normals: Array
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -63,7 +60,7 @@ def outline(mask: Mask, views: Array) -> Outline:
     """Outline of a mask (H, W) seen along views (H, W, 3); of length 0 if it has none."""
     none = np.zeros(0, np.intp)
     if mask.all() or not mask.any():
-        return Outline(none, none, np.zeros((0, 3)), np.zeros(0))
+        return Outline(none, none, np.zeros((0, 3)))
     distance = np.asarray(distance_transform_edt(mask)) - 0.5
     rows, columns = np.nonzero(mask & (distance >= NEAREST) & (distance <= FARTHEST))
     blurred = gaussian_filter(mask.astype(np.float64), SMOOTHING, mode="nearest")
@@ -73,14 +70,14 @@ def outline(mask: Mask, views: Array) -> Outline:
     clear = length > 0.02  # of a pixel's step; smaller where thin parts have two outlines
     rows, columns, slope = rows[clear], columns[clear], slope[clear] / length[clear, None]
     if len(rows) < OUTLINE_MIN:
-        return Outline(none, none, np.zeros((0, 3)), np.zeros(0))
+        return Outline(none, none, np.zeros((0, 3)))
     view = views[rows, columns]
     outward = np.concatenate([slope, np.zeros((len(rows), 1))], axis=1)
     outward -= np.einsum("ei,ei->e", outward, view)[:, None] * view
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     radius = local_radius(distance)[rows, columns]
-    share = np.clip(distance[rows, columns] / radius, 0.0, 1.0)
-    return Outline(rows, columns, outward, np.sqrt(1 - (1 - share) ** 2))
+    across = 1 - np.clip(distance[rows, columns] / radius, 0.0, 1.0)[:, None]
+    return Outline(rows, columns, across * outward + np.sqrt(1 - across**2) * view)
 
 
 def local_radius(distance: Array) -> Array:
@@ -101,11 +98,13 @@ def local_radius(distance: Array) -> Array:
     return found
 
 
-def inflated(mask: Mask, views: Array) -> Array:
-    """Normals (H, W, 3) of the mask blown up as a balloon, a rough shape to start from.
+def rough_shape(mask: Mask, views: Array) -> Array:
+    """Normals (H, W, 3) of the mask blown up as a balloon; of a plane if it has no outline.
 
     n·v is as in `Outline`, the azimuth away from the nearest middle.
     """
+    if not len(outline(mask, views)):
+        return np.array(views, np.float64)
     padded = np.pad(mask, 1, mode="edge")
     distance = np.asarray(distance_transform_edt(padded))[1:-1, 1:-1] - 0.5
     radius = local_radius(distance)

@@ -20,9 +20,7 @@ Communications of the ACM 24, 1981), and repeated weighted least squares start a
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,15 +65,12 @@ class PseudoNormals:
     weights
         (P, N) in [0, 1]: how much each sample counts; 0 in shadow.
     precision
-        (P, 3, 3) Σ_n w s sᵀ/(σ q)²: inverse of b's covariance.
-    scale
-        σ.
+        (P, 3, 3) Σ_n w s sᵀ/σ²: inverse of b's covariance.
     """
 
     vectors: Array
     weights: Array
     precision: Array
-    scale: float
 
 
 def brightness(samples: Array, usable: Mask) -> Array:
@@ -91,44 +86,30 @@ def brightness(samples: Array, usable: Mask) -> Array:
     return np.maximum(middle, max(floor, np.finfo(np.float64).tiny))
 
 
-def pseudo_normals(
-    samples: Array,
-    usable: Mask,
-    lamps: Array,
-    *,
-    start: Array | None = None,
-    scale: float | None = None,
-    rounds: int = ROUNDS,
-) -> PseudoNormals:
-    """The pseudo-normal of each pixel under known lamps.
+def pseudo_normals(relative: Array, usable: Mask, lamps: Array) -> PseudoNormals:
+    """The pseudo-normal of each pixel, divided by its brightness, under known lamps.
 
     Parameters
     ----------
-    samples
-        (P, N) radiance.
+    relative
+        (P, N) radiance, divided by the pixel's brightness.
     usable
         (P, N): samples to be used.
     lamps
         (N, 3): direction times strength.
-    start
-        (P, 3) where to start; None = the best of triples of samples.
-    scale
-        σ; None = found from the samples.
-    rounds
-        Of weighted least squares.
     """
-    bright = brightness(samples, usable)
-    relative = samples / bright[:, None]
-    found = _best_of_triples(relative, usable, lamps) if start is None else start / bright[:, None]
-    sigma = SCALE_START if scale is None else scale
-    for _ in range(rounds):
-        weights = weights_of(relative, usable, found @ lamps.T, sigma)
-        found = _solved(relative, weights, lamps)
-        if scale is None:
-            sigma = scale_of(relative, usable, found @ lamps.T)
+    found = _best_of_triples(relative, usable, lamps)
+    sigma = SCALE_START
+    for _ in range(ROUNDS):
+        found = refined(relative, usable, lamps, found, sigma)
+        sigma = scale_of(relative, usable, found @ lamps.T)
     weights = weights_of(relative, usable, found @ lamps.T, sigma)
-    precision = moments(weights, lamps) / (sigma * bright[:, None, None]) ** 2
-    return PseudoNormals(found * bright[:, None], weights, precision, sigma)
+    return PseudoNormals(found, weights, moments(weights, lamps) / sigma**2)
+
+
+def refined(relative: Array, usable: Mask, lamps: Array, vectors: Array, sigma: float) -> Array:
+    """Pseudo-normals (P, 3) after a round of weighted least squares at each pixel."""
+    return solved(relative, weights_of(relative, usable, vectors @ lamps.T, sigma), lamps)
 
 
 def moments(weights: Array, lamps: Array) -> Array:
@@ -145,72 +126,55 @@ def weights_of(relative: Array, usable: Mask, predicted: Array, sigma: float) ->
     return weights
 
 
-def _solved(relative: Array, weights: Array, lamps: Array) -> Array:
+def solved(relative: Array, weights: Array, lamps: Array) -> Array:
     """Weighted least squares at each pixel; 0 in directions that samples say nothing of."""
-    matrices = moments(weights, lamps)
-    size = np.einsum("nx,nx->", lamps, lamps) / len(lamps)
     # The ridge is far below what any usable sample weighs: it decides only where nothing does.
-    matrices += 1e-9 * size * np.eye(3)
+    ridge = 1e-9 * (lamps**2).sum() / len(lamps)
+    matrices = moments(weights, lamps) + ridge * np.eye(3)
     return np.asarray(np.linalg.solve(matrices, ((weights * relative) @ lamps)[..., None])[..., 0])
 
 
 def scale_of(relative: Array, usable: Mask, predicted: Array) -> float:
     """σ from the median residual of lit samples, less what three unknowns a pixel take of it."""
     lit = usable & (relative >= DARK)
-    if not lit.any():
-        return SCALE_START
-    count = lit.sum(axis=1)
-    free = np.maximum(count - 3, 0).sum() / max(int(count.sum()), 1)
-    if free <= 0:
+    free = np.maximum(lit.sum(axis=1) - 3, 0).sum() / max(np.count_nonzero(lit), 1)
+    if free == 0:
         return SCALE_MIN
-    median = float(np.median(np.abs((relative - predicted)[lit])))
-    return float(np.clip(MEDIAN_TO_SIGMA * median / math.sqrt(free), SCALE_MIN, SCALE_START))
+    median = np.median(np.abs((relative - predicted)[lit]))
+    return float(np.clip(MEDIAN_TO_SIGMA * median / np.sqrt(free), SCALE_MIN, SCALE_START))
 
 
 def _triples(lamps: Array) -> NDArray[np.intp]:
     """(T, 3) triples of lamps that span space best, spread over all lamps; always the same ones."""
-    count = len(lamps)
-    if count <= 12:
-        chosen = np.array(list(combinations(range(count), 3)), dtype=np.intp)
-    else:
-        draws = np.random.default_rng(0).permuted(
-            np.tile(np.arange(count), (8 * TRIPLES_MAX, 1)), axis=1
-        )
-        chosen = np.unique(np.sort(draws[:, :3], axis=1), axis=0)
+    draws = np.random.default_rng(0)
+    order = draws.permuted(np.tile(np.arange(len(lamps)), (8 * TRIPLES_MAX, 1)), axis=1)
+    chosen = np.unique(np.sort(order[:, :3], axis=1), axis=0)
     length = np.linalg.norm(lamps, axis=1, keepdims=True)
     unit = lamps / np.maximum(length, np.finfo(np.float64).tiny)
-    first, second, third = np.moveaxis(unit[chosen], 1, 0)
-    volume: Array = np.abs(np.einsum("ti,ti->t", first, np.cross(second, third)))
+    volume = np.abs(np.linalg.det(unit[chosen]))
     # Of a triple's own noise, what reaches b grows as 1/volume: the half that amplifies it least,
     # thinned at random so that all lamps take part.
-    good = np.argsort(-volume, kind="stable")[: max(len(chosen) // 2, 1)]
-    good = good[np.asarray(volume)[good] > 1e-3 * np.max(volume)]
-    if len(good) > TRIPLES_MAX:
-        good = np.random.default_rng(1).choice(good, TRIPLES_MAX, replace=False)
-    return chosen[good]
+    good = chosen[volume >= max(np.median(volume), 1e-3 * volume.max())]
+    return draws.permutation(good)[:TRIPLES_MAX]
 
 
 def _best_of_triples(relative: Array, usable: Mask, lamps: Array) -> Array:
     """The b of a triple of samples, of each pixel, with the least robust misfit."""
-    counted = usable & (relative >= DARK)
-    plain = _solved(relative, counted.astype(np.float64), lamps)
+    plain = solved(relative, (usable & (relative >= DARK)).astype(np.float64), lamps)
     singular = np.linalg.svd(lamps, compute_uv=False)
     if len(lamps) < 4 or singular[2] < 1e-3 * singular[0]:
         return plain
     triples = _triples(lamps)
     inverses = np.linalg.inv(lamps[triples])  # b = S⁻¹ I
-    candidates = np.concatenate(
-        [np.einsum("txk,ptk->ptx", inverses, relative[:, triples]), plain[:, None]], axis=1
-    )
-    known = np.asarray(usable[:, triples].all(axis=2))
     best = np.empty_like(plain)
-    step = max(SAMPLES_AT_ONCE // (candidates.shape[1] * len(lamps)), 1)
+    step = max(SAMPLES_AT_ONCE // (len(triples) * len(lamps)), 1)
     for first in range(0, len(relative), step):
         part = slice(first, first + step)
-        predicted = np.maximum(candidates[part] @ lamps.T, 0.0)
-        squared = ((relative[part, None] - predicted) / SCALE_START) ** 2
-        misfit = np.where(usable[part, None], squared / (1 + squared), 0.0).sum(axis=2)
-        misfit[:, :-1][~known[part]] = np.inf
-        chosen = misfit.argmin(axis=1)
-        best[part] = candidates[part][np.arange(len(chosen)), chosen]
+        here, used = relative[part], usable[part]
+        tried = np.einsum("txk,ptk->ptx", inverses, here[:, triples])
+        tried = np.concatenate([tried, plain[part, None]], axis=1)
+        squared = ((here[:, None] - np.maximum(tried @ lamps.T, 0.0)) / SCALE_START) ** 2
+        misfit = np.where(used[:, None], squared / (1 + squared), 0.0).sum(axis=2)
+        misfit[:, :-1][~used[:, triples].all(axis=2)] = np.inf
+        best[part] = tried[np.arange(len(here)), misfit.argmin(axis=1)]
     return best

@@ -160,19 +160,13 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
 
     cost = cost_of(state)
     for _ in range(STEPS):
-        found = slopes(pixels, state, ambient_terms=terms)
+        found = slopes(pixels, state)
         residual = found.radiance - pixels.samples
         frame = tangents(state.lamps.places)[0]
         parts = [np.einsum("pcx,tx->pct", found.by_place[:, 0], frame)]
-        by_color = np.zeros((len(pixels), 3, 3))
-        np.einsum("pcc->pc", by_color)[:] = found.by_color[:, 0]
-        parts.append(by_color)
-        if terms:
-            assert found.by_ambient is not None
-            around = np.zeros((len(pixels), 3, terms, 3))
-            for c in range(3):
-                around[:, c, :, c] = found.by_ambient[:, c, :terms]
-            parts.append(around.reshape(len(pixels), 3, -1))
+        parts.append(found.by_color[:, 0, :, None] * np.eye(3))
+        around = found.by_ambient[:, :, :terms, None] * np.eye(3)[:, None]
+        parts.append(around.reshape(len(pixels), 3, -1))
         jacobian = np.concatenate(parts, axis=-1).reshape(3 * len(pixels), -1)
         w = pixels.weights[:, 0].reshape(-1)
         matrix = jacobian.T @ (w[:, None] * jacobian)

@@ -221,8 +221,8 @@ class Slopes:
     plane that is perpendicular to the direction."""
     by_color: Array
     """(P, K, 3): of each channel, by that channel of the colour."""
-    by_ambient: Array | None
-    """(P, 3, 16): by ambient light, of any picture; None where it is not asked for."""
+    by_ambient: Array
+    """(P, 3, 16): by ambient light, of any picture."""
 
 
 def tangents(normals: Array) -> Array:
@@ -239,8 +239,8 @@ def tangents(normals: Array) -> Array:
     return np.stack([first, second], axis=1)
 
 
-def slopes(pixels: LampPixels, state: LampState, *, ambient_terms: int) -> Slopes:
-    """At a state; ambient light has its first `ambient_terms` coefficients."""
+def slopes(pixels: LampPixels, state: LampState) -> Slopes:
+    """At a state."""
     lamps = state.lamps
     directions, strengths = state.incident(pixels)
     normals, albedo, roughness, metallic = surface_of(state)
@@ -273,20 +273,17 @@ def slopes(pixels: LampPixels, state: LampState, *, ambient_terms: int) -> Slope
         )
         by_place[:, near] += (lit * value)[:, near, :, None] * by_strength[:, :, None, :]
         by_place[:, near] /= distance[..., None]
-    by_ambient = None
-    if ambient_terms:
-        by_ambient = _core.shade(normals, *args, pixels.model).reshape(-1, 3, 16)
-        found += np.einsum("pcj,ijc->pic", by_ambient, state.ambient)
-        if state.ambient.any():
-            by_surface += _ambient_by_surface(pixels, state, frames, ambient_terms)
+    by_ambient = _core.shade(normals, *args, pixels.model).reshape(-1, 3, 16)
+    found += np.einsum("pcj,ijc->pic", by_ambient, state.ambient)
+    by_surface += _ambient_by_surface(pixels, state, frames)
     return Slopes(found, by_surface, by_place, strengths[..., None] * value, by_ambient)
 
 
-def _ambient_by_surface(pixels: LampPixels, state: LampState, frames: Array, terms: int) -> Array:
+def _ambient_by_surface(pixels: LampPixels, state: LampState, frames: Array) -> Array:
     """(P, N, 3, 7): what ambient light adds to `by_surface`: slopes of weights, times the light."""
     normals, albedo, roughness, metallic = surface_of(state)
     found = np.zeros((*pixels.samples.shape, 7))
-    for j in range(terms):
+    for j in np.flatnonzero(state.ambient.any(axis=(0, 2))):
         for c in range(3):
             cotangent = np.zeros((len(pixels), 3, 16))
             cotangent[:, c, j] = 1.0

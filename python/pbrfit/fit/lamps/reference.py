@@ -118,10 +118,10 @@ def _brightened(fit: JointLamps, step: Array) -> Array:
 
 def with_known_scale(covariance: Array, fit: JointLamps, variance: Array) -> Array:
     """(M, M): of the lights of a joint fit, where a reference tells the scale of each channel."""
-    lamps, terms = fit.state.lamps, fit.freedom.ambient_terms
+    lamps = fit.state.lamps
     count = len(lamps)
     measures, directions = np.zeros((3, len(covariance))), np.zeros((3, len(covariance)))
-    ambient = fit.state.ambient[:, :terms].reshape(-1, 3)
+    ambient = fit.state.ambient[:, 0]
     for c in range(3):
         colors = slice(3 * count + c, 6 * count, 3)
         measures[c, colors] = 1 / (count * np.maximum(lamps.colors[:, c], 1e-12))

@@ -1,4 +1,4 @@
-"""The samples of the pixels of a mask: grey ones and colours, and which are usable."""
+"""What a start is found from, the samples of the pixels of a mask, and what is found."""
 
 from __future__ import annotations
 
@@ -72,6 +72,26 @@ class Samples:
         found = np.full(self.mask.shape + values.shape[1:], outside)
         found[self.mask] = values
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class FirstShape:
+    """Normals and lamps far away that pictures alone have told, where a joint fit begins.
+
+    A sample is albedo times strength times max(n·l, 0).
+    """
+
+    normals: Array
+    """(H, W, 3), NaN outside the mask."""
+    albedo: Array
+    """(H, W, 3) linear, up to a factor for each channel; NaN outside the mask."""
+    directions: Array
+    strengths: Array
+    """(N, 3) each: unit vectors to the lamps, and their colours up to that factor."""
+    undetermined: tuple[str, ...]
+    """What the pictures leave open, each in words."""
+    note: str = ""
+    """How they were found, and what the pictures leave open."""
 
 
 def grey_samples(colors: Array, told: Mask) -> tuple[Array, Mask]:

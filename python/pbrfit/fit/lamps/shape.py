@@ -2,39 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class FirstShape:
-    """Normals and lamps far away that pictures alone have told, where a joint fit begins."""
-
-    normals: Array
-    """(H, W, 3), NaN outside the mask."""
-    directions: Array
-    strengths: Array
-    """(N, 3) each: unit vectors to the lamps, and their colours up to a factor a channel."""
-    albedo: Array
-    """(H, W, 3), likewise."""
-    note: str
-    """How they were found, and what the pictures leave open."""
-    undetermined: tuple[str, ...] = ()
-    """What the pictures leave open, each in words."""
-
-
-def first_shape(scene: Scene, places_max: int | None = None) -> FirstShape:
-    """Normals, and directions of the lamps, that the pictures of a scene tell by themselves.
-
-    `places_max` is as in `start_of_unknown_lamps`.
-    """
+def first_shape(scene: Scene) -> FirstShape:
+    """Normals, and directions of the lamps, that the pictures of a scene tell by themselves."""
     # Here and not above: scipy would double the time of `import pbrfit`.
     from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
@@ -51,18 +32,9 @@ def first_shape(scene: Scene, places_max: int | None = None) -> FirstShape:
         found = start_of_known_lamps(images, usable, scene.valid, scene.views, known.places, colors)
         note = "normals by known lamps"
     else:
-        found = start_of_unknown_lamps(
-            images, usable, scene.valid, scene.views, scene.fov, places_max=places_max
-        )
+        found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov)
         note = "normals and far lamps by the pictures"
-    return FirstShape(
-        found.normals,
-        found.directions,
-        found.strengths,
-        found.albedo,
-        "; ".join([note, *found.undetermined]),
-        tuple(found.undetermined),
-    )
+    return replace(found, note="; ".join([note, *found.undetermined]))
 
 
 def height_of(normals: Array, scene: Scene) -> NDArray[np.float32]:

@@ -5,56 +5,37 @@ coupling G = B E and K = Eᵀ (Σ J_yᵀ W J_y + Q_y) E, damped by D, a step sol
 
     S v = Gᵀ A⁻¹ g_p − Eᵀ g_y,    S = K + D − Gᵀ A⁻¹ G,    subject to C v = 0
 
-where C has the slopes of what is held, such as the scale that lamps and albedo share. Few unknowns
-are solved for at once. That costs the cube of their number, so that of many S is never formed:
-conjugate gradients with products G v, whose preconditioner has the blocks of S that belong to one
-picture each, projected on C v = 0 (N. Gould, M. Hribar, J. Nocedal, "On the Solution of Equality
-Constrained Quadratic Programming Problems", SIAM J. Sci. Comput. 23, 2001).
+where C has the slopes of what is held, such as the scale that lamps and albedo share: v moves in
+the null space of C. S takes the square, and its solution the cube, of the number of unknowns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.conjugate_gradients import conjugate_gradients
-
 Array = NDArray[np.float64]
-
-DENSE_UNKNOWNS_MAX = 1000
-"""Unknowns up to which S is formed: there it takes as long as a hundred products."""
-
-PRODUCTS_MAX = 300
-"""Products with S at most in a step."""
-
-ERROR_RATIO = 1e-3
-"""Ratio of the remaining error to the first, in the norm of the preconditioner, at which conjugate
-gradients stop: far below what a step leaves that is not linear."""
 
 
 @dataclass(eq=False)
 class Directions:
-    """The columns of E, the picture that each belongs to, and what is held."""
+    """The columns of E, and what is held."""
 
     size: int
     """M, the number of unknowns."""
     rows: list[NDArray[np.intp]] = field(default_factory=list)
     vectors: list[Array] = field(default_factory=list)
     """(rows, columns) of each block."""
-    groups: list[int] = field(default_factory=list)
-    """A picture, or another number for what all have in common, a block."""
     held: list[Array] = field(default_factory=list)
     """(M,) each: slopes of what must not change."""
 
-    def add(self, rows: NDArray[np.intp], vectors: Array, group: int) -> None:
+    def add(self, rows: NDArray[np.intp], vectors: Array) -> None:
         """Some unknowns move along some vectors."""
         self.rows.append(rows)
         self.vectors.append(vectors)
-        self.groups.append(group)
 
     def sparse(self) -> Any:
         """E, (M, columns), a sparse array of scipy."""
@@ -71,12 +52,6 @@ class Directions:
             return coo_array((self.size, 0)).tocsr()
         entries = np.concatenate(values), (np.concatenate(at), np.concatenate(columns))
         return coo_array(entries, shape=(self.size, count)).tocsr()
-
-    def column_groups(self) -> NDArray[np.intp]:
-        """(columns,): of which group each is."""
-        return np.repeat(self.groups, [vectors.shape[1] for vectors in self.vectors]).astype(
-            np.intp
-        )
 
     def constraints(self, along: Any) -> Array:
         """C, (held, columns)."""
@@ -144,70 +119,12 @@ def step_of(
         matrix = np.asarray(along.T @ shared @ along)
         np.einsum("uu->u", matrix)[:] += damping * np.maximum(np.diag(matrix), 1e-12)
         right = eliminated.T @ gradients.reshape(-1) - along.T @ gradient
-        system = _System(matrix, coupling, eliminated, directions.constraints(along))
-        if along.shape[1] <= DENSE_UNKNOWNS_MAX:
-            moved = system.solved_at_once(right)
-        else:
-            moved = system.solved_by_products(right, directions.column_groups())
+        free = null_space_of(directions.constraints(along))
+        matrix = free.T @ (matrix - coupling.T @ eliminated) @ free
+        moved = free @ np.linalg.solve(matrix, free.T @ right)
     except np.linalg.LinAlgError:
         return None
     if not np.isfinite(moved).all():
         return None
     of_pixels = -np.einsum("puv,pv->pu", inverse, gradients) - solved @ moved
     return np.asarray(along @ moved), of_pixels
-
-
-@dataclass(frozen=True, eq=False)
-class _System:
-    """S and what is held."""
-
-    matrix: Array
-    """K + D."""
-    coupling: Array
-    """G, (P U, columns)."""
-    eliminated: Array
-    """A⁻¹ G."""
-    constraints: Array
-
-    def solved_at_once(self, right: Array) -> Array:
-        """By S itself, with CᵀC added: S tells next to nothing along what is held."""
-        held = self.constraints
-        whole = self.matrix - self.coupling.T @ self.eliminated
-        if len(held):
-            whole += np.trace(whole) / np.square(held).sum() * (held.T @ held)
-        found = np.linalg.solve(whole, np.column_stack([right, held.T]))
-        moved, across = found[:, 0], found[:, 1:]
-        return np.asarray(moved - across @ np.linalg.solve(held @ across, held @ moved))
-
-    def solved_by_products(self, right: Array, groups: NDArray[np.intp]) -> Array:
-        """By conjugate gradients."""
-
-        def product(v: Array) -> Array:
-            return np.asarray(self.matrix @ v - self.eliminated.T @ (self.coupling @ v))
-
-        solved = self._preconditioner(groups)
-        return conjugate_gradients(
-            right, product, solved, ratio=ERROR_RATIO, iterations=PRODUCTS_MAX
-        )[0]
-
-    def _preconditioner(self, groups: NDArray[np.intp]) -> Callable[[Array], Array]:
-        """S⁻¹ of each group by itself, projected."""
-        from scipy.sparse import coo_array
-
-        values, rows, columns = [], [], []
-        for group in np.unique(groups):
-            of = np.flatnonzero(groups == group)
-            block = self.matrix[np.ix_(of, of)] - self.coupling[:, of].T @ self.eliminated[:, of]
-            values.append(np.linalg.inv(block).ravel())
-            rows.append(np.repeat(of, len(of)))
-            columns.append(np.tile(of, len(of)))
-        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        blocks = coo_array(entries, shape=self.matrix.shape).tocsr()
-        across = np.asarray(blocks @ self.constraints.T)
-        inner = np.linalg.inv(self.constraints @ across)
-
-        def solved(v: Array) -> Array:
-            found = blocks @ v
-            return np.asarray(found - across @ (inner @ (self.constraints @ found)))
-
-        return solved

@@ -13,17 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.lamps.ambiguity import EQUALLY_LIKELY, FEW, Minimum, minima
-from pbrfit.fit.lamps.cues import Places, unit_and_length
+from pbrfit.fit.lamps.ambiguity import Minimum, Places, minima, unit_and_length
 from pbrfit.fit.lamps.factorization import Factors, factors
-from pbrfit.fit.lamps.outline import Outline, inflated, outline
-from pbrfit.fit.lamps.photometric import DARK, PseudoNormals, pseudo_normals
-from pbrfit.fit.lamps.places import PLACES_MAX, chosen_places
-from pbrfit.fit.lamps.samples import Samples, some_of
-from pbrfit.fit.lamps.strengths import strengths_along
-from pbrfit.fit.lamps.surface import LampStart, finished
-
-__all__ = ["LampStart", "start_of_known_lamps", "start_of_unknown_lamps"]
+from pbrfit.fit.lamps.outline import outline, rough_shape
+from pbrfit.fit.lamps.photometric import DARK, pseudo_normals
+from pbrfit.fit.lamps.samples import FirstShape, Samples, some_of
+from pbrfit.fit.lamps.surface import finished, strengths_along
+from pbrfit.model.geometry import angles_between
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,6 +35,10 @@ would have fewer than four."""
 SAME_DEGREES = 5.0
 """Mean angle between two minima's normals, in degrees, up to which they are one surface."""
 
+EQUALLY_LIKELY = 3.0
+"""Difference of the negative log likelihood below which two minima are told to be undecided: odds
+of 20 to 1."""
+
 FLAT = 0.01
 """Least singular value of the lamps' directions, of the largest, below which they lie in a plane:
 their largest angle to it is about a degree."""
@@ -51,7 +51,7 @@ def start_of_known_lamps(
     views: Array,
     directions: Array,
     strengths: Array | None = None,
-) -> LampStart:
+) -> FirstShape:
     """Start with lamps whose directions are known.
 
     Parameters
@@ -85,24 +85,13 @@ def start_of_known_lamps(
         grey = np.asarray(strengths, np.float64).reshape(data.pictures, -1).mean(axis=1)
     normals = pseudo_normals(data.relative, data.usable, lamps * grey[:, None])
     flat = _in_plane(lamps)
-    rough = None
-    if flat:
-        rough = inflated(mask, views) if len(outline(mask, views)) else np.array(views, np.float64)
-    figures = {"spread of samples": normals.scale}
-    words = undetermined + flat
-    return finished(
-        data, views, _scaled(data, normals, np.eye(3)), lamps * grey[:, None], figures, words, rough
-    )
+    rough = rough_shape(mask, views) if flat else None
+    return finished(data, normals, np.eye(3), lamps * grey[:, None], undetermined + flat, rough)
 
 
 def start_of_unknown_lamps(
-    samples: Array,
-    usable: Mask,
-    mask: Mask,
-    views: Array,
-    fov: float = 0.0,
-    places_max: int | None = None,
-) -> LampStart:
+    samples: Array, usable: Mask, mask: Mask, views: Array, fov: float = 0.0
+) -> FirstShape:
     """Start with lamps of which nothing is known but that there is a far one in each picture.
 
     Parameters
@@ -111,8 +100,6 @@ def start_of_unknown_lamps(
         As in `start_of_known_lamps`.
     fov
         Horizontal field of view in degrees; 0 = orthographic or unknown.
-    places_max
-        Pixels that cues look at, at most; None = `PLACES_MAX`.
 
     Raises
     ------
@@ -128,81 +115,68 @@ def start_of_unknown_lamps(
                 f"pictures: expected three or more in which a lamp is seen, found {seen.sum()}"
             )
         some = np.asarray(samples)[seen], np.asarray(usable)[seen]
-        return _with_black(start_of_unknown_lamps(*some, mask, views, fov, places_max), seen)
+        return _with_black(start_of_unknown_lamps(*some, mask, views, fov), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
     chosen = some_of(len(data.grey), FACTORED_MAX)
-    product = factors(data.grey[chosen], data.usable[chosen])
+    product = factors(data.relative[chosen], data.usable[chosen])
     edge = outline(mask, views)
     if product.rank < 3:
-        return _start_of_few(data, views, edge, product)
-    lamps = product.lamps * product.sizes
+        return _start_of_few(data, views, product)
+    lamps = product.lamps
     normals = pseudo_normals(data.relative, data.usable, lamps)
-    most = places_max or PLACES_MAX
-    places = chosen_places(data, rays, views, normals, lamps, edge, most)
-    if not places.of.integrability.blocks or len(places.chosen) < PLACES_MIN:
-        return _start_of_few(data, views, edge, product)
-    rough = inflated(mask, views)[data.where] if len(edge) else None
-    few = FEW * most // PLACES_MAX
-    found = minima(places.of, None if rough is None else rough[places.chosen], few)
-    best, undetermined = _decided(found, places.of, len(edge) > 0)
-    scaled = _scaled(data, normals, best.normals)
-    figures = {
-        "spread of samples": normals.scale,
-        **{f"size of direction {i + 1}": float(product.sizes[i]) for i in range(3)},
-        **{f"cost of {name}": value for name, value in best.parts.items()},
-    }
-    return finished(data, views, scaled, lamps @ best.lamps, figures, undetermined)
+    places = Places.of(data, rays, views, normals, lamps, edge)
+    if not places.integrability.blocks or len(places.chosen) < PLACES_MIN:
+        return _start_of_few(data, views, product)
+    rough = rough_shape(mask, views)[data.where][places.chosen] if len(edge) else None
+    found = minima(places, rough)
+    best, undetermined = _decided(found, places, len(edge) > 0)
+    return finished(data, normals, best.normals, lamps @ best.lamps, undetermined)
 
 
-def _with_black(start: LampStart, seen: Mask) -> LampStart:
+def _with_black(start: FirstShape, seen: Mask) -> FirstShape:
     """The start with pictures (N,) in which no lamp was seen put back, of strength 0."""
     count = len(seen)
     along = np.tile([0.0, 0.0, 1.0], (count, 1))
     along[seen] = start.directions
     strengths = np.zeros((count, 3))
     strengths[seen] = start.strengths
-    weights = np.zeros((count, *start.known.shape))
-    weights[seen] = start.weights
     numbers = ", ".join(str(i + 1) for i in np.flatnonzero(~seen))
     words = f"Nothing is lit in picture {numbers}: where its lamp stands is not determined"
     return replace(
         start,
         directions=along,
         strengths=strengths,
-        weights=weights,
         undetermined=(*start.undetermined, words),
     )
 
 
-def _start_of_few(data: Samples, views: Array, edge: Outline, product: Factors) -> LampStart:
+def _start_of_few(data: Samples, views: Array, product: Factors) -> FirstShape:
     """Start with lamps in a plane or a line: normals of a rough shape, corrected where lamps tell.
 
-    A factorisation of rank 2 leaves more than a 3 × 3 matrix open. So lamps are those that suit
-    given normals best, or those of the mask blown up as a balloon, or of a plane.
+    A factorisation of rank 2 leaves more than a 3 × 3 matrix open. So lamps are those that suit the
+    rough shape's normals best.
     """
-    rough = inflated(data.mask, views) if len(edge) else np.array(views, np.float64)
-    normals = rough[data.where]
+    rough = rough_shape(data.mask, views)
     rows = np.clip(data.relative, 0.0, 2.0) * data.usable
-    ridge = 1e-3 * len(normals) * np.eye(3)
-    lamps = np.asarray(np.linalg.solve(normals.T @ normals + ridge, normals.T @ rows).T)
+    # Directions that hardly any normal differs in say nothing of lamps.
+    lamps = np.asarray(np.linalg.lstsq(rough[data.where], rows, rcond=0.03)[0].T, np.float64)
     if product.rank > 0:
-        space = product.lamps[:, : product.rank]
-        lamps = space @ (space.T @ lamps) / len(lamps)
-    found = _scaled(data, pseudo_normals(data.relative, data.usable, lamps), np.eye(3))
+        space, _ = np.linalg.qr(product.lamps[:, : product.rank])
+        lamps = space @ (space.T @ lamps)
+    found = pseudo_normals(data.relative, data.usable, lamps)
     words = (
         f"The samples have rank {product.rank}, of few pixels or under lamps in a plane with the "
         "scene or too close to each other: normals are in part those of "
         "a rough shape from the mask",
     )
-    figures = {"spread of samples": found.scale, "rank": float(product.rank)}
-    return finished(data, views, found, lamps, figures, words, rough)
+    return finished(data, found, np.eye(3), lamps, words, rough)
 
 
 def _strengths_of_known(data: Samples, lamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Strengths (N,) of lamps with known directions; equal ones, with a word, if nothing tells."""
     chosen = some_of(len(data.grey), FACTORED_MAX)
-    product = factors(data.grey[chosen], data.usable[chosen])
-    found = strengths_along(product.lamps * product.sizes, lamps) if product.rank == 3 else None
+    product = factors(data.relative[chosen], data.usable[chosen])
+    found = strengths_along(product.lamps, lamps) if product.rank == 3 else None
     if found is None:
         return np.ones(len(lamps)), (
             "The lamps' directions do not tell their strengths, which are taken as equal",
@@ -222,17 +196,6 @@ def _in_plane(lamps: Array) -> tuple[str, ...]:
     )
 
 
-def _scaled(data: Samples, normals: PseudoNormals, G: Array) -> PseudoNormals:
-    """Pseudo-normals b G times the pixels' brightness, of those of relative samples.
-
-    The precision becomes that of Gᵀ b and remains relative, so that dark and light pixels compare.
-    """
-    inverse = np.linalg.inv(G)
-    precision = np.einsum("ij,pjk,lk->pil", inverse, normals.precision, inverse, optimize=True)
-    vectors = normals.vectors @ G * data.brightness[:, None]
-    return PseudoNormals(vectors, normals.weights, precision, normals.scale)
-
-
 def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum, tuple[str, ...]]:
     """The most likely minimum, and in words what others are as likely."""
     best = found[0]
@@ -241,10 +204,9 @@ def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum,
         # The surface that is bulged the other way, with lamps from the other side: without
         # perspective no cue but the outline knows it from this one.
         flip = np.diag([-1.0, -1.0, 1.0])
-        C = best.lamps * np.sign(np.linalg.det(best.lamps))
-        twin = Minimum.at(C @ flip, places)
+        twin = Minimum.at(best.lamps @ flip, places)
         height = float(unit_and_length(places.lamps @ best.lamps)[0][:, 1].mean())
-        if twin is not None and twin.cost - best.cost < EQUALLY_LIKELY:
+        if twin.cost - best.cost < EQUALLY_LIKELY:
             if height < 0:
                 best = twin
             undetermined.append(
@@ -257,7 +219,7 @@ def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum,
         if other.cost - found[0].cost > EQUALLY_LIKELY:
             break
         elsewhere = unit_and_length(places.vectors @ other.normals)[0]
-        apart = float(np.degrees(_angles(normals, elsewhere).mean()))
+        apart = float(angles_between(normals, elsewhere).mean())
         if apart > SAME_DEGREES:
             undetermined.append(
                 f"Another surface, {apart:.0f} degrees apart, is about as likely: the cues' "
@@ -265,8 +227,3 @@ def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum,
             )
             break
     return best, tuple(undetermined)
-
-
-def _angles(first: Array, second: Array) -> Array:
-    """Angles in radians between unit vectors (P, 3)."""
-    return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(first - second, axis=1) / 2, 0, 1)))

@@ -1,142 +1,132 @@
-"""Normals and albedo of all pixels, and colours of lamps, from pseudo-normals."""
+"""Normals and albedo of all pixels, and colours of lamps, from pseudo-normals.
+
+A sample of channel c is α_c σ_c max(n·l, 0). With normals and directions from grey samples each
+channel leaves a product of albedo and strength, found in alternation; a factor between them remains
+in each channel, here such that the geometric mean of the strengths is 1.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt
 
-from pbrfit.fit.lamps.cues import unit_and_length
+from pbrfit.fit.lamps.ambiguity import KNOWN_MIN, unit_and_length
 from pbrfit.fit.lamps.photometric import PseudoNormals
-from pbrfit.fit.lamps.places import KNOWN_MIN
-from pbrfit.fit.lamps.samples import Samples, some_of
-from pbrfit.fit.lamps.strengths import color_of_lamps
+from pbrfit.fit.lamps.samples import FirstShape, Samples, some_of
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 COLORED_MAX = 20_000
 """Pixels that the lamps' colours are found from."""
 
-RADII = (3.0, 12.0, 48.0)
-"""Standard deviations in pixels of the mean normal around a pixel that does not know its own."""
+ROUNDS = 10
+"""Turns of albedo and strength: they have all samples in common, so few suffice."""
 
-ENOUGH = 0.05
-"""Share of known pixels, by the weights of that mean, from which on it is taken."""
-
-
-@dataclass(frozen=True, eq=False)
-class LampStart:
-    """Where a fit with lamps begins.
-
-    Attributes
-    ----------
-    normals
-        (H, W, 3) unit vectors in camera space, NaN outside the mask.
-    albedo
-        (H, W, 3) linear, up to a factor for each channel; NaN outside the mask.
-    directions
-        (N, 3) unit vectors from the scene to the lamps.
-    strengths
-        (N, 3) linear, such that a sample is albedo times strength times max(n·l, 0).
-    weights
-        (N, H, W) in [0, 1], how far each sample follows this law: small in highlights and shadows.
-    known
-        (H, W), True where the pixel's own samples tell its normal.
-    figures
-        What each step and each cue said.
-    undetermined
-        Sentences on what is not determined; empty if nothing is known of that kind.
-    """
-
-    normals: Array
-    albedo: Array
-    directions: Array
-    strengths: Array
-    weights: Array
-    known: Mask
-    figures: dict[str, float]
-    undetermined: tuple[str, ...]
+GAP_MIN = 3.0
+"""Ratio of the second least to the least singular value of (S A)×d from which on A is told."""
 
 
 def finished(
     data: Samples,
-    views: Array,
     found: PseudoNormals,
+    G: Array,
     lamps: Array,
-    figures: dict[str, float],
     undetermined: tuple[str, ...],
     rough: Array | None = None,
-) -> LampStart:
-    """Normals, albedo and colours from pseudo-normals under lamps, directions times strengths.
+) -> FirstShape:
+    """Normals, albedo and colours from pseudo-normals b G under lamps, directions times strengths.
 
-    A pixel whose samples tell little, because most are in shadow, leans on the mean normal of those
-    around it: b is the most likely one if beside its own samples it is normal about that one, with
-    a precision that is a small part of what pixels know on the whole.
+    A pixel whose samples tell little, because most are in shadow, leans on the rough normals
+    (H, W, 3), or on the nearest pixel's that are told: b is the most likely one if beside its own
+    samples it is normal about that one, with a precision that is a small part of what pixels know
+    on the whole.
     """
-    information, axes = np.linalg.eigh(found.precision)
-    told = information[:, 0]
+    inverse = np.linalg.inv(G)
+    precision = inverse @ found.precision @ inverse.T
+    vectors = found.vectors @ G
+    unit, length = unit_and_length(vectors)
+    information = np.linalg.eigvalsh(precision)
     # Where lamps lie in a plane no sample tells the third part: the least that is told counts.
     medians = np.median(information, axis=0)
-    lean = KNOWN_MIN * float(medians[medians > 1e-6 * medians[2]].min(initial=np.inf))
-    lean = lean if np.isfinite(lean) else 1.0
-    known = told > lean
-    unit, albedo = unit_and_length(found.vectors)
-    if rough is None:
+    told = medians[medians > 1e-6 * medians[2]]
+    lean = KNOWN_MIN * float(told[0]) if len(told) else 1.0
+    known = information[:, 0] > lean
+    if not known.all():
         certain = known if known.any() else np.ones_like(known)
-        around = _around(data, np.where(certain[:, None], unit, 0.0), views)
-    else:
-        around = rough[data.where]
-    typical = np.where(known, albedo, data.brightness)
-    expected = np.einsum("pji,pj->pi", axes, typical[:, None] * around)
-    own = np.einsum("pji,pj->pi", axes, found.vectors)
-    precision = np.maximum(information, 0.0)
-    mixed = (precision * own + lean * expected) / (precision + lean)
-    vectors = np.where(known[:, None], found.vectors, np.einsum("pij,pj->pi", axes, mixed))
+        if rough is None:
+            _, nearest = distance_transform_edt(
+                data.plane(~certain, 1.0).astype(bool), return_indices=True
+            )
+            rough = data.plane(unit, 0.0)[tuple(nearest)]
+        expected = float(np.median(length[certain])) * rough[data.where]
+        right = np.einsum("pij,pj->pi", precision, vectors) + lean * expected
+        leaning = np.linalg.solve(precision + lean * np.eye(3), right[..., None])[..., 0]
+        vectors = np.where(known[:, None], vectors, leaning)
     unit, _ = unit_and_length(vectors)
-    along, strengths = unit_and_length(lamps)
-    shading = np.maximum(unit @ along.T, 0.0)
+    directions, strengths = unit_and_length(lamps)
+    shading = np.maximum(unit @ directions.T, 0.0)
+    # Pixels of which no sample follows the law have an albedo all the same.
+    weights = np.maximum(found.weights, 1e-6)[..., None] * data.told
     some = some_of(len(unit), COLORED_MAX)
-    of_values = found.weights[..., None] * data.told
-    _, colors = color_of_lamps(data.colors[some], shading[some], of_values[some], strengths)
-    planes = _albedo(data.colors, shading, of_values, colors)
-    weights = np.zeros((data.pictures, *data.mask.shape))
-    weights[:, data.mask] = found.weights.T
-    return LampStart(
+    colors = strengths_of_channels(data.colors[some], shading[some], weights[some], strengths)
+    albedos = _albedo(data.colors, shading, weights, colors)
+    return FirstShape(
         normals=data.plane(unit, np.nan),
-        albedo=data.plane(planes, np.nan),
-        directions=along,
-        strengths=colors,
-        weights=weights,
-        known=data.plane(known.astype(np.float64), 0.0).astype(bool),
-        figures={**figures, "share of pixels that tell their normal": float(known.mean())},
+        albedo=data.plane(np.broadcast_to(albedos, (len(unit), 3)), np.nan),
+        directions=directions,
+        strengths=np.broadcast_to(colors, (len(colors), 3)),
         undetermined=undetermined,
     )
 
 
-def _around(data: Samples, unit: Array, views: Array) -> Array:
-    """Mean normal (P, 3) around each pixel, of `unit`, which is 0 where there is none."""
-    found = views[data.where].astype(np.float64)
-    plane = data.plane(unit, 0.0)
-    weight = np.einsum("hwi,hwi->hw", plane, plane)
-    for radius in RADII[::-1]:  # from far to near, what is nearer replaces what is farther
-        near = np.stack([gaussian_filter(plane[..., i], radius) for i in range(3)], axis=-1)
-        share = gaussian_filter(weight, radius)[data.where]
-        enough = share > ENOUGH
-        found[enough] = near[data.where][enough]
-    return unit_and_length(found)[0]
+def strengths_of_channels(colors: Array, shading: Array, weights: Array, strengths: Array) -> Array:
+    """Strengths (N, C) of lamps in each channel.
+
+    Parameters
+    ----------
+    colors, weights
+        (P, N, C) samples of 1 or 3 channels, and in [0, 1] how much each counts.
+    shading
+        (P, N) max(n·l, 0).
+    strengths
+        (N,) of grey samples, to begin with.
+    """
+    tiny = np.finfo(np.float64).tiny
+    found = np.repeat(strengths[:, None], colors.shape[2], axis=1)
+    below = np.maximum(np.einsum("pnc,pn->nc", weights, shading**2), tiny)
+    for _ in range(ROUNDS):
+        albedo = _albedo(colors, shading, weights, found)
+        # Pixels count alike, not by the square of their albedo.
+        albedo = np.maximum(albedo, 1e-3 * albedo.mean(axis=0) + tiny)
+        found = np.einsum("pnc,pnc,pn,pc->nc", weights, colors, shading, 1 / albedo) / below
+        found = np.maximum(found, 1e-6 * found.max(axis=0) + tiny)
+    return np.asarray(found / np.exp(np.log(found).mean(axis=0)))
 
 
 def _albedo(colors: Array, shading: Array, weights: Array, strengths: Array) -> Array:
-    """Albedo (P, 3) by weighted least squares; without a sample of weight, by the sum of all."""
-    channels = colors.shape[2]
-    used = strengths[:, :channels]
-    product = shading[..., None] * used
-    tiny = np.finfo(np.float64).tiny
-    below = np.einsum("pnc,pnc,pnc->pc", weights, product, product)
-    found = np.einsum("pnc,pnc,pnc->pc", weights, product, colors) / np.maximum(below, tiny)
-    total = colors.sum(axis=1) / np.maximum(product.sum(axis=1), 1e-3 * used.sum(axis=0))
-    found = np.where(below > 1e-6 * np.median(below, axis=0), found, total)
-    return np.asarray(np.maximum(np.broadcast_to(found, (len(found), 3)), 0.0))
+    """Albedo (P, C) by weighted least squares."""
+    product = shading[..., None] * strengths
+    weighted = weights * product
+    below = np.einsum("pnc,pnc->pc", weighted, product)
+    above = np.einsum("pnc,pnc->pc", weighted, colors)
+    return np.asarray(np.maximum(above, 0.0) / np.maximum(below, np.finfo(np.float64).tiny))
+
+
+def strengths_along(lamps: Array, directions: Array) -> Array | None:
+    """Strengths (N,) of lamps with known directions (N, 3), from factors S (N, 3); their mean is 1.
+
+    A factorisation gives lamps S up to a matrix A with S A = σ d. So (S A)×d = 0 for each lamp:
+    linear in A, which is the vector of the least singular value, and σ = (S A)·d. Four lamps, no
+    three of them in a plane, tell A up to a factor; a fifth is a check. None if directions do not
+    tell them.
+    """
+    # Rows of [d]ₓ (Aᵀ s): for each lamp three equations in the nine entries of A, row by row.
+    cross = np.cross(np.eye(3)[None], directions[:, None])  # e_j × d
+    rows = np.einsum("ni,njk->nkij", lamps, cross).reshape(-1, 9)
+    _, values, vectors = np.linalg.svd(rows)
+    if values[7] < max(GAP_MIN * values[8], 1e-4 * values[0]):
+        return None
+    found = np.einsum("ni,nj,ij->n", lamps, directions, vectors[8].reshape(3, 3))
+    found *= np.sign(found.sum())
+    return None if (found <= 0).any() else np.asarray(found / found.mean())

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
+from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.free import offsets_of
 from pbrfit.fit.normals.noise import (
     degrees_of_freedom,
@@ -89,48 +90,38 @@ def refine_all(
     objective: Objective,
     x: Array,
     prior: TangentOffsetPrior,
-    roughness_metallic: Array | None,
-    starts: int,
+    noise: NoiseModel | None,
     stop: Callable[[], bool],
-) -> tuple[TangentOffsetPrior, Array | None]:
+) -> Array | None:
     """Change the normals of all pixels, with their materials; x changes.
 
-    `prior` is returned with the σ that was found, and the sums of squared residuals (P,), or None
-    if time ran out before all pixels had been refined. A prior on roughness and metallic has the
-    mean `roughness_metallic` (P, F), if there is one. In the first round pixels start from so many
-    nodes.
+    Returned are the sums of squared residuals (P,), or None if time ran out before all pixels had
+    been refined. Samples weigh by their `noise`, of which outliers show once pixels are fitted.
     """
     layout = objective.layout
     assert layout.tangent_offsets is not None
     sums = None
     for number in range(settings.NORMALS_PRIOR_UPDATES):
+        if noise is not None:
+            weights = noise.weights(objective, x if number else None, first=number == 1)
+            objective.adopt(objective.weighed(weights))
         offsets = offsets_of(objective, x)
         variance = noise_variance(objective, pixel_sums(objective, x))
         offset_mean, offset_precision = prior.conditional(offsets, variance)
-        mean, precision = np.zeros((2, len(offsets), len(layout.roughness_metallic)))
-        if roughness_metallic is not None:
-            mean = roughness_metallic
-            precision = precision + variance / settings.NORMALS_ROUGHNESS_METALLIC_SIGMA**2
+        free = np.zeros((len(offsets), len(layout.roughness_metallic)))
         pixel_prior = GaussianPrior(
-            np.concatenate([mean, offset_mean], axis=1),
-            np.concatenate([precision, offset_precision], axis=1),
+            np.concatenate([free, offset_mean], axis=1),
+            np.concatenate([free, offset_precision], axis=1),
         )
-        first = number == 0
-        sums = fit_all(
-            objective,
-            x,
-            starts=starts if first else 0,
-            steps=settings.NORMALS_PIXEL_STEPS if first and starts else 0,
-            prior=pixel_prior,
-            stop=stop,
-        )
+        starts, steps = (0, 0) if number else (1, settings.NORMALS_PIXEL_STEPS)
+        sums = fit_all(objective, x, starts=starts, steps=steps, prior=pixel_prior, stop=stop)
         if sums is None:
-            return prior, None
+            return None
         prior = prior.fitted(
             offsets_of(objective, x),
             offset_variances(objective, x, pixel_prior.precision, variance),
         )
-    return prior, sums
+    return sums
 
 
 def restore_given(objective: Objective, x: Array, sum_sq_residuals: Array) -> None:

@@ -153,33 +153,13 @@ def _refine(
     make: Callable[[Scene, bool], Objective],
     noise: NoiseModel | None,
 ) -> PixelFit | None:
-    """The fit of all pixels with refined normals, from an x of `free`; None if time ran out.
-
-    With the noise of samples: which of them are outliers shows after the first pass.
-    """
-    scene = run.scene
-    ended: tuple[Status, str] | None = None
-    roughness_metallic, starts = None, 1
-    for number in range(settings.NORMALS_PASSES):
-        before = free_x.copy()
-        if noise is not None:
-            free.adopt(free.weighed(noise.weights(free, free_x if number else None)))
-        with run.stage("normals of all pixels"):
-            prior, sums = refine_all(
-                free, free_x, prior, roughness_metallic, starts, run.out_of_time
-            )
-            if sums is None:
-                free_x = before
-                break
-            if number == settings.NORMALS_PASSES - 1:
-                restore_given(free, free_x, sums)
-        run, ended = _fit_held(run, scene, free, free_x, make)
-        blocks = [free_x[block] for block in free.layout.roughness_metallic]
-        roughness_metallic, starts = np.stack(blocks, axis=-1), 0
-        if run.out_of_time():
-            break
-    if ended is None:
-        return None
+    """The fit of all pixels with refined normals, from an x of `free`; None if time ran out."""
+    with run.stage("normals of all pixels"):
+        sums = refine_all(free, free_x, prior, noise, run.out_of_time)
+        if sums is None:
+            return None
+        restore_given(free, free_x, sums)
+    run, ended = _fit_held(run, run.scene, free, free_x, make)
     if run.out_of_time():  # perhaps after the fit that has ended
         ended = run.ended("")
     if run.objective.lighting is None and free.lighting is not None:
@@ -209,7 +189,7 @@ def _fit_held(
         if free.sample_weights is not None:
             of_lights = of_lights.weighed(free.sample_weights)
         held_x = _held_x(free, free_x, of_lights)
-        run.light_modes = light_modes(of_lights, held_x, settings.LIGHT_PIXELS_MAX)
+        run.light_modes = light_modes(of_lights, held_x)
     if (
         free.lighting is not None
         and options.robust not in ROBUST_LOSSES

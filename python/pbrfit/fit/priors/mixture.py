@@ -29,7 +29,10 @@ the prior gathers pixels without holding on to where they were gathered while li
 wrong.
 
 Lights and prior depend on each other. They are found together on a few pixels, in rounds of EM and
-joint steps (`pbrfit.fit.joint`), and then applied to all. s² is that in the likelihood of a pixel,
+joint steps (`pbrfit.fit.joint`), and then applied to all. Around its own posterior each pixel would
+pull at the lights with its noise, which biases them however many pixels there are (J. Neyman and E.
+Scott, Econometrica 16, 1948); so in the last round, where there are segments, pixels have the mean
+and the spread of their group of nodes. s² is that in the likelihood of a pixel,
 larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit`).
 """
 
@@ -162,15 +165,21 @@ def with_lights(
     """
     x = x.copy()
     for sigma_min, at_most, steps in settings.PRIOR_ROUNDS:
+        if sigma_min == 0 and objective.layout.segments is None:
+            break  # one distribution for all of a picture is too rough
         if stop():
             break
-        labels = labels_of(objective)
-        pixels = evenly_spaced_over(labels, at_most)
+        pixels = evenly_spaced_over(labels_of(objective), at_most)
         few, part = objective.restricted(pixels), objective.part_of(x, pixels)
-        everything, labels = np.arange(few.pixels, dtype=np.uint64), labels[pixels]
+        everything, labels = np.arange(few.pixels, dtype=np.uint64), labels_of(few)
         grid = Grid(few, part, variance)
         likelihood = grid.likelihood(everything)
-        posterior = Distributions.of(likelihood, labels, grid).posterior(likelihood, labels)
+        distributions = Distributions.of(likelihood, labels, grid)
+        posterior = distributions.posterior(likelihood, labels)
+        if sigma_min == 0:
+            posterior = distributions.without_data(posterior, labels)
+            posterior = _with_spread(few, part, posterior, variance)
+            sigma_min = settings.SPREAD_MIN
         prior = posterior.prior(sigma_min, strength * variance, few)
         _put(few, part, everything, prior.mean)
         sum_sq = few.put_best_albedo(part, everything)
@@ -178,25 +187,6 @@ def with_lights(
         minimize(fit, steps, settings.GAIN_MIN)
         x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
     return x
-
-
-def prior_without_data(
-    objective: Objective, x: Array, strength: float, variance: float
-) -> GaussianPrior:
-    """A prior of all pixels around the groups of nodes that they fell to; x is put to its mean.
-
-    Other than one around the pixels' own posteriors, it has no noise of theirs in it. `strength`
-    and `variance` are as for `fit_prior`.
-    """
-    labels, everything = labels_of(objective), np.arange(objective.pixels, dtype=np.uint64)
-    grid = Grid(objective, x, variance)
-    likelihood = grid.likelihood(everything)
-    distributions = Distributions.of(likelihood, labels, grid)
-    groups = distributions.without_data(distributions.posterior(likelihood, labels), labels)
-    groups = _with_spread(objective, x, groups, variance)
-    prior = groups.prior(settings.SPREAD_MIN, strength * variance, objective)
-    _put(objective, x, everything, prior.mean)
-    return prior
 
 
 def _with_spread(objective: Objective, x: Array, groups: Posterior, variance: float) -> Posterior:

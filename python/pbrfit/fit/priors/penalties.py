@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import _core
 from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.result.options import Priors
 
@@ -34,32 +34,52 @@ def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
     The mixture prior on materials is none of them: it changes while a fit runs. Nor is a monochrome
     weight that is to be chosen.
     """
-    found: list[Penalty] = []
-    if priors.cohesion and layout.segment_count:
-        found.append(cohesion(layout, priors.cohesion))
-    if priors.smoothness and (pairs := tied_neighbours(layout)).size:
-        found.append(smoothness(layout, pairs, priors.smoothness))
-    if priors.sparsity and layout.metallic is not None:
-        found.append(Sparsity(layout, priors.sparsity))
-    if priors.monochrome and layout.lighting is not None and layout.light_channels > 1:
-        found.append(Monochrome(layout, priors.monochrome))
-    return found
+    made: dict[str, Callable[[ParameterLayout, float], Penalty]] = {
+        "cohesion": cohesion,
+        "smoothness": smoothness,
+        "sparsity": Sparsity,
+        "monochrome": Monochrome,
+    }
+    idle = idle_penalties(layout, priors)
+    weights = {name: getattr(priors, name) for name in made if name not in idle}
+    return [made[name](layout, weight) for name, weight in weights.items() if weight]
+
+
+def idle_penalties(layout: ParameterLayout, priors: Priors) -> dict[str, str]:
+    """Names of penalties that are asked for and have nothing to act on, with the reason."""
+    idle = {}
+    if priors.cohesion and not layout.segment_count:
+        idle["cohesion"] = "no pixel has a segment"
+    if priors.smoothness and not tied_neighbours(layout).size:
+        idle["smoothness"] = "no two neighbours that could be alike"
+    if priors.sparsity and layout.metallic is None:
+        idle["sparsity"] = "metallic is given"
+    if priors.monochrome != 0:
+        if layout.lighting is None:
+            idle["monochrome"] = "lights are known"
+        elif layout.light_channels == 1:
+            idle["monochrome"] = "lights have one channel"
+    return idle
 
 
 @dataclass(frozen=True)
 class _OnMaps:
-    """A sum over roughness and metallic, which the core computes."""
+    """A multiple of a sum of squares, over roughness and metallic."""
 
     name: str
     factor: float
     blocks: tuple[slice, ...]
-    core: _core.Neighbours | _core.Groups
+    squares: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
+    """Of one map, (P,): the sum, and half of its gradient."""
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         """See `Penalty`."""
-        return sum(
-            self.core.add_penalty(x[block], self.factor, gradient[block]) for block in self.blocks
-        )
+        total = 0.0
+        for block in self.blocks:
+            squares, half_slope = self.squares(x[block])
+            gradient[block] += 2 * self.factor * half_slope
+            total += self.factor * squares
+        return total
 
 
 def cohesion(layout: ParameterLayout, weight: float) -> Penalty:
@@ -76,11 +96,18 @@ def cohesion(layout: ParameterLayout, weight: float) -> Penalty:
     A segment of one pixel is its own mean and gives 0.
     """
     assert layout.segments is not None
-    groups = _core.Groups(layout.segments.astype(np.int64))
-    return _OnMaps("cohesion", weight / layout.pixels, layout.roughness_metallic, groups)
+    segments = layout.segments.astype(np.int64)
+    counts = np.maximum(np.bincount(segments), 1)
+
+    def squares(values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        deviations = values - (np.bincount(segments, values) / counts)[segments]
+        deviations[segments == 0] = 0
+        return float(np.square(deviations).sum()), deviations
+
+    return _OnMaps("cohesion", weight / layout.pixels, layout.roughness_metallic, squares)
 
 
-def smoothness(layout: ParameterLayout, pairs: NDArray[np.int64], weight: float) -> Penalty:
+def smoothness(layout: ParameterLayout, weight: float) -> Penalty:
     """Little change of roughness and metallic between neighbours.
 
     In the plane, ∫ |∇v|² dA has no unit of length, and its discrete form is Σ_edges (v_i − v_j)²
@@ -99,9 +126,17 @@ def smoothness(layout: ParameterLayout, pairs: NDArray[np.int64], weight: float)
     Neighbours in different segments are not tied; an unclassified pixel is tied to all of its
     neighbours. Pixels outside the mask have no edges.
     """
-    neighbours = _core.Neighbours(layout.pixels, *pairs)
+    first, second = tied_neighbours(layout)
+
+    def squares(values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        changes = values[second] - values[first]
+        inwards = np.zeros(layout.pixels)
+        inwards += np.bincount(second, changes, layout.pixels)
+        inwards -= np.bincount(first, changes, layout.pixels)
+        return float(np.square(changes).sum()), inwards
+
     factor = weight * SMOOTHNESS_STEP**2
-    return _OnMaps("smoothness", factor, layout.roughness_metallic, neighbours)
+    return _OnMaps("smoothness", factor, layout.roughness_metallic, squares)
 
 
 class Sparsity:

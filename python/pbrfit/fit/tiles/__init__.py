@@ -2,13 +2,14 @@
 
 What a fit holds beside the pictures is a few hundred bytes a pixel, and for a large picture that is
 more than the pictures themselves. But lights have few unknowns: a strided subset of the pixels
-finds them as well as all do. Once they are known pixels touch each other only through priors. So
+finds them as well as all do. Once they are known pixels touch each other only where normals are
+refined. So
 
-1. every s-th row and column is a small scene (`windows`), which is fitted as any other
-   (`subset_fit`): lights, whether normals are to be refined, the material prior and its offsets,
-   the scale of a robust loss, the means of segments;
-2. with all of this held, tiles of the picture are fitted one after the other (`fit`). Pixels that
-   are drawn to be like their neighbours are fitted with a margin, which is not kept.
+1. every s-th row and column is a small scene (`windows`), which is fitted as any other: lights,
+   whether normals are to be refined, the material prior and its offsets, the scale of a robust
+   loss;
+2. with all of this held, tiles of the picture are fitted one after the other. Where normals are
+   refined they have a margin, which is not kept.
 
 Only the pictures and the resulting maps are there as a whole.
 """

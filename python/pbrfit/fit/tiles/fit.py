@@ -2,76 +2,37 @@
 
 from __future__ import annotations
 
-import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings, uncertainty
+from pbrfit.fit.estimator import discrepancy_of
 from pbrfit.fit.normals import refined_fit
-from pbrfit.fit.objective import Normalization, Objective
+from pbrfit.fit.normals.refined_fit import PixelFit
+from pbrfit.fit.objective import Normalization, Objective, valid_values
+from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.run import Run, SharedState, material_errors
-from pbrfit.fit.tiles.maps import TiledMaps
-from pbrfit.fit.tiles.subset_fit import SubsetResult, fit_subset
-from pbrfit.fit.tiles.windows import SceneCutter, Tile, strided_window, tiles
+from pbrfit.fit.tiles.windows import Tile, Window, cut, cut_maps, strided_window, tiles
 from pbrfit.fit.whole_picture import (
     FitOutput,
     FitSetup,
     Start,
+    fit_pixels,
+    output_of,
     scale_deviation_of,
-    scale_in_words,
 )
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
-from pbrfit.result.options import FitOptions, Priors
+from pbrfit.result.options import FitOptions
+from pbrfit.result.refinement import Refinement
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
-
-SUBSET_PIXELS = (settings.TILES_SUBSET_PIXELS_MIN, settings.TILES_SUBSET_PIXELS_MAX)
-
-
-class Totals:
-    """Samples of a whole scene, and what is left of the tiles so far.
-
-    `samples` are those of some weight, `weight` is the sum of the weights, of which the largest
-    is 1.
-    """
-
-    def __init__(self, scene: Scene, units: Normalization, channels: int) -> None:
-        self._scale, self.channels = units.scale, channels
-        self._loss_sum = self._weight_sum = 0.0
-        self.pixels = int(np.count_nonzero(scene.valid))
-        self.samples = channels * len(scene.images) * self.pixels
-        self.weight = float(self.samples)
-        if scene.limits is None and not scene.weighted:
-            return
-        self.samples, self.weight = 0, 0.0
-        for i in range(len(scene.images)):
-            weights = scene.channel_weights(i)
-            assert weights is not None
-            inside = weights[scene.valid][:, :channels]
-            self.samples += int(np.count_nonzero(inside))
-            self.weight += float(inside.sum(dtype=np.float64)) / units.largest_weight
-
-    def add(self, objective: Objective, x: Array) -> None:
-        """One more tile; pixels of its margin count twice."""
-        self._loss_sum += objective.data_value_and_grad(x)[0] * objective.total_weight
-        self._weight_sum += objective.total_weight
-
-    @property
-    def mean(self) -> float:
-        """Loss of the data."""
-        return self._loss_sum / self._weight_sum
-
-    @property
-    def rmse(self) -> float:
-        """In picture units."""
-        return math.sqrt(self.mean) * self._scale
 
 
 @one_blas_thread()
@@ -80,67 +41,51 @@ def fit_tiles(
     setup: FitSetup,
     start: Start,
     *,
-    subset_pixels: tuple[int, int] = SUBSET_PIXELS,
+    subset_pixels: int = settings.TILES_SUBSET_PIXELS_MAX,
     side: int = settings.TILE_SIDE,
 ) -> FitOutput:
-    """Fit a scene: some of its pixels together, then all of them in tiles.
+    """Fit a scene: about `subset_pixels` of its pixels together, then all of them in tiles.
 
-    `subset_pixels` find the lights, at least and at most; tiles have at most `side` rows and
-    columns.
+    Tiles have at most `side` rows and columns.
     """
     options = setup.options
     units = Normalization.of(scene, options.equal_exposures)
-    cutter = SceneCutter(scene)
-    window = strided_window(scene.valid, *subset_pixels)
-    subset = fit_subset(cutter, window, setup, units, start)
-    camera = subset.run.camera
-    cutter.scene = scene.through(camera.fov_degrees, camera.correction)
+    subset = _fit_subset(scene, setup, units, start, subset_pixels)
+    clock, refined = subset.run, subset.refinement.refined
+    seen = scene.through(clock.camera.fov_degrees, clock.camera.correction)
     layout = setup.layout(scene)
-    maps = TiledMaps(scene, layout, uncertain=options.uncertainty)
-    smooth = options.priors.smoothness or subset.refinement.refined
-    margin = settings.TILE_MARGIN_SMOOTH if smooth else settings.TILE_MARGIN
-    pieces = list(tiles(scene.valid, margin, side))
-    whole = Totals(scene, units, layout.channels)
-    clock, statuses = subset.run, list[Status]()
-    began, passes = clock.elapsed, 0.0
+    maps = _Maps(scene, layout, uncertain=options.uncertainty)
+    pieces = list(tiles(scene.valid, settings.TILE_MARGIN if refined else 0, side))
+    statuses = list[Status]()
+    began, passes, loss, weight = clock.elapsed, 0.0, 0.0, 0.0
 
-    def state() -> tuple[Materials, Array]:
-        return maps.materials, subset.lighting
+    def told(recon_rmse: float) -> None:
+        done = len(statuses), len(pieces)
+        clock.tell(recon_rmse, lambda: (maps.materials, subset.lighting), tiles=done)
 
-    clock.tell(clock.rows[-1].recon_rmse, state, tiles=(0, len(pieces)))
+    told(clock.rows[-1].recon_rmse)
     for tile in pieces:
-        run, x, status = _fit_tile(tile, subset, cutter, setup, units, whole)
-        statuses.append(status)
-        maps.put(tile, run.scene, run.objective.unpack(x)[0])
-        whole.add(run.objective, x)
-        passes += run.evaluations * run.objective.pixels / whole.pixels
-        if options.uncertainty:
-            before = time.perf_counter()
-            assert subset.shared_state.discrepancy is not None
-            found = uncertainty.spread(
-                run.objective, x, subset.shared_state.discrepancy, run.posterior
-            )
-            maps.put_spread(tile, run.scene, found)
-            clock.unmeasured += time.perf_counter() - before
-        del run, x  # before the next tile has its own
-        clock.tell(whole.rmse, state, tiles=(len(statuses), len(pieces)))
-    of_pixels = f"{subset.pixels} of {layout.pixels} pixels"
-    clock.stages.append(
-        Stage(
-            "all pixels in tiles, lights held",
-            clock.elapsed - began,
-            f"{len(pieces)} tiles; lights from {of_pixels}",
-        )
-    )
+        found = _fit_tile(tile, subset, seen, setup, units)
+        objective, x = found.run.objective, found.x
+        statuses.append(found.status)
+        loss += objective.data_value_and_grad(x)[0] * objective.total_weight
+        weight += objective.total_weight
+        passes += found.run.evaluations * objective.pixels / layout.pixels
+        before = time.perf_counter()
+        maps.put(tile, found, subset.shared_state)
+        clock.unmeasured += time.perf_counter() - before
+        del found, objective, x  # before the next tile has its own
+        told(clock.objective.residual_rmse(loss / weight))
+    few = clock.objective.pixels
+    note = f"{len(pieces)} tiles; lights from {few} of {layout.pixels} pixels"
+    clock.stages.append(Stage("all pixels in tiles, lights held", clock.elapsed - began, note))
     clock.evaluations += round(passes)
-    seconds = clock.elapsed
+    seconds, mean = clock.elapsed, loss / weight
+    rmse = clock.objective.residual_rmse(mean)
     truth = scene.truth
     errors = {} if truth is None else material_errors(maps.materials, truth.materials)
-    clock.rows.append(
-        HistoryRow(seconds, clock.iteration, clock.evaluations, whole.mean, whole.rmse, **errors)
-    )
-    deviations = None
-    discrepancy = subset.shared_state.discrepancy
+    clock.rows.append(HistoryRow(seconds, clock.iteration, clock.evaluations, mean, rmse, **errors))
+    deviations, discrepancy = None, subset.shared_state.discrepancy
     if maps.spread is not None and discrepancy is not None:
         deviations = uncertainty.of_spread(
             maps.spread,
@@ -149,28 +94,17 @@ def fit_tiles(
             scale_deviation_of(clock, discrepancy),
             noise=uncertainty.noise_of(clock.objective, discrepancy),
         )
-    status, reason = ending(subset.status, subset.reason, statuses, options)
-    return FitOutput(
+    return output_of(
+        clock,
+        setup,
+        subset.refinement,
+        ending(subset.status, subset.reason, statuses, options),
         materials=maps.materials,
         lighting=subset.lighting,
         normals=maps.normals,
         uncertainty=deviations,
-        discrepancy=discrepancy,
-        status=status,
-        reason=reason,
-        rows=tuple(clock.rows),
-        evaluations=clock.evaluations,
-        iterations=clock.iteration,
-        stages=tuple(clock.stages),
         seconds=seconds,
-        refinement=subset.refinement,
-        camera=subset.run.camera,
-        exposures=units.exposures,
-        scale=scale_in_words(clock),
-        measured_lighting=clock.measured_lighting,
-        noise=clock.noise,
-        surrounded=setup.surrounded,
-        recon_rmse=None if setup.surrounded is None else whole.rmse,
+        recon_rmse=None if setup.surrounded is None else rmse,
     )
 
 
@@ -194,62 +128,148 @@ def ending(
     return status, reason
 
 
+@dataclass(frozen=True, eq=False)
+class _Subset:
+    """What a strided subset of the pixels found, which all others take over."""
+
+    run: Run
+    """Whose clock goes on."""
+    status: Status
+    reason: str
+    refinement: Refinement
+    lighting: Array
+    """(N, 16, 3) in picture units."""
+    shared_state: SharedState
+    nearest: _Nearest
+
+
+def _fit_subset(
+    scene: Scene, setup: FitSetup, units: Normalization, start: Start, pixels: int
+) -> _Subset:
+    """Fit about so many pixels of a scene as if they were all; `units` are those of the scene.
+
+    Of a time limit half is left to the tiles.
+    """
+    window, options = strided_window(scene.valid, pixels), setup.options
+    if options.time_limit is not None:
+        options = replace(options, time_limit=options.time_limit / 2)
+    if options.white is not None:
+        options = replace(options, white=window.place(*options.white))
+    if start is not None:
+        materials, lights = start
+        # As a whole, for a window of others may fit too.
+        for name in ("albedo", "roughness", "metallic"):
+            valid_values(name, getattr(materials, name), scene.valid)
+        start = cut_maps(materials, window), lights
+    part = cut(scene, window)
+    found, refinement = fit_pixels(part, replace(setup, options=options), start, units)
+    run, x = found.run, found.x
+    materials, lighting = run.objective.unpack(x)
+    if options.uncertainty and run.discrepancy is None:
+        began = time.perf_counter()
+        run.discrepancy = discrepancy_of(run, run.objective, x)
+        run.unmeasured += time.perf_counter() - began
+    shared_state = SharedState(
+        material=run.fitted_prior,
+        robust=run.objective.robust,
+        noise=run.noise,
+        discrepancy=run.discrepancy,
+    )
+    nearest = _Nearest(window, scene.valid, materials, np.asarray(run.scene.normals))
+    return _Subset(run, found.status, found.reason, refinement, lighting, shared_state, nearest)
+
+
 def _fit_tile(
-    tile: Tile,
-    subset: SubsetResult,
-    cutter: SceneCutter,
-    setup: FitSetup,
-    units: Normalization,
-    whole: Totals,
-) -> tuple[Run, Array, Status]:
-    """The run of a tile, its x, and why it ended; `whole` is of the scene."""
+    tile: Tile, subset: _Subset, scene: Scene, setup: FitSetup, units: Normalization
+) -> PixelFit:
+    """The fit of a tile of a scene, of which the subset has found all that pixels share."""
     # Nobody reads the history of a tile, so it need not know the ground truth.
-    part = replace(cutter.cut(tile.outer, subset.lighting), truth=None)
-    near, normals = subset.nearest.at(tile.outer)
-    priors, shared_state = _scaled_to(subset, Totals(part, units, whole.channels), whole)
-    setup = replace(setup, options=replace(setup.options, priors=priors), progress=None)
+    part = replace(cut(scene, tile.outer), lighting=subset.lighting, truth=None)
+    options = setup.options
+    if subset.shared_state.material is None:  # there was no time or no use for it
+        options = replace(options, priors=replace(options.priors, material=0.0))
+    setup = replace(setup, options=options, progress=None)
 
-    def objective_of(of: Scene, free_normals: bool) -> Objective:
-        objective = setup.objective(of, free_normals=free_normals, units=units)
-        if not free_normals:
-            objective.penalties += shared_state.penalties(objective.layout)
-        return objective
+    def make(of: Scene, free_normals: bool) -> Objective:
+        return setup.objective(of, free_normals=free_normals, units=units)
 
-    objective = objective_of(part, False)
-    run = setup.run(part, objective, shared_state)
+    objective = make(part, False)
+    run = setup.run(part, objective, subset.shared_state)
     run.unmeasured = subset.run.unmeasured
+    near, normals = subset.nearest.at(tile.outer)
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
     if run.out_of_time():
-        return run, x, Status.TIME_LIMIT
+        return PixelFit(run, x, Status.TIME_LIMIT, "")
     refined = subset.refinement.refined
-    found = refined_fit.fit(
-        run,
-        x,
-        objective_of,
-        start_given=True,
-        refines=refined,
-        normals=normals[part.valid] if refined else None,
-    )
-    return found.run, found.x, found.status
+    start = normals[part.valid] if refined else None
+    return refined_fit.fit(run, x, make, start_given=True, refines=refined, normals=start)
 
 
-def _scaled_to(subset: SubsetResult, part: Totals, whole: Totals) -> tuple[Priors, SharedState]:
-    """What a part's priors and penalties weigh, so that they are as strong as in the whole.
+class _Maps:
+    """Maps of a picture, NaN until their tile is done, with `spread` if somebody asked."""
 
-    The data term is a mean by weight. Beside that of the whole, smoothness is a sum, and sparsity
-    and cohesion are means over pixels, which may have more or less weight here than elsewhere.
+    def __init__(self, scene: Scene, layout: ParameterLayout, *, uncertain: bool) -> None:
+        shape = scene.valid.shape
+        self.materials = Materials(
+            np.full((*shape, 3), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
+        )
+        self.normals = np.array(scene.normals, dtype=np.float64)
+        self.spread: uncertainty.Spread | None = None
+        self._valid = scene.valid
+        if uncertain:
+            unknowns = layout.maps.stop // layout.pixels
+            self.spread = uncertainty.Spread.empty(layout.pixels, unknowns, layout.channels)
+            self._number = pixel_index(layout).astype(np.int32)
+
+    def put(self, tile: Tile, found: PixelFit, shared_state: SharedState) -> None:
+        """Keep what a tile found inside, with its posteriors."""
+        objective, part = found.run.objective, found.run.scene
+        materials, _ = objective.unpack(found.x)
+        for name in ("albedo", "roughness", "metallic"):
+            kept = tile.inside.of(getattr(materials, name))
+            tile.inner.of(getattr(self.materials, name))[...] = kept
+        tile.inner.of(self.normals)[...] = tile.inside.of(part.normals)
+        if self.spread is None:
+            return
+        assert shared_state.discrepancy is not None
+        spread = uncertainty.spread(
+            objective, found.x, shared_state.discrepancy, found.run.posterior
+        )
+        inside = np.zeros(part.valid.shape, bool)
+        tile.inside.of(inside)[...] = True
+        numbers = tile.inner.of(self._number)[tile.inner.of(self._valid)]
+        self.spread.put(numbers.astype(np.intp), spread, inside[part.valid])
+
+
+class _Nearest:
+    """Materials and normals of a strided subset, looked up from anywhere in the picture.
+
+    Where the subset has none, those of its nearest pixel that has some are taken. `valid` (H, W)
+    are the pixels of the picture that are fitted.
     """
-    share = part.weight / whole.weight
-    density = share / (part.pixels / whole.pixels)
-    shared_state = subset.shared_state
-    if shared_state.cohesion is not None:
-        means, weight = shared_state.cohesion
-        shared_state = replace(shared_state, cohesion=(means, weight / density))
-    priors = replace(
-        subset.priors,
-        smoothness=subset.priors.smoothness / share,
-        sparsity=subset.priors.sparsity / density,
-        cohesion=0.0,  # means of segments are held: a penalty of the shared state
-    )
-    return priors, shared_state
+
+    def __init__(
+        self, subset: Window, valid: NDArray[np.bool_], materials: Materials, normals: Array
+    ) -> None:
+        from scipy.ndimage import distance_transform_edt
+
+        self._subset = subset
+        maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
+        self._maps = np.concatenate([*maps, normals], axis=-1)
+        missing = ~subset.of(valid)
+        if missing.any():
+            nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+            self._maps = self._maps[tuple(nearest)]
+
+    def at(self, window: Window) -> tuple[Materials, Array]:
+        """Materials and normals (h, w, ...) of the pixels of a window."""
+        pairs = (window.rows, self._subset.rows), (window.columns, self._subset.columns)
+        places = [
+            np.rint((np.arange(here.start, here.stop) - there.start) / there.step).clip(
+                0, length - 1
+            )
+            for (here, there), length in zip(pairs, self._maps.shape[:2], strict=True)
+        ]
+        maps = self._maps[np.ix_(*(place.astype(np.intp) for place in places))]
+        return Materials(maps[..., :3], maps[..., 3], maps[..., 4]), maps[..., 5:]

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import settings
+from pbrfit.fit.sampling import stride
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
-from pbrfit.scene.arrays import Truth, equal_channels
+from pbrfit.scene.arrays import SceneArrays, Truth, equal_channels
 from pbrfit.scene.scene import Scene
 
 
@@ -38,56 +37,44 @@ class Window:
 
 @dataclass(frozen=True)
 class Tile:
-    """A tile: the pixels that are fitted, and those of them that are kept."""
+    """Windows of the whole picture: the pixels that are fitted, and those of them that are kept."""
 
     outer: Window
-    """Pixels that are fitted, in the whole picture."""
     inner: Window
-    inside: Window
-    """Pixels that are kept, in the whole picture and in the outer window."""
+
+    @property
+    def inside(self) -> Window:
+        """The pixels that are kept, in the outer window."""
+        (top, left), inner = (self.outer.rows.start, self.outer.columns.start), self.inner
+        return Window(
+            slice(inner.rows.start - top, inner.rows.stop - top),
+            slice(inner.columns.start - left, inner.columns.stop - left),
+        )
 
 
-def strided_window(valid: NDArray[np.bool_], at_least: int, at_most: int) -> Window:
-    """Every s-th row and column, with so many of the valid pixels (H, W).
-
-    `at_most` is exceeded by up to `STRIDED_SUBSET_EXCESS`.
-    """
-    wanted = max(1, math.ceil(math.sqrt(np.count_nonzero(valid) / at_most)))
-    # A mask may have stripes that a window hits or misses altogether: then the nearest step that
-    # does neither.
-    for step in sorted(range(1, 2 * wanted), key=lambda step: (abs(step - wanted), step)):
-        window = Window(*(slice(step // 2, None, step) for _ in range(2)))
-        count = np.count_nonzero(window.of(valid))
-        if step == 1 or at_least <= count <= settings.STRIDED_SUBSET_EXCESS * at_most:
-            break
-    return window
+def strided_window(valid: NDArray[np.bool_], at_most: int) -> Window:
+    """Every s-th row and column, with about so many of the valid pixels (H, W); see `stride`."""
+    step, row, column = stride(valid, at_most)
+    return Window(slice(row, None, step), slice(column, None, step))
 
 
 def tiles(valid: NDArray[np.bool_], margin: int, side: int) -> Iterator[Tile]:
     """Tiles of at most `side` rows and columns that have valid pixels, row by row."""
     height, width = valid.shape
-    rows, columns = (_cuts(length, side) for length in (height, width))
-    for top, bottom in pairwise(rows):
-        for left, right in pairwise(columns):
-            inner = Window(slice(top, bottom), slice(left, right))
-            if not inner.of(valid).any():
-                continue
-            first_row, first_column = max(0, top - margin), max(0, left - margin)
-            outer = Window(
-                slice(first_row, min(height, bottom + margin)),
-                slice(first_column, min(width, right + margin)),
-            )
-            inside = Window(
-                slice(top - first_row, bottom - first_row),
-                slice(left - first_column, right - first_column),
-            )
-            yield Tile(outer, inner, inside)
+    for rows, outer_rows in _pieces(height, margin, side):
+        for columns, outer_columns in _pieces(width, margin, side):
+            inner = Window(rows, columns)
+            if inner.of(valid).any():
+                yield Tile(Window(outer_rows, outer_columns), inner)
 
 
-def _cuts(length: int, side: int) -> list[int]:
-    """Borders of equal pieces that are no longer than `side`."""
+def _pieces(length: int, margin: int, side: int) -> list[tuple[slice, slice]]:
+    """Equal pieces of a range that are no longer than `side`, and the same with a margin."""
     count = -(-length // side)
-    return [length * i // count for i in range(count + 1)]
+    return [
+        (slice(first, end), slice(max(0, first - margin), min(length, end + margin)))
+        for first, end in pairwise(length * i // count for i in range(count + 1))
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,47 +131,18 @@ class PartialScene(Scene):
         return self.segments[self.valid].astype(np.intp), of_whole[1]
 
 
-class SceneCutter:
-    """Cuts windows out of a scene."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        self._labels: NDArray[np.int32] | None = None
-        if scene.labels is not None:
-            self._labels = np.zeros(scene.valid.shape, np.int32)
-            self._labels[scene.valid] = scene.labels[0]
-
-    def cut(self, window: Window, lighting: NDArray[np.float64] | None = None) -> PartialScene:
-        """A window of the scene, with these lights known, or as the whole has them."""
-
-        def of(maps: NDArray[Any] | None) -> Any:
-            return None if maps is None else window.of(maps)
-
-        scene = self.scene
-        weights, limits = scene.weights, scene.limits
-        return PartialScene(
-            images=scene.images[:, window.rows, window.columns],
-            normals=window.of(scene.normals),
-            depth=of(scene.depth),
-            fov=scene.fov,
-            fov_known=scene.fov_known,
-            correction=scene.correction,
-            mask=of(scene.mask),
-            segments=of(self._labels),
-            lighting=scene.lighting if lighting is None else lighting,
-            weights=None if weights is None else weights[:, window.rows, window.columns],
-            limits=None if limits is None else limits[:, window.rows, window.columns],
-            file_noise=scene.file_noise,
-            normal_sigma=of(scene.normal_sigma),
-            names=scene.names,
-            lamps=scene.lamps,
-            normals_known=scene.normals_known,
-            truth=None if scene.truth is None else Truth(cut_maps(scene.truth.materials, window)),
-            model=scene.model,
-            response=scene.response,
-            whole=scene,
-            window=window,
-        )
+def cut(scene: Scene, window: Window) -> PartialScene:
+    """A window of a scene."""
+    parts: dict[str, Any] = {one.name: getattr(scene, one.name) for one in fields(SceneArrays)}
+    parts["segments"] = scene.label_map
+    for name in ("normals", "depth", "mask", "segments", "normal_sigma"):
+        parts[name] = None if parts[name] is None else window.of(parts[name])
+    for name in ("images", "weights", "limits"):
+        if parts[name] is not None:
+            parts[name] = parts[name][:, window.rows, window.columns]
+    if scene.truth is not None:
+        parts["truth"] = Truth(cut_maps(scene.truth.materials, window))
+    return PartialScene(**parts, whole=scene, window=window)
 
 
 def cut_maps(materials: Materials, window: Window) -> Materials:

@@ -80,7 +80,7 @@ every_model = pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("ambient", [False, True])
 def test_slopes_by_the_surface(model: Model, ambient: bool) -> None:
     pixels, state = example(model, ambient=ambient)
-    found = slopes(pixels, state, ambient_terms=TERMS)
+    found = slopes(pixels, state)
     np.testing.assert_allclose(found.radiance, radiance(pixels, state), rtol=1e-12)
     frames = tangents(state.normals)
     for unknown in range(7):
@@ -104,7 +104,7 @@ def test_slopes_by_the_surface(model: Model, ambient: bool) -> None:
 @every_model
 def test_slopes_by_near_lamps_with_and_without_lobes(model: Model) -> None:
     pixels, state = example(model)
-    found, lamps = slopes(pixels, state, ambient_terms=TERMS), state.lamps
+    found, lamps = slopes(pixels, state), state.lamps
     for k in np.flatnonzero(NEAR):
         for axis in range(3):
             shift = np.zeros((4, 3))
@@ -120,7 +120,7 @@ def test_slopes_by_near_lamps_with_and_without_lobes(model: Model) -> None:
 @every_model
 def test_slopes_by_far_lamps_are_those_across_the_direction(model: Model) -> None:
     pixels, state = example(model)
-    found, lamps = slopes(pixels, state, ambient_terms=TERMS), state.lamps
+    found, lamps = slopes(pixels, state), state.lamps
     [k] = np.flatnonzero(~NEAR)
     for across in tangents(lamps.places[k : k + 1])[0]:
 
@@ -136,7 +136,7 @@ def test_slopes_by_far_lamps_are_those_across_the_direction(model: Model) -> Non
 @every_model
 def test_slopes_by_colours_and_ambient_light(model: Model) -> None:
     pixels, state = example(model)
-    found, lamps = slopes(pixels, state, ambient_terms=TERMS), state.lamps
+    found, lamps = slopes(pixels, state), state.lamps
     for k in range(4):
         shift = np.zeros((4, 3))
         shift[k] = 1.0
@@ -145,7 +145,6 @@ def test_slopes_by_colours_and_ambient_light(model: Model) -> None:
             return replace(state, lamps=replace(lamps, colors=lamps.colors + step * shift))
 
         assert_alike(found.by_color[:, k], difference(pixels, tinted)[:, lamps.pictures[k]])
-    assert found.by_ambient is not None
     for term in range(TERMS):
 
         def lit(step: float, term: int = term) -> LampState:

@@ -7,14 +7,15 @@ import pytest
 
 from lamp_scenes import LampScene, around, ball, relief
 from pbrfit import InputError
-from pbrfit.fit.lamps.start import LampStart, start_of_known_lamps, start_of_unknown_lamps
+from pbrfit.fit.lamps.samples import FirstShape
+from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
 
-def found(scene: LampScene) -> LampStart:
+def found(scene: LampScene) -> FirstShape:
     return start_of_unknown_lamps(scene.samples, scene.usable, scene.mask, scene.views, scene.fov)
 
 
-def under_known(scene: LampScene, strengths: np.ndarray | None = None) -> LampStart:
+def under_known(scene: LampScene, strengths: np.ndarray | None = None) -> FirstShape:
     return start_of_known_lamps(
         scene.samples, scene.usable, scene.mask, scene.views, scene.directions, strengths
     )

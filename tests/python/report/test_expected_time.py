@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pbrfit.fit.expected_time import expected_seconds, in_words
 from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.report.inspection import expected_seconds, time_in_words
 from pbrfit.synthetic import make_scene
 
 MEASURED = [
@@ -37,4 +37,4 @@ def test_expected_time_is_at_most_twice_off(side: int, pictures: int, seconds: f
     [(3.2, "3 s"), (99.0, "99 s"), (120.0, "2 min"), (5900.0, "98 min"), (7200.0, "2 h")],
 )
 def test_times_in_words(seconds: float, words: str) -> None:
-    assert in_words(seconds) == words
+    assert time_in_words(seconds) == words
