@@ -19,8 +19,8 @@ def conjugate_gradients(
     *,
     ratio: float,
     iterations: int,
-    enough: float = 0.0,
-    stop: Callable[[], bool] = lambda: False,
+    enough: float,
+    stop: Callable[[], bool],
 ) -> tuple[Array, int]:
     """S⁻¹ `right`, and the number of products with S, which is positive definite.
 
@@ -31,7 +31,7 @@ def conjugate_gradients(
     product
         S v.
     solved
-        M⁻¹ v of the preconditioner. Where it projects on a subspace, the solution is the one there.
+        M⁻¹ v of the preconditioner.
     ratio
         Of the remaining error to the first, in the norm of the preconditioner, at which to stop.
     iterations
