@@ -95,50 +95,41 @@ impl Samples<'_> {
         self.weights.iter().flatten().any(|&weight| weight > 0.0)
     }
 
-    /// The cost of a point.
-    pub(super) fn cost<M: Reflection>(&self, point: &Point) -> f64 {
-        let mut cost = 0.0;
-        self.each::<M, false>(point, None, |_, _, weight, residual| {
-            cost += weight * residual * residual;
-        });
-        for (x, value) in point.values().into_iter().enumerate() {
-            let deviation = value - self.prior_mean[x];
-            cost += self.prior_precision[x] * deviation * deviation;
-        }
-        cost
-    }
-
-    /// The normal equations at a point; those of the tangent offsets if ∂n by them is given.
+    /// The cost of a point, and the normal equations there; those of the tangent offsets if ∂n by
+    /// them is given.
     pub(super) fn equations<M: Reflection>(
         &self,
         point: &Point,
         by_offset: Option<&[DVec3; 2]>,
-    ) -> Equations {
-        let mut equations = Equations::default();
-        self.each::<M, true>(point, by_offset, |c, slopes, weight, residual| {
+    ) -> (f64, Equations) {
+        let (mut cost, mut equations) = (0.0, Equations::default());
+        self.each::<M>(point, by_offset, |c, slopes, weight, residual| {
+            cost += weight * residual * residual;
             equations.add(c, slopes, weight, residual);
         });
         for (x, value) in point.values().into_iter().enumerate() {
+            let deviation = value - self.prior_mean[x];
+            cost += self.prior_precision[x] * deviation * deviation;
             equations.matrix[x][x] += self.prior_precision[x];
-            equations.gradient[x] += self.prior_precision[x] * (value - self.prior_mean[x]);
+            equations.gradient[x] += self.prior_precision[x] * deviation;
         }
-        equations
+        (cost, equations)
     }
 
-    /// Calls `add` with channel, derivatives (of its own albedo, roughness, metallic, tangent offsets;
-    /// with `SLOPES`), weight and residual of each sample that counts.
+    /// Calls `add` with channel, derivatives (of its own albedo, roughness, metallic, tangent
+    /// offsets), weight and residual of each sample that counts.
     #[inline(always)]
-    fn each<M: Reflection, const SLOPES: bool>(
+    fn each<M: Reflection>(
         &self,
         point: &Point,
         by_offset: Option<&[DVec3; 2]>,
         mut add: impl FnMut(usize, &[f64; SLOPES_OF_SAMPLE], f64, f64),
     ) {
         let directions = [point.normal, self.view];
-        let surface = Surface::<SLOPES>::new(self.model, point.normal, self.view, &point.material);
+        let surface = Surface::<true>::new(self.model, point.normal, self.view, &point.material);
         let weights = (self.any_ambient)
             .then(|| shade(&Frame::<M>::new(point.normal, self.view), &point.material));
-        let weights_by = (SLOPES && self.any_ambient)
+        let weights_by = (self.any_ambient)
             .then(|| weight_slopes::<M>(directions, &point.material, by_offset));
         for (i, light) in self.lights.iter().enumerate() {
             if self.weights[i] == [0.0; 3] {
@@ -155,14 +146,12 @@ impl Samples<'_> {
                 let turned = by_offset.map(|by| by.map(|change| unit.along(change)));
                 for c in 0..3 {
                     model[c] += intensity[c] * unit.radiance[c];
-                    if SLOPES {
-                        slopes[c][0] += intensity[c] * unit.by_albedo[c];
-                        slopes[c][1] += intensity[c] * unit.by_roughness[c];
-                        slopes[c][2] += intensity[c] * unit.by_metallic[c];
-                        if let Some([by_a, by_b]) = &turned {
-                            slopes[c][3] += intensity[c] * by_a[c];
-                            slopes[c][4] += intensity[c] * by_b[c];
-                        }
+                    slopes[c][0] += intensity[c] * unit.by_albedo[c];
+                    slopes[c][1] += intensity[c] * unit.by_roughness[c];
+                    slopes[c][2] += intensity[c] * unit.by_metallic[c];
+                    if let Some([by_a, by_b]) = &turned {
+                        slopes[c][3] += intensity[c] * by_a[c];
+                        slopes[c][4] += intensity[c] * by_b[c];
                     }
                 }
             }
@@ -286,12 +275,12 @@ mod tests {
                 };
                 let by_offset = offset_normal(base, [0.12, -0.07]).by_offset;
                 let point = at(values);
-                let equations =
+                let (_, equations) =
                     with_model!(model, M => samples.equations::<M>(&point, Some(&by_offset)));
                 let cost = |x: usize, t: f64| {
                     let mut moved = values;
                     moved[x] += t;
-                    with_model!(model, M => samples.cost::<M>(&at(moved)))
+                    with_model!(model, M => samples.equations::<M>(&at(moved), None).0)
                 };
                 for x in 0..UNKNOWNS {
                     let slope = |h: f64| (cost(x, h) - cost(x, -h)) / (2.0 * h);

@@ -298,18 +298,18 @@ class _Comparison:
     def _race(self, kinds: Sequence[Explanation]) -> LeftOut | None:
         """The best of some, of which those go on from fold to fold that may still be the best.
 
-        None if the pictures of a fold are too few, or too much alike, for any of them.
+        None if the pictures of a fold are too few, or too much alike, for any of them, or if there
+        is no time for all: of some alone the best says little.
         """
         best = None
         for fold in range(len(self._folds)):
             for kind in kinds:
-                results = self._results()
-                if fold == 0 and any(self._rules_out(kind, one) for one in results):
+                if fold == 0 and any(self._rules_out(kind, one) for one in self._results()):
                     continue
-                if results and self._is_late():
-                    return min(results, key=SCORE)
-                if len(self._tried.get(kind, ())) == fold:
+                if len(self._tried.get(kind, ())) == fold and not self._is_late():
                     self._try(kind, fold)
+            if self._is_late():
+                break
             results = [one for one in self._results() if one.explanation in kinds]
             if not results:
                 break
@@ -339,10 +339,16 @@ class _Comparison:
             for of in tried
         ]
 
-    def _is_late(self) -> bool:
-        """Whether half of the time limit is over: the other half is for the fit of all pixels."""
+    @property
+    def _limit(self) -> float | None:
+        """Half of the time limit: the other half is for the fit of all pixels."""
         limit = self._options.time_limit
-        return limit is not None and time.perf_counter() - self._setup.began >= limit / 2
+        return None if limit is None else limit / 2
+
+    def _is_late(self) -> bool:
+        """Whether the time for comparing is over."""
+        limit = self._limit
+        return limit is not None and time.perf_counter() - self._setup.began >= limit
 
     @property
     def _is_ambiguous(self) -> bool:
@@ -469,7 +475,8 @@ class _Comparison:
         except InputError as error:
             log.debug("%s: not compared: %s", kind.in_words(), error)
         else:
-            self._tried.setdefault(kind, []).append(explained)
+            if not self._is_late():  # else the limit has cut the fit short
+                self._tried.setdefault(kind, []).append(explained)
 
     def _of_fold(self, kind: Explanation, fold: int) -> LeftOut:
         kept, out = self._folds[fold]
@@ -565,6 +572,7 @@ class _Comparison:
             refine_normals="off",
             transport="none",
             uncertainty=False,
+            time_limit=self._limit,
             **options,
         )
         return replace(self._setup, options=of_all, progress=None)

@@ -611,7 +611,6 @@ class LampFit:
                 albedo=albedo[band],
                 roughness=np.clip(prior.mean[:, 5], 0.05, 1),
                 metallic=np.full(len(pixels), self.options.metallic or 0.0),
-                seen=None,
             )
             found.append(
                 surfaces.fit_band(

@@ -159,8 +159,6 @@ class LampState:
     roughness: Array
     metallic: Array
     """(P, 3), (P, 3), (P,), (P,)."""
-    seen: Array | None = None
-    """(P, K): share of a lamp that a pixel sees; None = all."""
 
     def with_surface(
         self, normals: Array, albedo: Array, roughness: Array, metallic: Array
@@ -176,13 +174,11 @@ class LampState:
             albedo=self.albedo[rows],
             roughness=self.roughness[rows],
             metallic=self.metallic[rows],
-            seen=None if self.seen is None else self.seen[rows],
         )
 
     def incident(self, pixels: LampPixels) -> tuple[Array, Array]:
         """Unit vectors to the lamps (P, K, 3), and what colours are multiplied by (P, K)."""
-        directions, strengths = self.lamps.at(pixels.points, len(pixels))
-        return directions, strengths if self.seen is None else strengths * self.seen
+        return self.lamps.at(pixels.points, len(pixels))
 
 
 def surface_of(state: LampState) -> tuple[Array, Array, Array, Array]:
