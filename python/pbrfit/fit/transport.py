@@ -144,7 +144,7 @@ class _Search:
         """Change what no picture shows, one thing at a time, as long as that gains."""
         # With as many rounds as those that begin at its lights.
         best = self.tried(best.kind, best.scenery, best)
-        hopeful = range(len(list(candidates(best.scenery.extents))))
+        hopeful = list(range(len(list(candidates(best.scenery.extents)))))
         while hopeful and not self._out_of_time():
             changed = list(candidates(best.scenery.extents))
             trials = {
