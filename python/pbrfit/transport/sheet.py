@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pbrfit.transport.relief import Array, Mask, Relief, pairs, pieces, rays
 
 _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
-"""Of a pixel: rows and columns, clockwise from the upper left."""
+"""Rows and columns of a pixel's corners, clockwise from the upper left."""
 
 
 def sheets(found: Relief, things: Mask, thickness: Array) -> tuple[Array, Array, Array]:
