@@ -140,8 +140,9 @@ class Scenery:
     def _build(self, extents: Extents) -> None:
         if len(extents.blocks) != len(self.walls):
             raise InputError(
-                f"extents: expected one entry of blocks for each of {len(self.walls)} walls, "
-                f"found {len(extents.blocks)}"
+                f"extents: expected one entry of blocks for each of {len(self.walls)} walls that "
+                f"the depth shows, found {len(extents.blocks)}; where another version made the "
+                "result, fit the scene again"
             )
         self.extents, found = extents, self._relief
         things = found.here.copy()
@@ -248,26 +249,25 @@ class Scenery:
         """
         given = np.asarray(lighting, np.float64)
         lights = given.reshape(-1, *given.shape[-2:])
-        shape, count = self.mask.shape, len(lights)
-        pictures = np.full((count, *shape, 3), np.nan)
-        flat = pictures.reshape(count, -1, 3)
-        places = np.flatnonzero(self.mask)
-        pieces = [places[i : i + PIECE] for i in range(0, len(places), PIECE)]
-        for bounce in range(1 + BOUNCES if transport.kind == "bounce" else 1):
-            images, rays = None, RAYS
-            if bounce:
-                shown = transport.gain * pictures.transpose(1, 2, 0, 3).reshape(*shape, -1)
-                images, rays = filled(shown, self.mask).reshape(*shape, count, 3), BOUNCE_RAYS
-            for piece in pieces:
+        shape, count, places = self.mask.shape, len(lights), np.flatnonzero(self.mask)
+
+        def shown(light: Array, rays: int, images: NDArray[np.float32] | None = None) -> Array:
+            """(N, H, W, 3): under SH light, and what pictures (H, W, N, 3) show of surfaces."""
+            pictures = np.full((count, self.mask.size, 3), np.nan)
+            for start in range(0, len(places), PIECE):
+                piece = places[start : start + PIECE]
                 of = self._arguments(materials, normals, piece)
                 tables = self.transfer(
                     piece, model, rays=rays, threads=threads, images=images, normals=of[0]
                 )
-                # Rows from more rays are kept, but of larger pictures.
-                if not bounce or len(pieces) > 1:
-                    rows = tables.rows
                 bounced = tables.scaled(np.ones(count))
-                flat[:, piece] = _core.render(*of, lights, threads, model, rows, bounced)
+                pictures[:, piece] = _core.render(*of, light, threads, model, tables.rows, bounced)
+            return pictures.reshape(count, *shape, 3)
+
+        direct = pictures = shown(lights, RAYS)
+        for _ in range(BOUNCES if transport.kind == "bounce" else 0):
+            sent = filled(transport.gain * pictures.transpose(1, 2, 0, 3), self.mask)
+            pictures = direct + shown(np.zeros_like(lights), BOUNCE_RAYS, sent)
         return pictures.reshape(*given.shape[:-2], *shape, 3)
 
     def open_to(
@@ -373,7 +373,7 @@ def views(shape: tuple[int, ...], fov: float, places: NDArray[np.intp]) -> Array
 
 
 def filled(image: NDArray[Any], mask: Mask) -> NDArray[np.float32]:
-    """(H, W, C) in float32; where the mask has nothing, what the nearest pixel in it has."""
+    """(H, W, ...) in float32; where the mask has nothing, what the nearest pixel in it has."""
     found: NDArray[np.float32] = np.asarray(image, np.float32)[_nearest_in(mask)]
     return found
 

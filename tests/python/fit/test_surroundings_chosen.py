@@ -57,7 +57,7 @@ def scene_of(room: dict[str, Any], kind: str | None) -> Scene:
     if kind is None:
         images = pbrfit.render(maps, given["normals"], lights, FOV, model="principled")
     else:
-        # With the rays of a fit, until no more is reflected: else the true room does not explain it.
+        # With the rays of a fit, and all that is reflected: else the true room does not fit.
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(scenery, "BOUNCES", 8)
             patch.setattr(scenery, "BOUNCE_RAYS", scenery.RAYS)
