@@ -27,6 +27,12 @@ class Seen:
     normals: Array
     mask: NDArray[np.bool_]
     segments: NDArray[np.int64]
+    fov: float
+
+    @property
+    def depth(self) -> NDArray[np.float64]:
+        """(H, W); NaN where nothing is."""
+        return -self.points[..., 2]
 
     def blocked(self, starts: Array, directions: Array, solid: list[int]) -> NDArray[np.bool_]:
         """Whether rays (P, 3) in camera space meet some of the primitives."""
@@ -46,7 +52,7 @@ def look(primitives: list[Primitive], eye: Array, turn: Array, size: int, fov: f
     normals = (hits.normals @ turn).reshape(size, size, 3)
     normals[~mask] = np.nan
     segments = (hits.index + 1).reshape(size, size)
-    return Seen(primitives, eye, turn, positions(depth, fov), normals, mask, segments)
+    return Seen(primitives, eye, turn, positions(depth, fov), normals, mask, segments, fov)
 
 
 INWARDS = np.array([[0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]], float)

@@ -280,7 +280,7 @@ def _is_near(light: Light) -> bool:
 def _shadows(result: Result) -> str:
     if result.scenery is None:
         return "none: the result has no depth"
-    return f"by surroundings of {len(result.scenery.geometry.triangles)} triangles"
+    return f"by surroundings of {len(result.scenery.triangles)} triangles"
 
 
 def _facts_of_output(

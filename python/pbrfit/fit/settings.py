@@ -506,10 +506,6 @@ TRANSPORT_ERRORS_MIN = 2.0
 """Standard errors of the paired differences of left-out pixels from which one alternative is
 better: two, as is usual."""
 
-TRANSPORT_GAINS = (0.85, 0.7, 0.55, 1.2)
-"""Gains of brought light that are tried beside 1. A picture shows what a surface sends to the
-camera; where it is not matt, that is not what it sends to another one."""
-
 NORMALS_DIELECTRIC_ROUNDS = 3
 """First rounds of a search, in which metallic has a prior around 0 in place of the fitted one."""
 

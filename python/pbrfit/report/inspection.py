@@ -18,8 +18,8 @@ from pbrfit.scene import known_lamps
 from pbrfit.scene.depth import compared
 from pbrfit.scene.registration import register
 from pbrfit.scene.scene import Scene
-from pbrfit.transport.scenery import counted, name_of
-from pbrfit.transport.surroundings import find_walls
+from pbrfit.transport.room import counted, name_of
+from pbrfit.transport.scenery import Scenery
 
 
 def _needed(scene: Scene, layout: ParameterLayout) -> str:
@@ -108,10 +108,9 @@ def _surroundings(scene: Scene) -> str:
         return "unknown: no depth is given"
     if not scene.normals_known:
         return "unknown: no normals are given"
-    points = geometry.positions(scene.depth, scene.fov)
-    normals = np.asarray(scene.normals, np.float64)
     try:
-        walls = find_walls(points, normals, scene.valid, scene.segments)
+        given = scene.depth, scene.normals, scene.valid, scene.segments, scene.fov
+        walls = Scenery(*given).walls
     except InputError as error:
         return f"none: {error}"
     return counted([name_of(wall, walls) for wall in walls]) or "no wall, no floor"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.transport.room import room_axes
-from pbrfit.transport.surroundings import BACK, SIDE, WALL, Surroundings
+from pbrfit.transport.scenery import BACK, SIDE, WALL, Scenery
 
 Array = NDArray[np.float64]
 
@@ -24,17 +24,13 @@ INSIDE = 0.995
 """Share of points on either side that the drawing has room for, at least."""
 
 
-def plan_view(
-    surroundings: Surroundings, points: Array, size: int = 420, unit: str = "units of depth"
-) -> tuple[str, str]:
+def plan_view(scenery: Scenery, size: int = 420, unit: str = "units of depth") -> tuple[str, str]:
     """Draw surroundings from above and from the side, to one scale.
 
     Parameters
     ----------
-    surroundings
+    scenery
         What blocks light.
-    points
-        (H, W, 3) camera space, that it was made of; NaN where nothing is.
     size
         Width in pixels of each drawing.
     unit
@@ -44,8 +40,8 @@ def plan_view(
     -------
     Two SVG elements. From above the way ahead in the room is up, from the side it is to the right.
     """
-    right, up, ahead = room_axes(surroundings.walls)
-    drawn = _Parts(surroundings, points)
+    right, up, ahead = room_axes(scenery.walls)
+    drawn = _Parts(scenery)
     views = []
     for across, along in ((right, ahead), (ahead, up)):
         views.append((np.array([across, along]), drawn.bounds(np.array([across, along]))))
@@ -83,20 +79,21 @@ def plan_key() -> str:
 class _Parts:
     """What is drawn, in camera space."""
 
-    def __init__(self, surroundings: Surroundings, points: Array) -> None:
+    def __init__(self, scenery: Scenery) -> None:
+        points = scenery.points
         here = np.isfinite(points).all(axis=-1)
         on_walls = np.zeros(here.shape, bool)
-        for wall in surroundings.walls:
+        for wall in scenery.walls:
             on_walls |= wall.pixels
-        hidden = np.isin(surroundings.kind, (BACK, SIDE))
+        hidden = np.isin(scenery.kind, (BACK, SIDE))
         self.on_walls = _some(points[here & on_walls])
-        self.unseen = _some(surroundings.triangles[hidden].mean(axis=1).astype(float))
+        self.unseen = _some(scenery.triangles[hidden].mean(axis=1).astype(float))
         self.things = _some(points[here & ~on_walls])
-        pairs = surroundings.triangles[surroundings.kind == WALL].reshape(-1, 2, 3, 3)
+        pairs = scenery.triangles[scenery.kind == WALL].reshape(-1, 2, 3, 3)
         self.solid = np.concatenate([pairs[:, 0], pairs[:, 1, 2:]], axis=1).astype(float)
         self.open = [
             wall.corners
-            for wall, blocks in zip(surroundings.walls, surroundings.extents.blocks, strict=True)
+            for wall, blocks in zip(scenery.walls, scenery.extents.blocks, strict=True)
             if not blocks
         ]
         self.seen = points[here]

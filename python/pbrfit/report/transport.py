@@ -16,7 +16,8 @@ from pbrfit.result import metrics
 from pbrfit.result.relighting import DirectionalLight, LampLight, own_light, relight
 from pbrfit.result.result import Result
 from pbrfit.transport.decision import Kind
-from pbrfit.transport.scenery import Scenery, counted, name_of
+from pbrfit.transport.room import counted, name_of
+from pbrfit.transport.scenery import Scenery
 
 WORDS: Mapping[Kind, str] = {
     "none": "do nothing: all light reaches every surface",
@@ -58,7 +59,7 @@ def section(result: Result) -> str:
     scenery = result.scenery
     if scenery is None:
         return text
-    above, side = plan_view(scenery.geometry, scenery.points)
+    above, side = plan_view(scenery)
     plans = f'<div class="plans">{above}{side}</div>{plan_key()}'
     tables = f'<div class="numbers">{_supposed(scenery)}</div>'
     return text + plans + tables + _relit(result, scenery)

@@ -233,8 +233,7 @@ def _under_lamps(
     if scenery is not None:
         visibility = np.ones((len(lamps), *result.mask.shape))
         for k, (place, near) in enumerate(zip(lamps.places, lamps.near, strict=True)):
-            is_open = scenery.open_to_place if near else scenery.open_to
-            visibility[k, result.mask] = is_open(place)
+            visibility[k, result.mask] = scenery.open_to(place, near=bool(near))
     [picture] = render_lamps(
         result.materials,
         result.normals,

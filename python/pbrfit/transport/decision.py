@@ -1,16 +1,67 @@
-"""What a fit decided about surroundings: data that a result keeps."""
+"""What a fit decided about surroundings, and what it supposed: data that a result keeps."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from pbrfit.io.json_files import number, table
-from pbrfit.transport.extents import Extents
 
 Kind = Literal["none", "occlusion", "bounce"]
 """Whether surroundings do nothing, block light, or also bring the light that they reflect."""
+
+
+@dataclass(frozen=True)
+class Extents:
+    """What no picture shows, in units of the median depth.
+
+    Attributes
+    ----------
+    thickness
+        Of things seen from the front, at most.
+    height
+        Of walls above the floor, or above the lowest point where no floor is seen; a wall that is
+        seen higher up is higher. None = as far as they are seen.
+    behind
+        Distance of the wall behind the camera; None = open.
+    ceiling
+        Whether it is closed above.
+    blocks
+        For each wall that was found, whether it blocks light.
+    reach
+        How far a wall goes on beyond what is seen of it where no other wall ends it, and floor and
+        walls behind the camera where no wall is there.
+    """
+
+    thickness: float
+    height: float | None
+    behind: float | None
+    ceiling: bool
+    blocks: tuple[bool, ...]
+    reach: float
+
+
+def candidates(extents: Extents) -> Iterator[Extents]:
+    """Neighbours of extents that a search may try: one thing changed in each."""
+    for factor in (0.5, 2.0):
+        yield replace(extents, thickness=factor * extents.thickness)
+    if extents.height is not None:
+        for factor in (0.8, 1.25):
+            yield replace(extents, height=factor * extents.height)
+        yield replace(extents, ceiling=not extents.ceiling)
+    if extents.behind is not None:
+        for factor in (0.6, 1.6):
+            yield replace(extents, behind=factor * extents.behind)
+        yield replace(extents, behind=None, reach=extents.behind)
+    elif extents.height is not None:
+        yield replace(extents, behind=extents.reach)
+    if extents.behind is None and extents.blocks:
+        for factor in (0.6, 1.6):
+            yield replace(extents, reach=factor * extents.reach)
+    for i, blocks in enumerate(extents.blocks):
+        changed = (*extents.blocks[:i], not blocks, *extents.blocks[i + 1 :])
+        yield replace(extents, blocks=changed)
 
 
 @dataclass(frozen=True)
@@ -21,7 +72,8 @@ class Transport:
     why: str = "no depth is given"
     extents: Extents | None = None
     gain: float = 1.0
-    """What light from surfaces is multiplied by, beside what pictures show of them."""
+    """What light from surfaces is multiplied by, beside what pictures show of them; 1 but in
+    results of older versions."""
     figures: Mapping[str, float] = field(default_factory=dict)
     """Mean of ln(residual²/radiance²) of pixels that lights were not fitted to:
     `left_out_occlusion`, `left_out_bounce`, as far as they were tried, and `left_out_pixels`."""
@@ -33,13 +85,7 @@ class Transport:
 
     def as_json(self) -> dict[str, Any]:
         """What `result.json` holds under `transport`."""
-        return {
-            "kind": self.kind,
-            "why": self.why,
-            "extents": None if self.extents is None else asdict(self.extents),
-            "gain": self.gain,
-            "figures": dict(self.figures),
-        }
+        return asdict(self)
 
     @classmethod
     def from_json(cls, content: Any) -> Transport:

@@ -1,13 +1,13 @@
 """A scene's surroundings, and what they do to the light of its pixels.
 
-`Scenery` is geometry, made from depth; `Transport` is what a fit decided about it, and what a
-result keeps; `PixelTransfer` are the tables that the core takes (docs/transport.md).
+`Scenery` is geometry, made from depth; `PixelTransfer` are the tables that the core takes. What a
+fit decides about both is a `Transport` (docs/transport.md).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,40 +15,38 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
+from pbrfit._core import InputError
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
-from pbrfit.transport.decision import Transport
-from pbrfit.transport.extents import scale_of
-from pbrfit.transport.room import room_axes
-from pbrfit.transport.surroundings import (
-    WALL,
-    Extents,
-    Surroundings,
-    Wall,
-    default_extents,
-    find_walls,
-    surroundings,
-)
-
-Array = NDArray[np.float64]
+from pbrfit.transport.decision import Extents, Transport
+from pbrfit.transport.relief import Array, Mask, Relief, rays, relief
+from pbrfit.transport.room import counted, default_extents, name_of, rectangles
+from pbrfit.transport.sheet import sheets, triangles, widths
+from pbrfit.transport.walls import Wall, find_walls
 
 RAYS = 2048
 """Rays of a pixel, about. Tables are then within 1 % of those of ten times as many."""
 
-BOUNCES = 3
+BOUNCES = 5
 """How often light is reflected between surfaces that a picture shows under a new light. Each time
-less than half of it is left in a room of ordinary paint."""
+less than half of it is left in a room of ordinary paint: after five 1 % of a picture is missing."""
 
 BOUNCE_RAYS = 512
 """Rays of a pixel that tell what surfaces bring it: within 2 % of those of many more."""
 
-NAMED = 0.8
-"""Cosine between a wall's normal and an axis of the room from which it is called by that axis."""
-
 PIECE = 1 << 16
 """Pixels whose tables are held at once while pictures are rendered: 50 to 200 MB."""
+
+FRONT, BACK, SIDE, WALL = range(4)
+"""Kinds of triangle: seen; unseen behind that; between both; wall, floor, ceiling, behind."""
+
+MOST_POINTS = 66_000
+"""Points of the front, at most, unless said otherwise: all pixels of a picture of 256 x 256."""
+
+LIFT = 0.02
+"""How far above the surface rays start, in the distance to the next point: beyond rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +57,11 @@ class PixelTransfer:
     """(P, R, 16): rows in the place of the model's."""
     bounced: NDArray[np.float32] | None = None
     """(P, R, N, C): what they bring of each picture, in picture units; None = nothing."""
-    gain: float = 1.0
-    """What that is multiplied by."""
 
     def of(self, pixels: NDArray[np.uint64]) -> PixelTransfer:
         """Of some pixels."""
         bounced = None if self.bounced is None else self.bounced[pixels]
-        return replace(self, rows=self.rows[pixels], bounced=bounced)
+        return PixelTransfer(self.rows[pixels], bounced)
 
     def of_pictures(self, pictures: Sequence[int]) -> PixelTransfer:
         """Of some pictures."""
@@ -74,82 +70,106 @@ class PixelTransfer:
         return replace(self, bounced=self.bounced[:, :, list(pictures)])
 
     def scaled(self, units: Array) -> NDArray[np.float32] | None:
-        """(P, R, N·C): what is brought, in units of which a picture has so many; with the gain."""
+        """(P, R, N·C): what is brought, in units of which a picture has so many."""
         if self.bounced is None:
             return None
-        by_picture = (self.gain / units).astype(np.float32)[:, None]
-        pixels, rows = self.rows.shape[:2]
-        return (self.bounced * by_picture).reshape(pixels, rows, -1)
+        by_picture = (1 / units).astype(np.float32)[:, None]
+        return (self.bounced * by_picture).reshape(*self.rows.shape[:2], -1)
 
 
 class Scenery:
-    """Surroundings of a picture's pixels.
+    """What light meets: triangles of a scene, and where rays of its pixels start.
+
+    Things are what is seen of them, pushed back along the view by their own width, and closed at
+    their sides. Walls, floor and ceiling are rectangles. A ray that meets none of these leaves the
+    scene.
 
     Parameters
     ----------
     depth, normals, mask, segments, fov
-        As of a `Scene`.
+        As of a `Scene`. Points outside the mask block light, too.
     extents
         What no picture shows; None = by default.
+    most
+        Points of the front, at most: of larger pictures every second, third, ... pixel.
+
+    Attributes
+    ----------
+    points
+        (H, W, 3) what the pixels show: camera space, NaN where nothing is known to be.
+    unit
+        Their median depth: the unit of extents.
+    walls, extents
+        What was found of walls, those that do not block light too, and what is assumed.
+    triangles
+        (T, 3, 3) float32, camera space, in the unit of depth.
+    kind
+        (T,) uint8: FRONT, BACK, SIDE or WALL. Each two of WALL are a rectangle: the first three of
+        its corners, in a circle, and the first, third and fourth.
+    starts
+        (H, W, 3) float32: where rays of each pixel start: its point, without the noise of its
+        depth, lifted above its own surface; NaN where there is none.
+
+    Raises
+    ------
+    InputError
+        If no depth is known, or `extents` were made for another number of walls.
     """
 
     def __init__(
         self,
         depth: NDArray[Any],
         normals: NDArray[Any],
-        mask: NDArray[np.bool_],
+        mask: Mask,
         segments: NDArray[np.integer] | None,
         fov: float,
         extents: Extents | None = None,
+        most: int = MOST_POINTS,
     ) -> None:
         self.fov, self.mask, self.segments = fov, mask, segments
         self.normals = np.asarray(normals, np.float64)
-        # As a result keeps them, so that what is built from it is the same to the last bit.
-        self._rounded = np.asarray(np.asarray(normals, np.float32), np.float64)
         self.points = positions(depth, fov)
-        self.walls: tuple[Wall, ...] = find_walls(self.points, self._rounded, mask, segments)
-        self._build(default_extents(self.points, self.walls) if extents is None else extents)
+        # As a result keeps them, so that what is built from it is the same to the last bit.
+        rounded = np.asarray(np.asarray(normals, np.float32), np.float64)
+        self._relief = relief(self.points, rounded, mask, fov, most)
+        self.unit = float(np.nanmedian(-self.points[..., 2]))
+        self.walls: tuple[Wall, ...] = find_walls(self._relief, self.points, rounded, mask)
+        self.starts = _starts(self.points, self._relief, self.walls)
+        self._build(default_extents(self.unit, self.walls) if extents is None else extents)
 
     def _build(self, extents: Extents) -> None:
-        self.extents = extents
-        self.geometry: Surroundings = surroundings(
-            self.points, self._rounded, self.mask, self.segments, extents, self.walls
-        )
-        triangles = self.geometry.triangles
-        self._core = _core.Surroundings(np.ascontiguousarray(triangles), self._surfaces(triangles))
-
-    def _surfaces(self, triangles: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """(T,): from 1 on the number of the wall that a triangle is of; 0 where it is of none.
-
-        What is seen of a wall stands for what is not, behind things and beyond the picture.
-        """
-        found = np.zeros(len(triangles), np.uint8)
-        of_walls = self.geometry.kind == WALL
-        near = 1e-4 * scale_of(self.points)
-        for i, wall in enumerate(self.walls[:255], start=1):
-            on = (np.abs(wall.above(triangles.astype(np.float64))) < near).all(axis=-1) & of_walls
-            if wall.pixels.any():
-                found[on] = i
-        return found
+        if len(extents.blocks) != len(self.walls):
+            raise InputError(
+                f"extents: expected one entry of blocks for each of {len(self.walls)} walls that "
+                f"the depth shows, found {len(extents.blocks)}; where another version made the "
+                "result, fit the scene again"
+            )
+        self.extents, found = extents, self._relief
+        things = found.here.copy()
+        for wall in self.walls:
+            things &= ~wall.pixels[np.ix_(found.rows, found.columns)]
+        thickness = widths(found, things, self.segments, extents.thickness * self.unit)
+        for wall in self.walls:  # nothing reaches through a wall
+            towards = -(found.directions @ wall.normal)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                room = np.where(towards > 0, wall.above(found.points) / towards, np.inf)
+            thickness = np.where(things, np.clip(thickness, 0.0, np.maximum(room, 0.0)), 0.0)
+        seen = self.points[np.isfinite(self.points).all(axis=-1)]
+        of_room = list(rectangles(seen, self.walls, extents, self.unit))
+        corners = np.array([one for one, _ in of_room]).reshape(-1, 4, 3)
+        parts = *sheets(found, things, thickness), triangles(corners)
+        self.kind = np.repeat(np.arange(4, dtype=np.uint8), [len(part) for part in parts])
+        self.triangles = np.ascontiguousarray(np.concatenate(parts), np.float32)
+        # Of which wall a triangle is, from 1 on: what is seen of a wall stands for what is not.
+        surfaces = np.zeros(len(self.kind), np.uint8)
+        surfaces[self.kind == WALL] = np.repeat([number for _, number in of_room], 2)
+        self._core = _core.Surroundings(self.triangles, surfaces)
 
     @lazy
     def _nearest(self) -> NDArray[np.uint32]:
-        """For each surface and pixel, flat, the pixel that shows the surface nearest to it."""
-        from scipy.ndimage import distance_transform_edt
-
+        """For each wall and pixel, flat, the pixel that shows the wall nearest to it."""
         places = np.arange(self.mask.size, dtype=np.uint32).reshape(self.mask.shape)
-        found = []
-        for wall in self.walls[:255]:
-            nearest = places
-            if wall.pixels.any():
-                nearest = places[
-                    tuple(
-                        distance_transform_edt(
-                            ~wall.pixels, return_distances=False, return_indices=True
-                        )
-                    )
-                ]
-            found.append(nearest.ravel())
+        found = [places[_nearest_in(wall.pixels)].ravel() for wall in self.walls]
         return np.concatenate(found) if found else np.empty(0, np.uint32)
 
     def with_extents(self, extents: Extents) -> Scenery:
@@ -174,37 +194,30 @@ class Scenery:
         `images` (H, W, N, C) in picture units tell what blocked rays bring; None = nothing.
         """
         shape = self.mask.shape
-        rows, columns = np.divmod(places, shape[1])
-        normals = self.normals[rows, columns] if normals is None else normals
-        normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-        starts = self.geometry.starts[rows, columns].astype(np.float64)
-        known = np.isfinite(starts).all(axis=-1)
+        normals = self.normals.reshape(-1, 3)[places] if normals is None else normals
+        starts = self.starts.reshape(-1, 3)[places].astype(np.float64)
+        # Far from all, and so unblocked, where nobody knows where a pixel is.
+        far = 1e6 * (1 + np.nanmax(np.abs(starts), initial=1.0))
         given: dict[str, Any] = {}
         if images is not None:
-            count = images.shape[2:]
-            half_width = math.tan(math.radians(self.fov) / 2)
-            nearest = self._nearest
-            last = int(self._core.last_surface)
             given = {
                 "radiance": images.reshape(*shape, -1),
-                "half_width": half_width,
-                "nearest": nearest[: last * self.mask.size],
+                "half_width": math.tan(math.radians(self.fov) / 2),
+                "nearest": self._nearest[: self._core.last_surface * self.mask.size],
             }
-        # Far from all, and so unblocked, where nobody knows where a pixel is.
-        starts[~known] = 1e6 * (1 + np.abs(starts[known]).max(initial=1.0))
-        found, bounced = self._core.transfer(
-            np.ascontiguousarray(starts),
-            np.ascontiguousarray(normals),
-            np.ascontiguousarray(views(shape, self.fov, places)),
+        rows, bounced = self._core.transfer(
+            np.where(np.isnan(starts), far, starts),
+            normals / np.linalg.norm(normals, axis=-1, keepdims=True),
+            views(shape, self.fov, places),
             places.astype(np.uint64),
             rays=rays,
             model=model,
             threads=threads,
             **given,
         )
-        if bounced is not None:
-            bounced = bounced.reshape(*found.shape[:2], *count)
-        return PixelTransfer(found, bounced)
+        if images is not None and bounced is not None:
+            bounced = bounced.reshape(*rows.shape[:2], *images.shape[2:])
+        return PixelTransfer(rows, bounced)
 
     def render(
         self,
@@ -236,86 +249,53 @@ class Scenery:
         """
         given = np.asarray(lighting, np.float64)
         lights = given.reshape(-1, *given.shape[-2:])
-        shape, count = self.mask.shape, len(lights)
-        pictures = np.full((count, *shape, 3), np.nan)
-        flat = pictures.reshape(count, -1, 3)
-        pieces = _pieces(np.flatnonzero(self.mask))
-        of_pixels = [self._arguments(materials, normals, places) for places in pieces]
-        rows = []
-        for places, arguments in zip(pieces, of_pixels, strict=True):
-            tables = self.transfer(places, model, threads=threads, normals=arguments[0])
-            rendered = _core.render(*arguments, lights, threads, model, tables.rows)
-            flat[:, places] = rendered
-            # Of larger pictures they are not kept: rows are then from fewer rays.
-            if transport.kind == "bounce" and len(pieces) == 1:
-                rows.append(tables.rows)
-        for _ in range(BOUNCES if transport.kind == "bounce" else 0):
-            shown = pictures.transpose(1, 2, 0, 3).reshape(*shape, -1)
-            images = filled(shown, self.mask).reshape(*shape, count, 3)
-            for i, (places, arguments) in enumerate(zip(pieces, of_pixels, strict=True)):
+        shape, count, places = self.mask.shape, len(lights), np.flatnonzero(self.mask)
+
+        def shown(light: Array, rays: int, images: NDArray[np.float32] | None = None) -> Array:
+            """(N, H, W, 3): under SH light, and what pictures (H, W, N, 3) show of surfaces."""
+            pictures = np.full((count, self.mask.size, 3), np.nan)
+            for start in range(0, len(places), PIECE):
+                piece = places[start : start + PIECE]
+                of = self._arguments(materials, normals, piece)
                 tables = self.transfer(
-                    places,
-                    model,
-                    rays=BOUNCE_RAYS,
-                    threads=threads,
-                    images=images,
-                    normals=arguments[0],
+                    piece, model, rays=rays, threads=threads, images=images, normals=of[0]
                 )
-                bounced = replace(tables, gain=transport.gain).scaled(np.ones(count))
-                kept = rows[i] if rows else tables.rows
-                flat[:, places] = _core.render(*arguments, lights, threads, model, kept, bounced)
+                bounced = tables.scaled(np.ones(count))
+                pictures[:, piece] = _core.render(*of, light, threads, model, tables.rows, bounced)
+            return pictures.reshape(count, *shape, 3)
+
+        direct = pictures = shown(lights, RAYS)
+        for _ in range(BOUNCES if transport.kind == "bounce" else 0):
+            sent = filled(transport.gain * pictures.transpose(1, 2, 0, 3), self.mask)
+            pictures = direct + shown(np.zeros_like(lights), BOUNCE_RAYS, sent)
         return pictures.reshape(*given.shape[:-2], *shape, 3)
 
     def open_to(
-        self, direction: ArrayLike, places: NDArray[np.intp] | None = None
+        self, light: ArrayLike, places: NDArray[np.intp] | None = None, *, near: bool = False
     ) -> NDArray[np.bool_]:
-        """Whether light from far away, from one direction, meets nothing before a pixel.
+        """Whether light of a lamp meets nothing before a pixel.
 
         Parameters
         ----------
-        direction
-            (3,) unit vector in camera space from the surface to the light.
+        light
+            (3,) in camera space: unit vector from the surface to a lamp that is far away, or the
+            place of one that is near, in the unit of depth.
         places
             (P,) pixels, counted row by row; None = those of the mask.
+        near
+            Which of both.
 
         Returns
         -------
         (P,); True where nobody knows where a pixel is.
         """
-
-        def towards(starts: Array) -> tuple[Array, Array]:
-            directions = np.broadcast_to(np.asarray(direction, np.float64), starts.shape)
-            return directions, np.full(len(starts), np.inf)
-
-        return self._open(towards, places)
-
-    def open_to_place(
-        self, place: ArrayLike, places: NDArray[np.intp] | None = None
-    ) -> NDArray[np.bool_]:
-        """As `open_to`, of light from a place (3,) in camera space, in the unit of depth."""
-
-        def towards(starts: Array) -> tuple[Array, Array]:
-            away = np.asarray(place, np.float64) - starts
-            lengths = np.maximum(np.linalg.norm(away, axis=-1), np.finfo(np.float64).tiny)
-            return away / lengths[:, None], lengths
-
-        return self._open(towards, places)
-
-    def _open(
-        self,
-        towards: Callable[[Array], tuple[Array, Array]],
-        places: NDArray[np.intp] | None,
-    ) -> NDArray[np.bool_]:
-        """Whether pixels' rays meet nothing; `towards` gives directions and lengths by starts."""
         places = np.flatnonzero(self.mask) if places is None else places
-        starts = self.geometry.starts.reshape(-1, 3)[places].astype(np.float64)
-        found = np.ones(len(places), bool)
-        known = np.isfinite(starts).all(axis=-1)
-        directions, lengths = towards(starts[known])
-        met = self._core.distances(
-            np.ascontiguousarray(starts[known]), np.ascontiguousarray(directions)
-        )
-        found[known] = np.isinf(met) | (met >= lengths)
+        starts = self.starts.reshape(-1, 3)[places].astype(np.float64)
+        found: Mask = np.asarray(np.isnan(starts).any(axis=-1))
+        away = np.asarray(light, np.float64) - starts[~found] * float(near)
+        length = np.maximum(np.linalg.norm(away, axis=-1), np.finfo(np.float64).tiny)
+        met = self._core.distances(starts[~found], away / length[:, None])
+        found[~found] = np.isinf(met) | (near & (met >= length))
         return found
 
     def in_words(self, transport: Transport) -> str:
@@ -354,55 +334,52 @@ class Scenery:
         )
         n = np.asarray(normals, np.float64).reshape(-1, 3)[places]
         n = n / np.linalg.norm(n, axis=-1, keepdims=True)
-        views_of = np.ascontiguousarray(views(self.mask.shape, self.fov, places))
-        return np.ascontiguousarray(n), views_of, albedo, roughness[:, 0], metallic[:, 0]
+        view = views(self.mask.shape, self.fov, places)
+        return n, view, albedo, roughness[:, 0], metallic[:, 0]
 
 
-def name_of(wall: Wall, walls: tuple[Wall, ...]) -> str:
-    """What a wall is called by where it is in the room."""
-    if wall.level:
-        return "floor" if wall.level == 1 else "ceiling"
-    right, up, ahead = room_axes(walls)
-    along = {
-        "left wall": right,
-        "right wall": -right,
-        "wall ahead": -ahead,
-        "wall behind": ahead,
-        "level surface": up,
-    }
-    name, closeness = max(
-        ((name, float(wall.normal @ axis)) for name, axis in along.items()), key=lambda one: one[1]
+def _starts(points: Array, found: Relief, walls: Sequence[Wall]) -> NDArray[np.float32]:
+    """Where rays of pixels start: on the plane of the nearest point of the grid, and above it."""
+    height, width = points.shape[:2]
+    near = np.ix_(
+        *(
+            np.clip((np.arange(n) - of[0] + found.step // 2) // found.step, 0, len(of) - 1)
+            for n, of in ((height, found.rows), (width, found.columns))
+        )
     )
-    return name if closeness > NAMED else "slanted wall"
-
-
-def counted(names: Sequence[str]) -> str:
-    """Names, each once with how many there are of it: "floor, 2 left walls"."""
-    parts = []
-    for name in dict.fromkeys(names):
-        count = names.count(name)
-        several = f"{count} {name.replace('wall', 'walls').replace('surface', 'surfaces')}"
-        parts.append(several if count > 1 else name)
-    return ", ".join(parts)
-
-
-def _pieces(places: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Places in pieces of PIECE."""
-    return [places[i : i + PIECE] for i in range(0, len(places), PIECE)]
+    normal, footprint = found.normals[near], found.footprint[near]
+    tangent = found.tangents[near]
+    origins, directions = rays((height, width), found.fov, np.arange(height), np.arange(width))
+    own = np.einsum("hwi,hwi->hw", points - origins, directions)
+    on = np.einsum("hwi,hwi->hw", tangent, found.points[near] - origins)
+    on = on / np.einsum("hwi,hwi->hw", tangent, directions)
+    noise = found.noise * own
+    # Beyond a jump it is of something else.
+    on = np.where(np.abs(on - own) < 3 * (footprint + noise), on, own)
+    lift = np.nan_to_num(LIFT * footprint + noise)
+    start = origins + on[..., None] * directions + lift[..., None] * np.nan_to_num(normal)
+    # Nothing starts behind a wall; what shows the wall starts on it.
+    least = LIFT * np.nan_to_num(footprint)
+    for wall in walls:
+        above = wall.above(start)
+        moved = np.where(wall.pixels | (above < least), least - above, 0.0)
+        start = start + moved[..., None] * wall.normal
+    return np.asarray(start, np.float32)
 
 
 def views(shape: tuple[int, ...], fov: float, places: NDArray[np.intp]) -> Array:
     """(P, 3) unit vectors to the camera from pixels, whose places are counted row by row."""
-    return view_directions(shape[0], shape[1], fov).reshape(-1, 3)[places]
+    return np.ascontiguousarray(view_directions(shape[0], shape[1], fov).reshape(-1, 3)[places])
 
 
-def filled(image: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(H, W, C) in float32; where the mask has nothing, what the nearest pixel in it has."""
+def filled(image: NDArray[Any], mask: Mask) -> NDArray[np.float32]:
+    """(H, W, ...) in float32; where the mask has nothing, what the nearest pixel in it has."""
+    found: NDArray[np.float32] = np.asarray(image, np.float32)[_nearest_in(mask)]
+    return found
+
+
+def _nearest_in(mask: Mask) -> tuple[NDArray[np.intp], ...]:
+    """Row and column (H, W) of the nearest pixel of a mask."""
     from scipy.ndimage import distance_transform_edt
 
-    found: NDArray[np.float32] = np.asarray(image, np.float32)
-    if mask.all():
-        return found
-    rows, columns = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    nearest: NDArray[np.float32] = found[rows, columns]
-    return nearest
+    return tuple(distance_transform_edt(~mask, return_distances=False, return_indices=True))

@@ -9,17 +9,16 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from pbrfit.report.surroundings import CAMERA, LINE, SEEN, plan_key, plan_view
-from pbrfit.transport.surroundings import default_extents, find_walls, surroundings
+from pbrfit.transport.scenery import Scenery
 from small_worlds import ball_alone, box_room
 
 
 def test_plans_are_drawings_with_walls_camera_and_points() -> None:
     seen = box_room()
-    args = seen.points, seen.normals, seen.mask, seen.segments
-    walls = find_walls(*args)
-    extents = default_extents(seen.points, walls)
-    extents = replace(extents, blocks=(*extents.blocks[:-1], False))
-    views = plan_view(surroundings(*args, extents, walls), seen.points, 400, "metres")
+    found = Scenery(seen.depth, seen.normals, seen.mask, seen.segments, seen.fov)
+    blocks = (*found.extents.blocks[:-1], False)
+    found = found.with_extents(replace(found.extents, blocks=blocks))
+    views = plan_view(found, 400, "metres")
     for view in views:
         root = ET.fromstring(view)
         assert root.attrib["width"] == "400"
@@ -39,9 +38,7 @@ def test_plans_are_drawings_with_walls_camera_and_points() -> None:
 
 def test_a_thing_without_walls_can_be_drawn() -> None:
     seen = ball_alone()
-    args = seen.points, seen.normals, seen.mask, None
-    found = surroundings(*args, default_extents(seen.points, ()), ())
-    above, side = plan_view(found, seen.points)
+    above, side = plan_view(Scenery(seen.depth, seen.normals, seen.mask, None, seen.fov))
     for view in (above, side):
         ET.fromstring(view)
         assert np.isfinite(float(re.findall(r'height="(\d+)"', view)[0]))

@@ -153,9 +153,9 @@ def test_a_near_lamp_before_the_surface_is_in_no_shadow_of_what_is_behind_it() -
     assert scenery is not None
     middle = np.nanmedian(scenery.points.reshape(-1, 3), axis=0)
     # Half way between the camera and the surface: all that the camera sees is open to it or nearly.
-    assert scenery.open_to_place(np.zeros(3)).mean() > 0.9
+    assert scenery.open_to(np.zeros(3), near=True).mean() > 0.9
     # Below the floor nothing is.
-    assert scenery.open_to_place(middle - (0, 100, 0)).mean() < 0.1
+    assert scenery.open_to(middle - (0, 100, 0), near=True).mean() < 0.1
 
 
 def test_ambient_light_among_surroundings_stays(result: Result) -> None:

@@ -87,9 +87,9 @@ def test_scenery_of_a_loaded_result_is_that_of_the_fit(
     _, result, [chosen] = made
     for one in (result, loaded):
         assert one.scenery is not None
-        np.testing.assert_array_equal(one.scenery.geometry.triangles, chosen.geometry.triangles)
-        np.testing.assert_array_equal(one.scenery.geometry.starts, chosen.geometry.starts)
-        np.testing.assert_array_equal(one.scenery.geometry.kind, chosen.geometry.kind)
+        np.testing.assert_array_equal(one.scenery.triangles, chosen.triangles)
+        np.testing.assert_array_equal(one.scenery.starts, chosen.starts)
+        np.testing.assert_array_equal(one.scenery.kind, chosen.kind)
 
 
 def test_the_decision_is_kept(

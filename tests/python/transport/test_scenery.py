@@ -132,10 +132,10 @@ def test_a_scene_that_turns_with_its_light_looks_the_same(model: Model) -> None:
     scenery = scenery_of(seen, FOV["boxes"])
     turn = rotation(1, 70.0) @ rotation(0, 35.0) @ rotation(2, -50.0)
     places = np.flatnonzero(seen.mask)[::7]
-    points = scenery.geometry.starts.reshape(-1, 3)[places].astype(float)
+    points = scenery.starts.reshape(-1, 3)[places].astype(float)
     normals = seen.normals.reshape(-1, 3)[places]
     views = -points / np.linalg.norm(points, axis=1, keepdims=True)
-    triangles = scenery.geometry.triangles.astype(float)
+    triangles = scenery.triangles.astype(float)
     materials = random_materials((len(places),))
     lights = lamps(3)
 

@@ -537,8 +537,7 @@ class LampFit:
             reached = np.zeros((len(pixels), pixels.pictures), bool)
             seen = np.zeros(reached.shape[1], bool)
             for picture, place, near in zip(lamps.pictures, lamps.places, lamps.near, strict=True):
-                open_to = scenery.open_to_place if near else scenery.open_to
-                reached[:, picture] |= open_to(place, pixels.places)
+                reached[:, picture] |= scenery.open_to(place, pixels.places, near=bool(near))
                 seen[picture] = True
             reached[:, ~seen] = True
             return reached.astype(np.float64)
