@@ -64,7 +64,7 @@ def test_lbfgsb_descends() -> None:
 
 def test_the_default_fit_learns_a_material_prior_and_comes_near_the_truth() -> None:
     scene = room("principled", size=32, noise=0.01)
-    result = decompose(scene, refine_normals="off", uncertainty=False)
+    result = decompose(scene, refine_normals="off", light="sh", uncertainty=False)
     assert "prior material" not in " ".join(result.left_out)
     assert result.metrics["recon_rmse"] < 0.0105
     assert result.metrics["albedo_scaled_rmse"] < 0.05
@@ -100,9 +100,7 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     off = (result.roughness - true.roughness)[told] / found.deviation.roughness[told]
     # Samples are used thrice, so deviations are √3 times those by noise alone.
     # 0.455: the median of a normal's square
-    assert (
-        0.5 / np.sqrt(3) < np.sqrt(np.median(off**2) / 0.455) < 2
-    )  # 0.455: the median of a normal's square
+    assert 0.5 / np.sqrt(3) < np.sqrt(np.median(off**2) / 0.455) < 2
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -312,9 +313,10 @@ def test_what_pictures_share_is_in_the_deviations() -> None:
     np.testing.assert_allclose(after, 4 * before, rtol=1e-3)
 
 
+@functools.cache
 def with_uncertainty() -> pbrfit.Result:
     scene, objective, x = scene_and_x()
-    result = pbrfit.decompose(scene, iterations=2)
+    result = pbrfit.decompose(scene, solver="lbfgsb", iterations=2, uncertainty=False)
     return dataclasses.replace(result, uncertainty=estimated(objective, x))
 
 

@@ -6,6 +6,7 @@ would end the run.
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -25,10 +26,12 @@ from pbrfit import InputError, _core
 Array = NDArray[Any]
 Arguments = dict[str, Any]
 
+EXAMPLES = os.environ.get("PBRFIT_EXAMPLES")
+
 thorough = settings(
-    max_examples=200,
+    max_examples=int(EXAMPLES or 40),
     deadline=None,
-    derandomize=True,  # the same examples in every run
+    derandomize=EXAMPLES is None,  # the same examples in every run
     suppress_health_check=[HealthCheck.too_slow],
 )
 

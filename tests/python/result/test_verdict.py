@@ -103,6 +103,7 @@ def test_no_map_is_usable_where_left_out_pictures_are_not_explained() -> None:
 
 def test_a_fit_has_its_verdicts_capped(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = make_scene("room", size=12, lights=6, noise=0.001)
+    plain: dict[str, Any] = {"priors": None, "robust": "none", "light": "sh"}
     choose = compare.choose
     found = []
     for held_out in (EXPLAINED, UNEXPLAINED):
@@ -111,7 +112,7 @@ def test_a_fit_has_its_verdicts_capped(monkeypatch: pytest.MonkeyPatch) -> None:
             return dataclasses.replace(choose(*given, **options), held_out=held_out)
 
         monkeypatch.setattr(compare, "choose", choice)
-        uncertainty = decompose(scene).uncertainty
+        uncertainty = decompose(scene, **plain).uncertainty
         assert uncertainty is not None
         found.append(uncertainty.verdicts)
     free, capped = found
