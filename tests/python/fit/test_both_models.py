@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Objective, Priors, Scene, decompose
+from pbrfit import Objective, Scene, decompose
 from pbrfit.fit.light_modes import light_modes
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.result.verdict import ROUGH_MAX
@@ -101,22 +101,6 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     # Samples are used thrice, so deviations are √3 times those by noise alone.
     # 0.455: the median of a normal's square
     assert 0.5 / np.sqrt(3) < np.sqrt(np.median(off**2) / 0.455) < 2
-
-
-@pytest.mark.slow
-def test_robust_losses_and_penalties_run() -> None:
-    scene = room("principled", noise=0.01)
-    weights = Priors(material=0.01, cohesion=0.01, smoothness=0.01, sparsity=1e-5)
-    result = decompose(
-        scene,
-        solver="lbfgsb",
-        robust="cauchy",
-        priors=weights,
-        iterations=20,
-        refine_normals="off",
-        uncertainty=False,
-    )
-    assert result.metrics["recon_rmse"] < 0.02
 
 
 @pytest.mark.slow

@@ -239,53 +239,6 @@ def test_products_of_some_pixels_serve_all(monkeypatch: pytest.MonkeyPatch) -> N
     assert sums[1] < sums[0] + 0.02 * (before - sums[0])
 
 
-def secants_of(scene: Scene, monkeypatch: pytest.MonkeyPatch, pixels: int) -> JointFit:
-    """A fit with products of so many pixels, after two steps."""
-    monkeypatch.setattr(settings, "PRODUCT_PIXELS", pixels)
-    fit = joint_fit(objective_of(scene, "colour"), "prior")
-    minimize(fit, 20, 0.0)
-    assert minimize(fit, 2, 0.0) == 2
-    return fit
-
-
-def test_steps_of_all_pixels_know_how_the_gradient_changed(
-    noisy: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The step against a change is the move that led to it, however few pixels products have."""
-    monkeypatch.setattr(settings, "SECANT_GAIN_MIN", -1e9)
-    fit = secants_of(noisy, monkeypatch, 300)
-    gradient, product = fit._system() or pytest.fail("stopped")
-    fit._learn_secant(gradient)
-    secant = fit._secants[-1]
-    monkeypatch.setattr(fit, "_system", lambda: (-secant.change, product))
-    moves, predicted = fit.shared_moves(0.0)
-    error = float(np.linalg.norm(moves - secant.move))
-    assert error < 1e-6 * float(np.linalg.norm(secant.move))
-    assert predicted == pytest.approx(secant.curvature)
-
-
-def test_a_step_that_gains_less_than_it_promised_ends_them(
-    noisy: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(settings, "SECANT_GAIN_MIN", 1e9)
-    assert not secants_of(noisy, monkeypatch, 300)._secants
-
-
-def test_fits_with_all_products_have_none(noisy: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not secants_of(noisy, monkeypatch, 10_000)._secants
-
-
-def test_steps_have_the_same_bits_at_any_number_of_threads(noisy: Scene) -> None:
-    ends = []
-    for threads in (1, 2, 8):
-        fit = joint_fit(Objective(noisy, threads=threads), "clusters")
-        minimize(fit, 3, settings.GAIN_MIN)
-        ends.append((fit.x, fit.sum_sq, fit.offsets))
-    for end in ends[1:]:
-        for one, other in zip(end, ends[0], strict=True):
-            np.testing.assert_array_equal(one, other)
-
-
 @pytest.mark.parametrize("looks", range(8))
 def test_a_step_that_is_stopped_is_not_taken(
     noisy: Scene, looks: int, monkeypatch: pytest.MonkeyPatch

@@ -157,7 +157,7 @@ def test_asked_for_or_not_no_more_is_left_than_by_the_given_ones(
     scene = make_scene("room", size=SIZE, lights=8, seed=seed, held_out=1, noise=0.01)
     scene = dataclasses.replace(scene, fov=options.pop("fov", scene.fov))
     off, on = (
-        decompose(scene, refine_normals=asked, uncertainty=False, **options)
+        decompose(scene, refine_normals=asked, light="sh", uncertainty=False, **options)
         for asked in ("off", "on")
     )
     check(on, scene)

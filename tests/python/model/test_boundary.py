@@ -386,19 +386,6 @@ def test_a_bad_array_is_refused_by_name(
     assert_finite_or_refused(function, kind, arguments, changed)
 
 
-@every_function
-@thorough
-@given(kind=kinds, data=st.data())
-def test_several_bad_arrays_at_once(name: str, kind: Kind, data: st.DataObject) -> None:
-    function = FUNCTIONS[name]
-    arguments = function.arguments(kind, np.random.default_rng(0))
-    for argument, value in arguments.items():
-        if isinstance(value, np.ndarray) and data.draw(st.booleans()):
-            change = data.draw(st.sampled_from(CHANGES))
-            arguments[argument] = change(value, data)
-    assert_finite_or_refused(function, kind, arguments)
-
-
 @thorough
 @given(
     kind=kinds,
