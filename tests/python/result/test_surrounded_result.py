@@ -35,14 +35,14 @@ def room_scene() -> Scene:
     shape = mask.shape
     materials = even(seen.mask, 0.6)
     rng = np.random.default_rng(3)
-    lights = np.zeros((3, 16, 3))
+    lights = np.zeros((4, 16, 3))
     lights[:, 0] = 3.0
-    lights[:, 1:4] = rng.normal(0, 1.5, (3, 3, 1))
-    lights[:, 4:9] = rng.normal(0, 0.5, (3, 5, 1))
+    lights[:, 1:4] = rng.normal(0, 1.5, (4, 3, 1))
+    lights[:, 4:9] = rng.normal(0, 0.5, (4, 5, 1))
     pictures = scenery.render(
         materials, seen.normals, lights, Transport("occlusion"), model="principled"
     )
-    assert pictures.shape == (3, *shape, 3)
+    assert pictures.shape == (4, *shape, 3)
     return Scene(
         images=np.maximum(np.nan_to_num(pictures), 1e-3).astype(np.float32),
         normals=np.where(mask[..., None], seen.normals, np.nan),
