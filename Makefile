@@ -52,10 +52,10 @@ FUZZ_JOBS ?= 2
 # LLVM counts covered branches and compared values for libFuzzer.
 FUZZ_LLVM := -coverage-level=4 -coverage-inline-8bit-counters -coverage-pc-table -coverage-trace-compares
 FUZZ_FLAGS := -Cpasses=sancov-module $(patsubst -%,-Cllvm-args=-sanitizer-%,$(FUZZ_LLVM)) --cfg fuzzing
-# of test: Python tests at once, a file each
+# of test: Python tests at once
 TEST_JOBS ?= 2
 # One BLAS thread in each of the processes, which are as many as there are cores.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dist loadfile
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dist worksteal --durations 30
 # of test-arrays
 EXAMPLES ?= 2000
 
@@ -98,7 +98,8 @@ test-cluster: $(CLUSTER)/installed
 	$(CLUSTER)/bin/pytest tests/cluster
 
 test-arrays: $(VENV)/tools
-	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/commands/test_array_interface.py
+	PBRFIT_EXAMPLES=$(EXAMPLES) $(BIN)/pytest tests/python/commands/test_array_interface.py \
+		tests/python/model/test_boundary.py
 
 test-limits: $(VENV)/tools
 	$(BIN)/python tests/reliability/signals.py commands --times 5

@@ -259,7 +259,7 @@ def test_report_is_whole_or_marked_by_the_lack_of_a_summary(tmp_path: Path) -> N
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return make_scene("room", size=24, lights=8, held_out=3, seed=2)
+    return make_scene("room", size=16, lights=5, held_out=3, seed=2)
 
 
 def at_the_truth(scene: Scene, iterations: int) -> Result:

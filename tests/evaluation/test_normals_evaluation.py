@@ -131,10 +131,10 @@ def half_way(monkeypatch: pytest.MonkeyPatch) -> None:
         before = np.asarray(given.normals, np.float64)
         true = truths[given.images.tobytes()]
         if refine_normals == "off" or np.nanmax(np.abs(before - true)) < 1e-9:
-            held = decompose(given, refine_normals="off", **options)
+            held = decompose(given, refine_normals="off", light="sh", **options)
             return replace(held, refinement=Refinement(refine_normals, False, "nothing to do"))
         after = replace(given, normals=unit(before + true))
-        held = decompose(after, refine_normals="off", **options)
+        held = decompose(after, refine_normals="off", light="sh", **options)
         why = Refinement(refine_normals, True, "more than noise is left", {"noise": 0.01})
         return replace(held, given_normals=before, refinement=why)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import functools
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -77,15 +78,20 @@ def made(
     outside = ~mask
     for plane in (albedo, normals, *finish):
         plane[outside] = np.nan
-    template = decompose(make_scene("room", size=8, lights=2), iterations=1)
     return dataclasses.replace(
-        template,
+        _template(),
         materials=Materials(albedo, finish[0], finish[1]),
         lighting=lighting,
         normals=normals,
         mask=mask,
         fov=fov,
     )
+
+
+@functools.cache
+def _template() -> Result:
+    """A result, of which only what no picture shows is kept."""
+    return decompose(make_scene("room", size=8, lights=2), iterations=1)
 
 
 def expected(

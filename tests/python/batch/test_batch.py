@@ -42,7 +42,7 @@ from pbrfit.synthetic import make_scene
 from processes import alive, until, waiting_at
 from scene_files import FORMATS, SIZE, room, run, write_folder
 
-FEW = ("--iterations", 2, "--refine-normals", "off")
+FEW = ("--iterations", 0)
 
 NAMES = ("one", "two", "drei ä 面")
 

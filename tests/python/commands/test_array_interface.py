@@ -29,7 +29,7 @@ from pbrfit.synthetic import make_scene
 EXAMPLES = os.environ.get("PBRFIT_EXAMPLES")
 
 profile = settings(
-    max_examples=int(EXAMPLES or 60),
+    max_examples=int(EXAMPLES or 30),
     phases=(Phase.explicit, Phase.generate) if EXAMPLES else tuple(Phase),
     deadline=None,
     derandomize=EXAMPLES is None,  # the same examples in every run

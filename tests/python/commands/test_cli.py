@@ -387,24 +387,6 @@ def test_penalties_that_the_solver_does_not_know_are_refused(folder: Path, tmp_p
         decompose(room(), priors=Priors(cohesion=1.0))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["decompose", "demo"])
-def test_priors_change_a_fit(command: str, folder: Path, tmp_path: Path) -> None:
-    found = []
-    for weight in (0, 1000):
-        out = tmp_path / f"out{weight}"
-        to = ("--out", out) if command == "decompose" else ("--size", 8, "--lights", 3)
-        first = folder if command == "decompose" else out
-        options = (
-            *("--no-priors", "--prior", f"smoothness={weight}", "--solver", "lbfgsb"),
-            *("--quiet", "--iterations", 200),
-        )
-        assert run(command, first, *to, *options) == 0
-        result = Result.load(out if command == "decompose" else out / "result")
-        found.append(np.nanstd(np.diff(result.roughness, axis=0)))
-    assert found[1] < 0.95 * found[0]
-
-
 def test_grey_pictures_are_fitted_in_one_channel(tmp_path: Path) -> None:
     folder, out = tmp_path / "scene", tmp_path / "out"
     grey = np.repeat(room().images[..., :1], 3, axis=-1)

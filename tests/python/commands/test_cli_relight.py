@@ -141,7 +141,6 @@ def test_the_command_lights_as_the_library_does(room: Path, pano: Path, tmp_path
     arguments: tuple[Argument, ...]
     expected: Any
     for arguments, expected, error in (
-        (("--env", pano), light, 1e-6),
         (("--env", pano, "--rotate", "-90"), Environment(sky(), -90), 1e-6),
         (("--env", hdr), light, 1e-2),
         (named, result.lighting[1], 1e-7),
@@ -322,9 +321,9 @@ def test_a_frame_is_the_picture_under_the_turned_light(
     if source == "sh":
         light = ("--sh", room / "lighting.json", "--picture", "light_02")
     out = tmp_path / "frames"
-    assert run("relight", room, *light, "--turntable", 4, "--out", out, "--quiet") == 0
-    for k in range(4):
-        expected = written(room, tmp_path, *light, "--rotate", 360 * k / 4)
+    assert run("relight", room, *light, "--turntable", 3, "--out", out, "--quiet") == 0
+    for k in range(3):
+        expected = written(room, tmp_path, *light, "--rotate", 120 * k)
         np.testing.assert_allclose(
             exr(out / f"frame_000{k}.exr"), expected, rtol=0, atol=1e-6 * np.abs(expected).max()
         )

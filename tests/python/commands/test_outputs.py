@@ -23,7 +23,7 @@ from scene_files import Argument, tree, write_folder
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 
-FEW = ("--iterations", 2, "--refine-normals", "off", "--quiet")
+FEW = ("--iterations", 0, "--quiet")
 
 SMALL = ("--size", 8, "--lights", 3)
 

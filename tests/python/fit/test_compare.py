@@ -287,7 +287,8 @@ def test_nothing_is_compared_where_it_cannot_be_or_all_is_told() -> None:
     ],
 )
 def test_a_result_says_why_there_are_no_lamps(options: dict[str, Any], why: str) -> None:
-    found = decompose(room(), uncertainty=False, **options)
+    plain: dict[str, Any] = {"priors": None, "robust": "none", "uncertainty": False}
+    found = decompose(room(), **plain, **options)
     assert f"lamps: {why}" in found.left_out
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Objective, Priors
+from pbrfit import Objective, Priors, Scene
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.priors.penalties import Penalty
 from pbrfit.model.reflection import MODELS, Model
@@ -22,9 +23,13 @@ Array = NDArray[np.float64]
 PRIORS = Priors(material=1.0, cohesion=0.7, smoothness=0.3, sparsity=0.2, monochrome=0.5)
 
 
+@functools.cache
+def room(model: Model) -> Scene:
+    return make_scene("room", size=8, lights=4, held_out=1, noise=0.02, seed=5, model=model)
+
+
 def objective_of(kind: str, model: Model, **options: Any) -> Objective:
-    scene = make_scene("room", size=16, lights=5, held_out=1, noise=0.02, seed=5, model=model)
-    changed, own = of_kind(scene, kind)
+    changed, own = of_kind(room(model), kind)
     return Objective(changed, priors=PRIORS, model=model, **own, **options)
 
 

@@ -32,12 +32,12 @@ each_kind = pytest.mark.parametrize("kind", FREE_LIGHTS)
 
 @pytest.fixture(scope="module")
 def room() -> Scene:
-    return make_scene("room", size=32, lights=12, seed=2000, held_out=2)
+    return make_scene("room", size=24, lights=8, seed=2000, held_out=2)
 
 
 @pytest.fixture(scope="module")
 def noisy() -> Scene:
-    return make_scene("room", size=24, lights=8, noise=0.01, seed=2001, held_out=2)
+    return make_scene("room", size=18, lights=6, noise=0.01, seed=2001, held_out=2)
 
 
 def fitted(objective: Objective, x: Array, prior: GaussianPrior | None = None) -> Array:
@@ -220,7 +220,7 @@ def test_planted_lights_are_found(room: Scene) -> None:
     fit = shared.joint_fit(objective, x, fitted(objective, x))
     minimize(fit, 60, 0.0)
     assert fit.sum_sq.sum() <= EXACT**2 * objective.total_weight
-    found, planted = (of[lights].reshape(12, 16, 3) for of in (x, true))
+    found, planted = (of[lights].reshape(8, 16, 3) for of in (x, true))
     scale = (found * planted).sum(axis=(0, 1)) / (found**2).sum(axis=(0, 1))
     np.testing.assert_allclose(found * scale, planted, rtol=0, atol=1e-5 * np.abs(planted).max())
 
@@ -237,53 +237,6 @@ def test_products_of_some_pixels_serve_all(monkeypatch: pytest.MonkeyPatch) -> N
         sums.append(fit.total(fit.x, fit.sum_sq, fit.offsets))
     assert sums[0] < 0.9 * before
     assert sums[1] < sums[0] + 0.02 * (before - sums[0])
-
-
-def secants_of(scene: Scene, monkeypatch: pytest.MonkeyPatch, pixels: int) -> JointFit:
-    """A fit with products of so many pixels, after two steps."""
-    monkeypatch.setattr(settings, "PRODUCT_PIXELS", pixels)
-    fit = joint_fit(objective_of(scene, "colour"), "prior")
-    minimize(fit, 20, 0.0)
-    assert minimize(fit, 2, 0.0) == 2
-    return fit
-
-
-def test_steps_of_all_pixels_know_how_the_gradient_changed(
-    noisy: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The step against a change is the move that led to it, however few pixels products have."""
-    monkeypatch.setattr(settings, "SECANT_GAIN_MIN", -1e9)
-    fit = secants_of(noisy, monkeypatch, 300)
-    gradient, product = fit._system() or pytest.fail("stopped")
-    fit._learn_secant(gradient)
-    secant = fit._secants[-1]
-    monkeypatch.setattr(fit, "_system", lambda: (-secant.change, product))
-    moves, predicted = fit.shared_moves(0.0)
-    error = float(np.linalg.norm(moves - secant.move))
-    assert error < 1e-6 * float(np.linalg.norm(secant.move))
-    assert predicted == pytest.approx(secant.curvature)
-
-
-def test_a_step_that_gains_less_than_it_promised_ends_them(
-    noisy: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(settings, "SECANT_GAIN_MIN", 1e9)
-    assert not secants_of(noisy, monkeypatch, 300)._secants
-
-
-def test_fits_with_all_products_have_none(noisy: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not secants_of(noisy, monkeypatch, 10_000)._secants
-
-
-def test_steps_have_the_same_bits_at_any_number_of_threads(noisy: Scene) -> None:
-    ends = []
-    for threads in (1, 2, 8):
-        fit = joint_fit(Objective(noisy, threads=threads), "clusters")
-        minimize(fit, 3, settings.GAIN_MIN)
-        ends.append((fit.x, fit.sum_sq, fit.offsets))
-    for end in ends[1:]:
-        for one, other in zip(end, ends[0], strict=True):
-            np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("looks", range(8))
@@ -338,7 +291,7 @@ def test_progress_is_told_of_every_joint_step(room: Scene) -> None:
         seen.append(now)
         states.append(now.state())
 
-    result = pbrfit.decompose(room, priors=None, progress=progress)
+    result = pbrfit.decompose(room, priors=None, light="sh", robust="none", progress=progress)
     told = [now.iteration for now in seen]
     steps = told.count(0)  # of some pixels, and the start
     assert steps > 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,13 @@ PIXELS = SIZE**2
 every_kind = pytest.mark.parametrize("kind", ALL_KINDS)
 
 
+@functools.cache
+def made(sh_order: int) -> Scene:
+    return make_scene("textured", size=SIZE, lights=PICTURES, held_out=1, sh_order=sh_order)
+
+
 def scene_of(kind: str) -> tuple[Scene, dict[str, Any]]:
-    sh_order = 2 if kind == "known lights" else 3
-    made = make_scene("textured", size=SIZE, lights=PICTURES, held_out=1, sh_order=sh_order)
-    return of_kind(made, kind)
+    return of_kind(made(2 if kind == "known lights" else 3), kind)
 
 
 @pytest.mark.parametrize("free_normals", [False, True])

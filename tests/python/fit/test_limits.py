@@ -166,7 +166,7 @@ def test_few_iterations_are_no_more(solver: Solver, refine_normals: Any, iterati
 
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("refine_normals", ["off", "on"])
-@pytest.mark.parametrize("time_limit", [0.0, 1e-300, 1e-6])
+@pytest.mark.parametrize("time_limit", [0.0, 1e-6])
 @pytest.mark.parametrize("robust", ["none", "cauchy"])
 def test_no_time_at_all_is_enough_for_a_whole_result(
     solver: Solver, refine_normals: Any, time_limit: float, robust: Any

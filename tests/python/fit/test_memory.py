@@ -242,9 +242,7 @@ print(resident("VmHWM") - before, said.tables)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell the peak")
-@pytest.mark.parametrize(
-    ("kind", "model"), [("occlusion", "principled"), ("bounce", "paper"), ("bounce", "principled")]
-)
+@pytest.mark.parametrize(("kind", "model"), [("occlusion", "principled"), ("bounce", "paper")])
 def test_tables_of_surroundings_take_what_is_said(kind: str, model: str) -> None:
     run = subprocess.run(
         [sys.executable, "-c", TABLES, kind, model], check=True, capture_output=True, text=True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
@@ -23,13 +24,17 @@ SIZE, N = 8, 3
 ALL = Priors(material=1.0, cohesion=1.0, smoothness=1.0, sparsity=1.0, monochrome=1.0)
 
 
+@functools.cache
+def room(sh_order: int = 3) -> pbrfit.Scene:
+    return make_scene("room", size=SIZE, lights=N, held_out=1, sh_order=sh_order)
+
+
 def scene(**changes: Any) -> pbrfit.Scene:
-    made = make_scene("room", size=SIZE, lights=N, held_out=1)
-    return dataclasses.replace(made, **changes)
+    return dataclasses.replace(room(), **changes)
 
 
 def known_lights(sh_order: int = 3) -> pbrfit.Scene:
-    made = make_scene("room", size=SIZE, lights=N, held_out=1, sh_order=sh_order)
+    made = room(sh_order)
     return dataclasses.replace(made, lighting=truth_of(made).lighting)
 
 
@@ -182,7 +187,7 @@ def test_monochrome_waits_for_lights_and_obeys() -> None:
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_monochrome_is_obeyed_without_the_material_prior(solver: Solver) -> None:
-    coloured = make_scene("room", size=16, lights=4, seed=3, held_out=1, noise=0.01)
+    coloured = make_scene("room", size=12, lights=3, seed=3, held_out=1, noise=0.01)
 
     def off(weight: float) -> float:
         priors = Priors(material=0, monochrome=weight)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,17 +184,12 @@ def test_fits_stand_bad_samples_and_pictures(kind: str, size: int) -> None:
         images[4] = np.random.default_rng(2).normal(0, SIGMA, images[4].shape)
     assert scene.truth is not None
     truth = scene.truth.materials.albedo
+    options: dict[str, Any] = {"refine_normals": "off", "align": "off", "light": "sh"}
+    options |= {"uncertainty": False}
     errors = {}
     for name, of in (("sound", scene), (kind, replace(scene, images=images))):
-        found = decompose(of, refine_normals="off", align="off", uncertainty=False)
-        errors[name] = rmse(found.albedo, truth)
-    squares = decompose(
-        replace(scene, images=images),
-        refine_normals="off",
-        align="off",
-        uncertainty=False,
-        robust="none",
-    )
+        errors[name] = rmse(decompose(of, **options).albedo, truth)
+    squares = decompose(replace(scene, images=images), robust="none", **options)
     assert errors[kind] <= 1.5 * errors["sound"] + 0.002
     if kind != "black":
         assert 2 * errors[kind] < rmse(squares.albedo, truth)

@@ -118,7 +118,7 @@ def test_normals_are_put_right_in_known_lights(room: Scene) -> None:
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_true_normals_are_kept_and_change_nothing(noise: float, seed: int) -> None:
     scene = right(16, 8, noise)
-    options: dict[str, Any] = {"iterations": 60, "seed": seed}
+    options: dict[str, Any] = {"iterations": 60, "seed": seed, "light": "sh"}
     auto, off = (decompose(scene, refine_normals=asked, **options) for asked in ("auto", "off"))
     assert not auto.refinement.refined
     check(auto, scene)
@@ -157,7 +157,7 @@ def test_asked_for_or_not_no_more_is_left_than_by_the_given_ones(
     scene = make_scene("room", size=SIZE, lights=8, seed=seed, held_out=1, noise=0.01)
     scene = dataclasses.replace(scene, fov=options.pop("fov", scene.fov))
     off, on = (
-        decompose(scene, refine_normals=asked, uncertainty=False, **options)
+        decompose(scene, refine_normals=asked, light="sh", uncertainty=False, **options)
         for asked in ("off", "on")
     )
     check(on, scene)

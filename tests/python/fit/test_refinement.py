@@ -77,10 +77,6 @@ def test_two_pictures_leave_normals_as_given(asked: str, caplog: pytest.LogCaptu
     assert said == ([f"normals are not refined: {reason}"] if asked == "on" else [])
 
 
-def test_refinement_is_left_to_the_pictures_by_default() -> None:
-    assert decompose(scene(2), iterations=1, uncertainty=False).refinement.asked == "auto"
-
-
 # ------------------------------------------------------------------------------------------- result
 
 

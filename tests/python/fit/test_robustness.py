@@ -145,9 +145,13 @@ def running(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
-@pytest.mark.parametrize("old", [False, True], ids=["new", "overwrite"])
-@pytest.mark.parametrize("command", ["decompose", "demo"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("command", "old", "number"),
+    [
+        *(("decompose", False, signal.SIGINT), ("decompose", True, signal.SIGTERM)),
+        *(("demo", False, signal.SIGTERM), ("demo", True, signal.SIGINT)),
+    ],
+)
 def test_a_signal_stops_within_a_second_and_leaves_what_was_there(
     scene: Path, tmp_path: Path, command: str, old: bool, number: signal.Signals
 ) -> None:

@@ -15,6 +15,8 @@ from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
 from scene_files import lights_of, truth_of
 
+PLAIN: dict[str, Any] = {"priors": None, "light": "sh", "refine_normals": "off"}
+
 every_solver = pytest.mark.parametrize("solver", SOLVERS)
 
 
@@ -25,7 +27,7 @@ def room(size: int, **options: Any) -> pbrfit.Scene:
 @pytest.fixture(scope="module")
 def fitted() -> tuple[pbrfit.Scene, pbrfit.Result]:
     """The paper's recipe, all its iterations."""
-    scene = room(64)
+    scene = room(40)
     return scene, pbrfit.decompose(scene, solver="lbfgsb", priors=None, refine_normals="off")
 
 
@@ -45,9 +47,7 @@ def test_a_noise_free_room_is_recovered(fitted: tuple[pbrfit.Scene, pbrfit.Resul
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_the_last_row_of_the_history_is_the_result(solver: Solver, noise: float) -> None:
     scene = room(24, lights=8, noise=noise)
-    result = pbrfit.decompose(
-        scene, solver=solver, iterations=150, priors=None, refine_normals="off"
-    )
+    result = pbrfit.decompose(scene, solver=solver, iterations=150, **PLAIN)
     assert result.stages
     for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
         assert result.history[name][-1] == pytest.approx(result.metrics[name], rel=1e-9)
@@ -73,8 +73,7 @@ def test_known_lights_are_kept_and_make_better_maps(solver: Solver, noise: float
     scene = room(32, lights=6, noise=noise)
     known = dataclasses.replace(scene, lighting=truth_of(scene).lighting)
     free, fixed = (
-        pbrfit.decompose(s, solver=solver, iterations=150, priors=None, refine_normals="off")
-        for s in (scene, known)
+        pbrfit.decompose(s, solver=solver, iterations=150, **PLAIN) for s in (scene, known)
     )
     np.testing.assert_array_equal(fixed.lighting, truth_of(scene).lighting)
     assert "lights and their gradient: known, so only materials were fitted" in fixed.left_out
@@ -125,7 +124,7 @@ def test_no_more_iterations_than_asked_for(
 ) -> None:
     seen: list[pbrfit.Progress] = []
     result = pbrfit.decompose(
-        room(24, lights=6, noise=0.02),
+        room(16, lights=3, noise=0.02),
         solver=solver,
         iterations=iterations,
         priors=priors,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -79,6 +80,14 @@ def test_a_file_that_becomes_a_pipe_is_not_waited_for(
             read_bytes(tmp_path / "pipe", 1)
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene folder with truth."""
+    folder = tmp_path_factory.mktemp("whole") / "scene"
+    make_scene("room", size=8, lights=3, held_out=1).save(folder)
+    return folder
+
+
 @POSIX
 @pytest.mark.parametrize(
     "name",
@@ -91,10 +100,10 @@ def test_a_file_that_becomes_a_pipe_is_not_waited_for(
 )
 @pytest.mark.parametrize("kind", ["pipe", "lost link"])
 def test_a_scene_with_something_else_in_place_of_a_file_is_refused(
-    tmp_path: Path, name: str, kind: str
+    whole: Path, tmp_path: Path, name: str, kind: str
 ) -> None:
     folder = tmp_path / "scene"
-    make_scene("room", size=16, lights=3, held_out=1).save(folder)
+    shutil.copytree(whole, folder)
     path = folder / name
     if name == "normals.png":
         (folder / "normals.exr").unlink()

@@ -88,7 +88,7 @@ def test_a_grey_panorama_is_reflected_as_a_furnace_has_it(model: Model) -> None:
             assert off(found, expected) < 0.01
 
 
-@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("name", ["matt", "glossy plastic", "metal, r = 0.5", "metal, r = 0.2"])
 def test_reflections_of_lamps_are_those_of_all_pixels(name: str) -> None:
     pixels = lamps()
     found = render_environment(*sphere(*SURFACES[name]), Environment(pixels), 0, model="principled")

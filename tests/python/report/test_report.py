@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import errno
+import functools
 import hashlib
 import itertools
 import json
@@ -49,13 +50,26 @@ SIZE = 20
 AWKWARD = "a <b> & \"c\" 'd'"
 
 
+@functools.cache
+def room() -> Scene:
+    return make_scene("room", size=SIZE, lights=3, noise=0.01, held_out=1)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `scene`, which has ground truth, and its `result`."""
     base = tmp_path_factory.mktemp("report")
-    made = make_scene("room", size=SIZE, lights=3, noise=0.01, held_out=1)
-    made.save(base / "scene")
-    done("decompose", base / "scene", "--out", base / "result", "--iterations", 12)
+    room().save(base / "scene")
+    done("decompose", base / "scene", "--out", base / "result", "--iterations", 4)
+    return base
+
+
+@pytest.fixture(scope="module")
+def unfitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same without a step of a fit, so that there is no history to be drawn."""
+    base = tmp_path_factory.mktemp("unfitted")
+    room().save(base / "scene")
+    done("decompose", base / "scene", "--out", base / "result", "--iterations", 0)
     return base
 
 
@@ -69,10 +83,17 @@ def written(result: Result, path: Path, scene: Scene | Path | None = None) -> Pa
     return Page(path.read_text("utf-8"))
 
 
+@functools.cache
+def of_arrays() -> tuple[Scene, Result]:
+    scene = dataclasses.replace(room(), truth=None)
+    return scene, decompose(scene, iterations=0, priors=None)
+
+
 def in_memory(**changes: object) -> tuple[Scene, Result]:
-    made = make_scene("room", size=SIZE, lights=3, noise=0.01)
-    scene = dataclasses.replace(made, truth=None, **changes)  # type: ignore[arg-type]
-    return scene, decompose(scene, iterations=3)
+    if not changes:
+        return of_arrays()
+    scene = dataclasses.replace(of_arrays()[0], **changes)  # type: ignore[arg-type]
+    return scene, decompose(scene, iterations=0, priors=None)
 
 
 def test_the_page_says_what_its_maps_are_maps_of(folder: Path, tmp_path: Path, page: Page) -> None:
@@ -127,8 +148,8 @@ def test_each_map_has_a_verdict_in_words_and_its_reason_one_click_away(
             assert why[1:] in chip.text
 
 
-def test_the_head_says_how_left_out_pictures_are_explained(folder: Path, tmp_path: Path) -> None:
-    result = Result.load(folder / "result")
+def test_the_head_says_how_left_out_pictures_are_explained(unfitted: Path, tmp_path: Path) -> None:
+    result = Result.load(unfitted / "result")
     for name, held_out, said in (("a", EXPLAINED, SENTENCE), ("b", UNEXPLAINED, EXCUSE)):
         shown = written(dataclasses.replace(result, held_out=held_out), tmp_path / f"{name}.html")
         [header] = shown.all("header")
@@ -287,10 +308,10 @@ def test_the_same_result_gives_the_same_page(folder: Path, tmp_path: Path) -> No
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
-def test_scene_and_result_may_move_together(folder: Path, tmp_path: Path) -> None:
+def test_scene_and_result_may_move_together(unfitted: Path, tmp_path: Path) -> None:
     for name in ("scene", "result"):
-        shutil.copytree(folder / name, tmp_path / "else" / name)
-    content = json.loads((folder / "result" / "result.json").read_text("utf-8"))
+        shutil.copytree(unfitted / name, tmp_path / "else" / name)
+    content = json.loads((unfitted / "result" / "result.json").read_text("utf-8"))
     assert content["scene"]["path"] == "../scene"
     result = Result.load(tmp_path / "else" / "result")
     assert result.source is not None
@@ -299,9 +320,9 @@ def test_scene_and_result_may_move_together(folder: Path, tmp_path: Path) -> Non
 
 
 def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
-    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    unfitted: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    shutil.copytree(folder / "result", tmp_path / "result")
+    shutil.copytree(unfitted / "result", tmp_path / "result")
     found = written(Result.load(tmp_path / "result"), tmp_path / "page.html")
     assert "The scene folder scene is no longer where it was." in found.text
     assert len(caplog.records) == 1
@@ -313,13 +334,13 @@ def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
 
 @pytest.mark.parametrize("what", ["scene.toml", "images/light_01.exr", "more"])
 def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
-    folder: Path,
+    unfitted: Path,
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
     what: str,
 ) -> None:
     for name in ("scene", "result"):
-        shutil.copytree(folder / name, tmp_path / name)
+        shutil.copytree(unfitted / name, tmp_path / name)
     scene = tmp_path / "scene"
     if what == "scene.toml":
         (scene / what).write_text("fov = 50.0\n")
@@ -343,30 +364,30 @@ def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
 
 
 def test_a_scene_that_may_not_be_looked_at_is_said(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unfitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, look = (folder / "scene").resolve(), Path.stat
+    scene, look = (unfitted / "scene").resolve(), Path.stat
 
     def closed(path: Path, **options: bool) -> os.stat_result:
         if path == scene:
             raise PermissionError(errno.EACCES, "Permission denied", str(path))
         return look(path, **options)
 
-    result = Result.load(folder / "result")
+    result = Result.load(unfitted / "result")
     monkeypatch.setattr(Path, "stat", closed)
     found = written(result, tmp_path / "page.html")
     assert "The scene folder scene has changed since, or cannot be read." in found.text
 
 
-def test_a_scene_can_be_named(folder: Path, tmp_path: Path) -> None:
-    shutil.copytree(folder / "result", tmp_path / "result")
+def test_a_scene_can_be_named(unfitted: Path, tmp_path: Path) -> None:
+    shutil.copytree(unfitted / "result", tmp_path / "result")
     out = tmp_path / "page.html"
-    done("report", tmp_path / "result", "--out", out, "--scene", folder / "scene")
+    done("report", tmp_path / "result", "--out", out, "--scene", unfitted / "scene")
     assert "Picture light_00" in out.read_text("utf-8")
 
 
-def test_results_of_earlier_versions_have_no_scene(folder: Path, tmp_path: Path) -> None:
-    shutil.copytree(folder / "result", tmp_path / "result")
+def test_results_of_earlier_versions_have_no_scene(unfitted: Path, tmp_path: Path) -> None:
+    shutil.copytree(unfitted / "result", tmp_path / "result")
     file = tmp_path / "result" / "result.json"
     content = json.loads(file.read_text("utf-8"))
     del content["scene"]
@@ -578,38 +599,38 @@ def test_lights_that_are_mostly_negative_are_doubted(tmp_path: Path) -> None:
     assert f"negative light is {100 * share:.0f} % of the positive" in text
 
 
-def test_an_existing_page_needs_overwrite(folder: Path, tmp_path: Path) -> None:
+def test_an_existing_page_needs_overwrite(unfitted: Path, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     out.write_text("mine")
-    line = refused("report", folder / "result", "--out", out)
+    line = refused("report", unfitted / "result", "--out", out)
     assert line.startswith(f"pbrfit: {out}: expected a file that does not exist yet")
     assert out.read_text() == "mine"
-    said = done("report", folder / "result", "--out", out, "--overwrite")
+    said = done("report", unfitted / "result", "--out", out, "--overwrite")
     assert said.startswith(f"{out}: ")
     assert out.read_text("utf-8").startswith("<!doctype html>")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 
-def test_what_is_no_result_and_no_page_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_what_is_no_result_and_no_page_is_refused(unfitted: Path, tmp_path: Path) -> None:
     (tmp_path / "folder.html").mkdir()
     for name in ("page.png", "page", "folder.html"):
         out = tmp_path / name
-        line = refused("report", folder / "result", "--out", out, "--overwrite")
+        line = refused("report", unfitted / "result", "--out", out, "--overwrite")
         assert f"{out}: expected" in line
-    for wrong in (folder / "scene", tmp_path / "nothing"):
+    for wrong in (unfitted / "scene", tmp_path / "nothing"):
         assert str(wrong) in refused("report", wrong, "--out", tmp_path / "page.html")
     assert [path.name for path in tmp_path.iterdir()] == ["folder.html"]
 
 
 def test_nothing_is_left_behind_when_a_page_fails(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unfitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise InputError("lights: expected something else")
 
     monkeypatch.setattr(lights, "measure", fail)
     with pytest.raises(InputError):
-        write_report(Result.load(folder / "result"), tmp_path / "new" / "page.html")
+        write_report(Result.load(unfitted / "result"), tmp_path / "new" / "page.html")
     assert not list(tmp_path.iterdir())
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -127,12 +128,17 @@ def test_every_recovered_light_gives_the_pixels_of_the_package(
         assert shown_off(view, address, result, turned, exposure=0.5) <= AT_MOST
 
 
-LAMPS = [(-35, 35), (0, 0), (60, -20), (-80, 10), (10, 85), (120, 20)]
+LAMPS = [(-35, 35), (60, -20), (10, 85), (120, 20)]
 """Azimuth and elevation; the last shines from behind."""
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("kind", ["room", "random", "orthographic", "mirrors and metals"])
+@pytest.mark.parametrize(
+    ("kind", "model"),
+    [
+        *(("room", "paper"), ("random", "principled")),
+        *(("orthographic", "paper"), ("mirrors and metals", "principled")),
+    ],
+)
 def test_a_lamp_gives_the_pixels_of_the_package(
     browser: Browser, furnished: Result, tmp_path: Path, model: Model, kind: str
 ) -> None:
@@ -149,9 +155,8 @@ def test_a_lamp_gives_the_pixels_of_the_package(
             address = f"azimuth={azimuth}&elevation={elevation}&ambient=0"
             lamp = DirectionalLight(azimuth, elevation)
             assert shown_off(view, address, result, lamp) <= AT_MOST, (azimuth, elevation)
-            plain = f"{address}&tone=none&exposure=1"
-            off = shown_off(view, plain, result, lamp, exposure=1.0, tone_map="none")
-            assert off <= AT_MOST, (azimuth, elevation)
+        plain = f"{address}&tone=none&exposure=1"
+        assert shown_off(view, plain, result, lamp, exposure=1.0, tone_map="none") <= AT_MOST
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -190,43 +195,35 @@ def test_a_picture_that_was_lit_by_lamps_is_shown_under_them(
             assert shown_off(view, f"light={name}", result, [light]) <= AT_MOST
 
 
-@pytest.mark.parametrize("degrees", [25.0, -170.5, 90.0])
-def test_turned_lights_give_the_pixels_of_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path, degrees: float
+def test_turned_lights_and_tone_maps_give_the_pixels_of_the_package(
+    browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
-    light = rotated(furnished.lighting[1], degrees)
-    here = f"light={furnished.pictures[1]}&rotate={degrees}"
+    tones: tuple[ToneMap, ...] = ("none", "neutral")
     with opened(browser, furnished, tmp_path) as view:
-        address = f"{here}&exposure=0.25"
-        assert shown_off(view, address, furnished, light, exposure=0.25) <= AT_MOST
-        assert shown_off(view, f"{here}&tilt=-35", furnished, tilted(light, -35)) <= AT_MOST
-
-
-@pytest.mark.parametrize("tone_map", ["none", "neutral"])
-@pytest.mark.parametrize("exposure", [-2.0, 1.5])
-def test_exposure_and_tone_map_are_those_of_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path, tone_map: ToneMap, exposure: float
-) -> None:
-    name, light = furnished.pictures[0], furnished.lighting[0]
-    with opened(browser, furnished, tmp_path) as view:
-        address = f"light={name}&exposure={exposure}&tone={tone_map}"
-        off = shown_off(view, address, furnished, light, exposure=exposure, tone_map=tone_map)
-        assert off <= AT_MOST
+        for degrees in (25.0, -170.5, 90.0):
+            light = rotated(furnished.lighting[1], degrees)
+            here = f"light={furnished.pictures[1]}&rotate={degrees}"
+            address = f"{here}&exposure=0.25"
+            assert shown_off(view, address, furnished, light, exposure=0.25) <= AT_MOST
+            assert shown_off(view, f"{here}&tilt=-35", furnished, tilted(light, -35)) <= AT_MOST
+        light = furnished.lighting[0]
+        for tone_map, exposure in itertools.product(tones, (-2.0, 1.5)):
+            address = f"light={furnished.pictures[0]}&exposure={exposure}&tone={tone_map}"
+            of: dict[str, Any] = {"exposure": exposure, "tone_map": tone_map}
+            assert shown_off(view, address, furnished, light, **of) <= AT_MOST
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("model", "options"),
     [
-        {"height": 1, "width": 1},
-        {"height": 23, "width": 37, "mask": BAND_MASK},
-        {"height": 23, "width": 37, "fov": 0.0},
-        {"height": 37, "width": 23, "fov": 90.0},
-        {"height": 23, "width": 37, "grey": True},
-        {"height": 23, "width": 37, "binary": True, "fov": 90.0, "mask": BAND_MASK},
+        ("paper", {"height": 1, "width": 1}),
+        ("paper", {"height": 23, "width": 37, "fov": 0.0, "mask": BAND_MASK}),
+        ("principled", {"height": 37, "width": 23, "fov": 90.0}),
+        ("principled", {"height": 23, "width": 37, "grey": True}),
+        ("paper", {"height": 23, "width": 37, "binary": True, "fov": 90.0, "mask": BAND_MASK}),
+        ("principled", {"height": 23, "width": 37, "binary": True, "fov": 90.0}),
     ],
-    ids=["one pixel", "holes", "orthographic", "wide angle", "grey", "mirrors and metals"],
 )
-@pytest.mark.parametrize("model", MODELS)
 def test_any_size_camera_and_material_gives_the_pixels_of_the_package(
     browser: Browser, tmp_path: Path, options: dict[str, Any], model: Model
 ) -> None:
@@ -398,26 +395,29 @@ def old_runs(row: NDArray[np.uint8]) -> bytes:
     return coded_row
 
 
-@pytest.mark.parametrize("kind", ["as it is", "runs", "old runs"])
-@pytest.mark.parametrize("width", [14, 16])
 def test_every_kind_of_radiance_file_is_read_as_by_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path, kind: str, width: int
+    browser: Browser, furnished: Result, tmp_path: Path
 ) -> None:
-    coder = {"as it is": lambda row: row.tobytes(), "runs": runs, "old runs": old_runs}[kind]
-    rows = pixels_of(width, width // 2)
-    content = hdr(b"".join(coder(row) for row in rows), width, width // 2, b"EXPOSURE=2\n")
-    file = tmp_path / "ünit.hdr"
-    file.write_bytes(content)
-    levels = Environment.read(file).blurred.levels()
+    coders: dict[str, tuple[int, Callable[[NDArray[np.uint8]], bytes]]] = {
+        "as it is": (14, lambda row: row.tobytes()),
+        "runs": (16, runs),
+        "old runs": (18, old_runs),
+    }
     with opened(browser, furnished, tmp_path) as view:
-        assert view.open(file) == f"ünit.hdr: {width} × {width // 2}."
-        found = view.page.evaluate(
-            "(({ view }) => [...view.opened.environment.levels.slice(2), "
-            "...view.opened.environment.hemispheres].map(({ texels }) => Array.from(texels)))"
-            "(document.querySelector('.relight-view'))"
-        )
-        for ours, theirs in zip(levels[2:], found, strict=True):
-            np.testing.assert_allclose(np.ravel(ours), theirs, rtol=2e-5)
+        for kind, (width, coder) in coders.items():
+            rows = pixels_of(width, width // 2)
+            content = hdr(b"".join(coder(row) for row in rows), width, width // 2, b"EXPOSURE=2\n")
+            file = tmp_path / f"ünit {kind}.hdr"
+            file.write_bytes(content)
+            levels = Environment.read(file).blurred.levels()
+            assert view.open(file) == f"{file.name}: {width} × {width // 2}."
+            found = view.page.evaluate(
+                "(({ view }) => [...view.opened.environment.levels.slice(2), "
+                "...view.opened.environment.hemispheres].map(({ texels }) => Array.from(texels)))"
+                "(document.querySelector('.relight-view'))"
+            )
+            for ours, theirs in zip(levels[2:], found, strict=True):
+                np.testing.assert_allclose(np.ravel(ours), theirs, rtol=2e-5)
 
 
 GOOD = b"".join(runs(row) for row in pixels_of(16, 8))

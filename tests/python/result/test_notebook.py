@@ -37,7 +37,7 @@ VERDICTS = {
 def scene() -> Scene:
     mask = np.ones((8, 12), bool)
     mask[:, :2] = False
-    made = make_scene("room", size=12, lights=4, held_out=1, noise=0.01)
+    made = make_scene("room", size=12, lights=3, held_out=1, noise=0.01)
     return Scene(images=made.images[:, :8], normals=made.normals[:8], fov=50, mask=mask)
 
 
@@ -54,9 +54,9 @@ def test_the_version_is_that_of_the_distribution() -> None:
 
 
 def test_names_are_short_and_hold_no_arrays(scene: Scene, result: Result) -> None:
-    assert repr(scene) == ("Scene(4 pictures of 12 × 8, fov 50°, normals, 80 of 96 pixels valid)")
+    assert repr(scene) == ("Scene(3 pictures of 12 × 8, fov 50°, normals, 80 of 96 pixels valid)")
     assert repr(result) == (
-        "Result(4 pictures of 12 × 8, model paper, iteration_limit, residual "
+        "Result(3 pictures of 12 × 8, model paper, iteration_limit, residual "
         f"{result.metrics['recon_rmse']:.3g}, albedo usable, roughness rough guide, "
         "metallic not determined)"
     )
@@ -66,7 +66,7 @@ def test_names_are_short_and_hold_no_arrays(scene: Scene, result: Result) -> Non
     )
     unknown = Scene(images=scene.images, segments=np.zeros((8, 12), int))
     assert repr(unknown) == (
-        "Scene(4 pictures of 12 × 8, fov 60°, to be fitted, no normals, segments known)"
+        "Scene(3 pictures of 12 × 8, fov 60°, to be fitted, no normals, segments known)"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from pathlib import Path
 
@@ -33,6 +34,12 @@ def part(height: int, width: int, *, truth: bool = False) -> Scene:
     )
 
 
+@functools.cache
+def whole() -> tuple[Scene, Result]:
+    scene = part(24, 24)
+    return scene, decompose(scene, iterations=1)
+
+
 def panel_height(height: int, width: int) -> int:
     return max(1, round(PANEL_SIDE[0] * height / max(height, width)))
 
@@ -58,8 +65,7 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
 
 
 def test_the_run_time_does_not_show() -> None:
-    scene = part(24, 24)
-    result = decompose(scene, iterations=1, uncertainty=False)
+    scene, result = whole()
     slower = dataclasses.replace(result, seconds=result.seconds + 100)
     np.testing.assert_array_equal(preview(slower, scene), preview(result, scene))
 
@@ -108,8 +114,7 @@ def test_a_mark_tells_levels_apart_without_its_colour() -> None:
 
 
 def test_pixels_that_are_not_determined_are_vermillion_and_given_ones_white() -> None:
-    scene = part(24, 24)
-    result = decompose(scene, iterations=1)
+    _, result = whole()
     assert result.uncertainty is not None
     limit = ROUGH_MAX["metallic"]
     metallic = np.full((24, 24), limit)
@@ -126,18 +131,17 @@ def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
     scene = part(24, 24, truth=True)
     result = with_verdicts(decompose(scene, iterations=1), "")
     row, note = PANEL_SIDE[0] + MARGIN, round(1.1 * FONT[0])
-    whole = preview(result, scene).shape[0]
+    height = preview(result, scene).shape[0]
     without_truth = preview(result, dataclasses.replace(scene, truth=None)).shape[0]
     unsure = preview(dataclasses.replace(result, uncertainty=None), scene).shape[0]
-    assert (whole - without_truth, whole - unsure) == (2 * row, row + note)
+    assert (height - without_truth, height - unsure) == (2 * row, row + note)
     # Why a map is no better stands below it, in as many lines as it needs.
     explained = preview(with_verdicts(result, "few lights, all of them from one side"), scene)
-    assert explained.shape[0] - whole in (note, 2 * note)
+    assert explained.shape[0] - height in (note, 2 * note)
 
 
 def test_refined_normals_add_a_row_and_a_key() -> None:
-    scene = part(24, 24)
-    result = decompose(scene, iterations=1, uncertainty=False)
+    scene, result = whole()
     found, without = preview(refined(result), scene), preview(result, scene)
     row = PANEL_SIDE[0] + LINE + MARGIN
     assert row + LINE < found.shape[0] - without.shape[0] < row + 6 * LINE
@@ -147,8 +151,7 @@ def test_refined_normals_add_a_row_and_a_key() -> None:
 
 
 def test_the_change_of_normals_is_white_where_they_are_as_given() -> None:
-    scene = part(24, 24)
-    result = refined(decompose(scene, iterations=1, uncertainty=False))
+    result = refined(whole()[1])
     assert result.normal_change is not None
     indices = differences.turned(result.normal_change).indices()
     unchanged = degrees_of(result.mask) == 0
@@ -228,13 +231,12 @@ def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:
     assert tuple(facing[50, 50]) == tuple(facing[50, 150]) == (217, 217, 217)
 
 
-@pytest.mark.parametrize("truth", [False, True])
-def test_a_history_plot_even_of_no_iterations(tmp_path: Path, truth: bool) -> None:
-    for iterations in (0, 3):
-        result = decompose(part(24, 24, truth=truth), iterations=iterations)
-        plot_history(result, tmp_path / "plot.png")
-        with Image.open(tmp_path / "plot.png") as picture:
-            assert picture.size == (960, 540)
+@pytest.mark.parametrize(("truth", "iterations"), [(False, 0), (True, 1)])
+def test_a_history_plot_even_of_no_iterations(tmp_path: Path, truth: bool, iterations: int) -> None:
+    result = decompose(part(24, 24, truth=truth), iterations=iterations)
+    plot_history(result, tmp_path / "plot.png")
+    with Image.open(tmp_path / "plot.png") as picture:
+        assert picture.size == (960, 540)
 
 
 def test_how_far_off_normals_may_be_is_a_panel_with_a_key() -> None:
