@@ -20,6 +20,7 @@ from pbrfit.fit.lamps import reference, surfaces
 from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
 from pbrfit.fit.lamps.joint import (
     ALBEDO_MEAN,
+    ROUGHNESS_MIN,
     Freedom,
     JointLamps,
     SurfacePrior,
@@ -73,14 +74,19 @@ HELD_ROUNDS = 2
 """First rounds, in which lamps stay as diffuse shading has them but for their scale."""
 
 LOOK_LAST = 4
-"""From which round on normals are no longer sought anywhere."""
+"""From which round on normals are no longer sought at highlights, and roughness near what it is."""
 
 FREE_SCALE_ROUNDS, NOTHING_LEFT = 2, 0.02
 """Last rounds in which the scale is free where less is left of the samples than this share: such
 pictures obey the model, and all of their samples tell the same scale."""
 
 ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
-"""Tried for each label: about half an octave apart, less than what a lobe's width tells."""
+"""Tried for each label at first: half an octave apart, less than what a lobe's width tells."""
+
+NEARER_ROUGHNESSES = tuple(2.0 ** np.linspace(-0.5, 0.5, 5))
+"""Factors on the roughness of each label that are tried last, over the spacing of the first. A
+highlight is as bright as r⁻⁴, so that a roughness which stays a quarter of an octave off asks for
+lamps twice as bright."""
 
 LOOK_PICTURES_MIN = 6
 """From which on every third picture is left out where roughness, scale and camera are chosen:
@@ -190,15 +196,15 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
     return np.asarray((pixels.weights * roots**2).sum(axis=(1, 2)))
 
 
-def likely_roughness(sums: Array, pixels: int) -> float:
-    """The mean of `ROUGHNESSES` by their likelihood, from what looks wrong with each.
+def likely_roughness(tried: Array, sums: Array, pixels: int) -> float:
+    """The mean of roughnesses by their likelihood, from what looks wrong with each.
 
     Where none looks better than another, that is the middle one.
     """
     independent = INDEPENDENT_SHARE * pixels
     logs = -0.5 * independent * np.log(np.maximum(sums, 1e-12) / max(float(sums.min()), 1e-12))
     shares = np.exp(logs)
-    return float(shares @ np.array(ROUGHNESSES) / shares.sum())
+    return float(shares @ tried / shares.sum())
 
 
 class LampFit:
@@ -355,7 +361,7 @@ class LampFit:
                     fields = tuple(np.unique(around).tolist())
                 scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
                 told = known is not None and known.colored
-                self._look(fit, (1.0,) if told else scales, fields)
+                self._look(fit, (1.0,) if told else scales, fields, nearer=number >= LOOK_LAST)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
@@ -397,7 +403,14 @@ class LampFit:
         maps = Materials(state.albedo, state.roughness, state.metallic)
         trace.tell(rmse, lambda: (maps, state.ambient))
 
-    def _look(self, fit: JointLamps, scales: tuple[float, ...], fields: tuple[float, ...]) -> None:
+    def _look(
+        self,
+        fit: JointLamps,
+        scales: tuple[float, ...],
+        fields: tuple[float, ...],
+        *,
+        nearer: bool,
+    ) -> None:
         """Choose roughnesses of labels, a scale of all lamps and a field of view.
 
         Of those that are tried, the ones with which some pixels look least wrong. Lamps that are
@@ -410,22 +423,27 @@ class LampFit:
         given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
         kinds = np.unique(few.labels)
         independent = INDEPENDENT_SHARE * len(few)
+        roughnesses = np.repeat(np.array(ROUGHNESSES)[:, None], len(few), axis=1)
+        if nearer:
+            factors = np.array(NEARER_ROUGHNESSES)[:, None]
+            roughnesses = np.clip(prior.mean[:, 5] * factors, ROUGHNESS_MIN, 1)
 
         def tried(fov: float, scale: float) -> tuple[float, dict[int, float]]:
             """How unlikely it looks, with the roughness of each label that looks likeliest."""
             seen = replace(few, views=self._views(fov, few.places))
             lamps = replace(given.lamps, colors=given.lamps.colors * scale)
             left, turned = self._left_by_roughness(
-                fit, seen, replace(given, lamps=lamps), scale, prior
+                fit, seen, replace(given, lamps=lamps), scale, prior, roughnesses
             )
             total = offset = 0.0
             chosen = {}
             for label in kinds:
-                sums = left[:, few.labels == label].sum(axis=1)
+                own = few.labels == label
+                sums = left[:, own].sum(axis=1)
                 best_of = int(np.argmin(sums))
-                chosen[label] = likely_roughness(sums, int((few.labels == label).sum()))
+                chosen[label] = likely_roughness(roughnesses[:, own][:, 0], sums, int(own.sum()))
                 total += float(sums[best_of])
-                offset += float(turned[best_of, few.labels == label].sum())
+                offset += float(turned[best_of, own].sum())
             total = 0.5 * independent * float(np.log(max(total, 1e-12)))
             total += 0.5 * INDEPENDENT_SHARE * offset
             total += 0.5 * float((fit.scale_of(lamps) ** 2).sum())
@@ -459,9 +477,15 @@ class LampFit:
         return np.asarray(view_directions(height, width, fov).reshape(-1, 3)[places])
 
     def _left_by_roughness(
-        self, fit: JointLamps, few: LampPixels, given: LampState, scale: float, prior: SurfacePrior
+        self,
+        fit: JointLamps,
+        few: LampPixels,
+        given: LampState,
+        scale: float,
+        prior: SurfacePrior,
+        roughnesses: Array,
     ) -> tuple[Array, Array]:
-        """(R, P) each: what looks wrong with each roughness, and how unlikely the normals are.
+        """(R, P) each: what looks wrong with roughnesses (R, P), and how unlikely the normals are.
 
         Surfaces are fitted to some pictures, and what they show in the others counts: with a normal
         and a narrow lobe of its own a pixel can show any one highlight, but not the next.
@@ -477,9 +501,8 @@ class LampFit:
             others = replace(few, weights=weights * left_out[None, :, None])
         free = fit.freedom.normals
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
-        for roughness in ROUGHNESSES:
-            same = np.full(len(few), roughness)
-            begin = given.with_surface(given.normals, albedo, same, given.metallic)
+        for roughness in roughnesses:
+            begin = given.with_surface(given.normals, albedo, roughness, given.metallic)
             starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
             errors, shown, squares = [], [], []
             for start in starts:
@@ -517,15 +540,11 @@ class LampFit:
         return float(np.sqrt(left / max(size, 1e-300)))
 
     def _turn(self, fit: JointLamps) -> None:
-        """Let pixels look anywhere for a normal that surprises less."""
+        """Let pixels turn to their brightest lamp where that surprises less."""
         few = fit.pixels
         state, left = self._fitted(fit, fit.state)
-        for begin in (
-            surfaces.facing_highlights(few, state),
-            surfaces.facing_anywhere(few, state, fit.noise, fit.prior),
-        ):
-            state, left = surfaces.better_of(state, left, *self._fitted(fit, begin))
-        fit.state = state
+        begin = surfaces.facing_highlights(few, state)
+        fit.state, _ = surfaces.better_of(state, left, *self._fitted(fit, begin))
 
     def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
         """Which samples of some pixels lamps reach, by rays; None without surroundings."""

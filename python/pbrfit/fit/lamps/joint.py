@@ -45,6 +45,9 @@ waits."""
 OFFSET_STEP_MAX = 0.3
 """Largest step of a normal's tangent offset, a tangent."""
 
+ROUGHNESS_MIN = 0.03
+"""Least roughness that a step leads to: below, a lobe shows in no sample."""
+
 COSINE_MIN = 0.1
 """Least cosine of the angle between a normal and the one that its offsets are from: 84 degrees."""
 
@@ -357,7 +360,9 @@ class JointLamps:
             ambient=ambient,
             normals=normals,
             albedo=np.clip(self.state.albedo + of_pixels[:, 2:5], 0, 1),
-            roughness=np.clip(self.state.roughness + np.clip(of_pixels[:, 5], -0.2, 0.2), 0.03, 1),
+            roughness=np.clip(
+                self.state.roughness + np.clip(of_pixels[:, 5], -0.2, 0.2), ROUGHNESS_MIN, 1
+            ),
         )
 
     def directions(self, size: int) -> Directions:

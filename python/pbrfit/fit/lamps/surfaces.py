@@ -54,9 +54,6 @@ AS_SEEN_DEVIATION = 0.1
 ROUGHNESS_STARTS = (0.15, 0.35, 0.75)
 """That pixels with known normals begin with, too: a lobe that misses all samples has no slope."""
 
-NORMALS = 100
-"""Directions that a pixel is turned to where its normal is sought anywhere: 14 degrees apart."""
-
 STEPS = 12
 """Of each pixel in a round."""
 
@@ -192,46 +189,6 @@ def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
     halves = directions[np.arange(len(pixels)), brightest] + pixels.views
     halves /= np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9)
     return state.with_surface(halves, state.albedo, state.roughness, state.metallic)
-
-
-def facing_anywhere(
-    pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior
-) -> LampState:
-    """The surfaces of dielectrics that surprise least, of `NORMALS` directions with their albedo.
-
-    Radiance is linear in a dielectric's albedo, so that it is found by weighted sums, in a few
-    rounds of weights.
-    """
-    best, least = state, np.full(len(pixels), np.inf)
-    count = len(pixels)
-    black, white = np.zeros((count, 3)), np.ones((count, 3))
-    roughness, metallic = prior.mean[:, 5], np.zeros(count)
-    for normal in _front_directions(NORMALS):
-        facing = np.tile(normal, (count, 1))
-        none = radiance(pixels, state.with_surface(facing, black, roughness, metallic))
-        slope = radiance(pixels, state.with_surface(facing, white, roughness, metallic)) - none
-        weights = pixels.weights * (pixels.limits == 0)
-        albedo = black
-        for _ in range(3):
-            sums = (weights * slope * slope).sum(axis=1) + 1e-9
-            albedo = (weights * slope * (pixels.samples - none)).sum(axis=1) / sums
-            albedo = np.clip(albedo, 0, 1)
-            shown = none + slope * albedo[:, None]
-            trial = state.with_surface(facing, albedo, roughness, metallic)
-            left = Left.of(pixels, trial, shown)
-            weights = pixels.weights * (pixels.limits == 0) * noise.weights(left)
-        trial = state.with_surface(facing, albedo, roughness, metallic)
-        best, least = better_of(best, least, trial, surprise(pixels, trial, noise, prior))
-    return best
-
-
-def _front_directions(count: int) -> Array:
-    """(G, 3): unit vectors towards the viewer, evenly spread to 85 degrees from the axis."""
-    index = np.arange(count)
-    z = 1 - (1 - np.cos(np.radians(85))) * (index + 0.5) / count
-    around = index * np.pi * (3 - np.sqrt(5))
-    radius = np.sqrt(1 - z * z)
-    return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)
 
 
 def from_neighbours(

@@ -59,8 +59,7 @@ def example(model: Model, *, ambient: bool = True) -> tuple[LampPixels, LampStat
         light[:, :TERMS] = 0.1 * rng.normal(size=(PICTURES, TERMS, 3))
     albedo = rng.uniform(0.2, 0.8, (PIXELS, 3))
     roughness, metallic = rng.uniform(0.3, 0.7, PIXELS), rng.uniform(0.1, 0.9, PIXELS)
-    seen = rng.uniform(0.2, 1, (PIXELS, 4))
-    return pixels, LampState(lamps, light, normals, albedo, roughness, metallic, seen)
+    return pixels, LampState(lamps, light, normals, albedo, roughness, metallic)
 
 
 def difference(pixels: LampPixels, moved: Callable[[float], LampState]) -> Array:
