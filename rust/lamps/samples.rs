@@ -129,8 +129,8 @@ impl Samples<'_> {
         let surface = Surface::<true>::new(self.model, point.normal, self.view, &point.material);
         let weights = (self.any_ambient)
             .then(|| shade(&Frame::<M>::new(point.normal, self.view), &point.material));
-        let weights_by = (self.any_ambient)
-            .then(|| weight_slopes::<M>(directions, &point.material, by_offset));
+        let weights_by =
+            (self.any_ambient).then(|| weight_slopes::<M>(directions, &point.material, by_offset));
         for (i, light) in self.lights.iter().enumerate() {
             if self.weights[i] == [0.0; 3] {
                 continue;
