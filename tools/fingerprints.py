@@ -144,11 +144,11 @@ CASES = {
     "paper wrong field of view": Case(wrong_fov, {"iterations": 60, "refine_normals": "off"}),
     "paper normals refined": Case(wrong_normals, {"refine_normals": "on", "iterations": 40}),
     "paper tiled": Case(partial(room, size=72, noise=0.01), {"refine_normals": "off"}, tiled=True),
-    "paper tiled all priors": Case(
+    "paper tiled both priors": Case(
         partial(room, size=72, noise=0.01),
         {
             "refine_normals": "off",
-            "priors": Priors(1.0, 0.001, 0.001, 0.001, 0.001),
+            "priors": Priors(1.0, monochrome=0.001),
             "iterations": 40,
         },
         tiled=True,

@@ -96,10 +96,10 @@ impl Descent<'_> {
         }
         let ended = self.from::<M>(at, iterations);
         // A comparison with NaN is false, and leaves the start.
-        let here = raised.then(|| self.here::<M>(start));
-        match here {
-            Some(here) if !(ended.cost < here.cost) => here,
-            _ => ended,
+        match raised.then(|| self.here::<M>(start)) {
+            Some(here) if ended.cost < here.cost => ended,
+            Some(here) => here,
+            None => ended,
         }
     }
 
