@@ -1,8 +1,8 @@
 """Triangles of what is seen of things, of their backs, and of their sides.
 
-Each pixel of a thing is a quadrilateral, whose corners are where four pixels meet. Pixels that
-belong together share a corner; others have their own, on their tangent plane, so that things reach
-as far as their pixels do.
+Each pixel of a thing is a quadrilateral, whose corners are where four pixels meet: on its tangent
+plane, so that things reach as far as their pixels do, and where the four belong together no nearer
+than they are in the mean.
 """
 
 from __future__ import annotations

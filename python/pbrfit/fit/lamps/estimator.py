@@ -423,10 +423,9 @@ class LampFit:
         given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
         kinds = np.unique(few.labels)
         independent = INDEPENDENT_SHARE * len(few)
-        roughnesses = np.repeat(np.array(ROUGHNESSES)[:, None], len(few), axis=1)
+        roughnesses = np.outer(ROUGHNESSES, np.ones(len(few)))
         if nearer:
-            factors = np.array(NEARER_ROUGHNESSES)[:, None]
-            roughnesses = np.clip(prior.mean[:, 5] * factors, ROUGHNESS_MIN, 1)
+            roughnesses = np.clip(np.outer(NEARER_ROUGHNESSES, prior.mean[:, 5]), ROUGHNESS_MIN, 1)
 
         def tried(fov: float, scale: float) -> tuple[float, dict[int, float]]:
             """How unlikely it looks, with the roughness of each label that looks likeliest."""

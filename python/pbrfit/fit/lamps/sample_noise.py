@@ -62,9 +62,9 @@ class Left:
     """Those that are data."""
 
     @classmethod
-    def of(cls, pixels: LampPixels, state: LampState, shown: Array | None = None) -> Left:
-        """At a state, whose radiance may be known."""
-        shown = radiance(pixels, state) if shown is None else shown
+    def of(cls, pixels: LampPixels, state: LampState) -> Left:
+        """At a state."""
+        shown = radiance(pixels, state)
         return cls(
             pixels.residuals(shown),
             np.maximum(shown, NOISE_MIN),
