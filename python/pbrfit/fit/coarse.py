@@ -48,6 +48,8 @@ class Lights:
     """Whether a limit stopped it."""
     noise: NoiseModel | None = None
     """Of samples; None where squares are asked for, or nothing is left."""
+    deviance: float = math.inf
+    """Of a sample: −2 ln of its likelihood, up to a constant."""
 
 
 def rounds(
@@ -144,7 +146,7 @@ def rounds(
         left = _left(level, x, sum_sq, shared, noise, fixed)
     if nuisances is not None:
         nuisances.judge(left)
-    return Lights(x, left, exact, shared, watch.stopped or run.out_of_time(), noise)
+    return Lights(x, left, exact, shared, watch.stopped or run.out_of_time(), noise, deviance)
 
 
 def fit_level(

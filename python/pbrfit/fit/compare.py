@@ -184,8 +184,6 @@ class _Comparison:
             for light in lights[::-1]
             for response in responses
         ]
-        if self._is_ambiguous:
-            kinds += [replace(one, dielectric=True) for one in kinds if one.light == "sh"]
         if asked == "auto":
             kinds = self._with_surroundings(kinds)
         best = self._race(kinds)
@@ -215,7 +213,7 @@ class _Comparison:
 
     def _with_surroundings(self, kinds: list[Explanation]) -> list[Explanation]:
         """Explanations, with those among surroundings, if the others leave more than noise."""
-        of_open = [one for one in kinds if one.light == "sh" and not one.dielectric]
+        of_open = [one for one in kinds if one.light == "sh"]
         if not self._no_surroundings:
             for kind in of_open:
                 self._try(kind, 0)
@@ -291,9 +289,11 @@ class _Comparison:
             return None
         kind = replace(best.explanation, other_fov=True)
         other, given = self._of_fold(kind, 0), self._tried[best.explanation][0]
-        if given.score - other.score < settings.COMPARE_FOV_GAIN_MIN:
+        if other.fov is None or given.score - other.score < settings.COMPARE_FOV_GAIN_MIN:
             return None
-        return other if given.is_worse(other, settings.COMPARE_ERRORS_MIN) else None
+        (fov, sigma), errors = other.fov, settings.COMPARE_ERRORS_MIN
+        differs = abs(fov - scene.fov) > errors * sigma
+        return other if differs and given.is_worse(other, errors) else None
 
     def _race(self, kinds: Sequence[Explanation]) -> LeftOut | None:
         """The best of some, of which those go on from fold to fold that may still be the best.
@@ -325,7 +325,7 @@ class _Comparison:
         """Whether what one leaves says that an explanation need not be tried."""
         if kind.light == "lamps":
             return one.leaves_no_lamp
-        return one.is_noise and (kind.dielectric or kind.surroundings != "none")
+        return one.is_noise and kind.surroundings != "none"
 
     def _results(self, folds: int | None = None) -> list[LeftOut]:
         """What was tried, in its first folds or all; what no explanation explains tells nothing."""
@@ -349,15 +349,6 @@ class _Comparison:
         """Whether the time for comparing is over."""
         limit = self._limit
         return limit is not None and time.perf_counter() - self._setup.began >= limit
-
-    @property
-    def _is_ambiguous(self) -> bool:
-        """Whether pictures are so few that other lights with other materials explain them too."""
-        if self._scene.lighting is not None:
-            return False
-        layout = self._setup.layout(self._few)
-        samples = layout.channels * len(self._folds[0][0])
-        return bool(samples < settings.SAMPLES_OF_UNKNOWN * layout.maps.stop / layout.pixels)
 
     def _lights(self) -> tuple[LightKind, ...]:
         scene, options = self._scene, self._options
@@ -592,7 +583,6 @@ class _Comparison:
         if among is not None:
             objective = objective.among(among)
         run = setup.run(scene, objective)
-        run.begins_dielectric = kind.dielectric
         found = refined_fit.fit(
             run, objective.start(), make, start_given=False, refines=kind.free_normals
         )

@@ -158,7 +158,6 @@ def decompose(
     setup = replace(
         setup,
         options=replace(setup.options, priors=priors, robust=how.robust),
-        begins_dielectric=how.dielectric,
         refines=not hindered and (asked or how.free_normals),
         why_normals=hindered or ("asked for" if asked else chosen.why_normals),
     )

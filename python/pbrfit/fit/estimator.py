@@ -125,9 +125,8 @@ def find_lights(run: Run, x: Array) -> Lights:
         level = Level.of(objective, settings.COARSE_PIXELS)
         known = "lights known; " if objective.lighting is None else ""
         notes.append(f"{known}{len(level.pixels)} pixels")
-        among, dielectric = objective.transfer is not None, run.begins_dielectric
         unknown: list[Nuisance] = []
-        if not among:
+        if objective.transfer is None:
             if run.camera.how == "assumed":
                 unknown.append(FIELD_OF_VIEW)
             if run.options.response == "fit" and run.scene.correction is None:
@@ -135,20 +134,37 @@ def find_lights(run: Run, x: Array) -> Lights:
         if known and not unknown:
             return judged(objective, x, level, run)
         x = x.copy()
-        part = objective.part_of(x, level.pixels)
-        if dielectric or among:
-            dielectric = True
-            notes.append("as if all were dielectric")
-        watch = Watch(run, x, level)
-        first = settings.DIELECTRIC_ROUNDS if dielectric else 0
-        nuisances = Nuisances(run.scene, unknown) if unknown else None
-        found = rounds(run, level, part, watch, dielectric=first, nuisances=nuisances)
-        objective.put_part(x, level.pixels, part)
+        watch, best = Watch(run, x, level), None
+        for dielectric in _starts(objective):
+            nuisances = Nuisances(run.scene, unknown) if unknown else None
+            part = objective.part_of(x, level.pixels)
+            found = rounds(run, level, part, watch, dielectric=dielectric, nuisances=nuisances)
+            if best is None or found.deviance < best[0].deviance:
+                best = replace(found, x=part), nuisances
+            if found.exact or found.cut_short:
+                break
+        assert best is not None
+        found, nuisances = best
+        objective.put_part(x, level.pixels, found.x)
         if nuisances is not None:
             run.see(nuisances)
             notes.append(f"field of view {run.camera.in_words()}")
         notes.append(found.misfit.in_words())
     return replace(found, x=x)
+
+
+def _starts(objective: Objective) -> list[int]:
+    """First rounds of each start in which all surfaces are taken for dielectrics.
+
+    Where pictures are few, other lights with other materials explain them nearly as well.
+    """
+    layout = objective.layout
+    few = layout.channels * layout.pictures * layout.pixels < (
+        settings.SAMPLES_OF_UNKNOWN * layout.maps.stop
+    )
+    if few and objective.lighting is not None and objective.transfer is None:
+        return [0, settings.DIELECTRIC_ROUNDS]
+    return [0]
 
 
 def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | None]:

@@ -43,8 +43,6 @@ class Explanation:
     """Strength of the material prior, `Priors.material`."""
     robust: Loss
     """How samples weigh, `FitOptions.robust`."""
-    dielectric: bool = False
-    """Whether the first rounds take all surfaces for dielectrics, where pictures are few."""
     other_fov: bool = False
     """Whether a field of view is fitted in place of the given one."""
     surroundings: Kind = "none"
@@ -64,8 +62,6 @@ class Explanation:
         if self.light == "sh":
             words.append("material prior" if self.material else "no material prior")
             words.append("samples alike" if self.robust == "none" else "samples weighed")
-        if self.dielectric:
-            words.append("begun with dielectrics")
         if self.other_fov:
             words.append("another field of view")
         if self.free_normals:

@@ -179,8 +179,6 @@ class Run(Trace):
         """Of samples, as it was found last."""
         self.camera = Camera(scene.fov, "given" if scene.fov_known else "assumed")
         """What has been decided about it."""
-        self.begins_dielectric = False
-        """Whether the first rounds take all surfaces for dielectrics."""
         self.scale: Scale | None = None
         """What is known of the common scale of lights and albedo."""
         self._last = math.nan, math.nan  # loss and its data term, of the last evaluation

@@ -56,8 +56,6 @@ class FitSetup:
     """The reason why they are, or are not; empty where that is to be compared."""
     surrounded: Surrounded | None = None
     """The scene with its surroundings; None = nothing blocks its light."""
-    begins_dielectric: bool = False
-    """As in `Run`."""
 
     @property
     def model(self) -> Model:
@@ -99,7 +97,7 @@ class FitSetup:
         self, scene: Scene, objective: Objective, shared_state: SharedState | None = None
     ) -> Run:
         """A run that is about to begin."""
-        run = Run(
+        return Run(
             scene,
             objective,
             self.options,
@@ -107,8 +105,6 @@ class FitSetup:
             began=self.began,
             shared_state=shared_state,
         )
-        run.begins_dielectric = self.begins_dielectric
-        return run
 
 
 @dataclass(frozen=True, eq=False)

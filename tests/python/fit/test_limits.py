@@ -28,7 +28,7 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
 }
 
 PASSES = 8
-PASSES_WITH_NORMALS = 16
+PASSES_WITH_NORMALS = 10
 """Over all pixels, after time is up: what is found is compared with what was there before, and what
 looks at a thousand pixels at most looks at all of this picture."""
 

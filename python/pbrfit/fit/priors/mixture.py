@@ -207,11 +207,12 @@ def _with_spread(objective: Objective, x: Array, groups: Posterior, variance: fl
     own, gradient = albedo_solved_for(objective, x)
     h, u = own[:, 0, 0], gradient[:, 0]  # times the variance
     _, cluster = np.unique(groups.cluster, return_inverse=True)
-    tiny = np.finfo(np.float64).tiny
-    mean = np.bincount(cluster, u) / np.maximum(np.bincount(cluster, h), tiny)
+    score, information = np.bincount(cluster, u), np.bincount(cluster, h)
+    # Rounding leaves pixels that one picture shows, with as many samples as albedos, h about 0.
+    mean = np.divide(score, information, out=np.zeros_like(score), where=information > 0)
     u -= h * mean[cluster]
     excess = np.bincount(cluster, u**2 - variance * h)
-    spread = excess / np.maximum(np.bincount(cluster, h**2), tiny)
+    spread = excess / np.maximum(np.bincount(cluster, h**2), np.finfo(np.float64).tiny)
     found = groups.variance.copy()
     found[:, 0] = np.clip(spread[cluster], 0, found[:, 0])
     return groups._replace(variance=found)
