@@ -271,9 +271,13 @@ class _Comparison:
         return "none" if self._surrounded is None else self._surrounded.transport.kind
 
     def _may_refine(self, kind: Explanation) -> bool:
-        """Whether other normals than the given ones may be compared with these."""
+        """Whether other normals than the given ones may be compared with these.
+
+        Not where a curve is fitted, whose bends normals would take up.
+        """
         return (
             self._scene.normals_known
+            and self._options.response != "fit"
             and self._options.refine_normals == "auto"
             and self._setup.why_normals == ""
             and kind.light == "sh"

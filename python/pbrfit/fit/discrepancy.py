@@ -5,7 +5,7 @@ Errors of the model (shadows, bounces, wrong normals, another field of view, ano
 smooth. Lights and materials take up what of them they can, and what is left says how much that was.
 With residuals r of pixels p and q that lie a sixteenth of the picture apart on one segment,
 
-    c² = mean of Σ r_p r_q / samples, less three times its standard error, or 0
+    c² = mean of Σ ω r_p ω r_q / Σ ω, less three times its standard error, or 0
 
 is the variance that such pixels share. A pixel's samples then are as uncertain as
 
@@ -158,17 +158,20 @@ def _shared(objective: Objective, x: Array, pairs: NDArray[np.intp]) -> float:
     """c, from pairs (2, Q) of the objective's pixels."""
     everything = np.arange(objective.pixels, dtype=np.uint64)
     residuals = objective.problem.residuals(objective.for_core(x), everything).astype(np.float64)
-    weights = objective.sample_weights
-    if weights is not None:
-        residuals *= np.sqrt(np.broadcast_to(weights, residuals.shape))
-    of_pixels = residuals.transpose(1, 0, 2).reshape(objective.pixels, -1)
-    products = np.einsum("ps,ps->p", of_pixels[pairs[0]], of_pixels[pairs[1]])
+    weights = np.ones(residuals.shape)
+    if objective.sample_weights is not None:
+        weights[:] = objective.sample_weights
+    one, other = pairs
+    # A picture that is not of this scene has little weight, but all that is left of it is shared.
+    common = weights[:, one] * weights[:, other]
+    products = (common * residuals[:, one] * residuals[:, other]).sum(axis=(0, 2))
     if len(products) < 2:
         return 0.0
     # Each pixel is in two pairs or so, which are not independent.
     error = float(products.std()) / np.sqrt(len(products) / 2)
     surely = float(products.mean()) - settings.MISFIT_ERRORS * error
-    return float(np.sqrt(max(surely, 0.0) / of_pixels.shape[1]))
+    samples = float(np.sqrt(common).sum()) / len(products)
+    return float(np.sqrt(max(surely, 0.0) / max(samples, np.finfo(np.float64).tiny)))
 
 
 def _light_share(objective: Objective, x: Array, variance: float, modes: Array) -> float:
