@@ -134,10 +134,10 @@ def find_lights(run: Run, x: Array) -> Lights:
         if known and not unknown:
             return judged(objective, x, level, run)
         x = x.copy()
-        watch, best = Watch(run, x, level), None
+        best = None
         for dielectric in _starts(objective):
             nuisances = Nuisances(run.scene, unknown) if unknown else None
-            part = objective.part_of(x, level.pixels)
+            part, watch = objective.part_of(x, level.pixels), Watch(run, x, level)
             found = rounds(run, level, part, watch, dielectric=dielectric, nuisances=nuisances)
             if best is None or found.deviance < best[0].deviance:
                 best = replace(found, x=part), nuisances
@@ -159,9 +159,8 @@ def _starts(objective: Objective) -> list[int]:
     Where pictures are few, other lights with other materials explain them nearly as well.
     """
     layout = objective.layout
-    few = layout.channels * layout.pictures * layout.pixels < (
-        settings.SAMPLES_OF_UNKNOWN * layout.maps.stop
-    )
+    samples = layout.channels * layout.pictures * layout.pixels
+    few = samples < settings.SAMPLES_OF_UNKNOWN * layout.maps.stop
     if few and objective.lighting is not None and objective.transfer is None:
         return [0, settings.DIELECTRIC_ROUNDS]
     return [0]

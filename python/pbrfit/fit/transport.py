@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.coarse import dielectric_prior, fit_level
+from pbrfit.fit.coarse import fit_level
 from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.objective import Objective
@@ -171,22 +171,19 @@ class _Search:
             x = few.with_best_lights(x)
         other = objective.part_of(self._x, self._left_out)
         if few.lighting is not None:
-            self._find_lights(few, x, first=near is None)
+            rounds = settings.TRANSPORT_ROUNDS if near is None else settings.TRANSPORT_NEAR_ROUNDS
+            self._find_lights(few, x, rounds)
             other[left_out.layout.maps.stop :] = x[few.layout.maps.stop :]
         shown = self._size > 0
         left = fit_level(left_out, other)[shown] / self._size[shown]
         return _Trial(kind, scenery, x, np.log(np.maximum(left, settings.NOISE_VARIANCE_MIN)))
 
-    def _find_lights(self, few: Objective, x: Array, *, first: bool) -> None:
-        """Rounds of joint steps on pixels, whose x changes; fewer from lights that are near."""
+    def _find_lights(self, few: Objective, x: Array, rounds: int) -> None:
+        """Rounds of joint steps on pixels, whose x changes."""
         shared = SharedFit(LightPrior.around(few, x))
-        everything = np.arange(few.pixels, dtype=np.uint64)
-        for number in range(settings.TRANSPORT_ROUNDS if first else settings.TRANSPORT_NEAR_ROUNDS):
-            prior = None
-            if first and number < settings.DIELECTRIC_ROUNDS:
-                prior = dielectric_prior(few, few.put_best_albedo(x, everything))
-            sum_sq = fit_level(few, x, prior)
+        for _ in range(rounds):
+            sum_sq = fit_level(few, x)
             variance = misfit.variance(few, sum_sq)
             shared.lights = shared.lights.weighing(variance, variance, few.pixels)
-            fit = shared.joint_fit(few, x, sum_sq, prior=prior, stop=self._out_of_time)
+            fit = shared.joint_fit(few, x, sum_sq, stop=self._out_of_time)
             minimize(fit, settings.COARSE_STEPS, 1.0)

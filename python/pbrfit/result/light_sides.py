@@ -21,8 +21,10 @@ Light closer to the camera's axis tells little about the sides of things."""
 def main_directions(lighting: Array) -> NDArray[np.float64]:
     """(N, 3): unit vectors to where most light of each picture (N, K, 3) comes from."""
     directions = np.asarray(lighting[:, [3, 1, 2]], dtype=np.float64).mean(axis=-1)  # x, y, z
+    tiny = np.finfo(np.float64).tiny
+    directions /= np.maximum(np.abs(directions).max(axis=-1, keepdims=True), tiny)
     lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
-    return np.asarray(directions / np.maximum(lengths, np.finfo(np.float64).tiny))
+    return np.asarray(directions / np.maximum(lengths, tiny))
 
 
 def one_side(directions: Array) -> tuple[str, str] | None:

@@ -88,6 +88,10 @@ NEARER_ROUGHNESSES = tuple(2.0 ** np.linspace(-0.5, 0.5, 5))
 highlight is as bright as r⁻⁴, so that a roughness which stays a quarter of an octave off asks for
 lamps twice as bright."""
 
+METAL_LOOK = 2
+"""Round before which each segment is tried as a metal too: lamps are about right, and would bend to
+metals that stay dielectrics."""
+
 LOOK_PICTURES_MIN = 6
 """From which on every third picture is left out where roughness, scale and camera are chosen:
 the others are four at least, twelve samples for a pixel's six unknowns."""
@@ -361,7 +365,7 @@ class LampFit:
                     fields = tuple(np.unique(around).tolist())
                 scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
                 told = known is not None and known.colored
-                self._look(fit, (1.0,) if told else scales, fields, nearer=number >= LOOK_LAST)
+                self._look(fit, (1.0,) if told else scales, fields, number)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
@@ -408,10 +412,9 @@ class LampFit:
         fit: JointLamps,
         scales: tuple[float, ...],
         fields: tuple[float, ...],
-        *,
-        nearer: bool,
+        number: int,
     ) -> None:
-        """Choose roughnesses of labels, a scale of all lamps and a field of view.
+        """Choose kinds and roughnesses of labels, a scale of all lamps and a field of view.
 
         Of those that are tried, the ones with which some pixels look least wrong. Lamps that are
         brighter with albedos that are darker by as much leave what a dielectric reflects diffusely
@@ -424,15 +427,20 @@ class LampFit:
         kinds = np.unique(few.labels)
         independent = INDEPENDENT_SHARE * len(few)
         roughnesses = np.outer(ROUGHNESSES, np.ones(len(few)))
-        if nearer:
+        if number >= LOOK_LAST:
             roughnesses = np.clip(np.outer(NEARER_ROUGHNESSES, prior.mean[:, 5]), ROUGHNESS_MIN, 1)
+        metallic = np.broadcast_to(given.metallic, roughnesses.shape)
+        if number == METAL_LOOK and self.options.metallic is None and kinds.any():
+            metals = (few.labels > 0).astype(float)
+            metallic = np.repeat([np.zeros(len(few)), metals], len(roughnesses), axis=0)
+            roughnesses = np.tile(roughnesses, (2, 1))
 
-        def tried(fov: float, scale: float) -> tuple[float, dict[int, float]]:
-            """How unlikely it looks, with the roughness of each label that looks likeliest."""
+        def tried(fov: float, scale: float) -> tuple[float, dict[int, tuple[float, float]]]:
+            """How unlikely it looks, with what looks likeliest of each label."""
             seen = replace(few, views=self._views(fov, few.places))
             lamps = replace(given.lamps, colors=given.lamps.colors * scale)
             left, turned = self._left_by_roughness(
-                fit, seen, replace(given, lamps=lamps), scale, prior, roughnesses
+                fit, seen, replace(given, lamps=lamps), scale, prior, roughnesses, metallic
             )
             total = offset = 0.0
             chosen = {}
@@ -440,7 +448,11 @@ class LampFit:
                 own = few.labels == label
                 sums = left[:, own].sum(axis=1)
                 best_of = int(np.argmin(sums))
-                chosen[label] = likely_roughness(roughnesses[:, own][:, 0], sums, int(own.sum()))
+                kind = metallic[:, own][:, 0]
+                same = kind == kind[best_of]
+                values = roughnesses[same][:, own][:, 0]
+                likely = likely_roughness(values, sums[same], int(own.sum()))
+                chosen[label] = likely, float(kind[best_of])
                 total += float(sums[best_of])
                 offset += float(turned[best_of, own].sum())
             total = 0.5 * independent * float(np.log(max(total, 1e-12)))
@@ -459,13 +471,14 @@ class LampFit:
             chosen = of_fields[fov][1]
             self.fov = fov
             fit.pixels = replace(fit.pixels, views=self._views(fov, fit.pixels.places))
-        roughness = fit.state.roughness.copy()
-        for label, value in chosen.items():
-            roughness[fit.pixels.labels == label] = value
         state = fit.state
+        roughness, metallic = state.roughness.copy(), state.metallic.copy()
+        for label, (likely, kind) in chosen.items():
+            roughness[fit.pixels.labels == label] = likely
+            metallic[fit.pixels.labels == label] = kind
         state = replace(state, lamps=replace(state.lamps, colors=state.lamps.colors * scale))
         albedo = np.clip(state.albedo / scale, 0.01, 0.99)
-        fit.state = state.with_surface(state.normals, albedo, roughness, state.metallic)
+        fit.state = state.with_surface(state.normals, albedo, roughness, metallic)
         mean = fit.prior.mean.copy()
         mean[:, 5] = roughness
         fit.prior = SurfacePrior(mean, fit.prior.precision)
@@ -483,8 +496,9 @@ class LampFit:
         scale: float,
         prior: SurfacePrior,
         roughnesses: Array,
+        metallic: Array,
     ) -> tuple[Array, Array]:
-        """(R, P) each: what looks wrong with roughnesses (R, P), and how unlikely the normals are.
+        """(R, P) each: what looks wrong with both (R, P), and how unlikely the normals are.
 
         Surfaces are fitted to some pictures, and what they show in the others counts: with a normal
         and a narrow lobe of its own a pixel can show any one highlight, but not the next.
@@ -500,8 +514,8 @@ class LampFit:
             others = replace(few, weights=weights * left_out[None, :, None])
         free = fit.freedom.normals
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
-        for roughness in roughnesses:
-            begin = given.with_surface(given.normals, albedo, roughness, given.metallic)
+        for roughness, kind in zip(roughnesses, metallic, strict=True):
+            begin = given.with_surface(given.normals, albedo, roughness, kind)
             starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
             errors, shown, squares = [], [], []
             for start in starts:
