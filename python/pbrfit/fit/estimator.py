@@ -161,9 +161,9 @@ def _starts(objective: Objective) -> list[int]:
     layout = objective.layout
     samples = layout.channels * layout.pictures * layout.pixels
     few = samples < settings.SAMPLES_OF_UNKNOWN * layout.maps.stop
-    if few and objective.lighting is not None and objective.transfer is None:
-        return [0, settings.DIELECTRIC_ROUNDS]
-    return [0]
+    if objective.transfer is not None:
+        return [settings.DIELECTRIC_ROUNDS]
+    return [0, settings.DIELECTRIC_ROUNDS] if few and objective.lighting is not None else [0]
 
 
 def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | None]:
