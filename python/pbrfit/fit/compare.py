@@ -327,9 +327,8 @@ class _Comparison:
     @staticmethod
     def _rules_out(kind: Explanation, one: LeftOut) -> bool:
         """Whether what one leaves says that an explanation need not be tried."""
-        if kind.light == "lamps":
-            return one.leaves_no_lamp
-        return one.is_noise and kind.surroundings != "none"
+        noise = one.is_noise and kind.surroundings != "none"
+        return one.leaves_no_lamp if kind.light == "lamps" else noise
 
     def _results(self, folds: int | None = None) -> list[LeftOut]:
         """What was tried, in its first folds or all; what no explanation explains tells nothing."""

@@ -158,9 +158,8 @@ def _shared(objective: Objective, x: Array, pairs: NDArray[np.intp]) -> float:
     """c, from pairs (2, Q) of the objective's pixels."""
     everything = np.arange(objective.pixels, dtype=np.uint64)
     residuals = objective.problem.residuals(objective.for_core(x), everything).astype(np.float64)
-    weights = np.ones(residuals.shape)
-    if objective.sample_weights is not None:
-        weights[:] = objective.sample_weights
+    weighed = objective.sample_weights
+    weights = np.broadcast_to(1.0 if weighed is None else weighed, residuals.shape)
     one, other = pairs
     # A picture that is not of this scene has little weight, but all that is left of it is shared.
     common = weights[:, one] * weights[:, other]

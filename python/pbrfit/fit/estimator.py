@@ -158,12 +158,12 @@ def _starts(objective: Objective) -> list[int]:
 
     Where pictures are few, other lights with other materials explain them nearly as well.
     """
-    layout = objective.layout
+    layout, second = objective.layout, settings.DIELECTRIC_ROUNDS
+    if objective.transfer is not None:
+        return [second]
     samples = layout.channels * layout.pictures * layout.pixels
     few = samples < settings.SAMPLES_OF_UNKNOWN * layout.maps.stop
-    if objective.transfer is not None:
-        return [settings.DIELECTRIC_ROUNDS]
-    return [0, settings.DIELECTRIC_ROUNDS] if few and objective.lighting is not None else [0]
+    return [0, second] if few and objective.lighting is not None else [0]
 
 
 def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | None]:

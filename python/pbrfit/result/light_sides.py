@@ -14,15 +14,13 @@ ONE_SIDE = 0.9
 all within about 25 degrees of their middle."""
 
 ASIDE = 0.26
-"""Component of a direction from which on it counts for a side: sine of 15 degrees off the middle.
-Light closer to the camera's axis tells little about the sides of things."""
+"""Component of a direction from which on it counts for a side: sine of 15 degrees off the axis."""
 
 
 def main_directions(lighting: Array) -> NDArray[np.float64]:
     """(N, 3): unit vectors to where most light of each picture (N, K, 3) comes from."""
-    directions = np.asarray(lighting[:, [3, 1, 2]], dtype=np.float64).mean(axis=-1)  # x, y, z
-    tiny = np.finfo(np.float64).tiny
-    directions /= np.maximum(np.abs(directions).max(axis=-1, keepdims=True), tiny)
+    of_light, tiny = np.asarray(lighting, np.float64), np.finfo(np.float64).tiny
+    directions = (of_light / max(np.abs(of_light).max(), tiny))[:, [3, 1, 2]].mean(axis=-1)  # xyz
     lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
     return np.asarray(directions / np.maximum(lengths, tiny))
 

@@ -88,10 +88,6 @@ NEARER_ROUGHNESSES = tuple(2.0 ** np.linspace(-0.5, 0.5, 5))
 highlight is as bright as r⁻⁴, so that a roughness which stays a quarter of an octave off asks for
 lamps twice as bright."""
 
-METAL_LOOK = 2
-"""Round before which each segment is tried as a metal too: lamps are about right, and would bend to
-metals that stay dielectrics."""
-
 LOOK_PICTURES_MIN = 6
 """From which on every third picture is left out where roughness, scale and camera are chosen:
 the others are four at least, twelve samples for a pixel's six unknowns."""
@@ -351,6 +347,7 @@ class LampFit:
         )
         if not self.trace.rows:
             self._record(fit)
+        told = known is not None and known.colored
         first = 0 if self.begin is None else CONTINUED_ROUND
         for number in range(first, self.rounds):
             if self.trace.left <= 0 or (number > first and self.trace.out_of_time()):
@@ -364,15 +361,13 @@ class LampFit:
                     around = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
                     fields = tuple(np.unique(around).tolist())
                 scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
-                told = known is not None and known.colored
                 self._look(fit, (1.0,) if told else scales, fields, number)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
             # is what pulls them away where a metal is not known yet.
             if number == HELD_ROUNDS and not near:
-                free = known is None or not known.colored
-                fit.freedom = replace(fit.freedom, places=known is None, colors=free)
+                fit.freedom = replace(fit.freedom, places=known is None, colors=not told)
             if (
                 number == self.rounds - FREE_SCALE_ROUNDS
                 and self._relative_left(fit) < NOTHING_LEFT
@@ -408,11 +403,7 @@ class LampFit:
         trace.tell(rmse, lambda: (maps, state.ambient))
 
     def _look(
-        self,
-        fit: JointLamps,
-        scales: tuple[float, ...],
-        fields: tuple[float, ...],
-        number: int,
+        self, fit: JointLamps, scales: tuple[float, ...], fields: tuple[float, ...], number: int
     ) -> None:
         """Choose kinds and roughnesses of labels, a scale of all lamps and a field of view.
 
@@ -430,7 +421,8 @@ class LampFit:
         if number >= LOOK_LAST:
             roughnesses = np.clip(np.outer(NEARER_ROUGHNESSES, prior.mean[:, 5]), ROUGHNESS_MIN, 1)
         metallic = np.broadcast_to(given.metallic, roughnesses.shape)
-        if number == METAL_LOOK and self.options.metallic is None and kinds.any():
+        if number == HELD_ROUNDS and self.options.metallic is None and kinds.any():
+            # From here on lamps would bend to metals that stay dielectrics.
             metals = (few.labels > 0).astype(float)
             metallic = np.repeat([np.zeros(len(few)), metals], len(roughnesses), axis=0)
             roughnesses = np.tile(roughnesses, (2, 1))
@@ -538,13 +530,6 @@ class LampFit:
             turned.append(np.take_along_axis(np.array(squares), best[None], 0)[0])
         return np.array(wrong), np.array(turned)
 
-    def _fitted(self, fit: JointLamps, begin: LampState) -> tuple[LampState, Array]:
-        """Surfaces from some that a joint fit has, its lights held, and what still surprises."""
-        found = surfaces.robust_surfaces(
-            fit.pixels, begin, fit.noise, fit.prior, rounds=2, free_normals=fit.freedom.normals
-        )
-        return found[0], found[4]
-
     def _relative_left(self, fit: JointLamps) -> float:
         """Root mean square of what is left, of that of the samples."""
         residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
@@ -554,10 +539,12 @@ class LampFit:
 
     def _turn(self, fit: JointLamps) -> None:
         """Let pixels turn to their brightest lamp where that surprises less."""
-        few = fit.pixels
-        state, left = self._fitted(fit, fit.state)
+        few, by = fit.pixels, (fit.noise, fit.prior)
+        how: dict[str, Any] = {"rounds": 2, "free_normals": True}
+        state, *_, left = surfaces.robust_surfaces(few, fit.state, *by, **how)
         begin = surfaces.facing_highlights(few, state)
-        fit.state, _ = surfaces.better_of(state, left, *self._fitted(fit, begin))
+        turned, *_, left_turned = surfaces.robust_surfaces(few, begin, *by, **how)
+        fit.state, _ = surfaces.better_of(state, left, turned, left_turned)
 
     def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
         """Which samples of some pixels lamps reach, by rays; None without surroundings."""
