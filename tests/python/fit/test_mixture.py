@@ -396,8 +396,8 @@ def test_the_prior_halves_the_error_of_roughness(solver: Solver) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_problem_has_a_mixture_prior(room: Scene, kind: str, solver: Solver) -> None:
     scene, options = of_kind(room, kind)
-    given = {"priors": Priors(material=1), "iterations": 60, "refine_normals": "off"} | options
-    result = pbrfit.decompose(scene, solver=solver, **given)
+    options = options | {"priors": Priors(material=1), "iterations": 60, "refine_normals": "off"}
+    result = pbrfit.decompose(scene, solver=solver, **options)
     assert "material prior" in [stage.name for stage in result.stages]
     valid = result.mask
     for values in (result.albedo, result.roughness, result.metallic):
