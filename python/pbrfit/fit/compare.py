@@ -327,8 +327,9 @@ class _Comparison:
     @staticmethod
     def _rules_out(kind: Explanation, one: LeftOut) -> bool:
         """Whether what one leaves says that an explanation need not be tried."""
-        noise = one.is_noise and kind.surroundings != "none"
-        return one.leaves_no_lamp if kind.light == "lamps" else noise
+        if kind.light == "lamps":
+            return one.leaves_no_lamp
+        return one.is_noise and kind.surroundings != "none"
 
     def _results(self, folds: int | None = None) -> list[LeftOut]:
         """What was tried, in its first folds or all; what no explanation explains tells nothing."""

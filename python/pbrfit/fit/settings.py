@@ -81,8 +81,8 @@ COARSE_STEPS = 6
 
 SAMPLES_OF_UNKNOWN = 5
 """Samples for each unknown of a pixel below which lights are sought from a second start too: in
-colour, up to 8 pictures. Of 12 rooms with 5 pictures, one start ended in wrong minima in two, and in
-one with 8 whose highlights are clipped. More pictures decide between minima by themselves."""
+colour, up to 8 pictures. One start ended in wrong minima in two of 12 rooms with 5 pictures, and in
+one of 8 whose highlights are clipped. More pictures decide between minima by themselves."""
 
 DIELECTRIC_ROUNDS = 2
 DIELECTRIC_SIGMA = 0.1

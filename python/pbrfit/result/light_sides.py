@@ -14,7 +14,7 @@ ONE_SIDE = 0.9
 all within about 25 degrees of their middle."""
 
 ASIDE = 0.26
-"""Component of a direction from which on it counts for a side: sine of 15 degrees off the axis."""
+"""Component from which on a direction counts for a side: sine of 15 degrees off the view's axis."""
 
 
 def main_directions(lighting: Array) -> NDArray[np.float64]:

@@ -66,14 +66,12 @@ def test_outliers_do_less_harm_than_to_squares(loss: str, case: str) -> None:
     for name in MAPS:
         errors = [np.mean([one.metrics[name] for one in of]) for of in (robust, by_squares)]
         assert errors[0] < 0.9 * errors[1], name
-    left = 0
+    left = 0  # where they are: outliers; by default, if left-out pictures ask for it
     for one, other in zip(robust, by_squares, strict=True):
-        # The outliers are left where they are.
         left += one.metrics["recon_rmse"] > other.metrics["recon_rmse"]
         assert (one.options.robust, other.options.robust) == (loss, "none")
         if case == "lbfgsb":
             assert len(one.history) - 1 == 200
-    # By default they are where left-out pictures ask for it.
     assert left >= (2 if loss == "auto" else 3)
 
 

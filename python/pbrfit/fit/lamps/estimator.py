@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -415,13 +416,13 @@ class LampFit:
         of = evenly_spaced_over(fit.pixels.labels, LOOK_PIXELS).astype(np.intp)
         few = fit.pixels.of_rows(of)
         given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
-        kinds = np.unique(few.labels)
+        labels = np.unique(few.labels)
         independent = INDEPENDENT_SHARE * len(few)
         roughnesses = np.outer(ROUGHNESSES, np.ones(len(few)))
         if number >= LOOK_LAST:
             roughnesses = np.clip(np.outer(NEARER_ROUGHNESSES, prior.mean[:, 5]), ROUGHNESS_MIN, 1)
         metallic = np.broadcast_to(given.metallic, roughnesses.shape)
-        if number == HELD_ROUNDS and self.options.metallic is None and kinds.any():
+        if number == HELD_ROUNDS and self.options.metallic is None and labels.any():
             # From here on lamps would bend to metals that stay dielectrics.
             metals = (few.labels > 0).astype(float)
             metallic = np.repeat([np.zeros(len(few)), metals], len(roughnesses), axis=0)
@@ -436,15 +437,14 @@ class LampFit:
             )
             total = offset = 0.0
             chosen = {}
-            for label in kinds:
+            for label in labels:
                 own = few.labels == label
                 sums = left[:, own].sum(axis=1)
                 best_of = int(np.argmin(sums))
-                kind = metallic[:, own][:, 0]
-                same = kind == kind[best_of]
-                values = roughnesses[same][:, own][:, 0]
-                likely = likely_roughness(values, sums[same], int(own.sum()))
-                chosen[label] = likely, float(kind[best_of])
+                values, kinds = (of[:, own][:, 0] for of in (roughnesses, metallic))
+                same = kinds == kinds[best_of]
+                likely = likely_roughness(values[same], sums[same], int(own.sum()))
+                chosen[label] = likely, float(kinds[best_of])
                 total += float(sums[best_of])
                 offset += float(turned[best_of, own].sum())
             total = 0.5 * independent * float(np.log(max(total, 1e-12)))
@@ -539,11 +539,10 @@ class LampFit:
 
     def _turn(self, fit: JointLamps) -> None:
         """Let pixels turn to their brightest lamp where that surprises less."""
-        few, by = fit.pixels, (fit.noise, fit.prior)
-        how: dict[str, Any] = {"rounds": 2, "free_normals": True}
-        state, *_, left = surfaces.robust_surfaces(few, fit.state, *by, **how)
+        few, fitted = fit.pixels, partial(surfaces.robust_surfaces, rounds=2, free_normals=True)
+        state, *_, left = fitted(few, fit.state, fit.noise, fit.prior)
         begin = surfaces.facing_highlights(few, state)
-        turned, *_, left_turned = surfaces.robust_surfaces(few, begin, *by, **how)
+        turned, *_, left_turned = fitted(few, begin, fit.noise, fit.prior)
         fit.state, _ = surfaces.better_of(state, left, turned, left_turned)
 
     def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
