@@ -56,12 +56,13 @@ pub struct Free {
 }
 
 impl Free {
-    /// By unknown.
-    pub(super) fn unknowns(self) -> [bool; UNKNOWNS] {
-        let mut free = [true; UNKNOWNS];
-        free[ROUGHNESS] = self.roughness;
-        free[METALLIC] = self.metallic;
-        free[OFFSET..].fill(self.normals);
+    /// By unknown: 1, or 0 of one that is held.
+    pub(super) fn unknowns(self) -> [f64; UNKNOWNS] {
+        let of = |free| if free { 1.0 } else { 0.0 };
+        let mut free = [1.0; UNKNOWNS];
+        free[ROUGHNESS] = of(self.roughness);
+        free[METALLIC] = of(self.metallic);
+        free[OFFSET..].fill(of(self.normals));
         free
     }
 }
@@ -137,8 +138,11 @@ impl Descent<'_> {
     }
 
     fn here<M: Reflection>(&self, point: Point) -> Ended {
-        let by_offset = (self.free.normals).then(|| self.turned(point.offset).by_offset);
-        let (cost, equations) = self.samples.equations::<M>(&point, by_offset.as_ref());
+        let turned = match self.free.normals {
+            true => self.turned(point.offset).by_offset,
+            false => [DVec3::ZERO; OFFSETS],
+        };
+        let (cost, equations) = self.samples.equations::<M>(&point, &turned);
         Ended {
             point,
             cost,
@@ -160,17 +164,14 @@ impl Descent<'_> {
         let value = from.point.values();
         let Equations { matrix, gradient } = &from.equations;
         let mut system = Arrowhead::<3, UNKNOWNS>::new(matrix, gradient);
-        let free = self
-            .free
-            .unknowns()
-            .map(|free| if free { 1.0 } else { 0.0 });
+        let free = self.free.unknowns();
         let (step, there) = boxed_step(&mut system, &value, from.point.offset, free, damping);
         let moved = |x: usize| (value[x] + step[x]).clamp(0.0, 1.0);
         let trial = Point {
             offset: there,
             normal: self.turned(there).normal,
             material: Material {
-                albedo: [0, 1, 2].map(moved),
+                albedo: [moved(0), moved(1), moved(2)],
                 roughness: moved(ROUGHNESS),
                 metallic: moved(METALLIC),
             },

@@ -4,35 +4,33 @@ use std::f64::consts::FRAC_1_PI;
 
 use glam::DVec3;
 
-/// Fresnel's equations for unpolarised light at an index of refraction of 1.5, 0.04 head on.
-#[inline(always)]
-pub(super) fn glass(cosine: f64) -> f64 {
-    // In the form of R. L. Cook, K. E. Torrance, "A reflectance model for computer graphics", 1982,
-    // with g = √(1.5² − 1 + c²).
-    let c = cosine;
-    let g = (1.25 + c * c).sqrt();
-    let (across, along) = ((g - c) / (g + c), (c * (g + c) - 1.0) / (c * (g - c) + 1.0));
-    0.5 * across * across * (1.0 + along * along)
-}
+use super::number::{Number, Vector, cross, dot, length_squared};
 
-/// Its slope. With s = (g−c)/(g+c), p = P/Q, P = cg + c² − 1, Q = cg − c² + 1 and g′ = c/g,
+/// Fresnel's equations for unpolarised light at an index of refraction of 1.5, 0.04 head on; and
+/// their slope. With s = (g−c)/(g+c), p = P/Q, P = cg + c² − 1, Q = cg − c² + 1 and g′ = c/g,
 ///
 /// ```text
 /// F  = ½ s² (1 + p²)                           F′ = s s′ (1 + p²) + s² p p′
 /// s′ = 2(cg′ − g)/(g+c)² = −2.5/(g (g+c)²)     p′ = (P′Q − PQ′)/Q²,   P′, Q′ = g + c²/g ± 2c.
 /// ```
 #[inline(always)]
-pub(super) fn glass_by_cosine(cosine: f64) -> f64 {
+pub(super) fn glass<T: Number>(cosine: T) -> [T; 2] {
+    // In the form of R. L. Cook, K. E. Torrance, "A reflectance model for computer graphics", 1982,
+    // with g = √(1.5² − 1 + c²).
     let c = cosine;
-    let g = (1.25 + c * c).sqrt();
+    let g = (c * c + 1.25).sqrt();
     let (sum, difference) = (g + c, g - c);
     let across = difference / sum;
-    let by_across = -2.5 / (g * sum * sum);
     let (p, q) = (c * sum - 1.0, c * difference + 1.0);
-    let middle = g + c * c / g;
     let along = p / q;
-    let by_along = ((middle + 2.0 * c) - along * (middle - 2.0 * c)) / q;
-    across * by_across * (1.0 + along * along) + across * across * along * by_along
+    let by_across = g.all(-2.5) / (g * sum * sum);
+    let middle = g + c * c / g;
+    let by_along = ((middle + c * 2.0) - along * (middle - c * 2.0)) / q;
+    let both = along * along + 1.0;
+    [
+        across * across * both * 0.5,
+        across * by_across * both + across * across * along * by_along,
+    ]
 }
 
 /// D of the angle θ between n and h; and its derivatives: by α, and T of that by a direction.
@@ -56,25 +54,50 @@ pub(super) fn glass_by_cosine(cosine: f64) -> f64 {
 /// ∂D/∂n = T (h − cos θ n),   ∂D/∂h = T (n − cos θ h),   T = 4D cos θ (1−α²)/q.
 /// ```
 #[inline(always)]
-pub(super) fn distribution(normal: DVec3, half: DVec3, alpha: f64) -> (f64, [f64; 2]) {
-    let cosine = normal.dot(half);
-    let sine2 = (normal.cross(half).length_squared()).max(f64::EPSILON * f64::EPSILON);
-    let flat = alpha * alpha * cosine * cosine;
-    let denominator = sine2 + flat;
-    let root = alpha / denominator;
-    let value = FRAC_1_PI * root * root;
-    let by_alpha = 2.0 * FRAC_1_PI * root / denominator * ((sine2 - flat) / denominator);
-    let turned = 4.0 * cosine * ((1.0 - alpha) * (1.0 + alpha)) / denominator;
+pub(super) fn distribution<T: Number>(
+    normal: DVec3,
+    half: Vector<T>,
+    alpha: f64,
+) -> (T, [T; 2]) {
+    let cosine = dot(half, normal);
+    let sine2 = length_squared(cross(half, normal));
+    let sine2 = sine2.max(cosine.all(f64::EPSILON * f64::EPSILON));
+    let flat = cosine * cosine * (alpha * alpha);
+    let inverse = cosine.all(1.0) / (sine2 + flat);
+    let root = inverse * alpha;
+    let value = root * root * FRAC_1_PI;
+    let by_alpha = root * inverse * (2.0 * FRAC_1_PI) * ((sine2 - flat) * inverse);
+    let turned = cosine * (4.0 * (1.0 - alpha) * (1.0 + alpha)) * inverse;
     (value, [by_alpha, value * turned])
+}
+
+/// Smith's G₁(x) of the paper, and its derivatives by x and by r: those of
+/// [`smith_g1`](crate::reflectance::ggx::smith_g1).
+#[inline(always)]
+pub(super) fn masking<T: Number>(x: T, r: f64) -> (T, [T; 2]) {
+    let k = 0.5 * r * r * r * r;
+    let inverse = x.all(1.0) / (x * (1.0 - k) + k);
+    let value = x * inverse;
+    (
+        value,
+        [inverse * inverse * k, value * inverse * (x - 1.0) * (2.0 * r * r * r)],
+    )
 }
 
 /// S(x) = √(x²(1−α²) + α²)
 ///
-/// The root is of x² + α² (1−x²), whose terms may both underflow; one that is taken of neither does
-/// not.
-#[inline]
-pub(super) fn slanted(x: f64, alpha: f64) -> f64 {
-    x.hypot(alpha * ((1.0 - x) * (1.0 + x)).max(0.0).sqrt())
+/// The root is of x² + α² (1−x²), whose terms may both underflow; S is no less than the root of
+/// either.
+#[inline(always)]
+pub(super) fn slanted<T: Number>(x: T, alpha: f64) -> T {
+    let of_alpha = flat(x).sqrt() * alpha;
+    (x * x + of_alpha * of_alpha).sqrt().max(x).max(of_alpha)
+}
+
+/// 1 − x²
+#[inline(always)]
+fn flat<T: Number>(x: T) -> T {
+    ((x.all(1.0) - x) * (x + 1.0)).max(x.all(0.0))
 }
 
 /// V (n·l) of the principled model, at most 1/(4 n·v), with S(n·v) ([`slanted`]); and its derivatives
@@ -92,23 +115,24 @@ pub(super) fn slanted(x: f64, alpha: f64) -> f64 {
 /// All quotients are of numbers that go to 0 together. Derivatives by y and α overflow at angles and
 /// roughnesses of 10⁻³⁰⁸, where D is 0; they are kept finite, so that the product is 0.
 #[inline(always)]
-pub(super) fn masked_cosine(
+pub(super) fn masked_cosine<T: Number>(
     n_dot_v: f64,
     of_view: f64,
-    n_dot_l: f64,
+    n_dot_l: T,
     alpha: f64,
-) -> (f64, [f64; 3]) {
+) -> (T, [T; 3]) {
     let (x, y) = (n_dot_v, n_dot_l);
     let (of_x, of_y) = (of_view, slanted(y, alpha));
-    let t = y * of_x + x * of_y;
+    let t = y * of_x + of_y * x;
     let share = y / t;
-    let flat = |x: f64| alpha * ((1.0 - x) * (1.0 + x)).max(0.0);
+    let (by_y, inverse) = (y.all(alpha) / of_y, y.all(1.0) / t);
     let slope = x * ((1.0 - alpha) * (1.0 + alpha)) / of_x;
-    let by_x = -0.5 * share * (share * slope + of_y / t);
-    let by_y = 0.5 * (alpha / of_y) * (alpha * x / t) / t;
-    let by_alpha = -0.5 * share * (share * (flat(x) / of_x) + x / t * (flat(y) / of_y));
+    let by_x = share * (share * slope + of_y * inverse) * -0.5;
+    let by_alpha = share * (alpha * flat(x) / of_x) + inverse * x * (by_y * flat(y));
+    let by_alpha = share * by_alpha * -0.5;
+    let by_y = by_y * 0.5 * (inverse * (alpha * x)) * inverse;
     (
-        0.5 * y / t,
-        [by_x, by_y.min(f64::MAX), by_alpha.max(-f64::MAX)],
+        share * 0.5,
+        [by_x, by_y.min(y.all(f64::MAX)), by_alpha.max(y.all(-f64::MAX))],
     )
 }

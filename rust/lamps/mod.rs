@@ -9,6 +9,7 @@
 mod ambient;
 pub mod descent;
 mod microfacets;
+pub mod number;
 pub mod pixel_fit;
 pub mod render;
 pub mod samples;

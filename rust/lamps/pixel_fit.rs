@@ -1,11 +1,9 @@
 //! Normals and materials of single pixels under known lamps.
 
-use std::ops::Range;
-
 use glam::DVec3;
 
 use super::descent::{Descent, Ended, Free};
-use super::samples::{AT_MOST, PictureLight, Point, Samples, UNKNOWNS};
+use super::samples::{AT_MOST, Given, Lights, Point, Samples, UNKNOWNS};
 use crate::pixel::pixel_fit::PRIOR_MAX;
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::Material;
@@ -101,25 +99,20 @@ pub fn fit_under_lamps(
     };
     (fitted.materials.try_reserve_exact(pixels)).map_err(|_| Error::Memory("albedo"))?;
     fitted.materials.extend_from_slice(materials);
-    let any_ambient = lights.iter().any(|light| light.ambient.is_some());
-    let (pictures, lamps) = (lights.len(), given.picture_of.len());
+    let (pictures, lamps) = (given.ambient.len(), given.picture_of.len());
     let descent = |p: usize| {
         let of_pictures = p * pictures..(p + 1) * pictures;
         let of_lamps = p * lamps..(p + 1) * lamps;
+        let seen = Given {
+            targets: &given.pictures[of_pictures.clone()],
+            weights: &given.weights[of_pictures.clone()],
+            limits: given.limits.map(|limits| &limits[of_pictures]),
+            directions: &given.directions[of_lamps.clone()],
+            intensities: &given.intensities[of_lamps],
+        };
+        let prior = [given.prior_mean, given.prior_precision].map(|of| PLACES.map(|x| of[p][x]));
         Descent {
-            samples: Samples {
-                model: how.model,
-                view: given.views[p],
-                lights: &lights,
-                any_ambient,
-                targets: &given.pictures[of_pictures.clone()],
-                weights: &given.weights[of_pictures.clone()],
-                limits: given.limits.map(|limits| &limits[of_pictures]),
-                directions: &given.directions[of_lamps.clone()],
-                intensities: &given.intensities[of_lamps],
-                prior_mean: PLACES.map(|place| given.prior_mean[p][place]),
-                prior_precision: PLACES.map(|place| given.prior_precision[p][place]),
-            },
+            samples: Samples::new(how.model, given.views[p], &lights, seen, prior),
             base: given.base_normals[p].normalize(),
             start: Point {
                 offset: offsets[p],
@@ -158,10 +151,9 @@ fn known(ended: &Ended, free: Free) -> [[f64; NUMBERS]; NUMBERS] {
     let mut information = [[0.0; NUMBERS]; NUMBERS];
     for x in 0..UNKNOWNS {
         for y in 0..=x {
-            if free[x] && free[y] {
-                information[PLACES[x]][PLACES[y]] = matrix[x][y];
-                information[PLACES[y]][PLACES[x]] = matrix[x][y];
-            }
+            let known = free[x] * free[y] * matrix[x][y];
+            information[PLACES[x]][PLACES[y]] = known;
+            information[PLACES[y]][PLACES[x]] = known;
         }
     }
     information
@@ -189,7 +181,7 @@ fn start_offsets(base: &[DVec3], start: &[DVec3]) -> Result<Vec<[f64; OFFSETS]>>
 }
 
 impl LampPictures<'_> {
-    fn check(&self, start: &[DVec3], materials: &[Material]) -> Result<Vec<PictureLight>> {
+    fn check(&self, start: &[DVec3], materials: &[Material]) -> Result<Lights> {
         let (pixels, pictures) = (materials.len(), self.ambient.len());
         let samples = check::samples(pictures, pixels)?;
         check::length("pictures", samples, self.pictures.len())?;
@@ -238,17 +230,6 @@ impl LampPictures<'_> {
                 "others",
             ));
         }
-        Ok((0..pictures).map(|i| self.light(i)).collect())
-    }
-
-    fn light(&self, picture: usize) -> PictureLight {
-        let first = self.picture_of.partition_point(|&of| of < picture);
-        let end = self.picture_of.partition_point(|&of| of <= picture);
-        let ambient = &self.ambient[picture];
-        let is_dark = ambient.as_flattened().iter().all(|&value| value == 0.0);
-        PictureLight {
-            lamps: Range { start: first, end },
-            ambient: (!is_dark).then(|| [0, 1, 2].map(|c| std::array::from_fn(|k| ambient[k][c]))),
-        }
+        Ok(Lights::new(self.picture_of, self.ambient))
     }
 }

@@ -12,17 +12,19 @@
 //! sample at the upper limit of its file), or at most y_ic. Unknowns are in the order of the
 //! [`Arrowhead`](crate::pixel::arrowhead::Arrowhead): albedos, roughness, metallic, tangent offsets.
 
-use std::ops::Range;
+use std::marker::PhantomData;
 
 use glam::DVec3;
 
-use super::ambient::{SLOPES_OF_SAMPLE, under, weight_slopes};
+use super::ambient::{SLOPES_OF_SAMPLE, weights_with_slopes};
+use super::number::{Number, Wide};
 use super::surface::Surface;
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
-use crate::reflectance::reflection::{Reflection, Weights};
-use crate::reflectance::shade::{Frame, shade};
+use crate::reflectance::reflection::Reflection;
+use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
+use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 
 /// Unknowns of a pixel: albedos, roughness, metallic, tangent offsets.
 pub(super) const UNKNOWNS: usize = 7;
@@ -63,157 +65,345 @@ pub(super) struct Equations {
     pub(super) gradient: [f64; UNKNOWNS],
 }
 
-/// Of all pixels: which lamps light a picture, and the SH light in it, if there is any.
-#[derive(Clone, Debug)]
-pub(super) struct PictureLight {
-    pub(super) lamps: Range<usize>,
-    pub(super) ambient: Option<Weights>,
+/// Pictures that are looked at together: as many numbers as the widest vectors have.
+pub(super) const LANES: usize = 8;
+
+/// A number of each.
+pub(super) type Lanes = [f64; LANES];
+
+/// Where no lamp is.
+const NONE: usize = usize::MAX;
+
+/// Of all pixels, by [`LANES`] pictures: lamps and SH light.
+pub(super) struct Lights {
+    blocks: Vec<LightBlock>,
+    /// How many coefficients of SH light count: 0, the first, or all.
+    coefficients: usize,
+    pub(super) instructions: Instructions,
 }
 
-/// What is known of one pixel.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Samples<'a> {
-    pub(super) model: Model,
-    pub(super) view: DVec3,
-    pub(super) lights: &'a [PictureLight],
-    /// Whether a picture has SH light.
-    pub(super) any_ambient: bool,
-    /// By picture.
+struct LightBlock {
+    /// Numbers of lamps: the first of each picture, the second of each, and so on.
+    lamps: Vec<[usize; LANES]>,
+    ambient: [[Lanes; 3]; COEFFICIENTS],
+}
+
+impl Lights {
+    /// From the picture of each lamp, in rising order, and the SH light of each picture.
+    pub(super) fn new(picture_of: &[usize], ambient: &[[[f64; 3]; COEFFICIENTS]]) -> Self {
+        let mut coefficients = 0;
+        let mut blocks = Vec::with_capacity(ambient.len().div_ceil(LANES));
+        for (b, pictures) in ambient.chunks(LANES).enumerate() {
+            let mut block = LightBlock {
+                lamps: Vec::new(),
+                ambient: [[[0.0; LANES]; 3]; COEFFICIENTS],
+            };
+            for (i, light) in pictures.iter().enumerate() {
+                let first = picture_of.partition_point(|&of| of < LANES * b + i);
+                let end = picture_of.partition_point(|&of| of <= LANES * b + i);
+                for k in first..end {
+                    if block.lamps.len() <= k - first {
+                        block.lamps.push([NONE; LANES]);
+                    }
+                    block.lamps[k - first][i] = k;
+                }
+                for (k, of_channels) in light.iter().enumerate() {
+                    for c in 0..3 {
+                        block.ambient[k][c][i] = of_channels[c];
+                    }
+                    if *of_channels != [0.0; 3] {
+                        coefficients = coefficients.max(if k == 0 { 1 } else { COEFFICIENTS });
+                    }
+                }
+            }
+            blocks.push(block);
+        }
+        Self {
+            blocks,
+            coefficients,
+            instructions: Instructions::best(),
+        }
+    }
+}
+
+/// Samples of one pixel: (picture), and what its lamps bring: (lamp).
+#[derive(Clone, Copy)]
+pub(super) struct Given<'a> {
     pub(super) targets: &'a [[f64; 3]],
     pub(super) weights: &'a [[f64; 3]],
     pub(super) limits: Option<&'a [[u8; 3]]>,
-    /// By lamp.
     pub(super) directions: &'a [DVec3],
     pub(super) intensities: &'a [[f64; 3]],
-    pub(super) prior_mean: [f64; UNKNOWNS],
-    pub(super) prior_precision: [f64; UNKNOWNS],
 }
 
-impl Samples<'_> {
-    /// Whether any sample counts.
-    pub(super) fn any(&self) -> bool {
-        self.weights.iter().flatten().any(|&weight| weight > 0.0)
+/// What is known of one pixel.
+pub(super) struct Samples<'a> {
+    pub(super) model: Model,
+    pub(super) view: DVec3,
+    lights: &'a Lights,
+    blocks: Vec<SampleBlock>,
+    /// Block after block, those that [`LightBlock::lamps`] has.
+    lamps: Vec<LampBlock>,
+    prior_mean: [f64; UNKNOWNS],
+    prior_precision: [f64; UNKNOWNS],
+}
+
+/// A residual is raised to `lowest` and lowered to `highest`: −∞ and ∞, but 0 at a limit that is kept.
+#[derive(Clone, Copy)]
+struct SampleBlock {
+    targets: [Lanes; 3],
+    weights: [Lanes; 3],
+    lowest: [Lanes; 3],
+    highest: [Lanes; 3],
+}
+
+#[derive(Clone, Copy)]
+struct LampBlock {
+    directions: [Lanes; 3],
+    intensities: [Lanes; 3],
+}
+
+impl<'a> Samples<'a> {
+    /// Side by side what is given one after the other.
+    pub(super) fn new(
+        model: Model,
+        view: DVec3,
+        lights: &'a Lights,
+        given: Given,
+        [prior_mean, prior_precision]: [[f64; UNKNOWNS]; 2],
+    ) -> Self {
+        let mut blocks = Vec::with_capacity(lights.blocks.len());
+        let mut lamps = Vec::with_capacity(lights.blocks.len());
+        for (b, of) in lights.blocks.iter().enumerate() {
+            let mut block = SampleBlock {
+                targets: [[0.0; LANES]; 3],
+                weights: [[0.0; LANES]; 3],
+                lowest: [[f64::NEG_INFINITY; LANES]; 3],
+                highest: [[f64::INFINITY; LANES]; 3],
+            };
+            for i in 0..LANES.min(given.targets.len() - LANES * b) {
+                let at = LANES * b + i;
+                for c in 0..3 {
+                    block.targets[c][i] = given.targets[at][c];
+                    block.weights[c][i] = given.weights[at][c];
+                    match given.limits.map(|limits| limits[at][c]) {
+                        Some(AT_LEAST) => block.highest[c][i] = 0.0,
+                        Some(AT_MOST) => block.lowest[c][i] = 0.0,
+                        _ => (),
+                    }
+                }
+            }
+            blocks.push(block);
+            for numbers in &of.lamps {
+                let mut block = LampBlock {
+                    directions: [[0.0; LANES]; 3],
+                    intensities: [[0.0; LANES]; 3],
+                };
+                for (i, &k) in numbers.iter().enumerate().filter(|(_, k)| **k != NONE) {
+                    let direction = given.directions[k].to_array();
+                    for c in 0..3 {
+                        block.directions[c][i] = direction[c];
+                        block.intensities[c][i] = given.intensities[k][c];
+                    }
+                }
+                lamps.push(block);
+            }
+        }
+        Self {
+            model,
+            view,
+            lights,
+            blocks,
+            lamps,
+            prior_mean,
+            prior_precision,
+        }
     }
 
-    /// The cost of a point, and the normal equations there; those of the tangent offsets if ∂n by
-    /// them is given.
+    /// Whether any sample counts.
+    pub(super) fn any(&self) -> bool {
+        (self.blocks.iter()).any(|block| block.weights.as_flattened().iter().any(|&w| w > 0.0))
+    }
+
+    /// The cost of a point, and the normal equations there; `turned` is ∂n by the tangent offsets, 0
+    /// where these are held.
     pub(super) fn equations<M: Reflection>(
         &self,
         point: &Point,
-        by_offset: Option<&[DVec3; 2]>,
+        turned: &[DVec3; OFFSETS],
     ) -> (f64, Equations) {
-        let (mut cost, mut equations) = (0.0, Equations::default());
-        self.each::<M>(point, by_offset, |c, slopes, weight, residual| {
-            cost += weight * residual * residual;
-            equations.add(c, slopes, weight, residual);
-        });
+        let instructions = self.lights.instructions;
+        let (samples, point) = (self, point);
+        let mut sums = match self.lights.coefficients {
+            0 => instructions.run(Pass::<M, 0>::of(samples, point, turned)),
+            1 => instructions.run(Pass::<M, 1>::of(samples, point, turned)),
+            _ => instructions.run(Pass::<M, COEFFICIENTS>::of(samples, point, turned)),
+        };
         for (x, value) in point.values().into_iter().enumerate() {
             let deviation = value - self.prior_mean[x];
-            cost += self.prior_precision[x] * deviation * deviation;
-            equations.matrix[x][x] += self.prior_precision[x];
-            equations.gradient[x] += self.prior_precision[x] * deviation;
+            sums.0 += self.prior_precision[x] * deviation * deviation;
+            sums.1.matrix[x][x] += self.prior_precision[x];
+            sums.1.gradient[x] += self.prior_precision[x] * deviation;
         }
-        (cost, equations)
+        sums
     }
+}
 
-    /// Calls `add` with channel, derivatives (of its own albedo, roughness, metallic, tangent
-    /// offsets), weight and residual of each sample that counts.
-    #[inline(always)]
-    fn each<M: Reflection>(
-        &self,
-        point: &Point,
-        by_offset: Option<&[DVec3; 2]>,
-        mut add: impl FnMut(usize, &[f64; SLOPES_OF_SAMPLE], f64, f64),
-    ) {
-        let directions = [point.normal, self.view];
-        let surface = Surface::<true>::new(self.model, point.normal, self.view, &point.material);
-        let weights = (self.any_ambient)
-            .then(|| shade(&Frame::<M>::new(point.normal, self.view), &point.material));
-        let weights_by =
-            (self.any_ambient).then(|| weight_slopes::<M>(directions, &point.material, by_offset));
-        for (i, light) in self.lights.iter().enumerate() {
-            if self.weights[i] == [0.0; 3] {
-                continue;
-            }
-            let mut model = [0.0; 3];
-            let mut slopes = [[0.0; SLOPES_OF_SAMPLE]; 3];
-            for k in light.lamps.clone() {
-                let intensity = self.intensities[k];
-                if intensity == [0.0; 3] {
-                    continue;
-                }
-                let unit = surface.reflected(self.directions[k]);
-                let turned = by_offset.map(|by| by.map(|change| unit.along(change)));
-                for c in 0..3 {
-                    model[c] += intensity[c] * unit.radiance[c];
-                    slopes[c][0] += intensity[c] * unit.by_albedo[c];
-                    slopes[c][1] += intensity[c] * unit.by_roughness[c];
-                    slopes[c][2] += intensity[c] * unit.by_metallic[c];
-                    if let Some([by_a, by_b]) = &turned {
-                        slopes[c][3] += intensity[c] * by_a[c];
-                        slopes[c][4] += intensity[c] * by_b[c];
-                    }
-                }
-            }
-            if let (Some(weights), Some(ambient)) = (&weights, &light.ambient) {
-                for c in 0..3 {
-                    model[c] += under(&weights[c], &ambient[c]);
-                    if let Some(by) = &weights_by {
-                        for x in 0..SLOPES_OF_SAMPLE {
-                            slopes[c][x] += under(&by[c][x], &ambient[c]);
-                        }
-                    }
-                }
-            }
-            for c in 0..3 {
-                let residual = self.residual(i, c, model[c]);
-                if residual != 0.0 || self.is_data(i, c) {
-                    add(c, &slopes[c], self.weights[i][c], residual);
-                }
-            }
-        }
-    }
+/// One pass over the samples of a pixel, with K coefficients of SH light.
+struct Pass<'a, M, const K: usize> {
+    samples: &'a Samples<'a>,
+    point: &'a Point,
+    turned: &'a [DVec3; OFFSETS],
+    model: PhantomData<M>,
+}
 
-    /// Whether a sample says what radiance is, and no limit of it.
-    #[inline]
-    fn is_data(&self, picture: usize, channel: usize) -> bool {
-        self.limits
-            .is_none_or(|limits| limits[picture][channel] == 0)
-    }
-
-    /// By how much radiance misses what a sample says.
-    #[inline]
-    fn residual(&self, picture: usize, channel: usize, radiance: f64) -> f64 {
-        let difference = radiance - self.targets[picture][channel];
-        match self.limits.map(|limits| limits[picture][channel]) {
-            Some(AT_LEAST) => difference.min(0.0),
-            Some(AT_MOST) => difference.max(0.0),
-            _ => difference,
+impl<'a, M: Reflection, const K: usize> Pass<'a, M, K> {
+    fn of(samples: &'a Samples, point: &'a Point, turned: &'a [DVec3; OFFSETS]) -> Self {
+        Self {
+            samples,
+            point,
+            turned,
+            model: PhantomData,
         }
     }
 }
 
-impl Equations {
-    /// Adds a sample of a channel.
-    #[inline]
+impl<M: Reflection, const K: usize> Kernel for Pass<'_, M, K> {
+    type Output = (f64, Equations);
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) -> (f64, Equations) {
+        let Self {
+            samples,
+            point: Point {
+                normal, material, ..
+            },
+            turned,
+            ..
+        } = self;
+        let surface = Surface::<true>::new(samples.model, *normal, samples.view, material);
+        let of_sky = (K > 0)
+            .then(|| weights_with_slopes::<M, K>([*normal, samples.view], material, turned));
+        let none = Wide(isa, isa.splat(0.0));
+        let mut sums = Sums::of(none);
+        let mut rest = samples.lamps.iter();
+        for (block, lights) in samples.blocks.iter().zip(&samples.lights.blocks) {
+            let lamps = rest.as_slice();
+            rest.by_ref().take(lights.lamps.len()).for_each(drop);
+            for at in 0..LANES / <I as Vectors<f64>>::LANES {
+                let of = |lanes: &Lanes| Wide(isa, I::of(lanes)[at]);
+                let (mut radiance, mut slopes) = ([none; 3], [[none; SLOPES_OF_SAMPLE]; 3]);
+                for lamps in &lamps[..lights.lamps.len()] {
+                    let [x, y, z] = &lamps.directions;
+                    let (lit, unit) = surface.reflected_of([of(x), of(y), of(z)]);
+                    let along = [unit.along(turned[0]), unit.along(turned[1])];
+                    for c in 0..3 {
+                        let intensity = lit * of(&lamps.intensities[c]);
+                        radiance[c] = radiance[c] + intensity * unit.radiance[c];
+                        let slopes = &mut slopes[c];
+                        slopes[0] = slopes[0] + intensity * unit.by_albedo[c];
+                        slopes[1] = slopes[1] + intensity * unit.by_roughness[c];
+                        slopes[2] = slopes[2] + intensity * unit.by_metallic[c];
+                        slopes[3] = slopes[3] + intensity * along[0][c];
+                        slopes[4] = slopes[4] + intensity * along[1][c];
+                    }
+                }
+                if let Some((weights, slopes_of_sky)) = &of_sky {
+                    for k in 0..K {
+                        for c in 0..3 {
+                            let light = of(&lights.ambient[k][c]);
+                            radiance[c] = radiance[c] + light * weights[c][k];
+                            for x in 0..SLOPES_OF_SAMPLE {
+                                slopes[c][x] = slopes[c][x] + light * slopes_of_sky[c][x][k];
+                            }
+                        }
+                    }
+                }
+                for c in 0..3 {
+                    let (lowest, highest) = (of(&block.lowest[c]), of(&block.highest[c]));
+                    let residual = (radiance[c] - of(&block.targets[c])).max(lowest).min(highest);
+                    // A limit that is kept tells nothing.
+                    let weight = of(&block.weights[c]);
+                    let kept = none - residual * residual;
+                    let is_free = highest.min(none - lowest);
+                    let weight = is_free.at_least(f64::INFINITY, weight, kept.at_least(0.0, none, weight));
+                    sums.add(c, &slopes[c], weight, residual);
+                }
+            }
+        }
+        sums.total()
+    }
+}
+
+/// Number of the derivatives that no channel has for itself.
+const SHARED: usize = SLOPES_OF_SAMPLE - 1;
+
+/// Σ w J Jᵀ and Σ w J residual by lane: of the albedos, of these with what is shared, and of that.
+struct Sums<I: Isa> {
+    cost: Wide<I>,
+    albedo: [Wide<I>; 3],
+    albedo_gradient: [Wide<I>; 3],
+    arms: [[Wide<I>; 3]; SHARED],
+    dense: [[Wide<I>; SHARED]; SHARED],
+    gradient: [Wide<I>; SHARED],
+}
+
+impl<I: Isa> Sums<I> {
+    #[inline(always)]
+    fn of(none: Wide<I>) -> Self {
+        Self {
+            cost: none,
+            albedo: [none; 3],
+            albedo_gradient: [none; 3],
+            arms: [[none; 3]; SHARED],
+            dense: [[none; SHARED]; SHARED],
+            gradient: [none; SHARED],
+        }
+    }
+
+    /// Adds the samples of a channel.
+    #[inline(always)]
     fn add(
         &mut self,
-        channel: usize,
-        slopes: &[f64; SLOPES_OF_SAMPLE],
-        weight: f64,
-        residual: f64,
+        c: usize,
+        slopes: &[Wide<I>; SLOPES_OF_SAMPLE],
+        weight: Wide<I>,
+        residual: Wide<I>,
     ) {
-        let weighted = slopes.map(|slope| weight * slope);
-        self.matrix[channel][channel] += weighted[0] * slopes[0];
-        self.gradient[channel] += weighted[0] * residual;
-        for f in 1..SLOPES_OF_SAMPLE {
-            let row = &mut self.matrix[ROUGHNESS + f - 1];
-            row[channel] += weighted[0] * slopes[f];
-            for g in 1..=f {
-                row[ROUGHNESS + g - 1] += weighted[g] * slopes[f];
+        self.cost = self.cost + weight * residual * residual;
+        let albedo = weight * slopes[0];
+        self.albedo[c] = self.albedo[c] + albedo * slopes[0];
+        self.albedo_gradient[c] = self.albedo_gradient[c] + albedo * residual;
+        for f in 0..SHARED {
+            let weighted = weight * slopes[f + 1];
+            self.arms[f][c] = self.arms[f][c] + albedo * slopes[f + 1];
+            self.gradient[f] = self.gradient[f] + weighted * residual;
+            for g in 0..=f {
+                self.dense[f][g] = self.dense[f][g] + weighted * slopes[g + 1];
             }
-            self.gradient[ROUGHNESS + f - 1] += weighted[f] * residual;
         }
+    }
+
+    /// Sums over the lanes.
+    #[inline(always)]
+    fn total(&self) -> (f64, Equations) {
+        let sum = |x: Wide<I>| x.0.sum(x.1);
+        let mut equations = Equations::default();
+        for c in 0..3 {
+            equations.matrix[c][c] = sum(self.albedo[c]);
+            equations.gradient[c] = sum(self.albedo_gradient[c]);
+        }
+        for f in 0..SHARED {
+            let row = &mut equations.matrix[ROUGHNESS + f];
+            for c in 0..3 {
+                row[c] = sum(self.arms[f][c]);
+            }
+            for g in 0..=f {
+                row[ROUGHNESS + g] = sum(self.dense[f][g]);
+            }
+            equations.gradient[ROUGHNESS + f] = sum(self.gradient[f]);
+        }
+        (sum(self.cost), equations)
     }
 }
 
@@ -236,14 +426,9 @@ mod tests {
         ];
         let intensities = [[1.0, 0.8, 0.6], [0.5; 3], [0.0, 0.0, 2.0], [0.9, 1.1, 1.3]];
         let ambient =
-            std::array::from_fn(|c| std::array::from_fn(|k| 0.6 / (1.0 + (k + c) as f64)));
-        let light = |lamps, ambient| PictureLight { lamps, ambient };
-        let lights = [
-            light(0..2, None),
-            light(2..3, Some(ambient)),
-            light(3..4, None),
-            light(4..4, Some(ambient)),
-        ];
+            std::array::from_fn(|k| std::array::from_fn(|c| 0.6 / (1.0 + (k + c) as f64)));
+        let dark = [[0.0; 3]; COEFFICIENTS];
+        let lights = Lights::new(&[0, 0, 1, 2], &[dark, ambient, dark, ambient]);
         let base = unit(0.1, 0.2);
         let at = |values: [f64; UNKNOWNS]| {
             let [red, green, blue, roughness, metallic, a, b] = values;
@@ -260,27 +445,24 @@ mod tests {
         let values = [0.3, 0.6, 0.8, 0.45, 0.35, 0.12, -0.07];
         for model in [Model::Paper, Model::Principled] {
             for limit in [0, AT_LEAST, AT_MOST] {
-                let samples = Samples {
-                    model,
-                    view: unit(-0.1, 0.1),
-                    lights: &lights,
-                    any_ambient: true,
+                let given = Given {
                     targets: &[[0.1, 0.9, 0.2], [0.5; 3], [0.0, 0.6, 2.0], [0.2, 0.1, 0.3]],
                     weights: &[[1.0, 2.0, 0.5], [1.0; 3], [0.0, 3.0, 1.0], [4.0, 1.0, 1.0]],
                     limits: Some(&[[limit; 3], [0, limit, limit], [limit; 3], [limit; 3]]),
                     directions: &directions,
                     intensities: &intensities,
-                    prior_mean: [0.5, 0.5, 0.5, 0.3, 0.0, 0.0, 0.1],
-                    prior_precision: [0.1, 0.2, 0.0, 0.3, 0.4, 0.5, 0.6],
                 };
+                let mean = [0.5, 0.5, 0.5, 0.3, 0.0, 0.0, 0.1];
+                let prior = [mean, [0.1, 0.2, 0.0, 0.3, 0.4, 0.5, 0.6]];
+                let samples = Samples::new(model, unit(-0.1, 0.1), &lights, given, prior);
                 let by_offset = offset_normal(base, [0.12, -0.07]).by_offset;
                 let point = at(values);
                 let (_, equations) =
-                    with_model!(model, M => samples.equations::<M>(&point, Some(&by_offset)));
+                    with_model!(model, M => samples.equations::<M>(&point, &by_offset));
                 let cost = |x: usize, t: f64| {
                     let mut moved = values;
                     moved[x] += t;
-                    with_model!(model, M => samples.equations::<M>(&at(moved), None).0)
+                    with_model!(model, M => samples.equations::<M>(&at(moved), &[DVec3::ZERO; 2]).0)
                 };
                 for x in 0..UNKNOWNS {
                     let slope = |h: f64| (cost(x, h) - cost(x, -h)) / (2.0 * h);

@@ -5,15 +5,16 @@ use std::f64::consts::PI;
 
 use glam::DVec3;
 
-use super::microfacets::{distribution, glass, glass_by_cosine, masked_cosine, slanted};
-use crate::reflectance::ggx::{
-    DIELECTRIC_F0, MIN_COSINE, schlick, schlick_by_cosine, smith_g1, smith_g1_by_cosine,
-};
+use super::microfacets::{distribution, glass, masked_cosine, masking, slanted};
+use super::number::{Number, Vector, dot, length_squared};
+use crate::reflectance::ggx::{DIELECTRIC_F0, MIN_COSINE};
 use crate::reflectance::lobe_table;
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
 use crate::reflectance::principled::{self, Mixer, Parts};
 
+/// Least n·l of light that is reflected.
+const DARK: f64 = 1e-290;
 /// Small disks that a large one is made of.
 const PARTS: usize = 16;
 /// π (3 − √5), radians: points at its multiples are never in line.
@@ -91,59 +92,64 @@ struct PartsWithSlopes {
 ///
 /// without the parts along n and along l.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Reflected {
+pub struct Reflected<T = f64> {
     /// By channel.
-    pub radiance: [f64; 3],
+    pub radiance: [T; 3],
     /// By channel, by its own albedo.
-    pub by_albedo: [f64; 3],
+    pub by_albedo: [T; 3],
     /// By channel, by roughness.
-    pub by_roughness: [f64; 3],
+    pub by_roughness: [T; 3],
     /// By channel, by metallic.
-    pub by_metallic: [f64; 3],
+    pub by_metallic: [T; 3],
     normal: DVec3,
     view: DVec3,
-    light: DVec3,
-    half: DVec3,
+    light: [T; 3],
+    half: [T; 3],
     /// |s|
-    bisector: f64,
+    bisector: T,
     /// I_x by channel.
-    by_n_dot_v: [f64; 3],
+    by_n_dot_v: [T; 3],
     /// I_y by channel.
-    by_n_dot_l: [f64; 3],
+    by_n_dot_l: [T; 3],
     /// I_z by channel.
-    by_v_dot_h: [f64; 3],
+    by_v_dot_h: [T; 3],
     /// I_D T by channel.
-    by_half: [f64; 3],
+    by_half: [T; 3],
 }
 
 impl Reflected {
     /// Derivatives by the normal, by channel: vectors in the normal's tangent plane, so that the product
     /// with a small change dn of the normal is the change of radiance.
     pub fn by_normal(&self) -> [DVec3; 3] {
-        let [v, l, h] = [self.view, self.light, self.half].map(|d| across(d, self.normal));
+        let (light, half) = (DVec3::from(self.light), DVec3::from(self.half));
+        let [v, l, h] = [self.view, light, half].map(|d| across(d, self.normal));
         [0, 1, 2].map(|c| self.by_n_dot_v[c] * v + self.by_n_dot_l[c] * l + self.by_half[c] * h)
     }
 
     /// Derivatives by the light's direction, by channel: vectors in its tangent plane.
     pub fn by_direction(&self) -> [DVec3; 3] {
-        if self.light == DVec3::ZERO {
+        let (light, half) = (DVec3::from(self.light), DVec3::from(self.half));
+        if light == DVec3::ZERO {
             return [DVec3::ZERO; 3]; // nothing is reflected
         }
-        let [n, v, h] = [self.normal, self.view, self.half];
-        let [of_v, of_n] = [v, n].map(|d| across(d, h) / self.bisector);
-        let [of_v, of_n, n] = [of_v, of_n, n].map(|d| across(d, self.light));
+        let (n, v) = (self.normal, self.view);
+        let [of_v, of_n] = [v, n].map(|d| across(d, half) / self.bisector);
+        let [of_v, of_n, n] = [of_v, of_n, n].map(|d| across(d, light));
         [0, 1, 2]
             .map(|c| self.by_n_dot_l[c] * n + self.by_v_dot_h[c] * of_v + self.by_half[c] * of_n)
     }
+}
 
+impl<T: Number> Reflected<T> {
     /// Derivatives of all channels by what turns the normal so: dn has to lie in the normal's tangent
     /// plane.
-    #[inline]
-    pub(super) fn along(&self, change: DVec3) -> [f64; 3] {
-        let [x, y, h] = [self.view, self.light, self.half].map(|d| d.dot(change));
-        let mut along = [0.0; 3];
+    #[inline(always)]
+    pub(super) fn along(&self, change: DVec3) -> [T; 3] {
+        let x = self.view.dot(change);
+        let (y, h) = (dot(self.light, change), dot(self.half, change));
+        let mut along = self.by_n_dot_v;
         for c in 0..3 {
-            along[c] = self.by_n_dot_v[c] * x + self.by_n_dot_l[c] * y + self.by_half[c] * h;
+            along[c] = along[c] * x + self.by_n_dot_l[c] * y + self.by_half[c] * h;
         }
         along
     }
@@ -160,13 +166,14 @@ fn across(vector: DVec3, axis: DVec3) -> DVec3 {
 
 impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
     /// From unit normal and unit view direction (surface to camera).
+    #[inline(always)]
     pub fn new(model: Model, normal: DVec3, view: DVec3, material: &'a Material) -> Self {
         let cosine = normal.dot(view);
         let n_dot_v = cosine.max(MIN_COSINE);
         let alpha = material.roughness * material.roughness;
         let kind = match model {
             Model::Paper => {
-                let (masking, by_roughness) = smith_g1(n_dot_v, material.roughness);
+                let (masking, [_, by_roughness]) = masking(n_dot_v, material.roughness);
                 Kind::Paper(masking, by_roughness)
             }
             Model::Principled => {
@@ -221,68 +228,104 @@ impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
     /// It is seen by a lobe as a lamp without extent by a wider one, of α² + ρ²/4: near its middle
     /// GGX is a Gaussian of variance α²/4 an axis of h, a disk has ρ²/4 of l, a quarter of that of
     /// h. The cosine n·l is [`mean_cosine`].
-    #[inline(always)]
     fn reflected_of_part(&self, light: DVec3, extent: f64) -> Reflected {
         let n_dot_l = mean_cosine(self.normal.dot(light), extent);
-        let bisector = self.view + light;
-        // From straight behind there is no half vector. Below the smallest normal number lengths lose
-        // their digits, and quotients of masking overflow.
-        if n_dot_l < f64::MIN_POSITIVE || bisector.length_squared() < f64::MIN_POSITIVE {
-            return Reflected::default();
-        }
-        let half = bisector.normalize();
-        let cosine = self.view.dot(half).clamp(0.0, 1.0);
         let alpha = match extent {
             0.0 => self.alpha,
             _ => self.alpha.hypot(0.5 * extent).min(1.0),
         };
-        let (grazing, grazing_slope) = (schlick(cosine), schlick_by_cosine(cosine));
+        match self.met::<f64>(light.to_array(), n_dot_l, alpha) {
+            (lit, reflected) if lit > 0.0 => reflected,
+            _ => Reflected::default(),
+        }
+    }
+
+    /// Whether anything is reflected of light (1, else 0), and what; of light from where nothing is,
+    /// finite numbers. All lanes alike, without branches.
+    #[inline(always)]
+    pub(super) fn reflected_of<T: Number>(&self, light: Vector<T>) -> (T, Reflected<T>) {
+        self.met(light, dot(light, self.normal), self.alpha)
+    }
+
+    #[inline(always)]
+    fn met<T: Number>(&self, light: Vector<T>, n_dot_l: T, alpha: f64) -> (T, Reflected<T>) {
+        let all = |value| n_dot_l.all(value);
+        let (normal, view) = (self.normal.to_array(), self.view.to_array());
+        let mut half = light;
+        for a in 0..3 {
+            half[a] = light[a] + view[a];
+        }
+        let length2 = length_squared(half);
+        // From straight behind there is no half vector. Below the smallest numbers lengths lose their
+        // digits, and quotients of masking overflow.
+        let lit = length2.at_least(f64::MIN_POSITIVE, all(1.0), all(0.0));
+        let lit = n_dot_l.at_least(DARK, lit, all(0.0));
+        let n_dot_l = lit.at_least(1.0, n_dot_l, all(1.0));
+        let bisector = lit.at_least(1.0, length2.sqrt(), all(1.0));
+        let inverse = all(1.0) / bisector;
+        for a in 0..3 {
+            half[a] = lit.at_least(1.0, half[a] * inverse, all(normal[a]));
+        }
+        let v_dot_h = dot(half, self.view).max(all(0.0)).min(all(1.0));
         let (distribution, [d_by_alpha, turned]) = distribution(self.normal, half, alpha);
+        let none = [all(0.0); 3];
+        let mut reflected = Reflected {
+            radiance: none,
+            by_albedo: none,
+            by_roughness: none,
+            by_metallic: none,
+            normal: self.normal,
+            view: self.view,
+            light,
+            half,
+            bisector,
+            by_n_dot_v: none,
+            by_n_dot_l: none,
+            by_v_dot_h: none,
+            by_half: none,
+        };
+        let rest = all(1.0) - v_dot_h;
+        let rest4 = rest * rest * (rest * rest);
+        let (grazing, grazing_slope) = (rest4 * rest, rest4 * -5.0);
         let n_dot_v = self.n_dot_v;
-        let Material {
+        let &Material {
             albedo,
             roughness,
             metallic,
-        } = *self.material;
-        let mut reflected = Reflected::default();
-        if SLOPES {
-            (reflected.normal, reflected.view) = (self.normal, self.view);
-            (reflected.light, reflected.half) = (light, half);
-            reflected.bisector = bisector.length();
-        }
+        } = self.material;
         match &self.kind {
             &Kind::Paper(masking_v, masking_v_by_r) => {
-                let (masking_l, masking_l_by_r) = smith_g1(n_dot_l, roughness);
+                let (masking_l, [masking_l_slope, masking_l_by_r]) = masking(n_dot_l, roughness);
                 // π D G₁ G₁ / (4 (n·v)(n·l)) · (n·l)
-                let lobe = PI * distribution * masking_v * masking_l / (4.0 * n_dot_v);
                 let quarter = 0.25 * PI / n_dot_v;
+                let of_view = distribution * (quarter * masking_v);
+                let lobe = of_view * masking_l;
                 let share = masking_v / n_dot_v;
                 let rest = 1.0 - 0.5 * alpha * alpha;
-                let lobe_by_v = -0.25 * PI * distribution * masking_l * rest * share * share;
-                let masking_l_slope = smith_g1_by_cosine(n_dot_l, roughness);
-                let lobe_by_l = quarter * distribution * masking_v * masking_l_slope;
-                let masking = masking_v * masking_l;
-                let masking_by_r = masking_v_by_r * masking_l + masking_v * masking_l_by_r;
-                let d_by_r = 2.0 * roughness * d_by_alpha;
-                let lobe_by_r = quarter * (d_by_r * masking + distribution * masking_by_r);
-                let lobe_by_half = quarter * masking * turned;
+                let lobe_by_v = distribution * masking_l * (-0.25 * PI * rest * share * share);
+                let lobe_by_l = of_view * masking_l_slope;
+                let masking = masking_l * masking_v;
+                let masking_by_r = masking_l * masking_v_by_r + masking_l_by_r * masking_v;
+                let d_by_r = d_by_alpha * (2.0 * roughness);
+                let lobe_by_r = (d_by_r * masking + distribution * masking_by_r) * quarter;
+                let lobe_by_half = masking * turned * quarter;
                 let matt = 1.0 - metallic;
                 for c in 0..3 {
                     let rho = albedo[c];
                     let f0 = DIELECTRIC_F0 * matt + metallic * rho;
-                    let fresnel = f0 + (1.0 - f0) * grazing;
-                    let transmitted = 1.0 - fresnel;
-                    reflected.radiance[c] = transmitted * matt * rho * n_dot_l + fresnel * lobe;
+                    let fresnel = grazing * (1.0 - f0) + f0;
+                    let transmitted = all(1.0) - fresnel;
+                    let diffuse = transmitted * n_dot_l;
+                    reflected.radiance[c] = diffuse * (matt * rho) + fresnel * lobe;
                     if SLOPES {
-                        let by_fresnel = lobe - matt * rho * n_dot_l;
-                        let by_f0 = by_fresnel * (1.0 - grazing);
-                        reflected.by_n_dot_l[c] = transmitted * matt * rho + fresnel * lobe_by_l;
-                        reflected.by_n_dot_v[c] = self.turns * fresnel * lobe_by_v;
+                        let by_fresnel = lobe - n_dot_l * (matt * rho);
+                        let by_f0 = by_fresnel * (all(1.0) - grazing);
+                        reflected.by_n_dot_l[c] = transmitted * (matt * rho) + fresnel * lobe_by_l;
+                        reflected.by_n_dot_v[c] = fresnel * lobe_by_v * self.turns;
                         reflected.by_v_dot_h[c] = by_fresnel * (1.0 - f0) * grazing_slope;
                         reflected.by_half[c] = fresnel * lobe_by_half;
-                        reflected.by_albedo[c] = transmitted * matt * n_dot_l + by_f0 * metallic;
-                        reflected.by_metallic[c] =
-                            by_f0 * (rho - DIELECTRIC_F0) - transmitted * rho * n_dot_l;
+                        reflected.by_albedo[c] = diffuse * matt + by_f0 * metallic;
+                        reflected.by_metallic[c] = by_f0 * (rho - DIELECTRIC_F0) - diffuse * rho;
                         reflected.by_roughness[c] = fresnel * lobe_by_r;
                     }
                 }
@@ -291,19 +334,20 @@ impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
                 let (masked, [w_by_v, w_by_l, w_by_alpha]) =
                     masked_cosine(n_dot_v, *of_view, n_dot_l, self.alpha);
                 // π D V · (n·l)
-                let scaled = PI * distribution;
+                let scaled = distribution * PI;
                 let lobe = scaled * masked;
-                let lobe_by_r = 2.0 * roughness * (PI * d_by_alpha * masked + scaled * w_by_alpha);
-                let lobe_by_half = PI * masked * turned;
-                let (glass, glass_slope) = (glass(cosine), glass_by_cosine(cosine));
+                let lobe_by_r = d_by_alpha * PI * masked + scaled * w_by_alpha;
+                let lobe_by_r = lobe_by_r * (2.0 * roughness);
+                let lobe_by_half = masked * turned * PI;
+                let [glass, glass_slope] = glass(v_dot_h);
                 for c in 0..3 {
                     let (parts, rho) = (&parts[c], albedo[c]);
-                    let metal_fresnel = rho + (1.0 - rho) * grazing;
-                    // π kd y + J (d F_g + e F), or a derivative of it by kd, d and e.
-                    let sum = |parts: &Parts| {
-                        let fresnel = parts.dielectric * glass + parts.metal * metal_fresnel;
-                        PI * parts.ground * n_dot_l + lobe * fresnel
-                    };
+                    let metal_fresnel = grazing * (1.0 - rho) + rho;
+                    // d F_g + e F, and with it π kd y + J L; or derivatives of these by kd, d and e.
+                    let fresnel =
+                        |parts: &Parts| glass * parts.dielectric + metal_fresnel * parts.metal;
+                    let sum =
+                        |parts: &Parts| n_dot_l * (PI * parts.ground) + lobe * fresnel(parts);
                     reflected.radiance[c] = sum(&parts.value);
                     if SLOPES {
                         let Parts {
@@ -311,22 +355,22 @@ impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
                             dielectric,
                             metal,
                         } = parts.value;
-                        let fresnel = dielectric * glass + metal * metal_fresnel;
-                        reflected.by_n_dot_l[c] = PI * ground + scaled * w_by_l * fresnel;
+                        let fresnel = fresnel(&parts.value);
+                        reflected.by_n_dot_l[c] = scaled * w_by_l * fresnel + PI * ground;
                         reflected.by_n_dot_v[c] =
-                            self.turns * (sum(&parts.by_n_dot_v) + scaled * w_by_v * fresnel);
+                            (sum(&parts.by_n_dot_v) + scaled * w_by_v * fresnel) * self.turns;
                         reflected.by_v_dot_h[c] =
-                            lobe * (dielectric * glass_slope + metal * (1.0 - rho) * grazing_slope);
+                            lobe * (glass_slope * dielectric + grazing_slope * (metal * (1.0 - rho)));
                         reflected.by_half[c] = lobe_by_half * fresnel;
                         reflected.by_albedo[c] =
-                            sum(&parts.by_albedo) + lobe * metal * (1.0 - grazing);
+                            sum(&parts.by_albedo) + lobe * (all(1.0) - grazing) * metal;
                         reflected.by_metallic[c] = sum(&parts.by_metallic);
                         reflected.by_roughness[c] = sum(&parts.by_roughness) + lobe_by_r * fresnel;
                     }
                 }
             }
         }
-        reflected
+        (lit, reflected)
     }
 }
 
@@ -376,24 +420,21 @@ pub fn mean_cosine(cosine: f64, extent: f64) -> f64 {
 }
 
 /// See [`Kind::Principled`].
+#[inline(always)]
 fn parts<const SLOPES: bool>(n_dot_v: f64, material: &Material) -> [PartsWithSlopes; 3] {
-    let [values, by_roughness, by_n_dot_v] = lobe_table::values(material.roughness, n_dot_v)
-        .map(|values| principled::Surface::of(|f| values[f]));
-    let mixer = Mixer::new(material.metallic, values);
-    material.albedo.map(|rho| {
-        if !SLOPES {
-            return PartsWithSlopes {
-                value: mixer.parts(rho),
-                ..PartsWithSlopes::default()
-            };
+    let values = lobe_table::values(material.roughness, n_dot_v);
+    let mixer = Mixer::new(material.metallic, principled::Surface::of(|f| values[0][f]));
+    let mut parts = [PartsWithSlopes::default(); 3];
+    for c in 0..3 {
+        let rho = material.albedo[c];
+        let of = &mut parts[c];
+        if SLOPES {
+            [of.value, of.by_albedo, of.by_metallic] = mixer.parts_with_slopes(rho);
+            of.by_roughness = mixer.parts_along(rho, &principled::Surface::of(|f| values[1][f]));
+            of.by_n_dot_v = mixer.parts_along(rho, &principled::Surface::of(|f| values[2][f]));
+        } else {
+            of.value = mixer.parts(rho);
         }
-        let [value, by_albedo, by_metallic] = mixer.parts_with_slopes(rho);
-        PartsWithSlopes {
-            value,
-            by_albedo,
-            by_metallic,
-            by_roughness: mixer.parts_along(rho, &by_roughness),
-            by_n_dot_v: mixer.parts_along(rho, &by_n_dot_v),
-        }
-    })
+    }
+    parts
 }

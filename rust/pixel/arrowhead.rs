@@ -38,6 +38,17 @@ impl<const C: usize, const U: usize> Arrowhead<C, U> {
 
     #[inline(always)]
     pub(crate) fn of(sums: &Sums<U>, x: usize) -> Self {
+        Self::with(|i, j| sums.matrix[i][j].0[x], |j| sums.gradient[j].0[x])
+    }
+
+    /// From the matrix, of which entries above the diagonal are not looked at, and the gradient.
+    #[inline(always)]
+    pub(crate) fn new(matrix: &[[f64; U]; U], gradient: &[f64; U]) -> Self {
+        Self::with(|i, j| matrix[i][j], |j| gradient[j])
+    }
+
+    #[inline(always)]
+    fn with(matrix: impl Fn(usize, usize) -> f64, gradient: impl Fn(usize) -> f64) -> Self {
         let mut arrowhead = Self {
             diagonal: [0.0; U],
             arms: [[0.0; C]; MAX_SHARED],
@@ -47,30 +58,18 @@ impl<const C: usize, const U: usize> Arrowhead<C, U> {
             fixed: [0.0; U],
         };
         for j in 0..C + Self::SHARED {
-            arrowhead.diagonal[j] = sums.matrix[j][j].0[x];
-            arrowhead.gradient[j] = sums.gradient[j].0[x];
+            arrowhead.diagonal[j] = matrix(j, j);
+            arrowhead.gradient[j] = gradient(j);
         }
         for f in 0..Self::SHARED {
             for c in 0..C {
-                arrowhead.arms[f][c] = sums.matrix[C + f][c].0[x];
+                arrowhead.arms[f][c] = matrix(C + f, c);
             }
             for g in 0..f {
-                arrowhead.dense[f][g] = sums.matrix[C + f][C + g].0[x];
+                arrowhead.dense[f][g] = matrix(C + f, C + g);
             }
         }
         arrowhead
-    }
-
-    /// From the matrix, of which entries above the diagonal are not looked at, and the gradient.
-    pub(crate) fn new(matrix: &[[f64; U]; U], gradient: &[f64; U]) -> Self {
-        Self {
-            diagonal: std::array::from_fn(|j| matrix[j][j]),
-            arms: std::array::from_fn(|f| std::array::from_fn(|c| matrix[C + f][c])),
-            dense: std::array::from_fn(|f| std::array::from_fn(|g| matrix[C + f][C + g])),
-            gradient: *gradient,
-            free: [0.0; U],
-            fixed: [0.0; U],
-        }
     }
 
     /// δ with (A + λ diag A) δ = −g in the free unknowns, where `damped` = 1 + λ.

@@ -123,7 +123,7 @@ fn clenshaw(c: &[[f64; TERMS]; 3], s: f64) -> [f64; 3] {
 
 /// Smith masking G₁(x) = x / (x(1−k)+k) with k = α²/2 = r⁴/2 (as printed in the paper, §9.1),
 /// and dG₁/dr = −x(1−x)/(x(1−k)+k)² · 2r³.
-#[inline]
+#[inline(always)]
 pub fn smith_g1(x: f64, r: f64) -> (f64, f64) {
     let r3 = r * r * r;
     let k = 0.5 * r3 * r;
@@ -133,7 +133,7 @@ pub fn smith_g1(x: f64, r: f64) -> (f64, f64) {
 
 /// dG₁/dx = k/(x(1−k)+k)². As x is raised to [`MIN_COSINE`], G₁ does not change with the normal
 /// where n·v ≤ [`MIN_COSINE`]: there callers take 0 instead.
-#[inline]
+#[inline(always)]
 pub fn smith_g1_by_cosine(x: f64, r: f64) -> f64 {
     let r2 = r * r;
     let k = 0.5 * r2 * r2;
@@ -142,7 +142,7 @@ pub fn smith_g1_by_cosine(x: f64, r: f64) -> f64 {
 }
 
 /// Schlick's (1−x)⁵, so that F = F0 + (1−F0)(1−x)⁵ and dF/dF0 = 1 − (1−x)⁵.
-#[inline]
+#[inline(always)]
 pub fn schlick(x: f64) -> f64 {
     let y = 1.0 - x;
     let y2 = y * y;
@@ -150,7 +150,7 @@ pub fn schlick(x: f64) -> f64 {
 }
 
 /// Its slope −5(1−x)⁴. Like [`smith_g1_by_cosine`] it is for n·v > [`MIN_COSINE`] only.
-#[inline]
+#[inline(always)]
 pub fn schlick_by_cosine(x: f64) -> f64 {
     let y = 1.0 - x;
     let y2 = y * y;

@@ -292,6 +292,7 @@ fn to_planes<T: Tabled>(rows: &[Row<T>; TOGETHER], begin: usize, functions: &mut
 }
 
 /// All functions at one roughness and clamped n·v, with their slopes by r and by n·v.
+#[inline(always)]
 pub fn values(r: f64, cosine: f64) -> [[f64; VALUES]; 3] {
     let (row, down, down_slopes) = place::<f64>(ROUGHNESS, r);
     let (column, across, across_slopes) = place::<f64>(COSINE, cosine);
@@ -299,15 +300,10 @@ pub fn values(r: f64, cosine: f64) -> [[f64; VALUES]; 3] {
     for i in 0..4 {
         for j in 0..4 {
             let knot = &DOUBLE.knots[(row as usize + i) * KNOTS[1] + column as usize + j].0;
-            let weights = [
-                down[i] * across[j],
-                down_slopes[i] * across[j],
-                down[i] * across_slopes[j],
-            ];
-            for (values, weight) in values.iter_mut().zip(weights) {
-                for f in 0..VALUES {
-                    values[f] += weight * knot[f];
-                }
+            for f in 0..VALUES {
+                values[0][f] += down[i] * across[j] * knot[f];
+                values[1][f] += down_slopes[i] * across[j] * knot[f];
+                values[2][f] += down[i] * across_slopes[j] * knot[f];
             }
         }
     }

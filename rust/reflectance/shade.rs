@@ -38,6 +38,7 @@ impl<M: Reflection> Frame<M> {
     }
 
     /// From the clamped n·v, the normal and the mirror direction.
+    #[inline(always)]
     pub fn at(cosine: f64, normal: DVec3, mirror: DVec3) -> Self {
         let mut diffuse = sh::basis(normal.to_array());
         for (y, &l) in diffuse.iter_mut().zip(&BAND_OF) {

@@ -29,12 +29,35 @@ pub trait Vectors<T>: Copy {
     fn of_mut(values: &mut [T]) -> &mut [Self::Vector];
 }
 
+/// Vectors of float64.
+type Doubles<I> = <I as Vectors<f64>>::Vector;
+
 /// An instruction set.
 pub trait Isa: Vectors<f32> + Vectors<f64> {
     /// Vector registers; what a kernel keeps in flight must fit.
     const REGISTERS: usize;
     /// Whether a multiply-add is one operation.
     const FUSED: bool;
+
+    /// a / b
+    fn div(self, a: Doubles<Self>, b: Doubles<Self>) -> Doubles<Self>;
+    /// √a
+    fn sqrt(self, a: Doubles<Self>) -> Doubles<Self>;
+    /// The larger.
+    fn max(self, a: Doubles<Self>, b: Doubles<Self>) -> Doubles<Self>;
+    /// The smaller.
+    fn min(self, a: Doubles<Self>, b: Doubles<Self>) -> Doubles<Self>;
+    /// `yes` in lanes with a ≥ b, else `no`.
+    fn at_least(
+        self,
+        a: Doubles<Self>,
+        b: Doubles<Self>,
+        yes: Doubles<Self>,
+        no: Doubles<Self>,
+    ) -> Doubles<Self>;
+
+    /// The sum of all lanes.
+    fn sum(self, a: Doubles<Self>) -> f64;
 
     /// a b + c in loops that the compiler turns into vectors; it never fuses two operations itself.
     #[inline(always)]
@@ -130,6 +153,31 @@ struct Lanes<S, const FUSED: bool>(S);
 impl<S: Simd, const FUSED: bool> Isa for Lanes<S, FUSED> {
     const REGISTERS: usize = if FUSED { S::REGISTER_COUNT } else { 16 };
     const FUSED: bool = FUSED;
+
+    #[inline(always)]
+    fn div(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.0.div_f64s(a, b)
+    }
+    #[inline(always)]
+    fn sqrt(self, a: S::f64s) -> S::f64s {
+        self.0.sqrt_f64s(a)
+    }
+    #[inline(always)]
+    fn max(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.0.max_f64s(a, b)
+    }
+    #[inline(always)]
+    fn min(self, a: S::f64s, b: S::f64s) -> S::f64s {
+        self.0.min_f64s(a, b)
+    }
+    #[inline(always)]
+    fn sum(self, a: S::f64s) -> f64 {
+        self.0.reduce_sum_f64s(a)
+    }
+    #[inline(always)]
+    fn at_least(self, a: S::f64s, b: S::f64s, yes: S::f64s, no: S::f64s) -> S::f64s {
+        (self.0).select_f64s(self.0.greater_than_or_equal_f64s(a, b), yes, no)
+    }
 }
 
 macro_rules! vectors {

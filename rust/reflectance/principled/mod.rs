@@ -351,6 +351,7 @@ pub(crate) struct Parts {
 
 impl Mixer {
     /// The parts of an albedo.
+    #[inline(always)]
     pub(crate) fn parts(&self, albedo: f64) -> Parts {
         let (m, matt) = (self.metallic, 1.0 - self.metallic);
         Parts {
@@ -361,6 +362,7 @@ impl Mixer {
     }
 
     /// The parts, and their derivatives by albedo and by metallic.
+    #[inline(always)]
     pub(crate) fn parts_with_slopes(&self, albedo: f64) -> [Parts; 3] {
         let (m, matt, metal) = (self.metallic, self.matt(), self.metal(albedo));
         let by_albedo = Parts {
@@ -377,6 +379,7 @@ impl Mixer {
     }
 
     /// The change of the parts with a change of the lobe.
+    #[inline(always)]
     pub(crate) fn parts_along(&self, albedo: f64, change: &Surface) -> Parts {
         let metal = self.metal(albedo);
         Parts {
