@@ -7,7 +7,6 @@ use criterion::{
     BenchmarkGroup, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main,
 };
 use glam::DVec3;
-use pbrfit::lamps::render::{DirectionalLight, render_directional};
 use pbrfit::pixel::pixel_fit::Search;
 use pbrfit::problem::render::render;
 use pbrfit::problem::targets::Targets;
@@ -425,42 +424,6 @@ fn forward(c: &mut Criterion) {
     group.finish();
 }
 
-/// The full reflection model under light from single directions.
-fn directional(c: &mut Criterion) {
-    let mut group = c.benchmark_group("render_directional, 256²");
-    group.sample_size(20);
-    let example = Example::new(256 * 256, 1);
-    let materials = example.materials();
-    for (model, lights) in [
-        (Model::Paper, 1),
-        (Model::Paper, 16),
-        (Model::Principled, 1),
-        (Model::Principled, 16),
-    ] {
-        let lights: Vec<DirectionalLight> = (0..lights)
-            .map(|i| DirectionalLight {
-                direction: DVec3::new(wave(i, 0.7) - 0.5, wave(i, 1.3) - 0.5, 0.5).normalize(),
-                color: [1.0; 3],
-                extent: 0.0,
-            })
-            .collect();
-        group.throughput(Throughput::Elements((256 * 256 * lights.len()) as u64));
-        for threads in [1, 2] {
-            let id = BenchmarkId::new(
-                format!("{model:?}, {threads} threads"),
-                format!("{} lights", lights.len()),
-            );
-            group.bench_function(id, |b| {
-                b.iter(|| {
-                    let Example { normals, views, .. } = &example;
-                    render_directional(normals, views, &materials, &lights, threads, model).unwrap()
-                });
-            });
-        }
-    }
-    group.finish();
-}
-
 /// Pictures of varied normals and materials; nothing depends on their being pictures of anything.
 #[derive(Clone)]
 struct Example {
@@ -564,7 +527,6 @@ criterion_group!(
     pixel_fit,
     operations,
     free_normals_of_pixels,
-    forward,
-    directional
+    forward
 );
 criterion_main!(benches);

@@ -32,7 +32,6 @@ __all__ = [
     "lobe_functions",
     "lobe_table",
     "render",
-    "render_directional",
     "sh_basis",
     "shade",
     "shade_vjp",
@@ -80,18 +79,6 @@ def render(
     model: str = "paper",
     transfer: NDArray[np.float32] | None = None,
     bounced: NDArray[np.float32] | None = None,
-) -> NDArray[np.float64]: ...
-def render_directional(
-    normals: NDArray[np.float64],
-    views: NDArray[np.float64],
-    albedo: NDArray[np.float64],
-    roughness: NDArray[np.float64],
-    metallic: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    colors: NDArray[np.float64],
-    threads: int,
-    model: str = "paper",
-    extents: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]: ...
 def lamp_radiance(
     normals: NDArray[np.float64],
@@ -142,18 +129,11 @@ def lamp_slopes(
     directions: NDArray[np.float64],
     threads: int,
     model: str = "paper",
-) -> tuple[
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-]:
-    """`lamp_radiance`, and its derivatives, (P, K, 3) or by axis (P, K, 3, 3).
+) -> NDArray[np.float64]:
+    """`lamp_radiance`, and its derivatives, (P, K, 3, 10).
 
-    By normal and by direction, vectors in the tangent planes of both; of each channel by its own
-    albedo; by roughness; by metallic. All are 0 where n·l ≤ 0.
+    Radiance; by normal and by direction, vectors in the tangent planes of both; of each channel by
+    its own albedo; by roughness; by metallic. All are 0 where n·l ≤ 0.
     """
 
 def fit_under_lamps(

@@ -54,11 +54,7 @@ pub(super) fn glass<T: Number>(cosine: T) -> [T; 2] {
 /// ∂D/∂n = T (h − cos θ n),   ∂D/∂h = T (n − cos θ h),   T = 4D cos θ (1−α²)/q.
 /// ```
 #[inline(always)]
-pub(super) fn distribution<T: Number>(
-    normal: DVec3,
-    half: Vector<T>,
-    alpha: f64,
-) -> (T, [T; 2]) {
+pub(super) fn distribution<T: Number>(normal: DVec3, half: Vector<T>, alpha: f64) -> (T, [T; 2]) {
     let cosine = dot(half, normal);
     let sine2 = length_squared(cross(half, normal));
     let sine2 = sine2.max(cosine.all(f64::EPSILON * f64::EPSILON));
@@ -80,7 +76,10 @@ pub(super) fn masking<T: Number>(x: T, r: f64) -> (T, [T; 2]) {
     let value = x * inverse;
     (
         value,
-        [inverse * inverse * k, value * inverse * (x - 1.0) * (2.0 * r * r * r)],
+        [
+            inverse * inverse * k,
+            value * inverse * (x - 1.0) * (2.0 * r * r * r),
+        ],
     )
 }
 
@@ -133,6 +132,10 @@ pub(super) fn masked_cosine<T: Number>(
     let by_y = by_y * 0.5 * (inverse * (alpha * x)) * inverse;
     (
         share * 0.5,
-        [by_x, by_y.min(y.all(f64::MAX)), by_alpha.max(y.all(-f64::MAX))],
+        [
+            by_x,
+            by_y.min(y.all(f64::MAX)),
+            by_alpha.max(y.all(-f64::MAX)),
+        ],
     )
 }

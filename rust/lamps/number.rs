@@ -19,8 +19,11 @@ pub trait Number:
 {
     /// The same number in all lanes.
     fn all(self, value: f64) -> Self;
+    /// Its root.
     fn sqrt(self) -> Self;
+    /// The larger of both.
     fn max(self, other: Self) -> Self;
+    /// The smaller of both.
     fn min(self, other: Self) -> Self;
     /// `yes` where it is at least so much, else `no`.
     fn at_least(self, least: f64, yes: Self, no: Self) -> Self;

@@ -2,32 +2,18 @@
 
 use glam::DVec3;
 
+use super::number::Wide;
+use super::samples::{LANES, Lanes};
 use super::surface::Surface;
-use crate::problem::render::pictures;
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
 use crate::runtime::check::MAX_SAMPLES;
 use crate::runtime::memory::zeros;
+use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 use crate::runtime::{Error, Result, check, pool};
 
 /// Pixels in a piece of work.
 const PIECE: usize = 1024;
-
-/// Largest colour of a light that is taken, a radiance. It does not overflow: a surface reflects at
-/// most 10³⁵ times as much.
-const LARGEST_COLOR: f64 = 1e260;
-
-/// Light from one direction, infinitely far away.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DirectionalLight {
-    /// Unit vector from the surface to the light.
-    pub direction: DVec3,
-    /// Radiance, linear Rec.709, of a white diffuse surface without Fresnel loss that faces the
-    /// light: its irradiance over π.
-    pub color: [f64; 3],
-    /// Angular radius of the disk that it is, radians; 0 = a point.
-    pub extent: f64,
-}
 
 /// Largest angular radius of a lamp, radians: beyond, it is no lamp but a sky, for panoramas.
 pub const LARGEST_EXTENT: f64 = std::f64::consts::FRAC_PI_4;
@@ -40,38 +26,6 @@ fn check_extents(extents: &[f64]) -> Result<()> {
         None => Ok(()),
         Some(found) => Err(Error::argument("extents", "0 to π/4 radians", found)),
     }
-}
-
-/// Radiance of every pixel under every light: (light, pixel, channel).
-///
-/// `threads` = 0 means one for each processor; the result does not depend on it.
-pub fn render_directional(
-    normals: &[DVec3],
-    views: &[DVec3],
-    materials: &[Material],
-    lights: &[DirectionalLight],
-    threads: usize,
-    model: Model,
-) -> Result<Vec<f64>> {
-    let pixels = check::pixels(normals, views, materials.len())?;
-    for light in lights {
-        check::unit_vectors("directions", &[light.direction])?;
-        check::moderate("colors", &light.color, LARGEST_COLOR)?;
-        check_extents(&[light.extent])?;
-    }
-    pictures(lights.len(), pixels, PIECE, threads, |first, parts| {
-        let count = parts.first().map_or(0, |part| part.len() / 3);
-        for i in 0..count {
-            let p = first + i;
-            let surface = Surface::<false>::new(model, normals[p], views[p], &materials[p]);
-            for (light, part) in lights.iter().zip(parts.iter_mut()) {
-                let unit = surface.reflected_of_disk(light.direction, light.extent);
-                for c in 0..3 {
-                    part[3 * i + c] = unit[c] * light.color[c];
-                }
-            }
-        }
-    })
 }
 
 /// Pixels, each with directions of its own.
@@ -111,110 +65,104 @@ impl Lamplit<'_> {
     }
 }
 
+/// Numbers of a lamp and channel with their derivatives: radiance under unit light, vectors by the
+/// normal and by the light's direction, in their tangent planes, and by its own albedo, by roughness
+/// and by metallic.
+pub const WITH_SLOPES: usize = 10;
+
 /// Radiance of every pixel under unit light of each of its lamps: (pixel, lamp, channel).
 ///
 /// `threads` = 0 means one for each processor; the result does not depend on it.
 pub fn lamp_radiance(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
+    of_lamps::<1, false>(pixels, threads)
+}
+
+/// The same with its derivatives: (pixel, lamp, channel, [`WITH_SLOPES`]).
+pub fn lamp_slopes(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
+    of_lamps::<WITH_SLOPES, true>(pixels, threads)
+}
+
+fn of_lamps<const NUMBERS: usize, const SLOPES: bool>(
+    pixels: Lamplit,
+    threads: usize,
+) -> Result<Vec<f64>> {
     let lamps = pixels.check()?;
-    let mut radiance = zeros("directions", pixels.directions.len() * 3)?;
+    let mut found = zeros("directions", pixels.directions.len() * 3 * NUMBERS)?;
     if lamps == 0 {
-        return Ok(radiance);
+        return Ok(found);
     }
-    let pieces = radiance.chunks_mut(PIECE * lamps * 3).enumerate().collect();
-    pool::map(threads, pieces, |(piece, radiance): (usize, &mut [f64])| {
-        let of_pixels = radiance.as_chunks_mut::<3>().0.chunks_mut(lamps);
-        for (p, radiance) in (piece * PIECE..).zip(of_pixels) {
+    let instructions = Instructions::best();
+    let pieces = (found.chunks_mut(PIECE * lamps * 3 * NUMBERS).enumerate()).collect();
+    pool::map(threads, pieces, |(piece, found): (usize, &mut [f64])| {
+        instructions.run(OfLamps::<NUMBERS, SLOPES> {
+            pixels,
+            lamps,
+            first: piece * PIECE,
+            found: found.as_chunks_mut().0,
+        });
+    });
+    Ok(found)
+}
+
+/// Pixels from the first on, as many as there is room for.
+struct OfLamps<'a, const NUMBERS: usize, const SLOPES: bool> {
+    pixels: Lamplit<'a>,
+    lamps: usize,
+    first: usize,
+    found: &'a mut [[f64; NUMBERS]],
+}
+
+impl<const NUMBERS: usize, const SLOPES: bool> Kernel for OfLamps<'_, NUMBERS, SLOPES> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<I: Isa>(self, isa: I) {
+        let (pixels, lamps) = (self.pixels, self.lamps);
+        for (p, found) in (self.first..).zip(self.found.chunks_mut(3 * lamps)) {
             let [normal, view] = [pixels.normals[p], pixels.views[p]];
-            let surface = Surface::<false>::new(pixels.model, normal, view, &pixels.materials[p]);
-            for (k, radiance) in radiance.iter_mut().enumerate() {
-                let at = p * lamps + k;
-                let extent = pixels.extents.get(at).copied().unwrap_or(0.0);
-                *radiance = surface.reflected_of_disk(pixels.directions[at], extent);
+            let surface = Surface::<SLOPES>::new(pixels.model, normal, view, &pixels.materials[p]);
+            let directions = &pixels.directions[p * lamps..(p + 1) * lamps];
+            if !SLOPES && !pixels.extents.is_empty() {
+                for (k, found) in found.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                    let extent = pixels.extents[p * lamps + k];
+                    *found = surface
+                        .of_disk(directions[k], extent)
+                        .map(|of| [of; NUMBERS]);
+                }
+                continue;
+            }
+            let of_lanes = directions.chunks(LANES).zip(found.chunks_mut(3 * LANES));
+            for (directions, found) in of_lanes {
+                let mut sides = [[0.0; LANES]; 3];
+                for (i, direction) in directions.iter().enumerate() {
+                    (sides[0][i], sides[1][i], sides[2][i]) = (*direction).into();
+                }
+                let mut numbers = [[[0.0; LANES]; NUMBERS]; 3];
+                for at in 0..LANES / <I as Vectors<f64>>::LANES {
+                    let of = |lanes: &Lanes| Wide(isa, I::of(lanes)[at]);
+                    let light = [of(&sides[0]), of(&sides[1]), of(&sides[2])];
+                    let (lit, unit) = surface.reflected_of(light);
+                    let (by_normal, by_direction) = match SLOPES {
+                        true => (unit.by_normal(), unit.by_direction()),
+                        false => ([light; 3], [light; 3]),
+                    };
+                    for c in 0..3 {
+                        let ([x, y, z], [u, v, w]) = (by_normal[c], by_direction[c]);
+                        let by = [unit.by_albedo[c], unit.by_roughness[c], unit.by_metallic[c]];
+                        let all = [unit.radiance[c], x, y, z, u, v, w, by[0], by[1], by[2]];
+                        for j in 0..NUMBERS {
+                            I::of_mut(&mut numbers[c][j])[at] = (lit * all[j]).1;
+                        }
+                    }
+                }
+                for i in 0..directions.len() {
+                    for c in 0..3 {
+                        for j in 0..NUMBERS {
+                            found[3 * i + c][j] = numbers[c][j][i];
+                        }
+                    }
+                }
             }
         }
-    });
-    Ok(radiance)
-}
-
-/// Radiance and its derivatives, each by (pixel, lamp, channel); those by directions also by axis.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct LampSlopes {
-    /// Under unit light.
-    pub radiance: Vec<f64>,
-    /// Vectors in the normals' tangent planes.
-    pub by_normal: Vec<f64>,
-    /// Vectors in the light directions' tangent planes.
-    pub by_direction: Vec<f64>,
-    /// Of each channel by its own albedo.
-    pub by_albedo: Vec<f64>,
-    /// By roughness.
-    pub by_roughness: Vec<f64>,
-    /// By metallic.
-    pub by_metallic: Vec<f64>,
-}
-
-/// [`lamp_radiance`] with its derivatives.
-pub fn lamp_slopes(pixels: Lamplit, threads: usize) -> Result<LampSlopes> {
-    let lamps = pixels.check()?;
-    let (scalars, vectors) = (pixels.directions.len() * 3, pixels.directions.len() * 9);
-    let mut slopes = LampSlopes {
-        radiance: zeros("directions", scalars)?,
-        by_normal: zeros("directions", vectors)?,
-        by_direction: zeros("directions", vectors)?,
-        by_albedo: zeros("directions", scalars)?,
-        by_roughness: zeros("directions", scalars)?,
-        by_metallic: zeros("directions", scalars)?,
-    };
-    if lamps == 0 {
-        return Ok(slopes);
     }
-    let of_piece = PIECE * lamps;
-    let scalars = [
-        &mut slopes.radiance,
-        &mut slopes.by_albedo,
-        &mut slopes.by_roughness,
-        &mut slopes.by_metallic,
-    ];
-    let mut scalars = scalars.map(|values| values.as_chunks_mut::<3>().0.chunks_mut(of_piece));
-    let vectors = [&mut slopes.by_normal, &mut slopes.by_direction];
-    let mut vectors = vectors.map(|values| values.as_chunks_mut::<9>().0.chunks_mut(of_piece));
-    let pieces = (0..pixels.normals.len().div_ceil(PIECE))
-        .map(|piece| {
-            let scalars = scalars
-                .each_mut()
-                .map(|chunks| chunks.next().expect("as many"));
-            let vectors = vectors
-                .each_mut()
-                .map(|chunks| chunks.next().expect("as many"));
-            (piece * PIECE, scalars, vectors)
-        })
-        .collect();
-    type Part<'a, const N: usize> = &'a mut [[f64; N]];
-    type Piece<'a> = (usize, [Part<'a, 3>; 4], [Part<'a, 9>; 2]);
-    pool::map(threads, pieces, |(first, scalars, vectors): Piece| {
-        let [radiance, by_albedo, by_roughness, by_metallic] = scalars;
-        let [by_normal, by_direction] = vectors;
-        for i in 0..radiance.len() / lamps {
-            let p = first + i;
-            let [normal, view] = [pixels.normals[p], pixels.views[p]];
-            let surface = Surface::<true>::new(pixels.model, normal, view, &pixels.materials[p]);
-            for k in 0..lamps {
-                let reflected = surface.reflected(pixels.directions[p * lamps + k]);
-                let at = i * lamps + k;
-                radiance[at] = reflected.radiance;
-                by_albedo[at] = reflected.by_albedo;
-                by_roughness[at] = reflected.by_roughness;
-                by_metallic[at] = reflected.by_metallic;
-                by_normal[at] = flat(reflected.by_normal());
-                by_direction[at] = flat(reflected.by_direction());
-            }
-        }
-    });
-    Ok(slopes)
-}
-
-/// By channel, by axis.
-fn flat(vectors: [DVec3; 3]) -> [f64; 9] {
-    let by_channel = vectors.map(|v| v.to_array());
-    std::array::from_fn(|i| by_channel[i / 3][i % 3])
 }

@@ -282,8 +282,8 @@ impl<M: Reflection, const K: usize> Kernel for Pass<'_, M, K> {
             ..
         } = self;
         let surface = Surface::<true>::new(samples.model, *normal, samples.view, material);
-        let of_sky = (K > 0)
-            .then(|| weights_with_slopes::<M, K>([*normal, samples.view], material, turned));
+        let of_sky =
+            (K > 0).then(|| weights_with_slopes::<M, K>([*normal, samples.view], material, turned));
         let none = Wide(isa, isa.splat(0.0));
         let mut sums = Sums::of(none);
         let mut rest = samples.lamps.iter();
@@ -321,12 +321,15 @@ impl<M: Reflection, const K: usize> Kernel for Pass<'_, M, K> {
                 }
                 for c in 0..3 {
                     let (lowest, highest) = (of(&block.lowest[c]), of(&block.highest[c]));
-                    let residual = (radiance[c] - of(&block.targets[c])).max(lowest).min(highest);
+                    let residual = (radiance[c] - of(&block.targets[c]))
+                        .max(lowest)
+                        .min(highest);
                     // A limit that is kept tells nothing.
                     let weight = of(&block.weights[c]);
                     let kept = none - residual * residual;
                     let is_free = highest.min(none - lowest);
-                    let weight = is_free.at_least(f64::INFINITY, weight, kept.at_least(0.0, none, weight));
+                    let weight =
+                        is_free.at_least(f64::INFINITY, weight, kept.at_least(0.0, none, weight));
                     sums.add(c, &slopes[c], weight, residual);
                 }
             }

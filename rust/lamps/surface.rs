@@ -117,30 +117,48 @@ pub struct Reflected<T = f64> {
     by_half: [T; 3],
 }
 
-impl Reflected {
+impl<T: Number> Reflected<T> {
     /// Derivatives by the normal, by channel: vectors in the normal's tangent plane, so that the product
     /// with a small change dn of the normal is the change of radiance.
-    pub fn by_normal(&self) -> [DVec3; 3] {
-        let (light, half) = (DVec3::from(self.light), DVec3::from(self.half));
-        let [v, l, h] = [self.view, light, half].map(|d| across(d, self.normal));
-        [0, 1, 2].map(|c| self.by_n_dot_v[c] * v + self.by_n_dot_l[c] * l + self.by_half[c] * h)
+    #[inline(always)]
+    pub fn by_normal(&self) -> [Vector<T>; 3] {
+        let normal = self.constant(self.normal);
+        let v = across(self.constant(self.view), normal);
+        let (l, h) = (across(self.light, normal), across(self.half, normal));
+        let mut by = [v; 3];
+        for c in 0..3 {
+            for a in 0..3 {
+                by[c][a] =
+                    v[a] * self.by_n_dot_v[c] + l[a] * self.by_n_dot_l[c] + h[a] * self.by_half[c];
+            }
+        }
+        by
     }
 
     /// Derivatives by the light's direction, by channel: vectors in its tangent plane.
-    pub fn by_direction(&self) -> [DVec3; 3] {
-        let (light, half) = (DVec3::from(self.light), DVec3::from(self.half));
-        if light == DVec3::ZERO {
-            return [DVec3::ZERO; 3]; // nothing is reflected
+    #[inline(always)]
+    pub fn by_direction(&self) -> [Vector<T>; 3] {
+        let normal = self.constant(self.normal);
+        let inverse = self.bisector.all(1.0) / self.bisector.max(self.bisector.all(DARK));
+        let of_v = across(across(self.constant(self.view), self.half), self.light);
+        let of_n = across(across(normal, self.half), self.light);
+        let n = across(normal, self.light);
+        let mut by = [n; 3];
+        for c in 0..3 {
+            for a in 0..3 {
+                let by_half = of_v[a] * self.by_v_dot_h[c] + of_n[a] * self.by_half[c];
+                by[c][a] = n[a] * self.by_n_dot_l[c] + by_half * inverse;
+            }
         }
-        let (n, v) = (self.normal, self.view);
-        let [of_v, of_n] = [v, n].map(|d| across(d, half) / self.bisector);
-        let [of_v, of_n, n] = [of_v, of_n, n].map(|d| across(d, light));
-        [0, 1, 2]
-            .map(|c| self.by_n_dot_l[c] * n + self.by_v_dot_h[c] * of_v + self.by_half[c] * of_n)
+        by
     }
-}
 
-impl<T: Number> Reflected<T> {
+    #[inline(always)]
+    fn constant(&self, vector: DVec3) -> Vector<T> {
+        let all = |value| self.bisector.all(value);
+        [all(vector.x), all(vector.y), all(vector.z)]
+    }
+
     /// Derivatives of all channels by what turns the normal so: dn has to lie in the normal's tangent
     /// plane.
     #[inline(always)]
@@ -156,12 +174,16 @@ impl<T: Number> Reflected<T> {
 }
 
 /// A vector without its part along an axis.
-fn across(vector: DVec3, axis: DVec3) -> DVec3 {
-    let length2 = axis.length_squared();
-    if length2 == 0.0 {
-        return vector; // of a surface that reflects nothing
+#[inline(always)]
+fn across<T: Number>(vector: Vector<T>, axis: Vector<T>) -> Vector<T> {
+    let along = vector[0] * axis[0] + vector[1] * axis[1] + vector[2] * axis[2];
+    // No axis, of a surface that reflects nothing.
+    let share = along / length_squared(axis).max(along.all(DARK));
+    let mut found = vector;
+    for a in 0..3 {
+        found[a] = vector[a] - share * axis[a];
     }
-    vector - vector.dot(axis) / length2 * axis
+    found
 }
 
 impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
@@ -346,8 +368,7 @@ impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
                     // d F_g + e F, and with it π kd y + J L; or derivatives of these by kd, d and e.
                     let fresnel =
                         |parts: &Parts| glass * parts.dielectric + metal_fresnel * parts.metal;
-                    let sum =
-                        |parts: &Parts| n_dot_l * (PI * parts.ground) + lobe * fresnel(parts);
+                    let sum = |parts: &Parts| n_dot_l * (PI * parts.ground) + lobe * fresnel(parts);
                     reflected.radiance[c] = sum(&parts.value);
                     if SLOPES {
                         let Parts {
@@ -359,8 +380,8 @@ impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
                         reflected.by_n_dot_l[c] = scaled * w_by_l * fresnel + PI * ground;
                         reflected.by_n_dot_v[c] =
                             (sum(&parts.by_n_dot_v) + scaled * w_by_v * fresnel) * self.turns;
-                        reflected.by_v_dot_h[c] =
-                            lobe * (glass_slope * dielectric + grazing_slope * (metal * (1.0 - rho)));
+                        reflected.by_v_dot_h[c] = lobe
+                            * (glass_slope * dielectric + grazing_slope * (metal * (1.0 - rho)));
                         reflected.by_half[c] = lobe_by_half * fresnel;
                         reflected.by_albedo[c] =
                             sum(&parts.by_albedo) + lobe * (all(1.0) - grazing) * metal;
@@ -372,12 +393,10 @@ impl<'a, const SLOPES: bool> Surface<'a, SLOPES> {
         }
         (lit, reflected)
     }
-}
 
-impl Surface<'_> {
     /// Radiance under unit light from `light`, a unit vector from the surface, of a lamp that is a
     /// disk of the angular radius `extent`, radians: the mean of [`PARTS`] smaller ones.
-    pub fn reflected_of_disk(&self, light: DVec3, extent: f64) -> [f64; 3] {
+    pub fn of_disk(&self, light: DVec3, extent: f64) -> [f64; 3] {
         if extent == 0.0 {
             return self.reflected(light).radiance;
         }

@@ -10,54 +10,14 @@ use super::model::not_too_many;
 use crate::lamps::descent::Free;
 use crate::lamps::pixel_fit::{LampFit, LampPictures, NUMBERS, fit_under_lamps as fit_pixels};
 use crate::lamps::render::{
-    DirectionalLight, Lamplit, lamp_radiance as radiance_of_pixels,
-    lamp_slopes as slopes_of_pixels, render_directional as render_directional_pixels,
+    Lamplit, WITH_SLOPES, lamp_radiance as radiance_of_pixels, lamp_slopes as slopes_of_pixels,
 };
 use crate::reflectance::sh::COEFFICIENTS;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(render_directional, module)?)?;
     module.add_function(wrap_pyfunction!(lamp_radiance, module)?)?;
     module.add_function(wrap_pyfunction!(lamp_slopes, module)?)?;
     module.add_function(wrap_pyfunction!(fit_under_lamps, module)?)
-}
-
-#[pyfunction]
-#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, colors, threads, model = "paper", extents = None))]
-#[expect(clippy::too_many_arguments)]
-fn render_directional<'py>(
-    py: Python<'py>,
-    normals: &Bound<'py, PyAny>,
-    views: &Bound<'py, PyAny>,
-    albedo: &Bound<'py, PyAny>,
-    roughness: &Bound<'py, PyAny>,
-    metallic: &Bound<'py, PyAny>,
-    directions: &Bound<'py, PyAny>,
-    colors: &Bound<'py, PyAny>,
-    threads: usize,
-    model: &str,
-    extents: Option<&Bound<'py, PyAny>>,
-) -> PyResult<Out<'py, 3>> {
-    let model = model.parse()?;
-    let given = [normals, views, albedo, roughness, metallic];
-    let pixels = Pixels::new(["normals", "views"], given)?;
-    let directions = vectors("directions", directions, ANY)?;
-    not_too_many("directions", directions.len(), pixels.count())?;
-    let colors = values::<f64, 2>("colors", colors, [directions.len(), 3])?;
-    let extents = given_extents(extents, directions.len())?;
-    let lights: Vec<DirectionalLight> = (directions.iter().zip(colors.as_chunks::<3>().0))
-        .enumerate()
-        .map(|(i, (&direction, &color))| DirectionalLight {
-            direction,
-            color,
-            extent: extents.get(i).copied().unwrap_or(0.0),
-        })
-        .collect();
-    let (normals, views) = (&pixels.normals, &pixels.views);
-    let materials = &pixels.materials;
-    let images = py
-        .detach(|| render_directional_pixels(normals, views, materials, &lights, threads, model))?;
-    Ok(out(py, images, [lights.len(), pixels.count(), 3]))
 }
 
 /// Angular radii of lamps; none are points.
@@ -121,29 +81,13 @@ fn lamp_slopes<'py>(
     directions: &Bound<'py, PyAny>,
     threads: usize,
     model: &str,
-) -> PyResult<(
-    Out<'py, 3>,
-    Out<'py, 4>,
-    Out<'py, 4>,
-    Out<'py, 3>,
-    Out<'py, 3>,
-    Out<'py, 3>,
-)> {
+) -> PyResult<Out<'py, 4>> {
     let given = [normals, views, albedo, roughness, metallic];
     let pixels = Pixels::new(["normals", "views"], given)?;
     let (lamps, directions) = lamp_vectors("directions", directions, pixels.count())?;
     let lamplit = lamplit(&pixels, &directions, &[], model)?;
     let slopes = py.detach(|| slopes_of_pixels(lamplit, threads))?;
-    let scalars = |values: Vec<f64>| out(py, values, [pixels.count(), lamps, 3]);
-    let vectors = |values: Vec<f64>| out(py, values, [pixels.count(), lamps, 3, 3]);
-    Ok((
-        scalars(slopes.radiance),
-        vectors(slopes.by_normal),
-        vectors(slopes.by_direction),
-        scalars(slopes.by_albedo),
-        scalars(slopes.by_roughness),
-        scalars(slopes.by_metallic),
-    ))
+    Ok(out(py, slopes, [pixels.count(), lamps, 3, WITH_SLOPES]))
 }
 
 #[pyfunction]

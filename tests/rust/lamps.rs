@@ -3,9 +3,7 @@
 use glam::{DQuat, DVec3};
 use pbrfit::lamps::descent::Free;
 use pbrfit::lamps::pixel_fit::{LampFit, LampFitted, LampPictures, NUMBERS, fit_under_lamps};
-use pbrfit::lamps::render::{
-    DirectionalLight, Lamplit, lamp_radiance, lamp_slopes, render_directional,
-};
+use pbrfit::lamps::render::{Lamplit, lamp_radiance, lamp_slopes};
 use pbrfit::lamps::surface::{Reflected, Surface};
 use pbrfit::reflectance::ggx::MIN_COSINE;
 use pbrfit::reflectance::model::Model;
@@ -131,22 +129,28 @@ impl Sight {
         };
         let step = 0.05 * self.scale();
         for tangent in tangents(self.normal) {
-            let found = [0, 1, 2].map(|c| slopes.by_normal()[c].dot(tangent));
+            let found = [0, 1, 2].map(|c| DVec3::from(slopes.by_normal()[c]).dot(tangent));
             near("normal", found, step, &|t| Sight {
                 normal: (self.normal + t * tangent).normalize(),
                 ..*self
             });
         }
         for tangent in tangents(self.light) {
-            let found = [0, 1, 2].map(|c| slopes.by_direction()[c].dot(tangent));
+            let found = [0, 1, 2].map(|c| DVec3::from(slopes.by_direction()[c]).dot(tangent));
             near("direction", found, step, &|t| Sight {
                 light: (self.light + t * tangent).normalize(),
                 ..*self
             });
         }
         for c in 0..3 {
-            assert!(slopes.by_normal()[c].dot(self.normal).abs() < 1e-9 * (1.0 + 1.0 / step));
-            assert!(slopes.by_direction()[c].dot(self.light).abs() < 1e-9 * (1.0 + 1.0 / step));
+            assert!(
+                DVec3::from(slopes.by_normal()[c]).dot(self.normal).abs()
+                    < 1e-9 * (1.0 + 1.0 / step)
+            );
+            assert!(
+                DVec3::from(slopes.by_direction()[c]).dot(self.light).abs()
+                    < 1e-9 * (1.0 + 1.0 / step)
+            );
         }
         let with = |change: &dyn Fn(&mut Material)| {
             let mut changed = *self;
@@ -298,8 +302,8 @@ fn below_the_horizon_everything_is_nothing() {
             assert_eq!(slopes.by_roughness, [0.0; 3]);
             assert_eq!(slopes.by_metallic, [0.0; 3]);
             for c in 0..3 {
-                assert_eq!(slopes.by_normal()[c], DVec3::ZERO);
-                assert_eq!(slopes.by_direction()[c], DVec3::ZERO);
+                assert_eq!(DVec3::from(slopes.by_normal()[c]), DVec3::ZERO);
+                assert_eq!(DVec3::from(slopes.by_direction()[c]), DVec3::ZERO);
             }
         }
     }
@@ -326,7 +330,10 @@ fn reciprocity() {
             let across = light - y * normal;
             [0, 1, 2].map(|c| {
                 let value = slopes.radiance[c] / y;
-                (value, (slopes.by_normal()[c] - value * across) / y)
+                (
+                    value,
+                    (DVec3::from(slopes.by_normal()[c]) - value * across) / y,
+                )
             })
         });
         for c in 0..3 {
@@ -357,7 +364,10 @@ fn turning_surface_and_lamp_about_the_view_changes_nothing() {
             };
             let slopes = sight.slopes();
             for c in 0..3 {
-                let [by_normal, by_direction] = [slopes.by_normal()[c], slopes.by_direction()[c]];
+                let [by_normal, by_direction] = [
+                    DVec3::from(slopes.by_normal()[c]),
+                    DVec3::from(slopes.by_direction()[c]),
+                ];
                 let change =
                     by_normal.dot(view.cross(normal)) + by_direction.dot(view.cross(light));
                 let size = slopes.radiance[c] + by_normal.length() + by_direction.length();
@@ -403,7 +413,10 @@ fn slopes_are_finite_everywhere() {
                             slopes.by_roughness[c],
                             slopes.by_metallic[c],
                         ];
-                        let vectors = [slopes.by_normal()[c], slopes.by_direction()[c]];
+                        let vectors = [
+                            DVec3::from(slopes.by_normal()[c]),
+                            DVec3::from(slopes.by_direction()[c]),
+                        ];
                         assert!(
                             scalars.iter().all(|x| x.is_finite())
                                 && vectors.iter().all(|v| v.is_finite()),
@@ -469,23 +482,9 @@ fn pixels_under_lamps_are_the_same_by_any_way_and_number_of_threads() {
         let radiance = lamp_radiance(example.lamplit(model), 1).unwrap();
         assert_eq!(radiance, lamp_radiance(example.lamplit(model), 3).unwrap());
         let slopes = lamp_slopes(example.lamplit(model), 1).unwrap();
-        assert_eq!(slopes.radiance, radiance);
+        let first: Vec<_> = slopes.iter().step_by(10).copied().collect();
+        assert_eq!(first, radiance);
         assert_eq!(slopes, lamp_slopes(example.lamplit(model), 2).unwrap());
-        let light = DirectionalLight {
-            direction: example.directions[LAMPS * 7 + 3],
-            color: [1.0; 3],
-            extent: 0.0,
-        };
-        let rendered = render_directional(
-            &example.normals,
-            &example.views,
-            &example.materials,
-            &[light],
-            1,
-            model,
-        );
-        let at = (LAMPS * 7 + 3) * 3;
-        assert_eq!(rendered.unwrap()[21..24], radiance[at..at + 3]);
     }
 }
 

@@ -7,7 +7,7 @@ two reflection models, and docs/model.md has both with their sources.
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -30,6 +30,9 @@ MODELS: tuple[Model, ...] = get_args(Model)
 
 DEFAULT_MODEL: Model = "paper"
 """Where nobody says which, and nobody knows what the pictures were rendered with."""
+
+LARGEST_COLOR = 1e260
+"""Of a light, a radiance: a surface reflects at most 10³⁵ times as much, which is finite."""
 
 FIRST_MODEL: Model = "paper"
 """Of results that do not say which: there was no other when they were written."""
@@ -301,18 +304,13 @@ def render_directional(
     of_lights = _array("colors", colors, to_lights.shape)
     if of_lights.ndim > to_lights.ndim:
         raise InputError(f"colors: expected shape {to_lights.shape}, found {of_lights.shape}")
-    radii = None if extents is None else _array("extents", extents, ()).reshape(-1)
-    view = View.of_maps(materials, normals, fov)
-    images = view.pictures(
-        _core.render_directional(
-            *view.pixels,
-            to_lights.reshape(-1, 3),
-            of_lights.reshape(-1, 3),
-            whole_number("threads", threads),
-            model,
-            radii,
-        )
-    )
+    if not (np.abs(of_lights) <= LARGEST_COLOR).all():
+        raise InputError(f"colors: expected finite numbers up to {LARGEST_COLOR:g}")
+    view, threads = View.of_maps(materials, normals, fov), whole_number("threads", threads)
+    lights = to_lights.reshape(-1, 3), of_lights.reshape(-1, 3)
+    radii = np.zeros(len(lights[0])) if extents is None else _array("extents", extents, ())
+    each = zip(*lights, np.broadcast_to(radii, len(lights[0])), strict=True)
+    images = view.pictures(np.array([view.lit(*one, threads, model) for one in each]))
     return images[0] if to_lights.ndim == 1 else images
 
 
@@ -437,20 +435,27 @@ class View:
     ) -> Array:
         """(P, 3) radiance of the pixels under one lamp; NaN where a near one needs their points."""
         if not lamp.near[0]:
-            one = _core.render_directional(*self.pixels, lamp.places, lamp.colors, threads, model)
-            return np.asarray(one[0])
+            return self.lit(lamp.places[0], lamp.colors[0], 0.0, threads, model)
         assert points is not None
         known = np.isfinite(points).all(axis=-1)
         directions, strengths = lamp.at(points[known])
         found = np.full((len(points), 3), np.nan)
-        n, v, rho, r, m = (np.ascontiguousarray(values[known]) for values in self.pixels)
-        extents = None
-        if radius > 0:
-            distances = np.linalg.norm(lamp.places - points[known], axis=-1)
-            extents = np.arcsin(np.minimum(radius / np.maximum(distances, 1e-300), np.sqrt(0.5)))
-        unit = _core.lamp_radiance(n, v, rho, r, m, directions, threads, model, extents)[:, 0]
-        found[known] = unit * strengths * lamp.colors
+        few = replace(self, pixels=tuple(np.ascontiguousarray(of[known]) for of in self.pixels))
+        distances = np.linalg.norm(lamp.places - points[known], axis=-1)
+        extents = np.arcsin(np.minimum(radius / np.maximum(distances, 1e-300), np.sqrt(0.5)))
+        found[known] = few.lit(directions[:, 0], strengths * lamp.colors, extents, threads, model)
         return found
+
+    def lit(
+        self, direction: Array, color: Array, extent: Array | float, threads: int, model: Model
+    ) -> Array:
+        """(P, 3) radiance under one light, the same for all pixels or for each its own."""
+        normals, extents = self.pixels[0], None
+        toward = np.ascontiguousarray(np.broadcast_to(direction, normals.shape)[:, None])
+        if np.any(extent):
+            extents = np.ascontiguousarray(np.broadcast_to(extent, len(normals)))
+        unit = _core.lamp_radiance(*self.pixels, toward, threads, model, extents)
+        return np.asarray(unit[:, 0] * color)
 
     def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""

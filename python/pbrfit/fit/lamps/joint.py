@@ -266,9 +266,10 @@ class JointLamps:
         if not self.freedom.normals:
             by_surface = by_surface.copy()
             by_surface[..., :2] = 0.0
-        weighted = weights[..., None] * by_surface
-        own = np.einsum("picu,picv->puv", weighted, by_surface)
-        gradients = np.einsum("picu,pic->pu", weighted, residuals)
+        weighted = (weights[..., None] * by_surface).swapaxes(2, 3)  # (P, N, 6, 3)
+        across = weighted.transpose(0, 2, 1, 3).reshape(len(pixels), UNKNOWNS, -1)
+        own = across @ by_surface.reshape(len(pixels), -1, UNKNOWNS)
+        gradients = (across @ residuals.reshape(len(pixels), -1, 1))[..., 0]
         prior = self.prior
         surface = np.concatenate(
             [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
@@ -288,7 +289,7 @@ class JointLamps:
         np.swapaxes(own, 1, 2)[held] = 0.0
         diagonal[held] = 1.0
         gradients[held] = 0.0
-        weighted = np.where(held[:, None, None], 0.0, weighted)
+        weighted[np.broadcast_to(held[:, None], weighted.shape[:3])] = 0.0
         lamps = len(state.lamps)
         size = self._size()
         shared, mixed = np.zeros((size, size)), np.zeros((len(pixels), UNKNOWNS, size))
@@ -299,7 +300,7 @@ class JointLamps:
             scaled = weights[:, i].reshape(-1, 1) * flat
             shared[np.ix_(columns, columns)] += flat.T @ scaled
             gradient[columns] += scaled.T @ residuals[:, i].ravel()
-            mixed[..., columns] = np.einsum("pcu,pcm->pum", weighted[:, i], slope)
+            mixed[..., columns] = weighted[:, i] @ slope
         # Priors of what is shared.
         first = 6 * lamps
         precision_of = 1 / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2

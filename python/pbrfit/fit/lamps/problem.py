@@ -194,14 +194,21 @@ def radiance(pixels: LampPixels, state: LampState) -> Array:
         normals, pixels.views, albedo, roughness, metallic, directions, pixels.threads, pixels.model
     )
     of_lamps *= strengths[..., None] * state.lamps.colors
-    found = np.zeros(pixels.samples.shape)
-    for k, picture in enumerate(state.lamps.pictures):
-        found[:, picture] += of_lamps[:, k]
+    found = of_lamps
+    if not np.array_equal(state.lamps.pictures, np.arange(pixels.pictures)):
+        found = np.zeros(pixels.samples.shape)
+        for k, picture in enumerate(state.lamps.pictures):
+            found[:, picture] += of_lamps[:, k]
     if state.ambient.any():
         weights = _core.shade(normals, pixels.views, albedo, roughness, metallic, pixels.model)
-        weights = weights.reshape(-1, 3, 16)
-        found += np.einsum("pcj,ijc->pic", weights, state.ambient)
+        found += _ambient(weights.reshape(-1, 3, 16), state)
     return found
+
+
+def _ambient(weights: Array, state: LampState) -> Array:
+    """(P, N, 3): what ambient light brings, by the weights (P, 3, 16)."""
+    used = np.flatnonzero(state.ambient.any(axis=(0, 2)))
+    return sum((weights[:, None, :, j] * state.ambient[:, j] for j in used), np.zeros(()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,21 +248,20 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
     directions, strengths = state.incident(pixels)
     normals, albedo, roughness, metallic = surface_of(state)
     args = pixels.views, albedo, roughness, metallic
-    value, by_normal, by_direction, by_albedo, by_roughness, by_metallic = _core.lamp_slopes(
-        normals, *args, directions, pixels.threads, pixels.model
-    )
+    of_lamps = _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model)
+    value, by_normal, by_direction = of_lamps[..., 0], of_lamps[..., 1:4], of_lamps[..., 4:7]
     frames = tangents(normals)
     lit = strengths[..., None] * lamps.colors
     found = np.zeros(pixels.samples.shape)
     by_surface = np.zeros((*found.shape, 7))
-    of_offsets = np.einsum("pkcx,ptx->pkct", by_normal, frames)
+    turned = np.matmul(by_normal, frames.swapaxes(1, 2)[:, None])
+    channels = np.arange(3)
     for k, picture in enumerate(lamps.pictures):
         found[:, picture] += lit[:, k] * value[:, k]
-        by_surface[:, picture, :, :2] += lit[:, k, :, None] * of_offsets[:, k]
-        for c in range(3):
-            by_surface[:, picture, c, 2 + c] += lit[:, k, c] * by_albedo[:, k, c]
-        by_surface[:, picture, :, 5] += lit[:, k] * by_roughness[:, k]
-        by_surface[:, picture, :, 6] += lit[:, k] * by_metallic[:, k]
+        of_picture, own = by_surface[:, picture], lit[:, k, :, None]
+        of_picture[..., :2] += own * turned[:, k]
+        of_picture[:, channels, 2 + channels] += lit[:, k] * of_lamps[:, k, :, 7]
+        of_picture[..., 5:] += own * of_lamps[:, k, :, 8:]
     by_place = by_direction * lit[..., None]
     near = lamps.near
     if near.any():
@@ -270,7 +276,7 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
         by_place[:, near] += (lit * value)[:, near, :, None] * by_strength[:, :, None, :]
         by_place[:, near] /= distance[..., None]
     by_ambient = _core.shade(normals, *args, pixels.model).reshape(-1, 3, 16)
-    found += np.einsum("pcj,ijc->pic", by_ambient, state.ambient)
+    found += _ambient(by_ambient, state)
     by_surface += _ambient_by_surface(pixels, state, frames)
     return Slopes(found, by_surface, by_place, strengths[..., None] * value, by_ambient)
 

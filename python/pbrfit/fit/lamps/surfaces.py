@@ -33,6 +33,7 @@ from pbrfit.fit.lamps.joint import (
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
+from pbrfit.fit.sampling import slices
 
 Array = NDArray[np.float64]
 
@@ -72,6 +73,9 @@ MISFIT_MIN = 0.01
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
 
+
+DEVIATIONS_AT_ONCE = 2048
+"""Pixels whose slopes by all that lights have are held at a time."""
 
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
@@ -423,20 +427,20 @@ def deviations(
         albedo=np.clip(state.albedo, BOUND_STEP, 1 - BOUND_STEP),
         roughness=np.clip(state.roughness, BOUND_STEP, 1 - BOUND_STEP),
     )
-    fit = JointLamps(pixels, inside, noise, none, freedom)
-    fit.weights = weights
-    _, _, own, mixed, _ = fit.system()
     variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
-    damped = own.copy()
-    np.einsum("puu->pu", damped)[:] += 1e-9
-    inverse = np.linalg.inv(damped)
-    variance[:, :UNKNOWNS] = np.einsum("puu->pu", inverse)
-    marginal[:] = variance
-    if covariance is not None:
-        moves = np.matmul(inverse, mixed)
-        marginal[:, :UNKNOWNS] += np.einsum(
-            "pum,mn,pun->pu", moves, covariance, moves, optimize=True
+    for some in slices(count, DEVIATIONS_AT_ONCE):
+        rows = np.arange(count)[some]
+        fit = JointLamps(
+            pixels.of_rows(rows), inside.of_rows(rows), noise, none.of_rows(rows), freedom
         )
+        fit.weights = weights[some]
+        _, _, own, mixed, _ = fit.system()
+        np.einsum("puu->pu", own)[:] += 1e-9
+        inverse = np.linalg.inv(own)
+        variance[some, :UNKNOWNS] = marginal[some, :UNKNOWNS] = np.einsum("puu->pu", inverse)
+        if covariance is not None:
+            moves = inverse @ mixed
+            marginal[some, :UNKNOWNS] += ((moves @ covariance) * moves).sum(axis=-1)
     for found in (variance, marginal):
         found[~(found > 0)] = np.inf  # singular but for rounding: the samples tell nothing
     chance = state.metallic
