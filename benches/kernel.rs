@@ -321,9 +321,6 @@ fn operations(c: &mut Criterion) {
         );
     });
     let eliminated = EQUATIONS + ROWS + GRADIENT;
-    bench("schur_product", eliminated + PRODUCT, &|| {
-        black_box(problem.schur_product(x, &pixels, &moves, &how).unwrap());
-    });
     bench("kept_system", eliminated, &|| {
         black_box(problem.kept_system(x, &pixels, &how).unwrap());
     });
@@ -346,7 +343,6 @@ fn free_normals_of_pixels(c: &mut Criterion) {
     let example = Example::new(128 * 128, 16);
     let everything: Vec<usize> = (0..example.normals.len()).collect();
     let few: Vec<usize> = everything.iter().copied().step_by(16).collect();
-    let moves: Vec<f64> = (0..16 * 16 * 3).map(|i| wave(i, 0.9) - 0.5).collect();
     let how = Elimination {
         damping: 1e-3,
         ..Elimination::default()
@@ -374,8 +370,8 @@ fn free_normals_of_pixels(c: &mut Criterion) {
         group.bench_function(BenchmarkId::new("normal equations", name), |b| {
             b.iter(|| problem.normal_equations(x, &everything).unwrap());
         });
-        group.bench_function(BenchmarkId::new("schur_complement product", name), |b| {
-            b.iter(|| problem.schur_product(x, &everything, &moves, &how).unwrap());
+        group.bench_function(BenchmarkId::new("kept system", name), |b| {
+            b.iter(|| problem.kept_system(x, &everything, &how).unwrap());
         });
         group.bench_function(BenchmarkId::new("8 steps of materials", name), |b| {
             b.iter(|| problem.fit_materials(x, &everything, &search).unwrap());

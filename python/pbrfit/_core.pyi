@@ -347,21 +347,13 @@ class Problem:
 
         The M unknowns are (light channel, picture, coefficient), then offsets of clusters.
         """
-    def schur_product(
-        self,
-        x: NDArray[np.float64],
-        pixels: NDArray[np.uint64],
-        v: NDArray[np.float64],
-        **options: Unpack[_Elimination],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """S v (M,) and s (M,) of `schur_complement`, without making S."""
     def kept_system(
         self,
         x: NDArray[np.float64],
         pixels: NDArray[np.uint64],
         **options: Unpack[_Elimination],
     ) -> KeptSystem:
-        """What `schur_product` makes at every call, kept for many v.
+        """S v of `schur_complement` for any number of v, and s, without making S.
 
         4 C (K + N D) bytes a pixel, D = 3 or, if normals are free, 5; 4 C N more with weights.
         """

@@ -371,28 +371,6 @@ impl PyProblem {
         ))
     }
 
-    #[pyo3(signature = (x, pixels, v, **options))]
-    fn schur_product<'py>(
-        &self,
-        py: Python<'py>,
-        x: &Bound<'py, PyAny>,
-        pixels: &Bound<'py, PyAny>,
-        v: &Bound<'py, PyAny>,
-        options: Option<&Bound<'py, PyDict>>,
-    ) -> PyResult<(Out<'py, 1>, Out<'py, 1>)> {
-        let (x, pixels) = self.at(x, pixels)?;
-        let (v, shape) = given("v", v, [ANY])?;
-        let options = self.options(options, pixels.len())?;
-        let found = py.detach(|| {
-            self.problem
-                .schur_product(&x, &pixels, &v, &options.elimination())
-        })?;
-        Ok((
-            out(py, found.product, shape),
-            out(py, found.gradient, shape),
-        ))
-    }
-
     #[pyo3(signature = (x, pixels, **options))]
     fn kept_system<'py>(
         &self,

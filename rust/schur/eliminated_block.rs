@@ -170,27 +170,6 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         });
     }
 
-    /// Adds Wᵀ (Ω − Rᵀ R) W v, and what belongs to offsets. The residuals' place is taken.
-    pub(super) fn add_product(
-        &mut self,
-        light_step: &[[f64; COEFFICIENTS]],
-        offset_step: &[f64],
-        sums: &mut SharedSums,
-    ) {
-        let mut whitened = [Doubles::default(); U];
-        self.project(light_step, &mut whitened);
-        if let Some(tied) = &self.tied {
-            tied.subtract(offset_step, &mut whitened);
-            tied.add_product(offset_step, &whitened, &mut sums.offsets);
-        }
-        self.isa().run(Collect {
-            pixels: &self.pixels,
-            values: &mut self.residuals,
-            whitened: &whitened,
-            sums: &mut sums.lights,
-        });
-    }
-
     /// Adds R W v to `sums`, and leaves W v in the residuals' place.
     fn project(&mut self, light_step: &[[f64; COEFFICIENTS]], sums: &mut [Doubles; U]) {
         self.isa().run(Project {

@@ -6,7 +6,7 @@ use super::eliminated_block::EliminatedBlock;
 use super::kept::{KeptSystem, Products};
 use super::kernels::{Eliminated, Lanes};
 use super::tied::{SharedSums, Tied};
-use super::{Clusters, Elimination, PriorTerm, SchurProduct};
+use super::{Clusters, Elimination, PriorTerm};
 use crate::problem::{Problem, add};
 use crate::reflectance::planes::BLOCK;
 use crate::reflectance::reflection::Reflection;
@@ -192,17 +192,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         self.pixels.len().div_ceil(BLOCK)
     }
 
-    pub(super) fn product(&self, v: &[f64]) -> Result<SchurProduct> {
-        let (light_step, offset_step) = self.unknown.padded(v)?;
-        let parts = self.pieces(|(), eliminated, [gradient, product]| {
-            eliminated.add_gradient(gradient);
-            eliminated.add_product(&light_step, offset_step, product);
-        });
-        let [gradient, product] = self.unknown.total(parts.iter().map(|(_, sums)| sums))?;
-        Ok(SchurProduct { product, gradient })
-    }
-
-    /// The same for many products.
+    /// The gradient, and what products need.
     pub(super) fn keep(&self) -> Result<KeptSystem>
     where
         Vec<(Eliminated<f32, D>, Option<Tied<U>>)>: Products,

@@ -51,12 +51,3 @@ pub struct SchurComplement {
     /// s: (M).
     pub gradient: Vec<f64>,
 }
-
-/// The same without a matrix.
-#[derive(Clone, Debug)]
-pub struct SchurProduct {
-    /// S v: (M).
-    pub product: Vec<f64>,
-    /// s: (M).
-    pub gradient: Vec<f64>,
-}

@@ -33,7 +33,7 @@
 
 use super::kept::KeptSystem;
 use super::light_system::LightSystem;
-use super::{Elimination, SchurComplement, SchurProduct};
+use super::{Elimination, SchurComplement};
 use crate::pixel::samples::by_kind;
 use crate::problem::Problem;
 use crate::runtime::Result;
@@ -51,20 +51,7 @@ impl Problem {
         })
     }
 
-    /// S v and s of some pixels at x, for v as the shared unknowns are.
-    pub fn schur_product(
-        &self,
-        x: &[f64],
-        pixels: &[usize],
-        v: &[f64],
-        elimination: &Elimination,
-    ) -> Result<SchurProduct> {
-        by_kind!(self, self.free_normals(), M, C, D, U => {
-            LightSystem::<M, C, D, U>::new(self, x, pixels, elimination)?.product(v)
-        })
-    }
-
-    /// The same system for many products.
+    /// s of some pixels at x, and S v for any number of v, without the matrix.
     pub fn kept_system(
         &self,
         x: &[f64],

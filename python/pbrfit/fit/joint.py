@@ -186,9 +186,8 @@ class JointFit:
                 if self.stop():
                     return None
                 options = self.options(self.objective, self.x, chunk, chunk)
-                gradient += self.objective.problem.schur_product(
-                    self.objective.for_core(self.x), chunk, np.zeros_like(gradient), **options
-                )[1]
+                for_core = self.objective.for_core(self.x)
+                gradient += self.objective.problem.kept_system(for_core, chunk, **options).gradient
         gradient[:end] += self.lights.half_gradient(self._lights(self.x))
         if self.offsets is not None:
             gradient[end:] += (self._offset_precision * self.offsets).ravel()

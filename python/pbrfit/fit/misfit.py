@@ -131,7 +131,7 @@ def design_effect(
         if prior is not None:
             rows, values = prior.rows(patch), taken(objective, x, patch)[:, layout.channels :]
             of_prior = {"precision": rows.precision, "deviation": values - rows.mean}
-        return objective.problem.schur_product(for_core, patch, nowhere, mono=mono, **of_prior)[1]
+        return objective.problem.kept_system(for_core, patch, mono=mono, **of_prior).gradient
 
     scores = np.array([score(patch) for patch in patches])
     scores -= scores.mean(axis=0)

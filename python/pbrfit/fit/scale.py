@@ -240,12 +240,9 @@ class _Curve:
         """(C,) each: u of a group before it is divided, and the share of S it has."""
         fit = self.fit
         objective, options = fit.objective, fit.options(fit.objective, fit.x, group, group)
-        products = [
-            objective.problem.schur_product(objective.for_core(fit.x), group, one, **options)
-            for one in self.solved
-        ]
-        own = [one @ product for one, (product, _) in zip(self.solved, products, strict=True)]
-        return self.solved @ products[0][1], np.array(own) / np.diag(self.covariance)
+        kept = objective.problem.kept_system(objective.for_core(fit.x), group, **options)
+        own = [one @ kept.product(one) for one in self.solved]
+        return self.solved @ kept.gradient, np.array(own) / np.diag(self.covariance)
 
 
 def measures(objective: Objective, x: Array) -> Array:

@@ -61,14 +61,15 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
 
     def of_all(threads: int) -> list[Any]:
         problem = example.problem(threads, model=model)
+        kept = problem.kept_system(x, example.everything, **lights, **tied)
         return [
             *problem.value_and_grad(x),
             *problem.value_and_grad(x, ("cauchy", 0.1)),
             *problem.light_equations(maps),
             problem.residuals(x, example.everything),
             *problem.schur_complement(x, example.everything, **lights, **tied),
-            *problem.schur_product(x, example.everything, moves, **lights, **tied),
-            problem.kept_system(x, example.everything, **lights, **tied).product(moves),
+            kept.gradient,
+            kept.product(moves),
         ]
 
     pixels, whole = of_pixels(1, example.everything), of_all(1)
