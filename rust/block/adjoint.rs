@@ -6,7 +6,7 @@ use super::radiance::{MAX_LANES, lanes};
 use crate::reflectance::planes::{BLOCK, ChannelSums, Plane};
 use crate::reflectance::reflection::{OPEN_DIFFUSE, Reflection, first_entry, rows_of_band};
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::runtime::simd::{Ahead, Isa, Kernel, Vectors};
+use crate::runtime::simd::{Isa, Kernel, Vectors};
 
 /// Parts in which sums over pixels are kept.
 const PARTS: usize = 8;
@@ -34,8 +34,6 @@ pub struct ByFactors<'a, M: Reflection, const K: usize, const FREE_NORMALS: bool
     pub sums: &'a mut ChannelSums,
     /// Takes the derivatives by the weights too, where there are `FREE_NORMALS`.
     pub by_basis: Option<ByBasis<'a, M>>,
-    /// What the next steps will need.
-    pub ahead: &'a mut Ahead,
     /// Whose weights they are.
     pub model: M,
 }
@@ -73,7 +71,6 @@ impl<M: Reflection, const K: usize, const FREE_NORMALS: bool> ByFactors<'_, M, K
         isa: I,
     ) {
         for v in (0..BLOCK / I::LANES).step_by(V) {
-            self.ahead.step(I::LANES / 2);
             let mut by_weights = [[isa.splat(0.0); V]; COUNT];
             for (light, e) in self.lights.iter().zip(self.residuals) {
                 let e = &I::of(&e.0)[v..v + V];
@@ -152,8 +149,6 @@ pub struct ByLights<'a, const K: usize> {
     pub residuals: &'a [Plane],
     /// Added to, an entry for each picture.
     pub sums: &'a mut [LightSums<K>],
-    /// What the next steps will need.
-    pub ahead: &'a mut Ahead,
 }
 
 impl<const K: usize> Kernel for ByLights<'_, K> {
@@ -194,7 +189,6 @@ impl<const K: usize> ByLights<'_, K> {
         let residuals = &self.residuals[first..first + J];
         let sums = &mut self.sums[first..first + J];
         for k in (0..K).step_by(COUNT) {
-            self.ahead.step(I::LANES / 2);
             let mut total = [[isa.splat(0.0); COUNT]; J];
             for v in 0..BLOCK / I::LANES {
                 let mut w = [isa.splat(0.0); COUNT];

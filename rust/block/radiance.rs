@@ -2,7 +2,7 @@
 
 use crate::reflectance::planes::{BLOCK, Plane};
 use crate::reflectance::sh::COEFFICIENTS;
-use crate::runtime::simd::{Ahead, Isa, Kernel, Vectors};
+use crate::runtime::simd::{Isa, Kernel, Vectors};
 
 /// Lanes of the widest vector.
 pub(super) const MAX_LANES: usize = 16;
@@ -59,8 +59,6 @@ pub struct Residuals<'a, const K: usize, const WEIGHTED: bool> {
     pub sample_weights: &'a [Plane],
     /// To be written, a plane for each picture.
     pub residuals: &'a mut [Plane],
-    /// What the next steps will need.
-    pub ahead: &'a mut Ahead,
 }
 
 impl<const K: usize, const WEIGHTED: bool> Kernel for Residuals<'_, K, WEIGHTED> {
@@ -84,7 +82,6 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
             lights,
             targets,
             residuals,
-            ahead,
             ..
         } = self;
         Residuals {
@@ -93,7 +90,6 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
             targets,
             sample_weights: &[],
             residuals,
-            ahead,
         }
     }
 
@@ -134,7 +130,6 @@ impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
         let targets = &self.targets[first..first + J];
         let residuals = &mut self.residuals[first..first + J];
         for v in (0..BLOCK / I::LANES).step_by(V) {
-            self.ahead.step(I::LANES / 2);
             let mut radiance = [[isa.splat(0.0); V]; J];
             for k in 0..K {
                 let w = &I::of(&self.weights[k].0)[v..v + V];

@@ -3,11 +3,10 @@
 use glam::DVec3;
 
 use super::descent::{Descent, Ended, Free};
-use super::samples::{AT_MOST, Given, Lights, Point, Samples, UNKNOWNS};
+use super::samples::{AT_MOST, Lights, Point, Samples, UNKNOWNS};
 use crate::pixel::pixel_fit::PRIOR_MAX;
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::Material;
-use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::{OFFSET_MAX, OFFSETS, tangents};
 use crate::runtime::check::{LARGEST_F32, MAX_SAMPLES};
 use crate::runtime::memory::zeros;
@@ -23,7 +22,7 @@ const WEIGHT_MAX: f64 = 1e100;
 pub const NUMBERS: usize = UNKNOWNS;
 
 /// Of each unknown in the order of the equations, its place in that of [`NUMBERS`].
-const PLACES: [usize; UNKNOWNS] = [2, 3, 4, 5, 6, 0, 1];
+pub(super) const PLACES: [usize; UNKNOWNS] = [2, 3, 4, 5, 6, 0, 1];
 
 /// What is known of P pixels in N pictures under K lamps.
 #[derive(Clone, Copy, Debug)]
@@ -43,8 +42,8 @@ pub struct LampPictures<'a> {
     pub intensities: &'a [[f64; 3]],
     /// The picture that each lamp lights, in rising order: (lamp).
     pub picture_of: &'a [usize],
-    /// SH light of each picture beside its lamps: (picture, coefficient).
-    pub ambient: &'a [[[f64; 3]; COEFFICIENTS]],
+    /// The first coefficient of the SH light of each picture beside its lamps.
+    pub ambient: &'a [[f64; 3]],
     /// Unit normals that tangent offsets are of.
     pub base_normals: &'a [DVec3],
     /// Means of Gaussian priors Σ precision (x − mean)²: (pixel), by [`NUMBERS`].
@@ -99,28 +98,15 @@ pub fn fit_under_lamps(
     };
     (fitted.materials.try_reserve_exact(pixels)).map_err(|_| Error::Memory("albedo"))?;
     fitted.materials.extend_from_slice(materials);
-    let (pictures, lamps) = (given.ambient.len(), given.picture_of.len());
-    let descent = |p: usize| {
-        let of_pictures = p * pictures..(p + 1) * pictures;
-        let of_lamps = p * lamps..(p + 1) * lamps;
-        let seen = Given {
-            targets: &given.pictures[of_pictures.clone()],
-            weights: &given.weights[of_pictures.clone()],
-            limits: given.limits.map(|limits| &limits[of_pictures]),
-            directions: &given.directions[of_lamps.clone()],
-            intensities: &given.intensities[of_lamps],
-        };
-        let prior = [given.prior_mean, given.prior_precision].map(|of| PLACES.map(|x| of[p][x]));
-        Descent {
-            samples: Samples::new(how.model, given.views[p], &lights, seen, prior),
-            base: given.base_normals[p].normalize(),
-            start: Point {
-                offset: offsets[p],
-                normal: start_normals[p],
-                material: materials[p],
-            },
-            free: how.free,
-        }
+    let descent = |p: usize| Descent {
+        samples: Samples::new(&given, &lights, how.model, p),
+        base: given.base_normals[p].normalize(),
+        start: Point {
+            offset: offsets[p],
+            normal: start_normals[p],
+            material: materials[p],
+        },
+        free: how.free,
     };
     let pieces = (fitted.normals.chunks_mut(PIECE))
         .zip(fitted.materials.chunks_mut(PIECE))
@@ -213,8 +199,7 @@ impl LampPictures<'_> {
         check::moderate("pictures", self.pictures.as_flattened(), LARGEST_F32)?;
         check::not_negative("weights", self.weights.as_flattened(), WEIGHT_MAX)?;
         check::moderate("intensities", self.intensities.as_flattened(), LARGEST_F32)?;
-        let ambient = self.ambient.as_flattened().as_flattened();
-        check::moderate("ambient", ambient, LARGEST_F32)?;
+        check::moderate("ambient", self.ambient.as_flattened(), LARGEST_F32)?;
         check::moderate("prior_mean", self.prior_mean.as_flattened(), PRIOR_MAX)?;
         let precision = self.prior_precision.as_flattened();
         check::not_negative("prior_precision", precision, PRIOR_MAX)?;

@@ -1,10 +1,10 @@
 //! What one pixel costs under known lamps, and its normal equations.
 //!
-//! With intensities e_kc at the pixel, unit radiance I_kc ([`Surface`]), and SH light a_i beside the
-//! lamps of picture i,
+//! With intensities e_kc at the pixel, unit radiance I_kc ([`Surface`]), and light a_i
+//! beside the lamps of picture i that comes alike from all sides,
 //!
 //! ```text
-//! model_ic = Σ_k e_kc I_kc + Σ_j w_cj a_ijc              residual_ic = model_ic − y_ic
+//! model_ic = Σ_k e_kc I_kc + w_c a_ic              residual_ic = model_ic − y_ic
 //! cost     = Σ_ic w_ic residual_ic² + Σ_x p_x (x − mean_x)²
 //! ```
 //!
@@ -18,11 +18,11 @@ use glam::DVec3;
 
 use super::ambient::{SLOPES_OF_SAMPLE, weights_with_slopes};
 use super::number::{Number, Wide};
+use super::pixel_fit::{LampPictures, PLACES};
 use super::surface::Surface;
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::Reflection;
-use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;
 use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 
@@ -74,29 +74,27 @@ pub(super) type Lanes = [f64; LANES];
 /// Where no lamp is.
 const NONE: usize = usize::MAX;
 
-/// Of all pixels, by [`LANES`] pictures: lamps and SH light.
+/// Of all pixels, by [`LANES`] pictures: lamps, and light that comes alike from all sides.
 pub(super) struct Lights {
     blocks: Vec<LightBlock>,
-    /// How many coefficients of SH light count: 0, the first, or all.
-    coefficients: usize,
-    pub(super) instructions: Instructions,
+    /// Whether a picture has the latter.
+    any_ambient: bool,
+    instructions: Instructions,
 }
 
 struct LightBlock {
     /// Numbers of lamps: the first of each picture, the second of each, and so on.
     lamps: Vec<[usize; LANES]>,
-    ambient: [[Lanes; 3]; COEFFICIENTS],
+    ambient: [Lanes; 3],
 }
 
 impl Lights {
-    /// From the picture of each lamp, in rising order, and the SH light of each picture.
-    pub(super) fn new(picture_of: &[usize], ambient: &[[[f64; 3]; COEFFICIENTS]]) -> Self {
-        let mut coefficients = 0;
-        let mut blocks = Vec::with_capacity(ambient.len().div_ceil(LANES));
-        for (b, pictures) in ambient.chunks(LANES).enumerate() {
+    /// From the picture of each lamp, in rising order, and the ambient light of each picture.
+    pub(super) fn new(picture_of: &[usize], ambient: &[[f64; 3]]) -> Self {
+        let block_of = |(b, pictures): (usize, &[[f64; 3]])| {
             let mut block = LightBlock {
                 lamps: Vec::new(),
-                ambient: [[[0.0; LANES]; 3]; COEFFICIENTS],
+                ambient: [[0.0; LANES]; 3],
             };
             for (i, light) in pictures.iter().enumerate() {
                 let first = picture_of.partition_point(|&of| of < LANES * b + i);
@@ -107,33 +105,18 @@ impl Lights {
                     }
                     block.lamps[k - first][i] = k;
                 }
-                for (k, of_channels) in light.iter().enumerate() {
-                    for c in 0..3 {
-                        block.ambient[k][c][i] = of_channels[c];
-                    }
-                    if *of_channels != [0.0; 3] {
-                        coefficients = coefficients.max(if k == 0 { 1 } else { COEFFICIENTS });
-                    }
+                for c in 0..3 {
+                    block.ambient[c][i] = light[c];
                 }
             }
-            blocks.push(block);
-        }
+            block
+        };
         Self {
-            blocks,
-            coefficients,
+            blocks: ambient.chunks(LANES).enumerate().map(block_of).collect(),
+            any_ambient: ambient.as_flattened().iter().any(|&light| light != 0.0),
             instructions: Instructions::best(),
         }
     }
-}
-
-/// Samples of one pixel: (picture), and what its lamps bring: (lamp).
-#[derive(Clone, Copy)]
-pub(super) struct Given<'a> {
-    pub(super) targets: &'a [[f64; 3]],
-    pub(super) weights: &'a [[f64; 3]],
-    pub(super) limits: Option<&'a [[u8; 3]]>,
-    pub(super) directions: &'a [DVec3],
-    pub(super) intensities: &'a [[f64; 3]],
 }
 
 /// What is known of one pixel.
@@ -142,49 +125,37 @@ pub(super) struct Samples<'a> {
     pub(super) view: DVec3,
     lights: &'a Lights,
     blocks: Vec<SampleBlock>,
-    /// Block after block, those that [`LightBlock::lamps`] has.
-    lamps: Vec<LampBlock>,
     prior_mean: [f64; UNKNOWNS],
     prior_precision: [f64; UNKNOWNS],
 }
 
 /// A residual is raised to `lowest` and lowered to `highest`: −∞ and ∞, but 0 at a limit that is kept.
-#[derive(Clone, Copy)]
 struct SampleBlock {
     targets: [Lanes; 3],
     weights: [Lanes; 3],
     lowest: [Lanes; 3],
     highest: [Lanes; 3],
-}
-
-#[derive(Clone, Copy)]
-struct LampBlock {
-    directions: [Lanes; 3],
-    intensities: [Lanes; 3],
+    /// Directions to those that [`LightBlock::lamps`] has, and what they bring.
+    lamps: Vec<[[Lanes; 3]; 2]>,
 }
 
 impl<'a> Samples<'a> {
-    /// Side by side what is given one after the other.
-    pub(super) fn new(
-        model: Model,
-        view: DVec3,
-        lights: &'a Lights,
-        given: Given,
-        [prior_mean, prior_precision]: [[f64; UNKNOWNS]; 2],
-    ) -> Self {
-        let mut blocks = Vec::with_capacity(lights.blocks.len());
-        let mut lamps = Vec::with_capacity(lights.blocks.len());
-        for (b, of) in lights.blocks.iter().enumerate() {
+    /// Side by side what is given one after the other, of pixel p.
+    pub(super) fn new(given: &LampPictures, lights: &'a Lights, model: Model, p: usize) -> Self {
+        let (pictures, lamps) = (given.ambient.len(), given.picture_of.len());
+        let none = [[0.0; LANES]; 3];
+        let block_of = |(b, of): (usize, &LightBlock)| {
             let mut block = SampleBlock {
-                targets: [[0.0; LANES]; 3],
-                weights: [[0.0; LANES]; 3],
+                targets: none,
+                weights: none,
                 lowest: [[f64::NEG_INFINITY; LANES]; 3],
                 highest: [[f64::INFINITY; LANES]; 3],
+                lamps: vec![[none; 2]; of.lamps.len()],
             };
-            for i in 0..LANES.min(given.targets.len() - LANES * b) {
-                let at = LANES * b + i;
+            for i in 0..LANES.min(pictures - LANES * b) {
+                let at = p * pictures + LANES * b + i;
                 for c in 0..3 {
-                    block.targets[c][i] = given.targets[at][c];
+                    block.targets[c][i] = given.pictures[at][c];
                     block.weights[c][i] = given.weights[at][c];
                     match given.limits.map(|limits| limits[at][c]) {
                         Some(AT_LEAST) => block.highest[c][i] = 0.0,
@@ -193,30 +164,24 @@ impl<'a> Samples<'a> {
                     }
                 }
             }
-            blocks.push(block);
-            for numbers in &of.lamps {
-                let mut block = LampBlock {
-                    directions: [[0.0; LANES]; 3],
-                    intensities: [[0.0; LANES]; 3],
-                };
+            for (to, numbers) in block.lamps.iter_mut().zip(&of.lamps) {
                 for (i, &k) in numbers.iter().enumerate().filter(|(_, k)| **k != NONE) {
-                    let direction = given.directions[k].to_array();
+                    let direction = given.directions[p * lamps + k].to_array();
                     for c in 0..3 {
-                        block.directions[c][i] = direction[c];
-                        block.intensities[c][i] = given.intensities[k][c];
+                        to[0][c][i] = direction[c];
+                        to[1][c][i] = given.intensities[p * lamps + k][c];
                     }
                 }
-                lamps.push(block);
             }
-        }
+            block
+        };
         Self {
             model,
-            view,
+            view: given.views[p],
             lights,
-            blocks,
-            lamps,
-            prior_mean,
-            prior_precision,
+            blocks: lights.blocks.iter().enumerate().map(block_of).collect(),
+            prior_mean: PLACES.map(|x| given.prior_mean[p][x]),
+            prior_precision: PLACES.map(|x| given.prior_precision[p][x]),
         }
     }
 
@@ -232,13 +197,12 @@ impl<'a> Samples<'a> {
         point: &Point,
         turned: &[DVec3; OFFSETS],
     ) -> (f64, Equations) {
-        let instructions = self.lights.instructions;
-        let (samples, point) = (self, point);
-        let mut sums = match self.lights.coefficients {
-            0 => instructions.run(Pass::<M, 0>::of(samples, point, turned)),
-            1 => instructions.run(Pass::<M, 1>::of(samples, point, turned)),
-            _ => instructions.run(Pass::<M, COEFFICIENTS>::of(samples, point, turned)),
-        };
+        let mut sums = self.lights.instructions.run(Pass {
+            samples: self,
+            point,
+            turned,
+            model: PhantomData::<M>,
+        });
         for (x, value) in point.values().into_iter().enumerate() {
             let deviation = value - self.prior_mean[x];
             sums.0 += self.prior_precision[x] * deviation * deviation;
@@ -249,26 +213,15 @@ impl<'a> Samples<'a> {
     }
 }
 
-/// One pass over the samples of a pixel, with K coefficients of SH light.
-struct Pass<'a, M, const K: usize> {
+/// One pass over the samples of a pixel.
+struct Pass<'a, M> {
     samples: &'a Samples<'a>,
     point: &'a Point,
     turned: &'a [DVec3; OFFSETS],
     model: PhantomData<M>,
 }
 
-impl<'a, M: Reflection, const K: usize> Pass<'a, M, K> {
-    fn of(samples: &'a Samples, point: &'a Point, turned: &'a [DVec3; OFFSETS]) -> Self {
-        Self {
-            samples,
-            point,
-            turned,
-            model: PhantomData,
-        }
-    }
-}
-
-impl<M: Reflection, const K: usize> Kernel for Pass<'_, M, K> {
+impl<M: Reflection> Kernel for Pass<'_, M> {
     type Output = (f64, Equations);
 
     #[inline(always)]
@@ -282,23 +235,19 @@ impl<M: Reflection, const K: usize> Kernel for Pass<'_, M, K> {
             ..
         } = self;
         let surface = Surface::<true>::new(samples.model, *normal, samples.view, material);
-        let of_sky =
-            (K > 0).then(|| weights_with_slopes::<M, K>([*normal, samples.view], material, turned));
+        let of_ambient = (samples.lights.any_ambient)
+            .then(|| weights_with_slopes::<M>([*normal, samples.view], material, turned));
         let none = Wide(isa, isa.splat(0.0));
         let mut sums = Sums::of(none);
-        let mut rest = samples.lamps.iter();
         for (block, lights) in samples.blocks.iter().zip(&samples.lights.blocks) {
-            let lamps = rest.as_slice();
-            rest.by_ref().take(lights.lamps.len()).for_each(drop);
             for at in 0..LANES / <I as Vectors<f64>>::LANES {
                 let of = |lanes: &Lanes| Wide(isa, I::of(lanes)[at]);
                 let (mut radiance, mut slopes) = ([none; 3], [[none; SLOPES_OF_SAMPLE]; 3]);
-                for lamps in &lamps[..lights.lamps.len()] {
-                    let [x, y, z] = &lamps.directions;
+                for [[x, y, z], intensities] in &block.lamps {
                     let (lit, unit) = surface.reflected_of([of(x), of(y), of(z)]);
                     let along = [unit.along(turned[0]), unit.along(turned[1])];
                     for c in 0..3 {
-                        let intensity = lit * of(&lamps.intensities[c]);
+                        let intensity = lit * of(&intensities[c]);
                         radiance[c] = radiance[c] + intensity * unit.radiance[c];
                         let slopes = &mut slopes[c];
                         slopes[0] = slopes[0] + intensity * unit.by_albedo[c];
@@ -308,14 +257,12 @@ impl<M: Reflection, const K: usize> Kernel for Pass<'_, M, K> {
                         slopes[4] = slopes[4] + intensity * along[1][c];
                     }
                 }
-                if let Some((weights, slopes_of_sky)) = &of_sky {
-                    for k in 0..K {
-                        for c in 0..3 {
-                            let light = of(&lights.ambient[k][c]);
-                            radiance[c] = radiance[c] + light * weights[c][k];
-                            for x in 0..SLOPES_OF_SAMPLE {
-                                slopes[c][x] = slopes[c][x] + light * slopes_of_sky[c][x][k];
-                            }
+                if let Some((weights, by)) = &of_ambient {
+                    for c in 0..3 {
+                        let light = of(&lights.ambient[c]);
+                        radiance[c] = radiance[c] + light * weights[c];
+                        for x in 0..SLOPES_OF_SAMPLE {
+                            slopes[c][x] = slopes[c][x] + light * by[c][x];
                         }
                     }
                 }
@@ -428,10 +375,8 @@ mod tests {
             unit(-0.9, 0.2),
         ];
         let intensities = [[1.0, 0.8, 0.6], [0.5; 3], [0.0, 0.0, 2.0], [0.9, 1.1, 1.3]];
-        let ambient =
-            std::array::from_fn(|k| std::array::from_fn(|c| 0.6 / (1.0 + (k + c) as f64)));
-        let dark = [[0.0; 3]; COEFFICIENTS];
-        let lights = Lights::new(&[0, 0, 1, 2], &[dark, ambient, dark, ambient]);
+        let ambient = [[0.0; 3], [0.6, 0.3, 0.2], [0.0; 3], [0.3, 0.2, 0.1]];
+        let lights = Lights::new(&[0, 0, 1, 2], &ambient);
         let base = unit(0.1, 0.2);
         let at = |values: [f64; UNKNOWNS]| {
             let [red, green, blue, roughness, metallic, a, b] = values;
@@ -448,16 +393,20 @@ mod tests {
         let values = [0.3, 0.6, 0.8, 0.45, 0.35, 0.12, -0.07];
         for model in [Model::Paper, Model::Principled] {
             for limit in [0, AT_LEAST, AT_MOST] {
-                let given = Given {
-                    targets: &[[0.1, 0.9, 0.2], [0.5; 3], [0.0, 0.6, 2.0], [0.2, 0.1, 0.3]],
+                let given = LampPictures {
+                    pictures: &[[0.1, 0.9, 0.2], [0.5; 3], [0.0, 0.6, 2.0], [0.2, 0.1, 0.3]],
                     weights: &[[1.0, 2.0, 0.5], [1.0; 3], [0.0, 3.0, 1.0], [4.0, 1.0, 1.0]],
                     limits: Some(&[[limit; 3], [0, limit, limit], [limit; 3], [limit; 3]]),
+                    views: &[unit(-0.1, 0.1)],
                     directions: &directions,
                     intensities: &intensities,
+                    picture_of: &[0, 0, 1, 2],
+                    ambient: &ambient,
+                    base_normals: &[base],
+                    prior_mean: &[[0.0, 0.1, 0.5, 0.5, 0.5, 0.3, 0.0]],
+                    prior_precision: &[[0.5, 0.6, 0.1, 0.2, 0.0, 0.3, 0.4]],
                 };
-                let mean = [0.5, 0.5, 0.5, 0.3, 0.0, 0.0, 0.1];
-                let prior = [mean, [0.1, 0.2, 0.0, 0.3, 0.4, 0.5, 0.6]];
-                let samples = Samples::new(model, unit(-0.1, 0.1), &lights, given, prior);
+                let samples = Samples::new(&given, &lights, model, 0);
                 let by_offset = offset_normal(base, [0.12, -0.07]).by_offset;
                 let point = at(values);
                 let (_, equations) =

@@ -24,7 +24,6 @@ use crate::reflectance::planes::{
 };
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::tangent_offset::OFFSET_MAX;
-use crate::runtime::simd::Ahead;
 use crate::runtime::{Result, check, pool};
 
 /// Pictures at most that go through the products together: their residuals stay in the cache.
@@ -214,7 +213,6 @@ fn evaluate<
         materials.metallic.0.fill(known);
     }
 
-    let mut ahead = Ahead::default();
     let first_pixel = blocks.start * BLOCK;
     for block in blocks.clone() {
         let first = block * BLOCK;
@@ -274,7 +272,6 @@ fn evaluate<
             model,
         });
         for c in 0..C {
-            piece.look_ahead::<C>(gradient, block, c, &mut ahead);
             let targets = problem.targets(block, c);
             let sample_weights = problem.weights(block, c);
             if M::SURROUNDED {
@@ -307,7 +304,6 @@ fn evaluate<
                     targets,
                     sample_weights,
                     residuals,
-                    ahead: &mut ahead,
                 };
                 partial.loss += match scale {
                     None => isa.run(step),
@@ -333,7 +329,6 @@ fn evaluate<
                         factors: &factors[c],
                         sums: &mut free.by_basis,
                     }),
-                    ahead: &mut ahead,
                     model,
                 });
                 if M::SURROUNDED && !bounced.is_empty() {
@@ -349,7 +344,6 @@ fn evaluate<
                         weights: &weights[c],
                         residuals,
                         sums: &mut light_sums[c * pictures..][group],
-                        ahead: &mut ahead,
                     });
                 }
             }
@@ -394,43 +388,6 @@ fn evaluate<
         .map(WideParts::sum)
         .collect();
     partial
-}
-
-impl Piece<'_> {
-    /// While channel c of a block is worked on: the next channel's targets, and a share of what the
-    /// next block needs else.
-    fn look_ahead<const C: usize>(
-        &self,
-        gradient: &[&mut [f64]],
-        block: usize,
-        c: usize,
-        ahead: &mut Ahead,
-    ) {
-        ahead.clear();
-        let next = block + 1;
-        if next < self.blocks.end {
-            let pixels = self.problem.pixels();
-            let (from, to) = (next * BLOCK, ((next + 1) * BLOCK).min(pixels));
-            if c == 0 {
-                for plane in self.maps.chunks(pixels) {
-                    ahead.push(&plane[from..to]);
-                }
-            }
-            if c == 1 % C {
-                ahead.push(std::slice::from_ref(self.problem.given_directions(next)));
-            }
-            if c == C - 1 {
-                let first = self.blocks.start * BLOCK;
-                for plane in gradient {
-                    ahead.push(&plane[from - first..to - first]);
-                }
-                ahead.push(self.problem.targets(next, 0));
-            }
-        }
-        if c + 1 < C {
-            ahead.push(self.problem.targets(block, c + 1));
-        }
-    }
 }
 
 /// The pictures in groups of at most [`GROUP`], as even as fours allow.

@@ -12,7 +12,6 @@ use crate::lamps::pixel_fit::{LampFit, LampPictures, NUMBERS, fit_under_lamps as
 use crate::lamps::render::{
     Lamplit, WITH_SLOPES, lamp_radiance as radiance_of_pixels, lamp_slopes as slopes_of_pixels,
 };
-use crate::reflectance::sh::COEFFICIENTS;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(lamp_radiance, module)?)?;
@@ -131,8 +130,7 @@ fn fit_under_lamps<'py>(
     let names = ["start_normals", "views"];
     let start = Pixels::new(names, [start_normals, views, albedo, roughness, metallic])?;
     let pixels = start.count();
-    let expected = [ANY, COEFFICIENTS, 3];
-    let (ambient, [count, ..]) = given::<f64, 3>("ambient", ambient, expected)?;
+    let (ambient, [count, _]) = given::<f64, 2>("ambient", ambient, [ANY, 3])?;
     let samples = [pixels, count, 3];
     let pictures = values::<f64, 3>("pictures", pictures, samples)?;
     let weights = values::<f64, 3>("weights", weights, samples)?;
@@ -154,7 +152,7 @@ fn fit_under_lamps<'py>(
         directions: &directions,
         intensities: intensities.as_chunks().0,
         picture_of: &picture_of,
-        ambient: ambient.as_chunks::<3>().0.as_chunks().0,
+        ambient: ambient.as_chunks().0,
         base_normals: &base_normals,
         prior_mean: prior_mean.as_chunks().0,
         prior_precision: prior_precision.as_chunks().0,

@@ -514,7 +514,7 @@ fn fitted(example: &Example, model: Model, threads: usize) -> LampFitted {
         directions: &example.directions,
         intensities: &intensities,
         picture_of: &picture_of,
-        ambient: &[[[0.0; 3]; 16]; LAMPS],
+        ambient: &[[0.0; 3]; LAMPS],
         base_normals: &starts,
         prior_mean: &no_prior,
         prior_precision: &no_prior,

@@ -104,7 +104,7 @@ def under_lamps(kind: Kind, rng: np.random.Generator) -> Arguments:
         "limits": rng.integers(0, 3, samples).astype(np.uint8),
         "intensities": rng.random(samples),
         "picture_of": np.arange(kind.pictures, dtype=np.uint64),
-        "ambient": rng.normal(size=(kind.pictures, 16, 3)),
+        "ambient": rng.normal(size=(kind.pictures, 3)),
         "base_normals": normals,
         "start_normals": normals,
         "prior_mean": rng.random((kind.pixels, 7)),

@@ -118,7 +118,7 @@ def fit_surfaces(
         directions,
         strengths[..., None] * state.lamps.colors,
         state.lamps.pictures.astype(np.uint64),
-        state.ambient,
+        np.ascontiguousarray(state.ambient[:, 0]),
         pixels.normals,
         begin,
         state.albedo,

@@ -34,6 +34,7 @@ from pbrfit.fit.lamps.joint import (
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
 from pbrfit.fit.sampling import slices
+from pbrfit.fit.settings import PIXELS_AT_ONCE
 
 Array = NDArray[np.float64]
 
@@ -73,9 +74,6 @@ MISFIT_MIN = 0.01
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
 
-
-DEVIATIONS_AT_ONCE = 2048
-"""Pixels whose slopes by all that lights have are held at a time."""
 
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
@@ -428,7 +426,7 @@ def deviations(
         roughness=np.clip(state.roughness, BOUND_STEP, 1 - BOUND_STEP),
     )
     variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
-    for some in slices(count, DEVIATIONS_AT_ONCE):
+    for some in slices(count, PIXELS_AT_ONCE):
         rows = np.arange(count)[some]
         fit = JointLamps(
             pixels.of_rows(rows), inside.of_rows(rows), noise, none.of_rows(rows), freedom
