@@ -171,11 +171,11 @@ def fit_under_lamps(
     pictures, weights (P, N, 3), linear radiance and weights of squared residuals, 0 without data;
     limits (P, N, 3) 0 data, 1 radiance is at least this, 2 at most. Lamp k at directions (P, K, 3)
     brings intensities (P, K, 3) to picture_of[k], in rising order; ambient (N, 3) is SH light
-    beside the lamps, its first coefficient. Start normals have to be less than 90 degrees from base normals. Priors
-    (P, 7) are of [tangent offset (a, b) of the base normal, albedo, roughness, metallic] and add
-    Σ precision (x − mean)². A free roughness starts from 0.03 at least where there are data.
-    Returns normals (P, 3), albedo (P, 3), roughness, metallic and cost (P,), and the information
-    Jᵀ W J + precision (P, 7, 7), 0 in rows and columns of what is held.
+    beside the lamps, its first coefficient. Start normals have to be less than 90 degrees from base
+    normals. Priors (P, 7) are of [tangent offset (a, b) of the base normal, albedo, roughness,
+    metallic] and add Σ precision (x − mean)². A free roughness starts from 0.03 at least where
+    there are data. Returns normals (P, 3), albedo (P, 3), roughness, metallic and cost (P,), and
+    the information Jᵀ W J + precision (P, 7, 7), 0 in rows and columns of what is held.
     """
 
 class _Series(Protocol):

@@ -31,18 +31,14 @@ MODELS: tuple[Model, ...] = get_args(Model)
 DEFAULT_MODEL: Model = "paper"
 """Where nobody says which, and nobody knows what the pictures were rendered with."""
 
-LARGEST_COLOR = 1e260
-"""Of a light, a radiance: a surface reflects at most 10³⁵ times as much, which is finite."""
-
 FIRST_MODEL: Model = "paper"
 """Of results that do not say which: there was no other when they were written."""
 
 
 def checked_model(name: Any) -> Model:
     """Return the name of a model as it is; InputError that says which there are otherwise."""
-    for model in MODELS:
-        if isinstance(name, str) and name == model:
-            return model
+    if isinstance(name, str) and name in MODELS:
+        return name
     raise InputError(f"model: expected {' or '.join(MODELS)}, found {of_what(name)}")
 
 
@@ -304,12 +300,14 @@ def render_directional(
     of_lights = _array("colors", colors, to_lights.shape)
     if of_lights.ndim > to_lights.ndim:
         raise InputError(f"colors: expected shape {to_lights.shape}, found {of_lights.shape}")
-    if not (np.abs(of_lights) <= LARGEST_COLOR).all():
-        raise InputError(f"colors: expected finite numbers up to {LARGEST_COLOR:g}")
+    if not (np.abs(of_lights) <= 1e260).all():  # a surface reflects at most 10³⁵ times as much
+        raise InputError("colors: expected finite numbers up to 1e260")
     view, threads = View.of_maps(materials, normals, fov), whole_number("threads", threads)
-    lights = to_lights.reshape(-1, 3), of_lights.reshape(-1, 3)
-    radii = np.zeros(len(lights[0])) if extents is None else _array("extents", extents, ())
-    each = zip(*lights, np.broadcast_to(radii, len(lights[0])), strict=True)
+    lights, colors = to_lights.reshape(-1, 3), of_lights.reshape(-1, 3)
+    radii = _array("extents", 0.0 if extents is None else extents, ())
+    if radii.size not in (1, len(lights)):
+        raise InputError(f"extents: expected shape ({len(lights)},), found {radii.shape}")
+    each = zip(lights, colors, np.broadcast_to(radii, len(lights)), strict=True)
     images = view.pictures(np.array([view.lit(*one, threads, model) for one in each]))
     return images[0] if to_lights.ndim == 1 else images
 
@@ -440,7 +438,8 @@ class View:
         known = np.isfinite(points).all(axis=-1)
         directions, strengths = lamp.at(points[known])
         found = np.full((len(points), 3), np.nan)
-        few = replace(self, pixels=tuple(np.ascontiguousarray(of[known]) for of in self.pixels))
+        n, v, rho, r, m = (np.ascontiguousarray(of[known]) for of in self.pixels)
+        few = replace(self, pixels=(n, v, rho, r, m))
         distances = np.linalg.norm(lamp.places - points[known], axis=-1)
         extents = np.arcsin(np.minimum(radius / np.maximum(distances, 1e-300), np.sqrt(0.5)))
         found[known] = few.lit(directions[:, 0], strengths * lamp.colors, extents, threads, model)
@@ -450,19 +449,15 @@ class View:
         self, direction: Array, color: Array, extent: Array | float, threads: int, model: Model
     ) -> Array:
         """(P, 3) radiance under one light, the same for all pixels or for each its own."""
-        normals, extents = self.pixels[0], None
-        toward = np.ascontiguousarray(np.broadcast_to(direction, normals.shape)[:, None])
-        if np.any(extent):
-            extents = np.ascontiguousarray(np.broadcast_to(extent, len(normals)))
-        unit = _core.lamp_radiance(*self.pixels, toward, threads, model, extents)
-        return np.asarray(unit[:, 0] * color)
+        solid, shape = np.ascontiguousarray, self.pixels[0].shape
+        toward = solid(np.broadcast_to(direction, shape)[:, None])
+        extents = solid(np.broadcast_to(extent, shape[0])) if np.any(extent) else None
+        return _core.lamp_radiance(*self.pixels, toward, threads, model, extents)[:, 0] * color
 
     def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""
-        images = rendered
-        if not isinstance(self.of, slice):
-            images = np.full((len(rendered), self.height * self.width, 3), np.nan)
-            images[:, self.of] = rendered
+        images = np.full((len(rendered), self.height * self.width, 3), np.nan)
+        images[:, self.of] = rendered
         return images.reshape(-1, self.height, self.width, 3)
 
 

@@ -164,9 +164,7 @@ def under_all(
 ) -> Array:
     """(N, 3) radiance under each light alone."""
     material = albedo[None], np.array([r]), np.array([float(metallic)])
-    lit = _core.lamp_radiance(
-        normal[None], unit(view)[None], *material, directions[None], 2, model
-    )
+    lit = _core.lamp_radiance(normal[None], unit(view)[None], *material, directions[None], 2, model)
     return np.asarray(lit[0])
 
 
@@ -265,8 +263,8 @@ def test_pixels_outside_the_mask_stay_nan() -> None:
     [
         (2 * UP, WHITE, "directions: expected unit vectors"),
         (np.full(3, np.nan), WHITE, "directions: expected unit vectors"),
-        (UP, np.array([1, np.inf, 1]), r"colors: expected finite numbers up to 1e\+260"),
-        (UP, np.array([1, 1e300, 1]), r"colors: expected finite numbers up to 1e\+260"),
+        (UP, np.array([1, np.inf, 1]), r"colors: expected finite numbers up to 1e260"),
+        (UP, np.array([1, 1e300, 1]), r"colors: expected finite numbers up to 1e260"),
         (UP, np.ones((1, 3)), r"colors: expected shape \(3,\)"),
         (np.array([UP, UP]), WHITE, r"colors: expected shape \(..., 2, 3\)"),
         (np.ones((1, 1, 3)), np.ones((1, 1, 3)), r"directions: expected shape \(3,\) or \(N, 3\)"),

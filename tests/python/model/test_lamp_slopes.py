@@ -94,7 +94,9 @@ def test_slopes_are_those_of_the_values(model: str) -> None:
         slope, error = ridders(partial(turned, "directions", steps * tangent), 1.0)
         found = np.einsum("pkcx,pkx->pkc", by_direction, tangent)
         agrees(found, slope / steps, error / steps, steps)
-    for name, found in zip(("albedo", "roughness", "metallic"), np.moveaxis(slopes[..., 7:], -1, 0), strict=True):
+    for name, found in zip(
+        ("albedo", "roughness", "metallic"), np.moveaxis(slopes[..., 7:], -1, 0), strict=True
+    ):
         agrees(found, *ridders(partial(changed, name), 0.02), 1.0)
 
 

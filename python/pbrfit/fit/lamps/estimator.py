@@ -25,7 +25,6 @@ from pbrfit.fit.lamps.joint import (
     Freedom,
     JointLamps,
     SurfacePrior,
-    fit_surfaces,
     minimize,
     offsets,
 )
@@ -343,9 +342,7 @@ class LampFit:
         noise = Noise.first(few, proportional=near)
         fit = JointLamps(few, state, noise, prior, freedom, lit=self.lit_at(few))
         fit.reweigh(renew=False)
-        fit.state, _, _ = fit_surfaces(
-            few, fit.state, fit.weights, fit.prior, iterations=10, free_normals=freedom.normals
-        )
+        fit.state, fit.cost = fit.fitted(fit.state, 10)
         if not self.trace.rows:
             self._record(fit)
         told = known is not None and known.colored
@@ -377,14 +374,7 @@ class LampFit:
             made = minimize(fit, steps=STEPS, stop=lambda: not self.trace.goes_on)
             self.trace.iteration += made
             self.trace.evaluations += made
-            fit.state, _, _ = fit_surfaces(
-                few,
-                fit.state,
-                fit.weights,
-                fit.prior,
-                iterations=surfaces.STEPS,
-                free_normals=freedom.normals,
-            )
+            fit.state, fit.cost = fit.fitted(fit.state, surfaces.STEPS)
             # With normals that are known a highlight says how rough a surface is.
             spreads = ROUGHNESS_SPREADS if freedom.normals else KNOWN_NORMALS_SPREADS
             fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)

@@ -28,7 +28,6 @@ from pbrfit.fit.lamps.problem import (
     LampPixels,
     LampState,
     Slopes,
-    radiance,
     slopes,
     tangents,
 )
@@ -176,7 +175,7 @@ class JointLamps:
         self.weights = self.pixels.weights * self.noise.weights(left)
         if self.lit is not None:
             self.weights *= self.lit(self.state.lamps)[..., None]
-        self.cost = self._cost(self.state)
+        self.cost = self.fitted(self.state, 0)[1]
 
     def _free_share(self) -> float:
         samples = max(int(np.count_nonzero(self.pixels.weights)), 1)
@@ -208,22 +207,19 @@ class JointLamps:
         slope = by_log[:, None] / np.maximum(lamps.colors, 1e-12) / len(lamps)
         return np.asarray(slope.reshape(4, -1))
 
-    def _cost(self, state: LampState, shown: Array | None = None) -> float:
-        shown = radiance(self.pixels, state) if shown is None else shown
-        residuals = self.pixels.residuals(shown)
-        cost = float((self.weights * residuals * residuals).sum())
-        cost += float((state.ambient**2).sum()) / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
-        surface = np.concatenate(
-            [
-                offsets(self.pixels.normals, state.normals),
-                state.albedo,
-                state.roughness[:, None],
-                state.metallic[:, None],
-            ],
-            axis=-1,
+    def fitted(self, state: LampState, iterations: int) -> tuple[LampState, float]:
+        """A state with surfaces that took so many steps, and the cost of all."""
+        state, costs, _ = fit_surfaces(
+            self.pixels,
+            state,
+            self.weights,
+            self.prior,
+            iterations=iterations,
+            free_normals=self.freedom.normals,
         )
-        cost += float((self.prior.precision * (surface - self.prior.mean) ** 2).sum())
-        return cost + float((self.scale_of(state.lamps) ** 2).sum())
+        cost = float(costs.sum()) + float((self.scale_of(state.lamps) ** 2).sum())
+        cost += float((state.ambient**2).sum()) / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
+        return state, cost
 
     def step(self) -> float:
         """One step; the relative decrease of the cost, 0 where none was found."""
@@ -232,15 +228,7 @@ class JointLamps:
             trial = self._moved(system)
             before = self.cost
             if trial is not None:
-                state, _, _ = fit_surfaces(
-                    self.pixels,
-                    trial,
-                    self.weights,
-                    self.prior,
-                    iterations=3,
-                    free_normals=self.freedom.normals,
-                )
-                cost = self._cost(state)
+                state, cost = self.fitted(trial, 3)
                 if cost < before:
                     self.state, self.cost = state, cost
                     self.damping = max(self.damping * 0.2, 1e-7)

@@ -44,9 +44,6 @@ BAND_PIXELS = 40_000
 ROUNDS = 2
 """Of weights and surfaces: shadows that hide behind a wrong normal show in the second."""
 
-NEIGHBOUR_ROUNDS = 1
-"""Times that pixels try the surfaces of their neighbours, which hand on what one has found."""
-
 METAL_STARTS = (0.35, 0.6)
 """Roughness that a metal begins with."""
 
@@ -284,9 +281,8 @@ def _from_more_starts(
 
     if free:
         state, left = better_of(state, left, *fitted(facing_highlights(pixels, state)))
-        for _ in range(NEIGHBOUR_ROUNDS):
-            moved, _ = from_neighbours(pixels, state, left, noise, prior, width)
-            state, left = better_of(state, left, *fitted(moved))
+        moved, _ = from_neighbours(pixels, state, left, noise, prior, width)
+        state, left = better_of(state, left, *fitted(moved))
     else:
         for roughness in ROUGHNESS_STARTS:
             same = np.full(len(pixels), roughness)
