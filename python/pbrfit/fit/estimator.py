@@ -19,6 +19,7 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all, retry_outliers
+from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
@@ -260,7 +262,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
     watch, shared = Watch(run, x), lights.shared
-    variance = lights.misfit.variance
+    variance, gain = lights.misfit.variance, settings.GAIN_MIN
     if shared is not None:
         _make_grey(shared, run.objective)
         if prior is not None and not shared.lights.grey:
@@ -280,20 +282,33 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
             if watch.visit(x, sum_sq):
                 break
             if shared is not None:
+                if number == 0 and prior is None and not lights.exact:
+                    effect = _effect_of_all(objective, x, sum_sq, shared)
+                    notes.append(f"design effect {effect:.3g}")
+                    gain *= max(effect, 1.0)
                 last, variance = variance, min(variance, misfit.variance(objective, sum_sq))
                 shared.lights = shared.lights.times(variance / last if last else 1.0)
                 fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
-                minimize(fit, settings.GLOBAL_STEPS_MAX, settings.GAIN_MIN, watch.visit)
+                minimize(fit, settings.GLOBAL_STEPS_MAX, gain, watch.visit)
             more = prior is None and shared is not None
             if run.options.robust in ROBUST_LOSSES and number < settings.ROBUST_ROUND:
                 more = True  # whose weights settle
-            elif total - float(sum_sq.sum()) <= settings.GAIN_MIN * misfit.variance(
-                objective, sum_sq
-            ):
+            elif total - float(sum_sq.sum()) <= gain * misfit.variance(objective, sum_sq):
                 more = False
             if not more or not run.goes_on:
                 break
     return x
+
+
+def _effect_of_all(objective: Objective, x: Array, sum_sq: Array, shared: SharedFit) -> float:
+    """The design effect on the lights of all pixels, by pieces as large as those of a level."""
+    everything = np.arange(objective.pixels, dtype=np.uint64)
+    level = Level(objective, everything, pixel_index(objective.layout))
+    side = round(settings.PATCH_SIDE * max(1.0, objective.pixels / settings.COARSE_PIXELS) ** 0.5)
+    if shared.inverse is None or shared.stale:
+        shared.joint_fit(objective, x, sum_sq).renew_preconditioner()
+    inverse = partial(shared.solved, objective)
+    return misfit.design_effect(level, x, sum_sq, inverse, side=side)
 
 
 def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | None) -> None:

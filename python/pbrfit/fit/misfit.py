@@ -115,11 +115,16 @@ def independent_share(objective: Objective, x: Array) -> float:
 
 
 def design_effect(
-    level: Level, x: Array, sum_sq: Array, inverse: Inverse, prior: GaussianPrior | None = None
+    level: Level,
+    x: Array,
+    sum_sq: Array,
+    inverse: Inverse,
+    prior: GaussianPrior | None = None,
+    side: int = settings.PATCH_SIDE,
 ) -> float:
     """κ; `inverse` gives S⁻¹ v for v (M,), and `prior` is that of the pixels."""
     objective, layout = level.objective, level.objective.layout
-    patches = level.patches()
+    patches = level.patches(side)
     if len(patches) < settings.PATCHES_MIN:
         return 1.0
     nowhere = np.zeros(layout.light_channels * layout.pictures * layout.coefficients)
