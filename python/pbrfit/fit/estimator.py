@@ -33,8 +33,8 @@ from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_all, retry_outliers
 from pbrfit.fit.parameters import pixel_index
+from pbrfit.fit.pixels import fit_all, retry_outliers
 from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
@@ -283,7 +283,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
                 break
             if shared is not None:
                 if number == 0 and prior is None and not lights.exact:
-                    effect = _effect_of_all(objective, x, sum_sq, shared)
+                    effect = effect_of_all(objective, x, sum_sq, shared)
                     notes.append(f"design effect {effect:.3g}")
                     gain *= max(effect, 1.0)
                 last, variance = variance, min(variance, misfit.variance(objective, sum_sq))
@@ -300,7 +300,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     return x
 
 
-def _effect_of_all(objective: Objective, x: Array, sum_sq: Array, shared: SharedFit) -> float:
+def effect_of_all(objective: Objective, x: Array, sum_sq: Array, shared: SharedFit) -> float:
     """The design effect on the lights of all pixels, by pieces as large as those of a level."""
     everything = np.arange(objective.pixels, dtype=np.uint64)
     level = Level(objective, everything, pixel_index(objective.layout))
