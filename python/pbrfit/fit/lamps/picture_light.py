@@ -119,35 +119,36 @@ def light_of_picture(
         few.threads,
         few.model,
     )
-    best, light = np.inf, None
-    for k in range(len(tried)):
-        left, color, of_ambient = _linear(few, unit[:, k], ambient)
-        if left < best:
-            best, light = left, (tried[k], color, of_ambient)
-    assert light is not None
-    lamps = replace(state.lamps, places=light[0][None], colors=np.maximum(light[1], 1e-9)[None])
+    best, color, of_ambient = _linear(few, unit, ambient)
+    colors = np.maximum(color, 1e-9)[None]
+    lamps = replace(state.lamps, places=tried[best][None], colors=colors)
     around = np.zeros((1, 16, 3))
-    around[0, :terms] = light[2]
+    around[0, :terms] = of_ambient
     some = replace(some, lamps=lamps, ambient=around)
     if direction is None:
         some = _refined(few, some, terms)
     return replace(state, lamps=some.lamps, ambient=some.ambient)
 
 
-def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[float, Array, Array]:
-    """What is left with the best colour and ambient light of a direction, and these."""
-    total, color, around = 0.0, np.zeros(3), np.zeros((ambient.shape[-1], 3))
+def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[int, Array, Array]:
+    """Which of the directions leaves least with its best colour and ambient light, and these."""
+    count, terms = unit.shape[1], ambient.shape[-1]
+    left, found = np.zeros(count), np.zeros((count, 3, 1 + terms))
     for c in range(3):
-        columns = np.concatenate([unit[:, c, None], ambient[:, c]], axis=1)
-        w, y = pixels.weights[:, 0, c], pixels.samples[:, 0, c]
-        matrix = columns.T @ (w[:, None] * columns)
-        matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) + 1e-12
-        found = np.linalg.solve(matrix, columns.T @ (w * y))
-        if found[0] < 0:
-            found[0] = 0.0
-        total += float((w * (y - columns @ found) ** 2).sum())
-        color[c], around[:, c] = found[0], found[1:]
-    return total, color, around
+        w, y, lamps = pixels.weights[:, 0, c], pixels.samples[:, 0, c], unit[..., c]
+        around = w[:, None] * ambient[:, c]
+        matrix, right = np.empty((count, 1 + terms, 1 + terms)), np.empty((count, 1 + terms))
+        matrix[:, 0, 0], right[:, 0] = w @ lamps**2, (w * y) @ lamps
+        matrix[:, 0, 1:] = matrix[:, 1:, 0] = lamps.T @ around
+        matrix[:, 1:, 1:], right[:, 1:] = ambient[:, c].T @ around, y @ around
+        ridge = RIDGE * np.trace(matrix, axis1=1, axis2=2) + 1e-12
+        ridged = matrix + ridge[:, None, None] * np.eye(1 + terms)
+        found[:, c] = np.linalg.solve(ridged, right[..., None])[..., 0]
+        found[:, c, 0] = np.maximum(found[:, c, 0], 0.0)
+        shown = (matrix @ found[:, c, :, None])[..., 0]
+        left += w @ y**2 + ((shown - 2 * right) * found[:, c]).sum(axis=1)
+    best = int(left.argmin())
+    return best, found[best, :, 0], found[best, :, 1:].T
 
 
 def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
