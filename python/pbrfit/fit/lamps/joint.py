@@ -207,19 +207,20 @@ class JointLamps:
         slope = by_log[:, None] / np.maximum(lamps.colors, 1e-12) / len(lamps)
         return np.asarray(slope.reshape(4, -1))
 
-    def fitted(self, state: LampState, iterations: int) -> tuple[LampState, float]:
+    def fitted(
+        self, state: LampState, iterations: int, pixels: LampPixels | None = None
+    ) -> tuple[LampState, float]:
         """A state with surfaces that took so many steps, and the cost of all."""
         state, costs, _ = fit_surfaces(
-            self.pixels,
+            self.pixels if pixels is None else pixels,
             state,
             self.weights,
             self.prior,
             iterations=iterations,
             free_normals=self.freedom.normals,
         )
-        cost = float(costs.sum()) + float((self.scale_of(state.lamps) ** 2).sum())
-        cost += float((state.ambient**2).sum()) / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
-        return state, cost
+        scale, ambient = self.scale_of(state.lamps), state.ambient / (AMBIENT_SHARE * MEAN_RADIANCE)
+        return state, float(costs.sum() + (scale**2).sum() + (ambient**2).sum())
 
     def step(self) -> float:
         """One step; the relative decrease of the cost, 0 where none was found."""

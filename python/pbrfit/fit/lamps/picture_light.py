@@ -120,8 +120,7 @@ def light_of_picture(
         few.model,
     )
     best, color, of_ambient = _linear(few, unit, ambient)
-    colors = np.maximum(color, 1e-9)[None]
-    lamps = replace(state.lamps, places=tried[best][None], colors=colors)
+    lamps = replace(state.lamps, places=tried[best][None], colors=color[None])
     around = np.zeros((1, 16, 3))
     around[0, :terms] = of_ambient
     some = replace(some, lamps=lamps, ambient=around)
@@ -148,7 +147,7 @@ def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[int, Array
         shown = (matrix @ found[:, c, :, None])[..., 0]
         left += w @ y**2 + ((shown - 2 * right) * found[:, c]).sum(axis=1)
     best = int(left.argmin())
-    return best, found[best, :, 0], found[best, :, 1:].T
+    return best, np.maximum(found[best, :, 0], 1e-9), found[best, :, 1:].T
 
 
 def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:

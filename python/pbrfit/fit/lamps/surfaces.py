@@ -249,8 +249,7 @@ def fit_band(
             pixels, state, left, noise, prior, width, free=freedom.normals, metals=metals
         )
     residual = pixels.residuals(radiance(pixels, state))
-    zeros = np.zeros((len(pixels), 7))
-    variance, marginal = zeros, zeros
+    variance = marginal = np.zeros((len(pixels), 7))
     if uncertain is not None:
         variance, marginal = deviations(pixels, state, noise, weights, freedom, uncertain)
     return Band(
