@@ -127,7 +127,7 @@ def design_effect(
     patches = level.patches(side)
     if len(patches) < settings.PATCHES_MIN:
         return 1.0
-    nowhere = np.zeros(layout.light_channels * layout.pictures * layout.coefficients)
+    unknowns = layout.light_channels * layout.pictures * layout.coefficients
     for_core = objective.for_core(x)
     mono = layout.light_channels < layout.channels
 
@@ -142,4 +142,4 @@ def design_effect(
     scores -= scores.mean(axis=0)
     sizes = sum(float(score @ inverse(score)) for score in scores)
     unbiased = len(patches) / (len(patches) - 1)
-    return unbiased * sizes / (variance(objective, sum_sq) * len(nowhere))
+    return unbiased * sizes / (variance(objective, sum_sq) * unknowns)

@@ -457,7 +457,7 @@ class View:
     def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""
         images = np.full((len(rendered), self.height * self.width, 3), np.nan)
-        images[:, self.of] = rendered
+        images[:, self.of] = rendered.reshape(len(rendered), len(self.pixels[0]), 3)
         return images.reshape(-1, self.height, self.width, 3)
 
 
