@@ -181,12 +181,11 @@ class JointFit:
         kept = few.system(self, few.objective.problem.kept_system)
         gradient = kept.gradient
         if few.is_part:
-            gradient = np.zeros(len(gradient))
+            gradient, for_core = np.zeros(len(gradient)), self.objective.for_core(self.x)
             for chunk in chunks(self.objective.pixels):
                 if self.stop():
                     return None
                 options = self.options(self.objective, self.x, chunk, chunk)
-                for_core = self.objective.for_core(self.x)
                 gradient += self.objective.problem.kept_system(for_core, chunk, **options).gradient
         gradient[:end] += self.lights.half_gradient(self._lights(self.x))
         if self.offsets is not None:

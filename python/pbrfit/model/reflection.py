@@ -279,8 +279,7 @@ def render_directional(
     colors
         (3,) or (N, 3), linear Rec.709.
     extents
-        () or (N,): angular radii of the lights as disks, radians, up to π/4; None = points. Of a
-        disk the highlight is that of a wider lobe, and surfaces darken softly at the terminator.
+        () or (N,): angular radii of disks, radians, up to π/4; None = points. Disks widen lobes.
     materials, normals, fov, threads, model
         As for `render`.
 
@@ -449,15 +448,16 @@ class View:
         self, direction: Array, color: Array, extent: Array | float, threads: int, model: Model
     ) -> Array:
         """(P, 3) radiance under one light, the same for all pixels or for each its own."""
-        solid, shape = np.ascontiguousarray, self.pixels[0].shape
-        toward = solid(np.broadcast_to(direction, shape)[:, None])
-        extents = solid(np.broadcast_to(extent, shape[0])) if np.any(extent) else None
+        toward = np.ascontiguousarray(np.broadcast_to(direction, self.pixels[0].shape)[:, None])
+        extents = np.full(len(toward), extent) if np.any(extent) else None
         return _core.lamp_radiance(*self.pixels, toward, threads, model, extents)[:, 0] * color
 
     def pictures(self, rendered: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N, H, W, 3) from (N, P, 3) radiance of the pixels; NaN elsewhere."""
-        images = np.full((len(rendered), self.height * self.width, 3), np.nan)
-        images[:, self.of] = rendered.reshape(len(rendered), len(self.pixels[0]), 3)
+        images = rendered = rendered.reshape(len(rendered), len(self.pixels[0]), 3)
+        if not isinstance(self.of, slice):
+            images = np.full((len(rendered), self.height * self.width, 3), np.nan)
+            images[:, self.of] = rendered
         return images.reshape(-1, self.height, self.width, 3)
 
 

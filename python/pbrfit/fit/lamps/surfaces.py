@@ -422,10 +422,8 @@ def deviations(
     )
     variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
     for some in slices(count, PIXELS_AT_ONCE):
-        rows = np.arange(count)[some]
-        fit = JointLamps(
-            pixels.of_rows(rows), inside.of_rows(rows), noise, none.of_rows(rows), freedom
-        )
+        few = pixels.of_rows(some)
+        fit = JointLamps(few, inside.of_rows(some), noise, none.of_rows(some), freedom)
         fit.weights = weights[some]
         _, _, own, mixed, _ = fit.system()
         np.einsum("puu->pu", own)[:] += 1e-9
