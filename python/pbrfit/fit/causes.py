@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.discrepancy import Discrepancy
-from pbrfit.result.camera import Camera
 from pbrfit.result.light_sides import main_directions, one_side
 from pbrfit.result.verdict import Verdict
 from pbrfit.scene.scene import Scene
@@ -39,7 +38,6 @@ def with_causes(
     *,
     normals: NDArray[np.floating[Any]],
     discrepancy: Discrepancy | None,
-    camera: Camera,
     transport: Transport,
     lighting: Array | None,
     albedo_scale: tuple[float, float, float],
@@ -50,7 +48,7 @@ def with_causes(
     `normals` (H, W, 3) are those of the result, `lighting` is (N, 16, 3), None under lamps,
     `albedo` (H, W, 3) the map that was found.
     """
-    cause, remedy = next(_causes(scene, normals, discrepancy, camera, transport, lighting))
+    cause, remedy = next(_causes(scene, normals, discrepancy, transport, lighting))
     found = {
         name: verdict
         if verdict.level == "usable"
@@ -70,7 +68,6 @@ def _causes(
     scene: Scene,
     normals: NDArray[np.floating[Any]],
     discrepancy: Discrepancy | None,
-    camera: Camera,
     transport: Transport,
     lighting: Array | None,
 ) -> Iterator[tuple[str, str]]:
@@ -78,8 +75,6 @@ def _causes(
     count = len(scene.images)
     if (normals[scene.valid] == (0.0, 0.0, 1.0)).all():
         yield "all normals face the camera", "normals (pbrfit normals)"
-    if camera.contradicted:
-        yield "the pictures contradict the field of view", "the true field of view"
     sides = None
     if lighting is not None and count > 1:
         sides = one_side(main_directions(lighting))

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import settings
+from pbrfit.fit.given import Contradiction, contradictions
 from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
@@ -44,12 +45,10 @@ from pbrfit.fit.left_out import (
 )
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.tiles.windows import cut, strided_window
+from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.fit.transport import Surrounded, search
 from pbrfit.fit.whole_picture import FitSetup
-from pbrfit.io import limits as file_limits
 from pbrfit.io.color import Curve
-from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
 from pbrfit.result.held_out import Candidate, HeldOut
@@ -89,6 +88,7 @@ class Choice:
     """What blocks light, and why; None where nothing does."""
     why_normals: str = NOT_COMPARED
     """Why normals are refined, or not."""
+    contradictions: tuple[Contradiction, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,8 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
         there is no depth that tells them.
     """
     told = start_given or setup.options.solver != "gauss-newton"
-    return _Comparison(scene, setup, told=told).best()
+    found = _Comparison(scene, setup, told=told).best()
+    return replace(found, contradictions=contradictions(scene))
 
 
 class _Comparison:
@@ -751,31 +752,4 @@ def _reduced(scene: Scene) -> Scene:
     """
     if scene.normals_known:
         return cut(scene, strided_window(scene.valid, settings.COMPARE_PIXELS))
-    full = scene.height, scene.width
-    size = reduced_size(full, settings.COMPARE_SIDE)
-    if size == full:
-        return scene
-    images = np.stack([averaged_channels(image, size) for image in scene.images])
-    mask = averaged(scene.valid, size) > 1 - 1e-4
-    if not mask.any():
-        return scene
-    limits: NDArray[np.uint8] = np.zeros(images.shape, np.uint8)
-    if scene.limits is not None:
-        limits = np.stack([file_limits.averaged(np.array(of), size) for of in scene.limits])
-    weights = None
-    if scene.weights is not None:
-        weights = np.stack([averaged_channels(of, size) for of in scene.weights])
-    return replace(
-        scene,
-        images=images,
-        mask=mask,
-        limits=limits,
-        weights=weights,
-        normals=None,  # type: ignore[arg-type]  # unknown, as before
-        depth=None,
-        segments=None,
-        file_noise=None,
-        normal_sigma=None,
-        truth=None,
-        fov=scene.fov if scene.fov_known else None,  # type: ignore[arg-type]  # unknown
-    )
+    return without_shape(scene, settings.COMPARE_SIDE)

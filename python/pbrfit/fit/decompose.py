@@ -42,7 +42,7 @@ from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
-from pbrfit.result.verdict import capped
+from pbrfit.result.verdict import FOV_CONTRADICTED, capped, doubted
 from pbrfit.scene import exposure
 from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
@@ -249,13 +249,16 @@ def _result(
             scene,
             normals=found.normals,
             discrepancy=found.discrepancy,
-            camera=found.camera,
             transport=transport,
             lighting=found.lighting if found.lamps is None else None,
             albedo_scale=uncertainty.albedo_scale,
             albedo=found.materials.albedo,
         )
         verdicts = capped(verdicts, chosen.held_out)
+        if camera.contradicted:
+            verdicts = doubted(verdicts, FOV_CONTRADICTED, "the true field of view would help")
+        for one in chosen.contradictions:
+            verdicts = doubted(verdicts, one.why, f"{one.remedy} would help")
         uncertainty = replace(uncertainty, verdicts=verdicts)
     result = Result(
         materials=found.materials,
@@ -411,6 +414,9 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) 
         given = assumed.get("fov", camera.in_words())
         assumed["fov"] = f"{given}; {camera.contradiction()}"
         log.warning("field of view: %s", assumed["fov"])
+    for one in chosen.contradictions:
+        log.warning("%s", one.in_words())
+        assumed[one.what] = "; ".join(filter(None, (assumed.get(one.what), one.in_words())))
     if camera.correction is not None:
         assumed |= camera.correction.in_words()
     if model is not None:

@@ -13,7 +13,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.result.data import ResultData, Status
 from pbrfit.result.light_sides import main_directions, one_side, unlit_sides
-from pbrfit.result.verdict import MORE_TOLD, UNEXPLAINED, Verdict
+from pbrfit.result.verdict import FOV_CONTRADICTED, MORE_TOLD, UNEXPLAINED, Verdict
 
 AT_MOST = 2
 """Steps that are named: the first that help most, not all that might."""
@@ -81,7 +81,7 @@ def _camera(result: ResultData, named: set[str]) -> Iterator[str]:
     if camera is None:
         return
     if camera.contradicted:
-        if "the pictures contradict the field of view" not in named:
+        if FOV_CONTRADICTED not in named:
             yield (
                 f"the field of view is {camera.in_words()}, but {camera.contradiction()}: see "
                 "whether it is right (option fov)"

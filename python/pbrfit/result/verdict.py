@@ -47,9 +47,11 @@ USABLE_MAX: Mapping[str, float] = {name: of / MARGIN for name, of in USABLE_ERRO
 ROUGH_MAX: Mapping[str, float] = {name: of * MARGIN for name, of in ROUGH_ERROR.items()}
 """Expected errors up to which maps are called usable, and a rough guide."""
 
+FOV_CONTRADICTED = "the pictures contradict the field of view"
 UNEXPLAINED = "the fit explains pictures that were left out worse than the nearest picture does"
 MORE_TOLD = "a mask, better normals or more pictures would help"
-"""Cause and remedy where no map is usable, however small its expected error."""
+"""Causes, and the remedy of the second, for which no map is usable, however small its expected
+error."""
 
 
 @dataclass(frozen=True)
@@ -153,17 +155,27 @@ def by_deviations(deviation: Materials) -> dict[str, Verdict]:
 
 
 def capped(verdicts: Mapping[str, Verdict], held_out: HeldOut | None) -> dict[str, Verdict]:
-    """Verdicts of which none is *usable* where left-out pictures are explained too badly.
-
-    Deviations follow from the model that was fitted, and say nothing of pictures that it cannot
-    explain.
-    """
+    """Verdicts of which none is *usable* where left-out pictures are explained too badly."""
     if held_out is None or held_out.explains:
         return dict(verdicts)
+    doubtful = doubted(verdicts, UNEXPLAINED, MORE_TOLD)
     return {
-        name: replace(one, level="rough guide", cause=UNEXPLAINED, remedy=MORE_TOLD)
-        if one.level == "usable"
-        else one
+        name: doubtful[name] if one.level == "usable" else one for name, one in verdicts.items()
+    }
+
+
+def doubted(verdicts: Mapping[str, Verdict], cause: str, remedy: str) -> dict[str, Verdict]:
+    """Verdicts of which none is *usable*, for a reason that deviations do not know.
+
+    They follow from the model that was fitted and from what was given, as if both were right.
+    """
+    return {
+        name: replace(
+            one,
+            level="rough guide" if one.level == "usable" else one.level,
+            cause=cause,
+            remedy=remedy,
+        )
         for name, one in verdicts.items()
     }
 

@@ -10,7 +10,6 @@ import pytest
 
 from pbrfit.fit import causes
 from pbrfit.fit.discrepancy import Discrepancy
-from pbrfit.result.camera import Camera
 from pbrfit.result.verdict import PARAMETERS, Verdict, level_of
 from pbrfit.scene.arrays import AT_LEAST
 from pbrfit.scene.scene import Scene
@@ -38,7 +37,6 @@ def said(scene: Scene, error: float = 0.2, **facts: Any) -> dict[str, Verdict]:
     given: dict[str, Any] = {
         "normals": scene.normals,
         "discrepancy": NOISE,
-        "camera": Camera(60.0, "given"),
         "transport": Transport(),
         "lighting": around(len(scene.images)),
         "albedo_scale": (0.0, 0.0, 0.0),
@@ -110,8 +108,3 @@ def test_the_scale_is_named_beside_albedo_alone(scene: Scene) -> None:
     assert "option white" in found["albedo"].remedy
     assert "factor" not in found["roughness"].cause
     assert "factor" not in said(scene, albedo_scale=(0.1, 0.1, 0.1))["albedo"].cause
-
-
-def test_a_contradicted_camera_is_named(scene: Scene) -> None:
-    camera = Camera(60.0, "given", contradicted=True)
-    assert "field of view" in said(scene, camera=camera)["roughness"].cause

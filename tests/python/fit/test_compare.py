@@ -16,6 +16,7 @@ from pbrfit.fit.compare import Choice, _Fitted
 from pbrfit.fit.left_out import Explanation, LeftOut, LightKind
 from pbrfit.io.color import Curve, decode_srgb, encode_srgb
 from pbrfit.result.refinement import FROM_PICTURES
+from pbrfit.result.verdict import FOV_CONTRADICTED
 from pbrfit.synthetic import make_scene
 from planted_lamps import far, planted, setup, without_colors
 
@@ -105,9 +106,12 @@ def test_a_wrong_field_of_view_is_contradicted_and_a_right_one_is_not(
     told: float, contradicted: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     scene = replace(room(32, noise=0.003, fov=90.0), fov=told)
-    found = decompose(scene, uncertainty=False, refine_normals="off")
+    found = decompose(scene, refine_normals="off")
     assert found.camera is not None
+    assert found.uncertainty is not None
     assert found.fov == told
+    doubts = {one.cause for one in found.uncertainty.verdicts.values()}
+    assert (doubts == {FOV_CONTRADICTED}) == contradicted
     assert found.camera.contradicted == contradicted
     said = [one for one in caplog.messages if "field of view" in one]
     assert len(said) == contradicted

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.sampling import stride
+from pbrfit.io import limits as file_limits
+from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.materials import Materials
@@ -149,4 +151,36 @@ def cut_maps(materials: Materials, window: Window) -> Materials:
     """Some rows and columns of maps."""
     return Materials(
         window.of(materials.albedo), window.of(materials.roughness), window.of(materials.metallic)
+    )
+
+
+def without_shape(scene: Scene, side: int) -> Scene:
+    """Pictures averaged down to a longer side in pixels, of a scene without normals."""
+    full = scene.height, scene.width
+    size = reduced_size(full, side)
+    if size == full:
+        return scene
+    images = np.stack([averaged_channels(image, size) for image in scene.images])
+    mask = averaged(scene.valid, size) > 1 - 1e-4
+    if not mask.any():
+        return scene
+    limits: NDArray[np.uint8] = np.zeros(images.shape, np.uint8)
+    if scene.limits is not None:
+        limits = np.stack([file_limits.averaged(np.array(of), size) for of in scene.limits])
+    weights = None
+    if scene.weights is not None:
+        weights = np.stack([averaged_channels(of, size) for of in scene.weights])
+    return replace(
+        scene,
+        images=images,
+        mask=mask,
+        limits=limits,
+        weights=weights,
+        normals=None,  # type: ignore[arg-type]  # unknown, as before
+        depth=None,
+        segments=None,
+        file_noise=None,
+        normal_sigma=None,
+        truth=None,
+        fov=scene.fov if scene.fov_known else None,  # type: ignore[arg-type]  # unknown
     )

@@ -1,0 +1,138 @@
+"""Normals and lamps that are given and contradict each other, or the pictures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pbrfit import Scene, decompose
+from pbrfit.fit import given
+from pbrfit.model.lamps import Lamps
+from pbrfit.result.verdict import nothing_usable
+from pbrfit.synthetic import make_scene
+from planted_lamps import dome, far, planted, relief
+
+NEXT, REVERSED = "those of the next pictures", "those in reverse order"
+
+
+def drawn(seed: int, *, known: bool) -> Scene:
+    """Lamps in a ring or anywhere, a ball or a relief, 1 % noise."""
+    rng = np.random.default_rng(seed)
+    count, size = int(rng.integers(5, 13)), int(rng.choice([32, 48]))
+    lamps = far(count, slant=float(rng.uniform(25, 50)), spread=0.0 if seed % 2 else 15.0)
+    fov = 40.0 if seed % 3 == 0 else 0.0
+    shape = relief(size, fov) if fov else dome(size)
+    scene = planted(
+        lamps, size=size, shape=shape, fov=fov, known=lamps, metal=seed % 4 == 0, ambient=0.1
+    ).scene
+    noisy = scene.images + rng.normal(0, 0.01 * scene.images.mean(), scene.images.shape)
+    scene = replace(scene, images=noisy)
+    return scene if known else without_normals(scene)
+
+
+def without_normals(scene: Scene) -> Scene:
+    unknown: Any = None
+    return replace(scene, normals=unknown, normals_known=False)
+
+
+def turned(scene: Scene, signs: tuple[float, float, float]) -> Scene:
+    assert scene.lamps is not None
+    return replace(scene, lamps=replace(scene.lamps, places=scene.lamps.places * signs))
+
+
+def paired(scene: Scene, order: Any) -> Scene:
+    assert scene.lamps is not None
+    return replace(scene, lamps=replace(scene.lamps, places=scene.lamps.places[order]))
+
+
+def with_normals_flipped(scene: Scene, signs: tuple[float, float, float]) -> Scene:
+    return replace(
+        scene, normals=np.where(scene.valid[..., None], scene.normals, (0, 0, 1)) * signs
+    )
+
+
+def said(scene: Scene) -> list[tuple[str, str]]:
+    return [(one.what, one.remedy.split(" (")[0]) for one in given.contradictions(scene)]
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_right_is_not_contradicted_and_what_is_wrong_is(seed: int, known: bool) -> None:
+    scene = drawn(seed, known=known)
+    assert scene.lamps is not None
+    count = np.arange(len(scene.lamps))
+    assert said(scene) == []
+    for axes in ("X", "Y"):
+        [(what, remedy)] = said(turned(scene, given.FLIPS[axes]))
+        assert what == "lamps"
+        assert remedy.startswith("the other sign of")
+        assert remedy.endswith(axes) or not known
+    assert said(paired(scene, np.roll(count, 1))) == [("lamps", NEXT)]
+    if known:
+        assert said(paired(scene, count[::-1])) == [("lamps", REVERSED)]
+        assert said(turned(scene, given.FLIPS["X and Y"])) == [
+            ("lamps", "the other sign of X and Y")
+        ]
+        flipped = with_normals_flipped(scene, given.FLIPS["Y"])
+        assert said(flipped) == [("normals", "the other sign of Y")]
+
+
+@pytest.mark.parametrize("kind", ["room", "spheres", "furnished", "detailed"])
+def test_normals_are_those_of_a_surface_or_not(kind: str) -> None:
+    scene = make_scene(kind, size=96, lights=2, held_out=1, seed=3)
+    assert said(scene) == []
+    for axes in ("X", "Y"):
+        [(what, _)] = said(with_normals_flipped(scene, given.FLIPS[axes]))
+        assert what == "normals"
+
+
+def test_normals_that_tell_nothing_are_not_contradicted() -> None:
+    """Planes, whatever their normals, and noise."""
+    scene = make_scene("room", size=48, lights=2, held_out=1, seed=3)
+    plane = replace(scene, normals=np.broadcast_to((0.6, 0.0, 0.8), scene.normals.shape))
+    assert said(plane) == []
+    noise = np.random.default_rng(2).normal(0, 0.3, scene.normals.shape) + np.array((0, 0, 1))
+    noise /= np.linalg.norm(noise, axis=-1, keepdims=True)
+    assert said(replace(scene, normals=noise)) == []
+
+
+def test_near_lamps_that_are_flipped_are_named() -> None:
+    truth = far(6)
+    lamps = Lamps(truth.pictures, 1.5 * truth.places + np.array((0, 0, -2)), near=np.ones(6, bool))
+    shape = relief(40, 40.0)
+    scene = planted(
+        replace(lamps, colors=truth.colors), shape=shape, fov=40.0, with_depth=True, known=lamps
+    ).scene
+    assert said(scene) == []
+    assert said(turned(scene, given.FLIPS["Y"])) == [("lamps", "the other sign of Y")]
+
+
+def test_differences_count_from_three_standard_errors_on() -> None:
+    ones = np.array([-1.0, 1.0] * 50)
+    error = ones.std(ddof=1) / 10
+    assert not given._is_surely_positive(ones + 2.99 * error)
+    assert given._is_surely_positive(np.append(ones + 3.01 * error, np.nan))
+    assert not given._is_surely_positive(np.array([5.0]))
+
+
+def test_lamps_have_to_lower_what_is_left_by_more_than_fits_differ() -> None:
+    left, noise = np.full(64, 0.1), np.linspace(-1e-4, 1e-4, 64)
+    assert not given._is_lower((1 - 0.9 * given.GAIN_MIN) * left + noise, left)
+    assert given._is_lower((1 - 1.1 * given.GAIN_MIN) * left + noise, left)
+
+
+def test_nothing_is_usable_that_follows_from_contradicted_lamps(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    scene = drawn(1, known=True)
+    found = decompose(turned(scene, given.FLIPS["Y"]), light="lamps")
+    assert found.uncertainty is not None
+    assert nothing_usable(found.uncertainty.verdicts)
+    for one in found.uncertainty.verdicts.values():
+        assert one.cause.startswith("Y of the lamps looks flipped: with the other sign, ")
+        assert one.remedy == "the other sign of Y would help"
+    assert "Y of the lamps looks flipped" in found.assumed["lamps"]
+    assert sum("Y of the lamps looks flipped" in one for one in caplog.messages) == 1
