@@ -16,10 +16,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.picture_light import fit_picture_light
+from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model, render_lamps, shade
+from pbrfit.model.reflection import Model, shade
 from pbrfit.result.result import Result
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
@@ -165,17 +165,13 @@ def harmonics(materials: Materials, normals: Array, fov: float, used: Mask, mode
 
 def lamp(result: Result, used: Mask, terms: int, threads: int) -> Solve:
     """A far lamp, and ambient light of so many coefficients."""
+    height, width = used.shape
+    views = view_directions(height, width, result.fov)[used]
+    maps = result.albedo[used], result.roughness[used], result.metallic[used]
+    surfaces = result.normals[used], views, tuple(np.asarray(one, np.float64) for one in maps)
 
     def solve(radiance: Array, weights: Array) -> Array:
-        picture, counted = np.zeros((2, *used.shape, 3))
-        picture[used], counted[used] = radiance, weights
-        lamps, ambient = fit_picture_light(result, picture, counted, ambient_terms=terms)
-        shown = render_lamps(
-            *(result.materials, result.normals, lamps, ambient[None], result.fov),
-            threads=threads,
-            model=result.model,
-        )
-        return np.asarray(shown[0][used])
+        return light_of_picture(radiance, weights, *surfaces, result.model, terms, threads)[2]
 
     return solve
 

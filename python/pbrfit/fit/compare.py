@@ -31,7 +31,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.given import Contradiction, contradictions
 from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import first_shape
 from pbrfit.fit.left_out import (
@@ -666,21 +666,11 @@ def _explained(
             return np.einsum("pck,kc->pc", rows, scene.lighting[picture]), None
         rows = rows[..., : (sh_order + 1) ** 2]
         return _under_best_harmonics(scene, rows, samples, told), None
-    pixels = replace(
-        fit.pixels,
-        samples=samples[:, None] / fit.pixels.scale,
-        weights=(told * slope**2)[:, None],
-        limits=np.zeros((len(samples), 1, 3), np.uint8),
+    weights = told * slope**2
+    lamp, _, shown = light_of_picture(
+        samples, weights, fit.normals, fit.views, fit.materials, model
     )
-    state = LampState(
-        Lamps(np.zeros(1, np.intp), np.array([[0.0, 0, 1]]), colors=np.ones((1, 3))),
-        np.zeros((1, 16, 3)),
-        fit.normals,
-        *fit.materials,
-    )
-    found = light_of_picture(pixels, state, None, 1)
-    lamp = replace(found.lamps, colors=found.lamps.colors * fit.pixels.scale)
-    return radiance(pixels, found)[:, 0] * fit.pixels.scale, lamp
+    return shown, lamp
 
 
 def _under_best_harmonics(scene: Scene, rows: Array, samples: Array, told: Array) -> Array:

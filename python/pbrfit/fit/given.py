@@ -2,10 +2,10 @@
 
 Nothing here changes a fit. What is contradicted is named, with what would explain the pictures.
 
-**The normals of a surface agree with each other.** Integrability asks (`fit.lamps.integrability`)
-that a = b, with the ray (x, y, -1), M = n₃ - x n₁ - y n₂ and ∂M without the derivatives of x and y,
+**The normals of a surface agree with each other.** Integrability (`fit.lamps.integrability`) asks
+that a = b along the ray (x, y, -1),
 
-    a = M ∂_y n₁ - n₁ ∂_y M,    b = M ∂_x n₂ - n₂ ∂_x M.
+    a = (0, 1, y)·(n × ∂_y n),    b = -(1, 0, x)·(n × ∂_x n).
 
 Where X or Y is flipped, one of the two has the other sign. On planes both are 0, whatever their
 normal. At the outline of a mask, normals point away from it (`fit.lamps.outline`). Each patch of
@@ -247,25 +247,21 @@ def _votes(normals: Array, valid: Mask, fov: float) -> Array:
     views = view_directions(height, width, fov)
     x, y = (-views[..., i] / views[..., 2] for i in (0, 1))
     n = np.where(valid[..., None], normals, np.nan)
-    by_y, by_x = np.full(n.shape, np.nan), np.full(n.shape, np.nan)
-    by_y[1:-1], by_x[:, 1:-1] = n[:-2] - n[2:], n[:, 2:] - n[:, :-2]
-
-    def of_ray(vectors: Array) -> Array:
-        return np.asarray(vectors[..., 2] - x * vectors[..., 0] - y * vectors[..., 1])
-
-    a = of_ray(n) * by_y[..., 0] - n[..., 0] * of_ray(by_y)
-    b = of_ray(n) * by_x[..., 1] - n[..., 1] * of_ray(by_x)
+    a, b = np.full((2, height, width), np.nan)
+    across = np.cross(n[1:-1], n[:-2] - n[2:])
+    a[1:-1] = across[..., 1] + y[1:-1] * across[..., 2]
+    across = np.cross(n[:, 1:-1], n[:, 2:] - n[:, :-2])
+    b[:, 1:-1] = -across[..., 0] - x[:, 1:-1] * across[..., 2]
     patches = np.zeros(valid.shape, np.intp)
     patches[valid] = patches_of(valid)
     known = np.isfinite(a) & np.isfinite(b)
-    found = [_agreement(a[known][:, None], b[known][:, None], patches[known], patches.max())]
-    edge = outline(valid, views)
+    edge, last = outline(valid, views), int(patches.max())
     at, ahead = (edge.rows, edge.columns), views[edge.rows, edge.columns]
-    across = [
+    found, true = (
         of - np.einsum("ei,ei->e", of, ahead)[:, None] * ahead for of in (normals[at], edge.normals)
-    ]
-    found.append(_agreement(across[0], across[1], patches[at], patches.max()))
-    return np.concatenate(found)
+    )
+    of_slopes = _agreement(a[known][:, None], b[known][:, None], patches[known], last)
+    return np.append(of_slopes, _agreement(found, true, patches[at], last))
 
 
 def _agreement(a: Array, b: Array, patches: NDArray[np.intp], last: int) -> Array:

@@ -13,12 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
+from pbrfit.fit.lamps.problem import (
+    MEAN_RADIANCE,
+    LampPixels,
+    LampState,
+    radiance,
+    slopes,
+    tangents,
+)
 from pbrfit.fit.sampling import evenly_spaced
-from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import spread_directions
-from pbrfit.result.result import Result
+from pbrfit.model.reflection import Model
 
 Array = NDArray[np.float64]
 
@@ -34,99 +40,65 @@ RIDGE = 1e-6
 """Added to the diagonal of the linear equations, as a share of their trace."""
 
 
-def fit_picture_light(
-    result: Result,
-    picture: NDArray[np.floating],
-    weights: NDArray[np.floating] | None = None,
-    direction: Array | None = None,
-    *,
-    ambient_terms: int = 9,
-) -> tuple[Lamps, Array]:
-    """The light of a picture (H, W, 3) of the same view, linear Rec.709.
+def light_of_picture(
+    samples: Array,
+    weights: Array,
+    normals: Array,
+    views: Array,
+    materials: tuple[Array, ...],
+    model: Model,
+    terms: int = 1,
+    threads: int = 0,
+) -> tuple[Lamps, Array, Array]:
+    """The light of a picture of pixels whose surfaces are known.
 
     Parameters
     ----------
-    result
-        Whose materials and normals are held.
-    picture
-        Radiance, as the result's pictures.
-    weights
-        (H, W, 3) or (H, W): how much samples count, 0 = not at all; None = all alike.
-    direction
-        (3,) unit vector to the lamp, if it is known.
-    ambient_terms
+    samples, weights
+        (P, 3) linear Rec.709, and how much each counts; 0 = not at all.
+    normals, views
+        (P, 3) unit vectors, the latter to the camera.
+    materials
+        Albedo (P, 3), roughness (P,), metallic (P,).
+    terms
         Coefficients of ambient light: 0, 1, 4 or 9.
 
     Returns
     -------
-    lamps, ambient
-        One lamp, and SH light (16, 3).
+    One lamp, SH light (16, 3), and their radiance (P, 3).
     """
-    valid = np.flatnonzero(result.mask.ravel())
-    samples = np.asarray(picture, np.float64).reshape(-1, 3)[valid]
-    counted = np.ones_like(samples)
-    if weights is not None:
-        given = np.asarray(weights, np.float64)
-        given = given[..., None] if given.ndim == 2 else given
-        counted = np.broadcast_to(given, picture.shape).reshape(-1, 3)[valid].copy()
-    counted[~np.isfinite(samples)] = 0
-    samples = np.where(counted > 0, samples, 0.0)
-    height, width = result.mask.shape
-    views = view_directions(height, width, result.fov).reshape(-1, 3)[valid]
-    scale = max(float(samples.mean()) / 0.4, 1e-12)
+    scale = max(float(samples.mean()) / MEAN_RADIANCE, 1e-12)
+    places = np.arange(len(samples))
     pixels = LampPixels(
         samples[:, None] / scale,
-        counted[:, None],
-        np.zeros((len(valid), 1, 3), np.uint8),
+        weights[:, None],
+        np.zeros((len(samples), 1, 3), np.uint8),
         views,
         None,
-        result.normals.reshape(-1, 3)[valid],
-        np.zeros(len(valid), np.intp),
-        valid,
+        normals,
+        np.zeros(len(samples), np.intp),
+        places,
         scale,
-        result.model,
-        0,
+        model,
+        threads,
     )
-    state = LampState(
-        Lamps(np.zeros(1, np.intp), np.array([[0.0, 0, 1]]), colors=np.ones((1, 3))),
-        np.zeros((1, 16, 3)),
-        pixels.normals,
-        np.asarray(result.albedo, np.float64).reshape(-1, 3)[valid],
-        np.asarray(result.roughness, np.float64).reshape(-1)[valid],
-        np.asarray(result.metallic, np.float64).reshape(-1)[valid],
-    )
-    found = light_of_picture(pixels, state, direction, ambient_terms)
-    return replace(found.lamps, colors=found.lamps.colors * scale), found.ambient[0] * scale
-
-
-def light_of_picture(
-    pixels: LampPixels, state: LampState, direction: Array | None, terms: int
-) -> LampState:
-    """The state with the best light of its one picture, all else held."""
+    one = Lamps(np.zeros(1, np.intp), np.array([[0.0, 0, 1]]), colors=np.ones((1, 3)))
+    state = LampState(one, np.zeros((1, 16, 3)), normals, *materials)
     rows = evenly_spaced(len(pixels), PIXELS).astype(np.intp)
     few, some = pixels.of_rows(rows), state.of_rows(rows)
-    ambient = _core.shade(
-        some.normals, few.views, some.albedo, some.roughness, some.metallic, few.model
-    ).reshape(-1, 3, 16)[..., :terms]
-    tried = spread_directions(DIRECTIONS) if direction is None else np.atleast_2d(direction)
-    unit = _core.lamp_radiance(
-        some.normals,
-        few.views,
-        some.albedo,
-        some.roughness,
-        some.metallic,
-        np.broadcast_to(tried, (len(few), *tried.shape)).copy(),
-        few.threads,
-        few.model,
-    )
+    surfaces = some.normals, few.views, some.albedo, some.roughness, some.metallic
+    ambient = _core.shade(*surfaces, model).reshape(-1, 3, 16)[..., :terms]
+    tried = spread_directions(DIRECTIONS)
+    directions = np.broadcast_to(tried, (len(few), *tried.shape)).copy()
+    unit = _core.lamp_radiance(*surfaces, directions, threads, model)
     best, color, of_ambient = _linear(few, unit, ambient)
-    lamps = replace(state.lamps, places=tried[best][None], colors=color[None])
     around = np.zeros((1, 16, 3))
     around[0, :terms] = of_ambient
-    some = replace(some, lamps=lamps, ambient=around)
-    if direction is None:
-        some = _refined(few, some, terms)
-    return replace(state, lamps=some.lamps, ambient=some.ambient)
+    lamps = replace(one, places=tried[best][None], colors=color[None])
+    found = _refined(few, replace(some, lamps=lamps, ambient=around), terms)
+    state = replace(state, lamps=found.lamps, ambient=found.ambient)
+    lamps = replace(found.lamps, colors=found.lamps.colors * scale)
+    return lamps, found.ambient[0] * scale, radiance(pixels, state)[:, 0] * scale
 
 
 def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[int, Array, Array]:
