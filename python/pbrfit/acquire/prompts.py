@@ -55,7 +55,7 @@ def read_prompts(path: Path | None = None) -> Catalogue:
     name = str(path) if path is not None else SHIPPED
     data = shipped_text().encode() if path is None else read_bytes(path, SETTINGS_BYTES)
     try:
-        content = tomllib.loads(data.decode("utf-8"))
+        content = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise InputError(f"{name}: expected UTF-8, found another byte in line {line}") from None

@@ -6,6 +6,7 @@ Whatever reads what somebody else may have put there reads it by these functions
 
 from __future__ import annotations
 
+import codecs
 import functools
 import hashlib
 import os
@@ -40,6 +41,13 @@ _KINDS = (
 
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags with which opening a file waits for nobody, and Windows changes no byte."""
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+"""Byte order marks, and what they tell."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -105,9 +113,20 @@ def read_bytes(path: Path, most: int) -> bytes:
         return content_of(file, path, most)
 
 
-def read_text(path: Path, most: int, encoding: str = "utf-8") -> str:
-    """Text of a file; UnicodeDecodeError if it is in another encoding, else as `read_bytes`."""
-    return read_bytes(path, most).decode(encoding)
+def read_text(path: Path, most: int, other: str = "utf-8") -> str:
+    """Text of a file, its lines ended by line feeds; raises as `read_bytes`, or UnicodeDecodeError.
+
+    Its encoding is that of its byte order mark; without one UTF-8, or `other` where it is not.
+    """
+    data = read_bytes(path, most)
+    encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        if encoding != "utf-8" or other == "utf-8":
+            raise
+        text = data.decode(other, "replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def digest(path: Path) -> str:

@@ -2,8 +2,8 @@
 
 `.lp` is the form of reflectance transformation imaging: a count, then a line a picture with its
 file name and a direction. `lights.csv` is a table, `lights.json` this project's own form. All have
-X right, Y up, Z towards the viewer. What is read is rows as they stand in the file; which picture
-each is of is told by `matched`.
+X right, Y up, Z towards the viewer. What is read is rows as they stand in the file; `lamp_names`
+tells which picture each is of.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from pbrfit.io.input_files import TEXT_BYTES, read_text, there
 from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, whole, write_json
 from pbrfit.io.quoting import listed, quoted, shown
 
-LAMP_FILES = ("lights.json", "lights.csv")
-"""Names in a scene folder, beside any `*.lp`."""
+LAMP_FILES = ("lights.json", "lights.csv", "light_directions.txt")
+"""Names in a scene folder, beside any `*.lp`; the last is that of DiLiGenT (Shi et al. 2016)."""
 
-LAMP_SUFFIXES = (".lp", ".csv", ".json")
+LAMP_SUFFIXES = (".lp", ".csv", ".txt", ".json")
 
 VERSION = 1
 """Of `lights.json`."""
@@ -40,6 +40,12 @@ FAR, NEAR = "far", "near"
 """Kinds of lamps in a CSV file."""
 
 COLUMNS = ("picture", "x", "y", "z", "r", "g", "b", "kind")
+"""Of a table, in the order that they have without a header."""
+
+SYNONYMS = dict.fromkeys(("file", "filename", "image", "imagename", "name"), "picture") | {
+    f"{before}{axis}": axis for before in ("l", "d", "light", "dir") for axis in "xyz"
+}
+"""What other tools call columns."""
 
 Vector = tuple[float, float, float]
 
@@ -63,14 +69,15 @@ class LampRow:
 
 
 def find_lamps(folder: Path) -> Path | None:
-    """The file with lamps that a scene folder has; `*.lp` may also lie beside the pictures.
+    """The file with lamps that a scene folder has; all but JSON may also lie beside the pictures.
 
     Raises InputError if there are several.
     """
     found = [path for name in LAMP_FILES if there(path := folder / name)]
     for below in (folder, folder / "images"):
         if below.is_dir():
-            found += sorted(filter(_is_lp, below.iterdir()))
+            beside = LAMP_FILES[1:] if below != folder else ()
+            found += sorted(p for p in below.iterdir() if _is_lp(p) or p.name in beside)
     if len(found) > 1:
         names = listed(path.relative_to(folder).as_posix() for path in found)
         raise InputError(f"{folder}: expected one file with lamps, found {names}")
@@ -92,77 +99,18 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
         raise InputError(
             f"{path}: expected lamps in {', '.join(LAMP_SUFFIXES)}, found {shown(path.name)}"
         )
-    rows = {".lp": _of_lp, ".csv": _of_csv, ".json": _of_json}[suffix](path)
+    try:
+        rows = {".lp": _of_lp, ".json": _of_json}.get(suffix, _of_csv)(path)
+    except csv.Error as error:
+        raise unfit(path, "lamps", error) from None
     if not rows:
         raise InputError(f"{path}: expected lamps, found none")
     return _directions(path, rows)
 
 
-def matched(path: Path, rows: Sequence[LampRow], names: Sequence[str]) -> tuple[list[int], bool]:
-    """Which picture each row is of, and whether the names told it.
-
-    Names are compared without folder, suffix and case. Where no name is that of a picture, rows
-    are of the pictures in their order, if there are as many.
-
-    Parameters
-    ----------
-    path
-        The file, for messages.
-    rows
-        As `read_lamps` gives them.
-    names
-        Of the pictures, without suffix.
-
-    Raises
-    ------
-    InputError
-        If the file names pictures that are not there, has none for some picture, or has no names
-        and another count.
-    """
-    places = {name.casefold(): i for i, name in enumerate(names)}
-    if len(places) < len(names):  # names that differ in case alone
-        places = {name: i for i, name in enumerate(names)}
-    found = [_place(row.picture, places) for row in rows]
-    if all(i is None for i in found):
-        if len(rows) != len(names):
-            example = f" (such as {shown(rows[0].picture)})" if rows[0].picture else ""
-            raise InputError(
-                f"{path}: expected a lamp for each of the {len(names)} pictures, found "
-                f"{len(rows)}, none with a picture's name{example}"
-            )
-        return list(range(len(names))), False
-    missing = [row.picture for row, i in zip(rows, found, strict=True) if i is None]
-    if missing:
-        raise InputError(
-            f"{path}: expected names of pictures, found {shown(missing[0]) or 'none'}"
-            f"{_more(missing)}, which no picture has"
-        )
-    without = [name for i, name in enumerate(names) if i not in found]
-    if without:
-        raise InputError(
-            f"{path}: expected a lamp for every picture, found none for {shown(without[0])}"
-            f"{_more(without)}"
-        )
-    return [i for i in found if i is not None], True
-
-
 def write_lamps(path: Path, rows: Iterable[LampRow]) -> None:
     """Write `lights.json`."""
     write_json(path, {"version": VERSION, "lamps": [row_as_json(row) for row in rows]})
-
-
-def _place(picture: str, places: dict[str, int]) -> int | None:
-    """Of a picture by its name in a file: with or without folder, suffix and case."""
-    last = re.split(r"[/\\]", picture.strip())[-1]
-    for name in (last, last.rpartition(".")[0]):
-        for form in (name, name.casefold()):
-            if form in places:
-                return places[form]
-    return None
-
-
-def _more(names: Sequence[str]) -> str:
-    return f" and {len(names) - 1} more" if len(names) > 1 else ""
 
 
 def _directions(path: Path, rows: list[LampRow]) -> tuple[list[LampRow], str]:
@@ -202,16 +150,24 @@ def unit(vector: Vector) -> Vector:
 
 
 def _lines(path: Path, expected: str) -> list[str]:
-    """Lines of a text file, without a byte order mark."""
+    """Lines of a text file that hold something, be it a comment."""
     try:
-        return read_text(path, TEXT_BYTES, "utf-8-sig").splitlines()
+        text = read_text(path, TEXT_BYTES, "cp1252")
     except UnicodeDecodeError as error:
         raise unfit(path, expected, error) from None
+    if "\0" in text:
+        raise InputError(f"{path}: expected {expected}, found bytes that are no text")
+    return [line for line in text.splitlines() if line.strip(' ,;\t"')]
+
+
+def _said(lines: Iterable[str]) -> list[str]:
+    """Lines without comments."""
+    return [line for line in lines if not line.lstrip().startswith("#")]
 
 
 def _of_lp(path: Path) -> list[LampRow]:
     expected = "a count, then lines of file name, x, y, z"
-    lines = [line for line in _lines(path, expected) if line.strip()]
+    lines = _said(_lines(path, expected))
     if not lines or not re.fullmatch(r"\s*\d{1,9}\s*", lines[0]):
         found = quoted(lines[0]) if lines else "an empty file"
         raise InputError(f"{path}: expected {expected}, found {found} in place of the count")
@@ -221,49 +177,105 @@ def _of_lp(path: Path) -> list[LampRow]:
     rows = []
     for i, line in enumerate(lines[1:]):
         parts = line.rsplit(maxsplit=3)  # names may have spaces
-        if len(parts) != 4:
+        if not _are_numbers(parts[1:]):
+            parts = next((row for of in ";," if len(row := _cells(line, of)) == 4), parts)
+        further = parts[0].split()[1:][-3:]  # such as a colour after the direction
+        columns = 7 if "." in "".join(further) and _are_numbers(further) else len(parts)
+        if columns != 4:
             raise InputError(
                 f"{path}: lamp {i + 1}: expected file name, x, y, z, found {quoted(line)}"
             )
-        rows.append(LampRow(parts[0].strip(), _vector(path, i, parts[1:])))
-    return rows
+        rows.append(parts)
+    return _of_rows(path, COLUMNS[:4], rows)
 
 
 def _of_csv(path: Path) -> list[LampRow]:
     expected = f"a table with the columns {', '.join(COLUMNS[:4])}, and maybe r, g, b and kind"
-    lines = [line for line in _lines(path, expected) if line.strip(" ,;\t\r")]
-    if not lines:
+    lines = _lines(path, expected)
+    told = re.fullmatch(r'"?sep=(.)"?\s*', lines[0], re.IGNORECASE) if lines else None
+    lines = lines[1:] if told else lines
+    body = _said(lines)
+    if not body:
         raise InputError(f"{path}: expected {expected}, found an empty file")
-    separator = max(",;\t", key=lines[0].count)
-    try:
-        cells = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
-    except csv.Error as error:
-        raise unfit(path, expected, error) from None
-    header = [cell.lower() for cell in cells[0]]
-    if {"x", "y", "z"} <= set(header):
-        unknown = [name for name in header if name not in COLUMNS]
-        if unknown or len(set(header)) < len(header):
+    # Decimal commas may outnumber what divides columns.
+    separator = next((of for of in "\t;, " if len(_cells(body[0], of)) >= 3), ",")
+    separator = told[1] if told else separator
+    rows = [_cells(line, separator) for line in body]
+    above = lines[: lines.index(body[0]) + 1]  # a header may have the sign of a comment
+    heads = [_columns(_cells(line.lstrip("# \t"), separator)) for line in above]
+    header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
+    hint = ""
+    if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
+        hint = "; numbers with decimal commas need semicolons or tabs between columns"
+    if header:
+        if not set(header) <= set(COLUMNS) or len(set(header)) < len(header):
             raise InputError(f"{path}: expected {expected}, found {listed(header)}")
-        rows = cells[1:]
+        rows = rows[1:] if header is heads[-1] else rows
     else:
         forms = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}
-        if len(header) not in forms:
+        wide = len(rows[0]) if len(rows[0]) in forms else max(map(_width, rows))
+        if wide not in forms or (hint and wide == 7 and all(map(_may_be_split, rows))):
             raise InputError(
-                f"{path}: expected {expected}, found {len(header)} columns without a header"
+                f"{path}: expected {expected}, found {wide} columns without a header{hint}"
             )
-        header, rows = list(forms[len(header)]), cells
-    found = []
+        header = forms[wide]
     for i, row in enumerate(rows):
+        del row[max(len(header), _width(row)) :]
         if len(row) != len(header):
             raise InputError(
-                f"{path}: lamp {i + 1}: expected {len(header)} values, found {len(row)}"
+                f"{path}: lamp {i + 1}: expected {len(header)} values, found {len(row)}{hint}"
             )
-        found.append(_of_row(path, i, dict(zip(header, row, strict=True))))
-    return found
+    return _of_rows(path, header, rows)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Cells of a line of a table."""
+    reader = csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True)
+    return [cell.strip() for cell in next(reader)]
+
+
+def _columns(cells: Sequence[str]) -> tuple[str, ...]:
+    """Columns that a header names, as of `COLUMNS` where they are such."""
+    names = [re.sub(r"[\W_]", "", cell.casefold()) for cell in cells[: _width(cells)]]
+    return tuple(SYNONYMS.get(name, name) for name in names)
+
+
+def _width(cells: Sequence[str]) -> int:
+    """Columns up to the last that is not empty."""
+    return max((i + 1 for i, cell in enumerate(cells) if cell), default=0)
+
+
+def _may_be_split(cells: Sequence[str]) -> bool:
+    """Whether the last six cells may be three numbers whose decimal commas divided them."""
+    return bool(re.fullmatch(r"([-+−]?\d+,\d+,?){3}", ",".join(cells[-6:])))
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    """Whether these are three numbers, with a decimal point or comma."""
+    return len(cells) == 3 and all(
+        re.fullmatch(r"[-+−]?(\d+[.,]?\d*|[.,]\d+)(e[-+]?\d+)?", cell, re.IGNORECASE)
+        for cell in cells
+    )
+
+
+def _of_rows(path: Path, columns: Sequence[str], table: Sequence[Sequence[str]]) -> list[LampRow]:
+    """Lamps of a table."""
+    rows = [dict(zip(columns, cells, strict=True)) for cells in table]
+    numbers = [row.get(name, "") for row in rows for name in COLUMNS[1:7]]
+    commas = [cell for cell in numbers if "," in cell]
+    # 1,234 alone may be a thousand or one; 0,5 or 1,25 beside it tell that commas are decimal.
+    if commas and (
+        any("." in cell for cell in numbers)
+        or all(re.fullmatch(r"[-+−]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in commas)
+    ):
+        raise InputError(
+            f"{path}: expected numbers as 0.5 or all as 0,5, found {quoted(commas[0])}"
+        )
+    return [_of_row(path, i, row) for i, row in enumerate(rows)]
 
 
 def _of_row(path: Path, i: int, row: dict[str, str]) -> LampRow:
-    """A line of a CSV file by its columns."""
+    """A line of a table by its columns."""
     kind = row.get("kind", "").lower() or FAR
     if kind not in (FAR, NEAR):
         raise InputError(
@@ -277,7 +289,7 @@ def _of_row(path: Path, i: int, row: dict[str, str]) -> LampRow:
 
 def _vector(path: Path, i: int, cells: Sequence[str]) -> Vector:
     try:
-        x, y, z = map(float, cells)
+        x, y, z = (float(cell.replace(",", ".").replace("−", "-")) for cell in cells)
     except ValueError:
         raise InputError(
             f"{path}: lamp {i + 1}: expected numbers, found {quoted(' '.join(cells))}"

@@ -40,6 +40,9 @@ SEGMENT_FILE = "segments.png"
 DARK_FRAME = "dark"
 """Name, without its suffix, of a picture of no light, which is subtracted from all pictures."""
 
+RELATIVE = "light_intensities"
+"""DiLiGenT's strengths of lamps, in a unit that nobody tells: the fit finds them."""
+
 PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
 """Files of a scene folder beside pictures, normals, depth and ground truth."""
 
@@ -193,8 +196,8 @@ def is_scene(folder: Path) -> bool:
 def warn_of_near_misses(folder: Path) -> None:
     """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
     parts = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)
-    stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight"}
-    for path in sorted(folder.iterdir()):
+    stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight", RELATIVE}
+    for path in sorted((*folder.iterdir(), *(folder / "images").glob(f"{RELATIVE}.*"))):
         if path.is_file() and path.stem.lower() in stems and path.name not in parts:
             log.warning("%s: not read; expected %s", path, ", ".join(parts))
 
@@ -207,7 +210,7 @@ def read_settings(path: Path) -> Settings:
     if not there(path):
         return Settings()
     try:
-        content = tomllib.loads(read_text(path, SETTINGS_BYTES))
+        content = tomllib.loads(read_text(path, SETTINGS_BYTES, "cp1252"))
     except InputError:
         raise
     except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.lamp_files import matched, read_lamps, write_lamps
+from pbrfit.io.lamp_files import read_lamps, write_lamps
+from pbrfit.io.lamp_names import matched
 from pbrfit.model.lamp_rows import lamps_of_rows, rows_of_lamps
 from pbrfit.model.lamps import Lamps
 
@@ -19,12 +20,11 @@ def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:
     Raises InputError or OSError as `read_lamps` and `matched`.
     """
     rows, said = read_lamps(path)
-    pictures, by_name = matched(path, rows, names)
-    lamps = lamps_of_rows(rows, pictures)
-    parts = [f"known, {in_words(lamps)}, from {path.name}"]
-    if not by_name:
-        parts.append("matched to the pictures by order, as no name in it is that of a picture")
-    return lamps, "; ".join([*parts, said] if said else parts)
+    pictures, how = matched(path, [row.picture for row in rows], names)
+    kept = [(row, i) for row, i in zip(rows, pictures, strict=True) if i >= 0]
+    lamps = lamps_of_rows([row for row, _ in kept], [i for _, i in kept])
+    parts = (f"known, {in_words(lamps)}, from {path.name}", how, said)
+    return lamps, "; ".join(filter(None, parts))
 
 
 def save(path: Path, lamps: Lamps, names: Sequence[str]) -> None:

@@ -146,6 +146,14 @@ def test_links_to_files_are_files(tmp_path: Path) -> None:
     assert len(Scene.load(folder).images) == 3
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_settings_are_read_as_editors_save_them(tmp_path: Path, encoding: str, end: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_bytes(f"# für später{end}fov = 40.5{end}".encode(encoding))
+    assert read_settings(path).fov == 40.5
+
+
 # Bounds
 
 

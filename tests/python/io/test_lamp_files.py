@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError
-from pbrfit.io.lamp_files import LampRow, find_lamps, matched, read_lamps, write_lamps
+from pbrfit.io.lamp_files import LampRow, find_lamps, read_lamps, write_lamps
+from pbrfit.io.lamp_names import matched
 
 NAMES = ("a", "b", "c")
 THIRD = 1 / math.sqrt(3)
@@ -40,26 +41,63 @@ def written(folder: Path, name: str, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("dome.lp", LP),
-        ("dome.LP", LP.replace(" ", "\t").replace("\n", "\r\n")),
-        ("lights.csv", TABLE),
-        ("lights.csv", "\ufeff" + TABLE.replace(",", ";")),
-        ("lights.csv", TABLE.partition("\n")[2]),
-        ("lights.csv", "z,kind,Picture,X,y\n0.8,far,a,0.6,0\n0.8,,b,0,0.6\n1,FAR,c,0,0\n"),
-        ("lights.json", JSON),
-    ],
-)
-def test_each_form_gives_the_same_directions(tmp_path: Path, name: str, text: str) -> None:
-    path = written(tmp_path, name, text)
+GERMAN = TABLE.replace(",", ";").replace(".", ",")
+FORMS: dict[str, tuple[str, str, str]] = {
+    "lp": ("dome.lp", LP, "utf-8"),
+    "lp, Windows": ("dome.LP", LP.replace(" ", "\t").replace("\n", "\r\n"), "utf-8-sig"),
+    "lp, decimal commas": ("dome.lp", LP.replace("0.", "0,"), "utf-16"),
+    "lp, semicolons": ("dome.lp", LP.replace(" ", "; "), "utf-8"),
+    "lp, comments": ("dome.lp", "# rig\n\n" + LP.replace("\nb", "\n\n# b\nb"), "utf-8"),
+    "lp, old Mac": ("dome.lp", LP.replace("\n", "\r"), "utf-8"),
+    "lp, minus": ("dome.lp", LP.replace(" 0 ", " \u22120 "), "utf-8"),
+    "table": ("lights.csv", TABLE, "utf-8"),
+    "semicolons": ("lights.csv", TABLE.replace(",", ";"), "utf-8-sig"),
+    "no header": ("lights.csv", TABLE.partition("\n")[2], "utf-8"),
+    "columns": (
+        "lights.csv",
+        "z,kind,Picture,X,y\n0.8,far,a,0.6,0\n0.8,,b,0,0.6\n1,FAR,c,0,0\n",
+        "utf-8",
+    ),
+    "German Excel": ("lights.csv", "sep=;\r\n" + GERMAN.replace("\n", "\r\n"), "utf-8-sig"),
+    "German Excel, ANSI": ("lights.csv", f"# für später\n{GERMAN}", "cp1252"),
+    "no header, decimal commas": ("lights.csv", GERMAN.partition("\n")[2], "utf-8"),
+    "Unicode text": ("lights.csv", GERMAN.replace(";", "\t"), "utf-16"),
+    "big endian": ("lights.csv", "\ufeff" + TABLE, "utf-16-be"),
+    "quoted decimals": (
+        "lights.csv",
+        '"picture","x","y","z"\n"a","0,6","0","0,8"\n"b","0","0,6","0,8"\n"c","0","0","1"\n',
+        "utf-8",
+    ),
+    "sep of its own": ("lights.csv", '"sep=|"\n' + TABLE.replace(",", "|"), "utf-8"),
+    "other header": ("lights.csv", TABLE.replace("picture,x", "# File Name, 'LX'"), "utf-8"),
+    "light x": ("lights.csv", TABLE.replace("picture,x,y,z", "image,dx,dy,Light_z"), "utf-8"),
+    "empty columns": ("lights.csv", TABLE.replace("\n", ",,\n") + ",,,,,\n", "utf-8"),
+    "spaces": ("light_directions.txt", TABLE.replace(",", "  "), "utf-8"),
+    "json": ("lights.json", JSON, "utf-8"),
+    "json with a mark": ("lights.json", JSON, "utf-8-sig"),
+    "json, UTF-16": ("lights.json", JSON, "utf-16"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_each_form_gives_the_same_directions(tmp_path: Path, form: str) -> None:
+    name, text, encoding = FORMS[form]
+    path = tmp_path / name
+    path.write_bytes(text.encode(encoding))
     rows, said = read_lamps(path)
     assert not said
     np.testing.assert_allclose([r.place for r in rows], [(0.6, 0, 0.8), (0, 0.6, 0.8), (0, 0, 1)])
     assert not any(row.near for row in rows)
     assert np.isnan([row.color for row in rows]).all()
-    assert matched(path, rows, NAMES) == ([0, 1, 2], True)
+    assert matched(path, [row.picture for row in rows], NAMES) == ([0, 1, 2], "")
+
+
+def test_directions_without_names(tmp_path: Path) -> None:
+    path = written(tmp_path, "light_directions.txt", " 0.6   0 0.8 \n-0.6 0   0.8\n")
+    assert [(row.picture, row.place) for row in read_lamps(path)[0]] == [
+        ("", (0.6, 0, 0.8)),
+        ("", (-0.6, 0, 0.8)),
+    ]
 
 
 def test_places_on_a_dome_are_directions_and_it_says_so(tmp_path: Path) -> None:
@@ -95,57 +133,107 @@ def test_near_lamps_of_lights_json_come_back(tmp_path: Path) -> None:
     assert repr(read_lamps(tmp_path / "lights.json")[0]) == repr(rows)  # NaN is not itself
 
 
-@pytest.mark.parametrize(
-    ("written_as", "names"),
-    [
-        ("A.JPG", ("a", "b")),
-        ("captures/a.tif", ("a", "b")),
-        ("C:\\rig\\a", ("a", "b")),
-        ("A.b", ("a.b", "b")),
-    ],
-)
-def test_names_match_without_folder_suffix_and_case(
-    written_as: str, names: tuple[str, ...]
+BY_NAME: dict[str, tuple[tuple[str, ...], tuple[str, ...], list[int]]] = {
+    "case": (("B.png", "A.JPG"), ("a", "b"), [1, 0]),
+    "case alone": (("A", "a"), ("a", "A"), [1, 0]),
+    "a folder": (("B", "captures/a.tif"), ("a", "b"), [1, 0]),
+    "a folder of Windows": (("B", '"C:\\my rig\\a"'), ("a", "b"), [1, 0]),
+    "a point in the name": (("B.png", "A.b"), ("a.b", "b"), [1, 0]),
+    "two extensions": (("b.NEF.jpg", "a.CR3"), ("a.tif", "b"), [1, 0]),
+    "numbers after points": (("s.002.jpg", "s.001.jpg"), ("s.001", "s.002"), [1, 0]),
+    "quotes": (('"b 1.png"', "'a 1.png'"), ("a 1", "b 1"), [1, 0]),
+    "typographic quotes": (("“b 1.png”", "«a 1»"), ("a 1", "b 1"), [1, 0]),
+    "forms of Unicode": (("u\u0308.png", "o\u0308.png"), ("\u00f6", "\u00fc"), [1, 0]),
+    "hard and other spaces": (("b\u00a01.png ", " a 1.png"), ("a 1", "b\u00a01"), [1, 0]),
+    "two lamps each": (("a", "b", "b", "a"), ("a", "b"), [0, 1, 1, 0]),
+    "lamps of other pictures": (("z", "b", "", "a"), ("a", "b"), [-1, 1, -1, 0]),
+    "strict before loose": (("A.jpg", "b.jpg", "a.jpg"), ("a", "b"), [-1, 1, 0]),
+}
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_lamps_are_paired_by_name(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    given, names, pictures = BY_NAME[name]
+    found, said = matched(Path("x.lp"), given, names)
+    assert found == pictures
+    assert said.startswith("left out: lamps of no picture here (") == (-1 in pictures)
+    assert not caplog.records
+
+
+COUNTED = tuple(sorted(f"img{i}" for i in range(1, 13)))
+IN_ORDER = [int(name[3:]) - 1 for name in COUNTED]
+BY_SEQUENCE: dict[str, tuple[tuple[str, ...], tuple[str, ...], list[int], str]] = {
+    "order": (("x", "y", "z"), NAMES, [0, 1, 2], "order"),
+    "no names": (("", "", ""), NAMES, [0, 1, 2], "order"),
+    "other numbers": (("IMG_7", "IMG_8", "IMG_9"), ("s1", "s2", "s3"), [0, 1, 2], "order"),
+    "numbers": (
+        tuple(f"IMG_{i:04}.NEF" for i in range(1, 13)),
+        COUNTED,
+        [IN_ORDER.index(i) for i in range(12)],
+        "the numbers in names",
+    ),
+    "numbers, reversed": (("L3.cr2", "L2.cr2", "L1.cr2"), ("s01", "s02", "s03"), [2, 1, 0], "the"),
+    "one number of two": (("L2", "L1"), ("dir_1_mip4", "dir_2_mip4"), [1, 0], "the numbers"),
+}
+
+
+@pytest.mark.parametrize("name", BY_SEQUENCE)
+def test_without_any_name_numbers_or_order_count_with_a_warning(
+    name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    rows = [LampRow("B.png", (0, 0, 1)), LampRow(written_as, (0, 0, 1))]
-    assert matched(Path("x.lp"), rows, names) == ([1, 0], True)
+    given, names, pictures, how = BY_SEQUENCE[name]
+    found, said = matched(Path("x.lp"), given, names)
+    assert found == pictures
+    assert said.startswith(f"matched to the pictures by {how}")
+    [record] = caplog.records
+    first = f": {given[0] or 'lamp 1'} with {names[pictures[0]]}, "
+    assert record.getMessage().startswith("x.lp: lamps are matched to")
+    assert first in record.getMessage()
+    assert record.getMessage().endswith("and 9 more") == (len(given) == 12)
 
 
-def test_names_that_differ_in_case_alone_are_told_apart() -> None:
-    rows = [LampRow("A", (0, 0, 1)), LampRow("a", (0, 0, 1))]
-    assert matched(Path("x.lp"), rows, ("a", "A")) == ([1, 0], True)
-
-
-def test_without_any_name_the_order_counts() -> None:
-    rows = [LampRow(f"IMG_{i}", (0, 0, 1)) for i in range(3)]
-    assert matched(Path("x.lp"), rows, NAMES) == ([0, 1, 2], False)
-
-
-BAD_MATCHES: dict[str, tuple[tuple[str, ...], str]] = {
+BAD_MATCHES: dict[str, tuple[tuple[str, ...], tuple[str, ...], str]] = {
     "another count": (
         ("x", "y"),
+        NAMES,
         r"x.lp: expected a lamp for each of the 3 pictures, found 2, .* \(such as x\)",
-    ),
-    "names not there": (
-        ("a", "b", "c", "d", "e"),
-        "x.lp: expected names of pictures, found d and 1 more, which no picture has",
     ),
     "a picture without a lamp": (
         ("a", "b", "a"),
+        NAMES,
         "x.lp: expected a lamp for every picture, found none for c$",
+    ),
+    "another name": (("a", "b", "d", "e"), NAMES, "for c; no picture is called d and 1 more$"),
+    "two folders": (
+        ("1/a.jpg", "1/b.jpg", "2/a.jpg", "2/b.jpg"),
+        ("a", "b"),
+        "x.lp: expected one name for picture a, found 1/a.jpg and 2/a.jpg",
+    ),
+    "pictures not in order": (
+        tuple(f"lamp{chr(97 + i)}" for i in range(12)),
+        COUNTED,
+        r"x.lp: expected names of pictures, found lampa and 11 more; by order they cannot be "
+        r"paired, as img12 comes before img2: rename or pad",
+    ),
+    "no names, pictures not in order": (("",) * 12, COUNTED, "pictures, found none and 11 more; "),
+    "lamps not in order": (("z", "y", "x"), NAMES, "as z comes before y: rename or pad"),
+    "lamps that another program may sort": (
+        tuple(f"lamp{i}" for i in range(8, 11)),
+        NAMES,
+        "as lamp10 comes before lamp8: rename or pad",
     ),
 }
 
 
 @pytest.mark.parametrize("name", BAD_MATCHES)
 def test_files_of_other_pictures_are_refused(name: str) -> None:
-    pictures, message = BAD_MATCHES[name]
+    given, names, message = BAD_MATCHES[name]
     with pytest.raises(InputError, match=message):
-        matched(Path("x.lp"), [LampRow(one, (0, 0, 1)) for one in pictures], NAMES)
+        matched(Path("x.lp"), given, names)
 
 
 BAD_FILES: dict[str, tuple[str, str, str]] = {
-    "another form": ("lights.txt", LP, r"lights.txt: expected lamps in .lp, .csv, .json"),
+    "another form": ("lights.xml", LP, r"lights.xml: expected lamps in .lp, .csv, .txt, .json"),
     "no text": ("d.lp", "", "d.lp: expected a count, .* found an empty file in place of the count"),
     "no count": ("d.lp", "a.jpg 0 0 1\n", "found 'a.jpg 0 0 1' in place of the count"),
     "another count": ("d.lp", "3\na 0 0 1\n", "expected 3 lamps, as it says, found 1"),
@@ -171,9 +259,23 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     ),
     "a negative color": (
         "lights.csv",
-        "a,0,0,1,1,-1,1\n",
+        "a,0,0,1,1,-0.5,1\n",
         "lamp 1: expected a color of 0 or more, found",
     ),
+    "decimal commas between commas": (
+        "lights.csv",
+        "a,0,6,0,0,0,8\nb,0,0,0,6,0,8\n",
+        "found 7 columns without a header; numbers with decimal commas need semicolons or tabs",
+    ),
+    "decimal commas under a header": (
+        "lights.csv",
+        TABLE.replace(".", ","),
+        "lamp 1: expected 4 values, found 6; numbers with decimal commas need semicolons",
+    ),
+    "two decimal marks": ("d.lp", "1\na 0,6 0 0.8\n", "numbers as 0.5 or all as 0,5, found '0,6'"),
+    "thousands": ("lights.csv", "a;1,200;0;900\n", "numbers as 0.5 or all as 0,5, found '1,200'"),
+    "colours in .lp": ("d.lp", "1\na.jpg 0.1 0 0.9 1 1 1\n", "expected file name, x, y, z, found"),
+    "UTF-16 without a mark": ("d.lp", "\0".join(LP), "d.lp: .* found bytes that are no text"),
     "no JSON": ("lights.json", "[", "lights.json: expected JSON with version and lamps"),
     "a list": ("lights.json", "[]", "lights.json: expected JSON with version and lamps"),
     "another version": ("lights.json", as_json(version=2), "version 2 in place of 1"),
