@@ -54,7 +54,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Give known lamps to a folder of pictures: lights.json, with the direction from which each "
         "picture was lit, as a mirror ball or a matt one in the pictures shows it, or as a file "
-        "says: .lp (reflectance transformation imaging), .csv or .json."
+        "says: .lp (reflectance transformation imaging), .csv, .txt or .json."
     )
     cli.add_scene(parser)
     parser.add_argument(
@@ -63,7 +63,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="ball|FILE",
         type=source(("ball",)),
         default="ball",
-        help="ball: one that is seen in the pictures; FILE: .lp, .csv or .json",
+        help="ball: one that is seen in the pictures; FILE: .lp, .csv, .txt or .json",
     )
     cli.add_flags(
         parser,

@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ FAR, NEAR = "far", "near"
 """Kinds of lamps in a CSV file."""
 
 COLUMNS = ("picture", "x", "y", "z", "r", "g", "b", "kind")
-"""Of a table, in the order that they have without a header."""
+"""Columns of a table, in the order that they have without a header."""
 
 SYNONYMS = dict.fromkeys(("file", "filename", "image", "imagename", "name"), "picture") | {
     f"{before}{axis}": axis for before in ("l", "d", "light", "dir") for axis in "xyz"
@@ -149,52 +150,49 @@ def unit(vector: Vector) -> Vector:
     return scaled[0] / length, scaled[1] / length, scaled[2] / length
 
 
-def _lines(path: Path, expected: str) -> list[str]:
-    """Lines of a text file that hold something, be it a comment."""
+def _lines(path: Path, expected: str) -> tuple[list[str], list[str]]:
+    """Lines of a text file that hold something, with comments and without."""
     try:
         text = read_text(path, TEXT_BYTES, "cp1252")
     except UnicodeDecodeError as error:
         raise unfit(path, expected, error) from None
     if "\0" in text:
         raise InputError(f"{path}: expected {expected}, found bytes that are no text")
-    return [line for line in text.splitlines() if line.strip(' ,;\t"')]
+    lines = [line for line in text.splitlines() if line.strip(' ,;\t"')]
+    return lines, [line for line in lines if not line.lstrip().startswith("#")]
 
 
-def _said(lines: Iterable[str]) -> list[str]:
-    """Lines without comments."""
-    return [line for line in lines if not line.lstrip().startswith("#")]
+_LP = re.compile(r"(.+?){0}([^\s;]+){0}([^\s;]+){0}([^\s;]+?)[\s,;]*".format(r"(?:[\s;]|,\s)+"))
+"""A line of `.lp`: the name may have spaces."""
 
 
 def _of_lp(path: Path) -> list[LampRow]:
     expected = "a count, then lines of file name, x, y, z"
-    lines = _said(_lines(path, expected))
+    lines = _lines(path, expected)[1]
     if not lines or not re.fullmatch(r"\s*\d{1,9}\s*", lines[0]):
         found = quoted(lines[0]) if lines else "an empty file"
         raise InputError(f"{path}: expected {expected}, found {found} in place of the count")
-    count = int(lines[0])
-    if count != len(lines) - 1:
-        raise InputError(f"{path}: expected {count} lamps, as it says, found {len(lines) - 1}")
+    if int(lines[0]) != len(lines) - 1:
+        raise InputError(
+            f"{path}: expected {int(lines[0])} lamps, as it says, found {len(lines) - 1}"
+        )
     rows = []
     for i, line in enumerate(lines[1:]):
-        parts = line.rsplit(maxsplit=3)  # names may have spaces
-        if not _are_numbers(parts[1:]):
-            parts = next((row for of in ";," if len(row := _cells(line, of)) == 4), parts)
-        further = parts[0].split()[1:][-3:]  # such as a colour after the direction
-        columns = 7 if "." in "".join(further) and _are_numbers(further) else len(parts)
-        if columns != 4:
+        row = _LP.fullmatch(line)
+        # After the direction there may be a colour, which must not be taken for one.
+        if row is None or re.search(r"\s[-+]?\d*\.\d+(\s+[-+]?[\d.]+){2}$", row[1]):
             raise InputError(
                 f"{path}: lamp {i + 1}: expected file name, x, y, z, found {quoted(line)}"
             )
-        rows.append(parts)
+        rows.append(row.groups())
     return _of_rows(path, COLUMNS[:4], rows)
 
 
 def _of_csv(path: Path) -> list[LampRow]:
     expected = f"a table with the columns {', '.join(COLUMNS[:4])}, and maybe r, g, b and kind"
-    lines = _lines(path, expected)
+    lines, body = _lines(path, expected)
     told = re.fullmatch(r'"?sep=(.)"?\s*', lines[0], re.IGNORECASE) if lines else None
-    lines = lines[1:] if told else lines
-    body = _said(lines)
+    body = body[1:] if told else body
     if not body:
         raise InputError(f"{path}: expected {expected}, found an empty file")
     # Decimal commas may outnumber what divides columns.
@@ -204,7 +202,7 @@ def _of_csv(path: Path) -> list[LampRow]:
     above = lines[: lines.index(body[0]) + 1]  # a header may have the sign of a comment
     heads = [_columns(_cells(line.lstrip("# \t"), separator)) for line in above]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
-    hint = ""
+    hint, wide = "", max(map(len, rows))
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
         hint = "; numbers with decimal commas need semicolons or tabs between columns"
     if header:
@@ -212,16 +210,14 @@ def _of_csv(path: Path) -> list[LampRow]:
             raise InputError(f"{path}: expected {expected}, found {listed(header)}")
         rows = rows[1:] if header is heads[-1] else rows
     else:
-        forms = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}
-        wide = len(rows[0]) if len(rows[0]) in forms else max(map(_width, rows))
-        if wide not in forms or (hint and wide == 7 and all(map(_may_be_split, rows))):
+        header = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}.get(wide, ())
+        split = (re.fullmatch(r"([-+−]?\d+,\d+,?){3}", ",".join(row[-6:])) for row in rows)
+        if not header or (hint and wide == 7 and any(split)):  # 0,6 in two cells
             raise InputError(
                 f"{path}: expected {expected}, found {wide} columns without a header{hint}"
             )
-        header = forms[wide]
     for i, row in enumerate(rows):
-        del row[max(len(header), _width(row)) :]
-        if len(row) != len(header):
+        if len(row) > len(header):
             raise InputError(
                 f"{path}: lamp {i + 1}: expected {len(header)} values, found {len(row)}{hint}"
             )
@@ -229,45 +225,28 @@ def _of_csv(path: Path) -> list[LampRow]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Cells of a line of a table."""
+    """Cells of a line of a table, up to the last that is not empty."""
     reader = csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True)
-    return [cell.strip() for cell in next(reader)]
+    cells = [cell.strip() for cell in next(reader)]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
 
 
 def _columns(cells: Sequence[str]) -> tuple[str, ...]:
     """Columns that a header names, as of `COLUMNS` where they are such."""
-    names = [re.sub(r"[\W_]", "", cell.casefold()) for cell in cells[: _width(cells)]]
+    names = [re.sub(r"[\W_]", "", cell.casefold()) for cell in cells]
     return tuple(SYNONYMS.get(name, name) for name in names)
 
 
-def _width(cells: Sequence[str]) -> int:
-    """Columns up to the last that is not empty."""
-    return max((i + 1 for i, cell in enumerate(cells) if cell), default=0)
-
-
-def _may_be_split(cells: Sequence[str]) -> bool:
-    """Whether the last six cells may be three numbers whose decimal commas divided them."""
-    return bool(re.fullmatch(r"([-+−]?\d+,\d+,?){3}", ",".join(cells[-6:])))
-
-
-def _are_numbers(cells: Sequence[str]) -> bool:
-    """Whether these are three numbers, with a decimal point or comma."""
-    return len(cells) == 3 and all(
-        re.fullmatch(r"[-+−]?(\d+[.,]?\d*|[.,]\d+)(e[-+]?\d+)?", cell, re.IGNORECASE)
-        for cell in cells
-    )
-
-
 def _of_rows(path: Path, columns: Sequence[str], table: Sequence[Sequence[str]]) -> list[LampRow]:
-    """Lamps of a table."""
-    rows = [dict(zip(columns, cells, strict=True)) for cells in table]
+    """Lamps of a table, at the end of whose rows empty cells may lack."""
+    rows = [dict(zip_longest(columns, cells, fillvalue="")) for cells in table]
     numbers = [row.get(name, "") for row in rows for name in COLUMNS[1:7]]
     commas = [cell for cell in numbers if "," in cell]
     # 1,234 alone may be a thousand or one; 0,5 or 1,25 beside it tell that commas are decimal.
-    if commas and (
-        any("." in cell for cell in numbers)
-        or all(re.fullmatch(r"[-+−]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in commas)
-    ):
+    thousands = all(re.fullmatch(r"[-+−]?[1-9]\d{0,2}(,\d{3})+", cell) for cell in commas)
+    if commas and (thousands or any("." in cell for cell in numbers)):
         raise InputError(
             f"{path}: expected numbers as 0.5 or all as 0,5, found {quoted(commas[0])}"
         )
@@ -281,8 +260,7 @@ def _of_row(path: Path, i: int, row: dict[str, str]) -> LampRow:
         raise InputError(
             f"{path}: lamp {i + 1}: expected kind {FAR} or {NEAR}, found {quoted(kind)}"
         )
-    given = [row.get(name, "") for name in "rgb"]
-    color = _vector(path, i, [cell or "nan" for cell in given])
+    color = _vector(path, i, [row.get(name, "") or "nan" for name in "rgb"])
     place = _vector(path, i, [row[name] for name in "xyz"])
     return LampRow(row.get("picture", ""), place, kind == NEAR, color=_color(path, i, color))
 

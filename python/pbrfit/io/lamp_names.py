@@ -13,42 +13,28 @@ from itertools import pairwise
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.io.quoting import shown
+from pbrfit.io.quoting import quoted, shown
 
 log = logging.getLogger("pbrfit")
 
 QUOTES = "\"'`´“”„‟‘’‚‛«»‹›"
 """Marks that writers of names with spaces put around them."""
 
-LISTED = 3
-"""Pairs that a warning lists."""
-
-_EXTENSION = re.compile(r"\.(?=\w*[^\W\d])\w{1,5}$")
+_EXTENSION = r"\.(?=\w*[^\W\d])\w{1,5}"
 """Up to five letters and digits, not digits alone: those of `scan.001` tell scans apart."""
 
 
 def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:
-    """Index of the picture of each lamp, -1 where there is none, and in words what was assumed.
+    """Index of the picture of each lamp of a file, -1 where there is none, and what was assumed.
 
-    Names are compared without folder, quotes and surrounding spaces, with or without extension;
-    then without case and forms of Unicode; then without any extension: in the first of these ways
-    in which every picture has a lamp. Where no name is that of a picture, and there are as many,
-    the numbers in them tell, if both count through the same set. Else it is the order, if it is the
-    same alphabetically and by numbers on both sides. A warning lists these pairs.
+    `given` are names in the file, empty where it has none; `names` are those of the pictures. They
+    are compared without folder, quotes and surrounding spaces, with or without extension; then
+    without case and forms of Unicode; then without any extension: in the way in which most pictures
+    have a lamp. Where no name is a picture's, numbers in names tell, if both sides have the same;
+    else order, if alphabet and numbers agree on it on both sides. A warning lists these pairs.
 
-    Parameters
-    ----------
-    path
-        The file, for messages.
-    given
-        Names in it, empty where a lamp has none.
-    names
-        Of the pictures, without suffix, in their order.
-
-    Raises
-    ------
-    InputError
-        If some picture has no lamp, or lamps under several names, or nothing tells which is whose.
+    Raises InputError if some picture has no lamp, or lamps of several names, or nothing tells which
+    lamp is whose.
     """
     best = [-1] * len(given)
     for forms in (_as_written, _folded, _bare):
@@ -61,46 +47,36 @@ def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[lis
     if max(best) < 0:
         return _by_sequence(path, given, names)
     spare = [one for one, i in zip(given, best, strict=True) if i < 0]
-    without = [name for i, name in enumerate(names) if i not in set(best)]
-    if without:
-        unknown = f"; no picture is called {shown(spare[0])}{_more(spare)}" if spare else ""
-        raise InputError(
-            f"{path}: expected a lamp for every picture, found none for {shown(without[0])}"
-            f"{_more(without)}{unknown}"
-        )
+    others = f"no picture is called {quoted(spare[0])}{_more(spare)}" if spare else ""
     first: dict[int, str] = {}
     for one, i in zip(given, best, strict=True):
-        if i >= 0 and first.setdefault(i, one) != one:  # a name may come again: several lamps
+        if first.setdefault(i, one) != one and i >= 0:  # a name may come again: several lamps
             raise InputError(
                 f"{path}: expected one name for picture {shown(names[i])}, found "
                 f"{shown(first[i])} and {shown(one)}"
             )
-    if not spare:
-        return best, ""
-    return (
-        best,
-        f"left out: lamps of no picture here ({shown(spare[0]) or 'no name'}{_more(spare)})",
-    )
+    without = [name for i, name in enumerate(names) if i not in first]
+    if without:
+        raise InputError(
+            f"{path}: expected a lamp for every picture, found none for {shown(without[0])}"
+            f"{_more(without)}" + f"; {others}" * bool(others)
+        )
+    return best, f"some left out: {others}" * bool(others)
 
 
-def _as_written(name: str) -> tuple[str, str]:
+def _as_written(name: str) -> tuple[str, ...]:
     """A name without folder and quotes, with and without its extension."""
     last = re.split(r"[/\\]", name)[-1].strip(QUOTES + " \t\u00a0")
-    return last, _EXTENSION.sub("", last)
+    return last, re.sub(f"{_EXTENSION}$", "", last)
 
 
-def _folded(name: str) -> tuple[str, str]:
-    full, stem = (
-        unicodedata.normalize("NFKC", form).casefold().strip() for form in _as_written(name)
-    )
-    return full, stem
+def _folded(name: str) -> tuple[str, ...]:
+    forms = (unicodedata.normalize("NFKC", form).casefold() for form in _as_written(name))
+    return tuple(form.strip() for form in forms)
 
 
-def _bare(name: str) -> tuple[str]:
-    name = _folded(name)[0]
-    while (shorter := _EXTENSION.sub("", name)) != name and shorter:
-        name = shorter
-    return (name,)
+def _bare(name: str) -> tuple[str, ...]:
+    return (re.sub(f"({_EXTENSION})+$", "", _folded(name)[0]),)
 
 
 def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:
@@ -111,11 +87,11 @@ def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tupl
             f"{path}: expected a lamp for each of the {len(names)} pictures, found "
             f"{len(given)}, none with a picture's name{example}"
         )
-    numbers = _numbers(names)
+    numbers, captured = _numbers(names), _numbers(given)
     # Copies of captures keep their numbers. A set of names that differ in one number alone, each
     # with the same numbers as the pictures, is named by them as it would be by words.
-    if numbers and sorted(numbers) == sorted(_numbers(given)):
-        pictures, how = [numbers.index(one) for one in _numbers(given)], "the numbers in names"
+    if numbers and numbers.keys() == captured.keys():
+        pictures, how = [numbers[one] for one in captured], "the numbers in names"
     else:
         for of in (names, [_as_written(one)[0] for one in given]):
             # A program that sorts img10 before img2 may have made either sequence.
@@ -132,20 +108,20 @@ def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tupl
         f"{shown(one) or f'lamp {k + 1}'} with {shown(names[i])}"
         for k, (one, i) in enumerate(zip(given, pictures, strict=True))
     ]
-    more = f" and {len(pairs) - LISTED} more" if len(pairs) > LISTED else ""
-    log.warning("%s: lamps are %s: %s%s", path, how, ", ".join(pairs[:LISTED]), more)
+    some = ", ".join(pairs[:3]) + (f" and {len(pairs) - 3} more" if len(pairs) > 3 else "")
+    log.warning("%s: lamps are %s: %s", path, how, some)
     return pictures, how
 
 
-def _numbers(names: Sequence[str]) -> list[str]:
-    """The number in each name without leading zeros; empty unless they differ in one alone."""
+def _numbers(names: Sequence[str]) -> dict[str, int]:
+    """Indices of names by number, in order; empty unless names differ in one number alone."""
     plain = [_bare(name)[0] for name in names]
     if len({re.sub(r"\d+", "0", name) for name in plain}) > 1:
-        return []
+        return {}
     columns = zip(*(re.findall(r"\d+", name) for name in plain), strict=True)
     varied = [column for column in columns if len(set(column)) > 1]
-    found = [number.lstrip("0") or "0" for number in varied[0]] if len(varied) == 1 else []
-    return found if len(set(found)) == len(names) else []
+    found = {number.lstrip("0"): i for i, number in enumerate(varied[0])} if varied else {}
+    return found if len(varied) == 1 and len(found) == len(names) else {}
 
 
 def _natural(name: str) -> tuple[str, str]:
