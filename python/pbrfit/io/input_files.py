@@ -6,9 +6,9 @@ Whatever reads what somebody else may have put there reads it by these functions
 
 from __future__ import annotations
 
-import codecs
 import functools
 import hashlib
+import json
 import os
 import stat
 from collections.abc import Callable
@@ -41,13 +41,6 @@ _KINDS = (
 
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags with which opening a file waits for nobody, and Windows changes no byte."""
-
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-)
-"""Byte order marks, and what they tell."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -116,10 +109,11 @@ def read_bytes(path: Path, most: int) -> bytes:
 def read_text(path: Path, most: int, other: str = "utf-8") -> str:
     """Text of a file, its lines ended by line feeds; raises as `read_bytes`, or UnicodeDecodeError.
 
-    Its encoding is that of its byte order mark; without one UTF-8, or `other` where it is not.
+    Its encoding is told by its first bytes: UTF-8, UTF-16 or UTF-32 with or without a byte order
+    mark; or `other` where it is not UTF-8.
     """
     data = read_bytes(path, most)
-    encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
+    encoding = json.detect_encoding(data)
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError:

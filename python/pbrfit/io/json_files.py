@@ -40,7 +40,7 @@ def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
         raise unfit(path, expected, error) from None
 
 
-def unfit(path: Path, expected: str, error: Exception) -> InputError:
+def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
     """Say that a file does not hold what was expected; `error` is one of `UNFIT`."""
     return InputError(f"{path}: expected {expected}, found {type(error).__name__}: {shown(error)}")
 

@@ -156,14 +156,8 @@ def _lines(path: Path, expected: str) -> tuple[list[str], list[str]]:
         text = read_text(path, TEXT_BYTES, "cp1252")
     except UnicodeDecodeError as error:
         raise unfit(path, expected, error) from None
-    if "\0" in text:
-        raise InputError(f"{path}: expected {expected}, found bytes that are no text")
-    lines = [line for line in text.splitlines() if line.strip(' ,;\t"')]
+    lines = [line for line in text.splitlines() if re.search(r'[^\s,;"]', line)]
     return lines, [line for line in lines if not line.lstrip().startswith("#")]
-
-
-_LP = re.compile(r"(.+?){0}([^\s;]+){0}([^\s;]+){0}([^\s;]+?)[\s,;]*".format(r"(?:[\s;]|,\s)+"))
-"""A line of `.lp`: the name may have spaces."""
 
 
 def _of_lp(path: Path) -> list[LampRow]:
@@ -178,14 +172,19 @@ def _of_lp(path: Path) -> list[LampRow]:
         )
     rows = []
     for i, line in enumerate(lines[1:]):
-        row = _LP.fullmatch(line)
-        # After the direction there may be a colour, which must not be taken for one.
-        if row is None or re.search(r"\s[-+]?\d*\.\d+(\s+[-+]?[\d.]+){2}$", row[1]):
+        # Names may have in them what divides columns; after a direction there may be a colour.
+        spaced = line.rstrip(" \t,;").replace(";", " ").replace(", ", "  ")
+        parts = spaced.rsplit(maxsplit=3)
+        name = line[: len(parts[0])].strip()
+        if len(parts) != 4 or re.search(r"\s[-+]?\d*\.\d+(\s+[-+]?[\d.]+){2}$", name):
             raise InputError(
                 f"{path}: lamp {i + 1}: expected file name, x, y, z, found {quoted(line)}"
             )
-        rows.append(row.groups())
+        rows.append((name, *parts[1:]))
     return _of_rows(path, COLUMNS[:4], rows)
+
+
+_SPLIT = r"[-+−]?\d+,\d+"  # 0,6 in two cells
 
 
 def _of_csv(path: Path) -> list[LampRow]:
@@ -211,8 +210,8 @@ def _of_csv(path: Path) -> list[LampRow]:
         rows = rows[1:] if header is heads[-1] else rows
     else:
         header = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}.get(wide, ())
-        split = (re.fullmatch(r"([-+−]?\d+,\d+,?){3}", ",".join(row[-6:])) for row in rows)
-        if not header or (hint and wide == 7 and any(split)):  # 0,6 in two cells
+        split = (re.fullmatch(rf"{_SPLIT}(,{_SPLIT}){{2}}", ",".join(row[-6:])) for row in rows)
+        if not header or (hint and wide == 7 and any(split)):
             raise InputError(
                 f"{path}: expected {expected}, found {wide} columns without a header{hint}"
             )
@@ -307,10 +306,8 @@ def rows_of_json(path: Path, lamps: Sequence[Any]) -> list[LampRow]:
         except UNFIT as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(
-                f"{path}: lamp {i + 1}: expected picture and direction or position, found "
-                f"{type(error).__name__}: {shown(error)}"
-            ) from None
+            what = "picture and direction or position"
+            raise unfit(f"{path}: lamp {i + 1}", what, error) from None
     return rows
 
 

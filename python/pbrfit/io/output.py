@@ -79,16 +79,9 @@ def unfinished(
     """Say what has to go away if the process is ended in the block; the block itself removes it.
 
     A command that is told to end has half a second to do that (`pbrfit.cli.run`). Then this is done
-    for it, also while a long call keeps the interpreter.
-
-    Parameters
-    ----------
-    temporary
-        File or folder, there or not.
-    aside
-        What was set aside and the name it gets back, if that is free; else it goes away too.
-    parents
-        Folders made for it, the deepest first; those that are empty go away, here in any case.
+    for it, also while a long call keeps the interpreter. `temporary` is a file or folder, there or
+    not; `aside` what was set aside, and the name that it gets back if that is free, else it goes
+    away too; `parents` are folders made for it, the deepest first: empty ones always go away.
     """
     number = _core.unfinished(temporary, aside, list(parents))
     try:

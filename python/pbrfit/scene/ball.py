@@ -159,22 +159,10 @@ def checked_ball(x: float, y: float, radius: float, size: tuple[int, int]) -> Ba
 def sphere_normals(
     ball: Ball, size: tuple[int, int], fov: float, columns: Any, rows: Any
 ) -> tuple[Array, Array]:
-    """Normals of a ball and unit vectors to the viewer at places of the picture.
+    """Normals of a ball (..., 3), NaN outside it, and unit vectors to the viewer (..., 3).
 
-    Parameters
-    ----------
-    ball
-        Its circle.
-    size
-        (height, width) of the picture.
-    fov
-        Horizontal field of view in degrees, 0 = orthographic.
-    columns, rows
-        x and y in pixels, of one shape (...).
-
-    Returns
-    -------
-    Normals (..., 3), NaN outside the ball, and views (..., 3).
+    They are at `columns` and `rows` (...), x and y in pixels, of a picture of `size` (height,
+    width) and a horizontal field of view `fov` in degrees, 0 = orthographic.
     """
     rays = _rays(size, fov, columns, rows)
     if fov == 0:

@@ -37,13 +37,8 @@ def mean_radiance(scene: Scene) -> NDArray[np.float64]:
 def relative_exposures(scene: Scene, equal: bool | None = None) -> NDArray[np.float64] | None:
     """What each picture is to be divided by, (N,), 1 on average; None where it stays as it is.
 
-    Parameters
-    ----------
-    scene
-        The pictures.
-    equal
-        True and False decide; None = where the brightest picture has more than `EXPOSURE_RANGE`
-        times the mean radiance of the darkest.
+    `equal` decides; where it is None, they are divided if the brightest picture has more than
+    `EXPOSURE_RANGE` times the mean radiance of the darkest.
     """
     if equal is False:
         return None

@@ -47,6 +47,7 @@ FORMS: dict[str, tuple[str, str, str]] = {
     "lp, Windows": ("dome.LP", LP.replace(" ", "\t").replace("\n", "\r\n"), "utf-8-sig"),
     "lp, decimal commas": ("dome.lp", LP.replace("0.", "0,"), "utf-16"),
     "lp, semicolons": ("dome.lp", LP.replace(" ", "; "), "utf-8"),
+    "lp, commas": ("dome.lp", LP.replace(" ", ", "), "utf-8"),
     "lp, comments": ("dome.lp", "# rig\n\n" + LP.replace("\nb", "\n\n# b\nb"), "utf-8"),
     "lp, old Mac": ("dome.lp", LP.replace("\n", "\r"), "utf-8"),
     "lp, minus": ("dome.lp", LP.replace(" 0 ", " \u22120 "), "utf-8"),
@@ -55,7 +56,7 @@ FORMS: dict[str, tuple[str, str, str]] = {
     "no header": ("lights.csv", TABLE.partition("\n")[2], "utf-8"),
     "columns": (
         "lights.csv",
-        "z,kind,Picture,X,y\n0.8,far,a,0.6,0\n0.8,,b,0,0.6\n1,FAR,c,0,0\n",
+        "z,kind,Picture,X,y\n.8,far,a,.6,0\n.8,,b,0,.6\n1,FAR,c,0,0",
         "utf-8",
     ),
     "German Excel": ("lights.csv", "sep=;\r\n" + GERMAN.replace("\n", "\r\n"), "utf-8-sig"),
@@ -63,11 +64,7 @@ FORMS: dict[str, tuple[str, str, str]] = {
     "no header, decimal commas": ("lights.csv", GERMAN.partition("\n")[2], "utf-8"),
     "Unicode text": ("lights.csv", GERMAN.replace(";", "\t"), "utf-16"),
     "big endian": ("lights.csv", "\ufeff" + TABLE, "utf-16-be"),
-    "quoted decimals": (
-        "lights.csv",
-        '"picture","x","y","z"\n"a","0,6","0","0,8"\n"b","0","0,6","0,8"\n"c","0","0","1"\n',
-        "utf-8",
-    ),
+    "quoted decimals": ("lights.csv", 'a,"0,6",0,"0,8"\nb,0,"0,6","0,8"\nc,0,0,1', "utf-8"),
     "sep of its own": ("lights.csv", '"sep=|"\n' + TABLE.replace(",", "|"), "utf-8"),
     "other header": ("lights.csv", TABLE.replace("picture,x", "# File Name, 'LX'"), "utf-8"),
     "light x": ("lights.csv", TABLE.replace("picture,x,y,z", "image,dx,dy,Light_z"), "utf-8"),
@@ -75,6 +72,7 @@ FORMS: dict[str, tuple[str, str, str]] = {
     "spaces": ("light_directions.txt", TABLE.replace(",", "  "), "utf-8"),
     "json": ("lights.json", JSON, "utf-8"),
     "json with a mark": ("lights.json", JSON, "utf-8-sig"),
+    "lp, UTF-16 without a mark": ("dome.lp", LP, "utf-16-le"),
     "json, UTF-16": ("lights.json", JSON, "utf-16"),
 }
 
@@ -94,10 +92,8 @@ def test_each_form_gives_the_same_directions(tmp_path: Path, form: str) -> None:
 
 def test_directions_without_names(tmp_path: Path) -> None:
     path = written(tmp_path, "light_directions.txt", " 0.6   0 0.8 \n-0.6 0   0.8\n")
-    assert [(row.picture, row.place) for row in read_lamps(path)[0]] == [
-        ("", (0.6, 0, 0.8)),
-        ("", (-0.6, 0, 0.8)),
-    ]
+    found = [(row.picture, row.place) for row in read_lamps(path)[0]]
+    assert found == [("", (0.6, 0, 0.8)), ("", (-0.6, 0, 0.8))]
 
 
 def test_places_on_a_dome_are_directions_and_it_says_so(tmp_path: Path) -> None:
@@ -161,17 +157,13 @@ def test_lamps_are_paired_by_name(name: str, caplog: pytest.LogCaptureFixture) -
 
 
 COUNTED = tuple(sorted(f"img{i}" for i in range(1, 13)))
-IN_ORDER = [int(name[3:]) - 1 for name in COUNTED]
+RAW = tuple(f"IMG_{i:04}.NEF" for i in range(1, 13))
+SORTED = [COUNTED.index(f"img{i}") for i in range(1, 13)]
 BY_SEQUENCE: dict[str, tuple[tuple[str, ...], tuple[str, ...], list[int], str]] = {
     "order": (("x", "y", "z"), NAMES, [0, 1, 2], "order"),
     "no names": (("", "", ""), NAMES, [0, 1, 2], "order"),
     "other numbers": (("IMG_7", "IMG_8", "IMG_9"), ("s1", "s2", "s3"), [0, 1, 2], "order"),
-    "numbers": (
-        tuple(f"IMG_{i:04}.NEF" for i in range(1, 13)),
-        COUNTED,
-        [IN_ORDER.index(i) for i in range(12)],
-        "the numbers in names",
-    ),
+    "numbers": (RAW, COUNTED, SORTED, "the numbers in names"),
     "numbers, reversed": (("L3.cr2", "L2.cr2", "L1.cr2"), ("s01", "s02", "s03"), [2, 1, 0], "the"),
     "one number of two": (("L2", "L1"), ("dir_1_mip4", "dir_2_mip4"), [1, 0], "the numbers"),
 }
@@ -193,42 +185,25 @@ def test_without_any_name_numbers_or_order_count_with_a_warning(
 
 
 BAD_MATCHES: dict[str, tuple[tuple[str, ...], tuple[str, ...], str]] = {
-    "another count": (
-        ("x", "y"),
-        NAMES,
-        r"x.lp: expected a lamp for each of the 3 pictures, found 2, .* \(such as x\)",
-    ),
-    "a picture without a lamp": (
-        ("a", "b", "a"),
-        NAMES,
-        "x.lp: expected a lamp for every picture, found none for c$",
-    ),
+    "another count": (("x", "y"), NAMES, r"each of the 3 pictures, found 2, .* \(such as x\)"),
+    "a picture without a lamp": (("a", "b", "a"), NAMES, "for every picture, found none for c$"),
     "another name": (("a", "b", "d", "e"), NAMES, "for c; no picture is called 'd' and 1 more$"),
-    "two folders": (
-        ("1/a.jpg", "1/b.jpg", "2/a.jpg", "2/b.jpg"),
-        ("a", "b"),
-        "x.lp: expected one name for picture a, found 1/a.jpg and 2/a.jpg",
-    ),
+    "two folders": (("1/a", "2/a", "1/b"), ("a", "b"), "one name for picture a, found 1/a and 2/a"),
     "pictures not in order": (
-        tuple(f"lamp{chr(97 + i)}" for i in range(12)),
+        tuple("abcdefghijkl"),
         COUNTED,
-        r"x.lp: expected names of pictures, found lampa and 11 more; by order they cannot be "
-        r"paired, as img12 comes before img2: rename or pad",
+        "names of pictures, found a and 11 more; .* as img12 comes before img2: rename",
     ),
     "no names, pictures not in order": (("",) * 12, COUNTED, "pictures, found none and 11 more; "),
     "lamps not in order": (("z", "y", "x"), NAMES, "as z comes before y: rename or pad"),
-    "lamps that another program may sort": (
-        tuple(f"lamp{i}" for i in range(8, 11)),
-        NAMES,
-        "as lamp10 comes before lamp8: rename or pad",
-    ),
+    "lamps that a program may sort": (("L8", "L9", "L10"), NAMES, "as L10 comes before L8: rename"),
 }
 
 
 @pytest.mark.parametrize("name", BAD_MATCHES)
 def test_files_of_other_pictures_are_refused(name: str) -> None:
     given, names, message = BAD_MATCHES[name]
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=f"x.lp: expected .*{message}"):
         matched(Path("x.lp"), given, names)
 
 
@@ -255,27 +230,27 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "another kind": (
         "lights.csv",
         "a,0,0,1,1,1,1,spot\n",
-        "lamp 1: expected kind far or near, found 'spot'",
+        "lamp 1: expected kind far or near, found",
     ),
     "a negative color": (
         "lights.csv",
-        "a,0,0,1,1,-0.5,1\n",
-        "lamp 1: expected a color of 0 or more, found",
+        "a,0,0,1,1,-.5,1\n",
+        "lamp 1: expected a color of 0 or more",
     ),
-    "decimal commas between commas": (
-        "lights.csv",
-        "a,0,6,0,0,0,8\nb,0,0,0,6,0,8\n",
-        "found 7 columns without a header; numbers with decimal commas need semicolons or tabs",
-    ),
+    "split numbers": ("lights.csv", "a,0,6,0,0,0,8\n", "header; numbers with decimal commas need"),
     "decimal commas under a header": (
         "lights.csv",
         TABLE.replace(".", ","),
-        "lamp 1: expected 4 values, found 6; numbers with decimal commas need semicolons",
+        "found 6; numbers with",
+    ),
+    "some numbers split": (
+        "lights.csv",
+        "a,0,6,0,0,0,8\nb,1,0,0\n",
+        "found 7 columns without a header;",
     ),
     "two decimal marks": ("d.lp", "1\na 0,6 0 0.8\n", "numbers as 0.5 or all as 0,5, found '0,6'"),
     "thousands": ("lights.csv", "a;1,200;0;900\n", "numbers as 0.5 or all as 0,5, found '1,200'"),
     "colours in .lp": ("d.lp", "1\na.jpg 0.1 0 0.9 1 1 1\n", "expected file name, x, y, z, found"),
-    "UTF-16 without a mark": ("d.lp", "\0".join(LP), "d.lp: .* found bytes that are no text"),
     "no JSON": ("lights.json", "[", "lights.json: expected JSON with version and lamps"),
     "a list": ("lights.json", "[]", "lights.json: expected JSON with version and lamps"),
     "another version": ("lights.json", as_json(version=2), "version 2 in place of 1"),

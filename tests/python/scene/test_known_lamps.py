@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -103,14 +102,6 @@ def test_lamps_of_pictures_that_are_left_out_go_with_them() -> None:
 def test_lamps_of_no_picture_are_refused(given: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         with_lamps(given)
-
-
-def test_two_files_with_lamps_are_refused(folder: Path) -> None:
-    (folder / "dome.lp").write_text(LP)
-    shutil.copy(folder / "dome.lp", folder / "other.lp")
-    for read in (Scene.load, scene_folder.digests):
-        with pytest.raises(InputError, match=r"scene: expected one file with lamps, found dome.lp"):
-            read(folder)
 
 
 def test_inspect_tells_of_lamps(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
