@@ -30,8 +30,9 @@ def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[lis
     `given` are names in the file, empty where it has none; `names` are those of the pictures. They
     are compared without folder, quotes and surrounding spaces, with or without extension; then
     without case and forms of Unicode; then without up to two extensions. The way counts by which
-    most pictures have a lamp. Where no name is a picture's, numbers in names tell, if both sides have the same; else
-    order, if alphabet and numbers agree on it on both sides. A warning lists these pairs.
+    most pictures have a lamp. Where no name is a picture's, numbers in names tell, if both sides
+    have the same; else order, if alphabet and numbers agree on it on both sides. A warning lists
+    these pairs.
 
     Raises InputError if some picture has no lamp, or lamps of several names, or nothing tells which
     lamp is whose.

@@ -40,8 +40,8 @@ SEGMENT_FILE = "segments.png"
 DARK_FRAME = "dark"
 """Name, without its suffix, of a picture of no light, which is subtracted from all pictures."""
 
-RELATIVE = "light_intensities"
-"""DiLiGenT's strengths of lamps, in a unit that nobody tells: the fit finds them."""
+RELATIVE, STRENGTHS = "light_intensities", "strengths of lamps are fitted, or in lights.csv"
+"""Stem of DiLiGenT's file of the strengths of lamps, whose unit nobody tells, and what to say."""
 
 PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
 """Files of a scene folder beside pictures, normals, depth and ground truth."""
@@ -199,7 +199,9 @@ def warn_of_near_misses(folder: Path) -> None:
     stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight", RELATIVE}
     for path in sorted((*folder.iterdir(), *(folder / "images").glob(f"{RELATIVE}.*"))):
         if path.is_file() and path.stem.lower() in stems and path.name not in parts:
-            log.warning("%s: not read; expected %s", path, ", ".join(parts))
+            expected = f"expected {', '.join(parts)}"
+            of_lamps = path.stem.lower() == RELATIVE
+            log.warning("%s: not read; %s", path, STRENGTHS if of_lamps else expected)
 
 
 def read_settings(path: Path) -> Settings:

@@ -517,10 +517,12 @@ def test_names_in_any_script_and_other_files_beside_pictures(tmp_path: Path) -> 
 
 
 def test_near_misses_are_named(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (folder / "Mask.tif").write_bytes(b"")
+    for name in ("Mask.tif", "images/light_intensities.txt"):
+        (folder / name).write_bytes(b"")
     Scene.load(folder)
-    [record] = caplog.records
-    assert f"{folder / 'Mask.tif'}: not read; expected" in record.message
+    mask, strengths = caplog.records
+    assert f"{folder / 'Mask.tif'}: not read; expected" in mask.message
+    assert "light_intensities.txt: not read; strengths of lamps are fitted" in strengths.message
 
 
 # Smaller size
