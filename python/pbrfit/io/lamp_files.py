@@ -13,7 +13,6 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -190,7 +189,7 @@ _SPLIT = r"[-+−]?\d+,\d+"  # 0,6 in two cells
 def _of_csv(path: Path) -> list[LampRow]:
     expected = f"a table with the columns {', '.join(COLUMNS[:4])}, and maybe r, g, b and kind"
     lines, body = _lines(path, expected)
-    told = re.fullmatch(r'"?sep=(.)"?\s*', lines[0], re.IGNORECASE) if lines else None
+    told = re.fullmatch(r'"?sep=([;,|\t ])"?\s*', lines[0], re.IGNORECASE) if lines else None
     body = body[1:] if told else body
     if not body:
         raise InputError(f"{path}: expected {expected}, found an empty file")
@@ -216,7 +215,9 @@ def _of_csv(path: Path) -> list[LampRow]:
                 f"{path}: expected {expected}, found {wide} columns without a header{hint}"
             )
     for i, row in enumerate(rows):
-        if len(row) > len(header):
+        while len(row) > len(header) and not row[-1]:  # spreadsheets' empty columns
+            row.pop()
+        if len(row) != len(header):
             raise InputError(
                 f"{path}: lamp {i + 1}: expected {len(header)} values, found {len(row)}{hint}"
             )
@@ -224,23 +225,20 @@ def _of_csv(path: Path) -> list[LampRow]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Cells of a line of a table, up to the last that is not empty."""
+    """Cells of a line of a table."""
     reader = csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True)
-    cells = [cell.strip() for cell in next(reader)]
-    while cells and not cells[-1]:
-        cells.pop()
-    return cells
+    return [cell.strip() for cell in next(reader)]
 
 
 def _columns(cells: Sequence[str]) -> tuple[str, ...]:
     """Columns that a header names, as of `COLUMNS` where they are such."""
-    names = [re.sub(r"[\W_]", "", cell.casefold()) for cell in cells]
-    return tuple(SYNONYMS.get(name, name) for name in names)
+    names = ",".join(re.sub(r"[\W_]", "", cell.casefold()) for cell in cells).rstrip(",")
+    return tuple(SYNONYMS.get(name, name) for name in names.split(","))
 
 
 def _of_rows(path: Path, columns: Sequence[str], table: Sequence[Sequence[str]]) -> list[LampRow]:
-    """Lamps of a table, at the end of whose rows empty cells may lack."""
-    rows = [dict(zip_longest(columns, cells, fillvalue="")) for cells in table]
+    """Lamps of a table."""
+    rows = [dict(zip(columns, cells, strict=True)) for cells in table]
     numbers = [row.get(name, "") for row in rows for name in COLUMNS[1:7]]
     commas = [cell for cell in numbers if "," in cell]
     # 1,234 alone may be a thousand or one; 0,5 or 1,25 beside it tell that commas are decimal.

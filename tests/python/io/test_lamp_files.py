@@ -226,7 +226,7 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "an empty table": ("lights.csv", "\n;;;\n", "lights.csv: expected a table .*an empty file"),
     "another column": ("lights.csv", "x,y,z,w\n1,0,0,0\n", "expected a table .* found w, x, y, z"),
     "too many columns": ("lights.csv", "a,1,2,3,4\n", "found 5 columns without a header"),
-    "a short row": ("lights.csv", TABLE + "d,1\n", "lamp 4: expected numbers, found '1  '"),
+    "a short row": ("lights.csv", TABLE + "d,1\n", "lamp 4: expected 4 values, found 2"),
     "another kind": (
         "lights.csv",
         "a,0,0,1,1,1,1,spot\n",
