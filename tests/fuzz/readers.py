@@ -26,7 +26,7 @@ from pbrfit.acquire.normals import depth, maps
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images
-from pbrfit.io.normal_files import Convention, read_normals, read_uncertainty
+from pbrfit.io.normal_files import Convention, read_normals
 from pbrfit.io.weight_files import read_weights
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
@@ -148,13 +148,12 @@ def _map(_folder: Path, file: Path) -> None:
         assert normals.shape == (16, 16, 3)
         assert np.isfinite(normals).all()
         return
-    found, known = maps.from_file(file, (16, 16), Convention())
+    found, known, _ = maps.from_file(file, (16, 16), Convention())
     assert found.shape == (16, 16, 3)
     np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, atol=1e-6)
     assert known.dtype == bool
     if file.suffix != ".npy":
-        assert read_normals(file).shape == (16, 16, 3)
-        read_uncertainty(file)
+        assert read_normals(file).vectors.shape == (16, 16, 3)
     if file.suffix == ".exr":
         read_weights(file, ("a", "b"))
 

@@ -202,7 +202,7 @@ def _predicted(scene: Scene, task: Task) -> NDArray[np.float64]:
     paths = predicted_files(folder, task.seed)
     for path in paths:
         if path.exists():
-            normals = read_normals(path)
+            normals = read_normals(path).vectors
             if normals.shape != scene.normals.shape:
                 height, width = normals.shape[:2]
                 raise InputError(

@@ -48,7 +48,12 @@ FLAGS: dict[str, Flags] = {
             DepthKind,
             "what a number says, up to any factor: the distance along the optical axis, that along "
             "the pixel's ray, or the inverse of the first (default: z)",
-        )
+        ),
+        "unit": cli.value(
+            "U",
+            cli.number,
+            "what numbers are multiplied by: 0.001 for metres of millimetres (default: 1)",
+        ),
     },
 }
 """Options of each kind of source."""
@@ -69,7 +74,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=source(("marigold", "depth-anything", "normals")),
         default="marigold",
         help="marigold, depth-anything: a network's estimate; normals: their integral; FILE: a map "
-        "that is there already (EXR, .npy, PNG or TIFF of 16 bits), in any unit",
+        "that is there already (EXR, .npy, PNG or TIFF), in any unit",
     )
     cli.add_flags(
         parser,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 import shlex
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -65,7 +67,8 @@ FLAGS: dict[str, Flags] = {
     "file": {
         "convention": cli.choice(
             ("opengl", "directx"),
-            "opengl: Y up; directx: Y down (default: scene.toml, else opengl)",
+            "opengl: Y up; directx: Y down (default: as FILE's name says, else scene.toml, else "
+            "opengl)",
         ),
         "frame": cli.choice(
             ("camera", "tangent", "world"),
@@ -229,8 +232,13 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         found = estimate(options.source, blank, fov=fov, **given)
         return found, f"from the depth in {path}, field of view {fov:g} degrees"
     convention = scene_folder.read_settings(options.scene / "scene.toml").convention
+    named = re.search(
+        r"(?i)(directx|normal_?dx|nor_dx)|(opengl|normal_?gl|nor_gl)", Path(path).stem
+    )
     if "convention" in given:
         given["axes"] = given.pop("convention")
+    elif named:
+        given["axes"] = "directx" if named[1] else "opengl"
     convention = dataclasses.replace(convention, **given)
     found = estimate(path, blank, fov=0.0, convention=convention)
     return found, f"{path}, {convention}"
@@ -240,8 +248,9 @@ def _facts(found: Normals) -> list[str]:
     """What to know about the normals, in lines."""
     tilt = np.degrees(np.arccos(np.clip(found.normals[..., 2], -1, 1)))
     lines = [
+        *found.remarks,
         f"turned away from the optical axis by {np.median(tilt):.0f} degrees (median), "
-        f"{np.percentile(tilt, 95):.0f} (95 %)"
+        f"{np.percentile(tilt, 95):.0f} (95 %)",
     ]
     if found.uncertainty is not None:
         middle, high = np.percentile(found.uncertainty, [50, 95])

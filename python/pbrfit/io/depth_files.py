@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.input_files import there
-from pbrfit.io.npy_files import read_npy
 from pbrfit.io.quoting import listed
+from pbrfit.io.samples import read_stored
 
 DEPTH_FILES = ("depth.exr", "depth.npy")
 
@@ -29,33 +29,31 @@ def find_depth(folder: Path) -> Path | None:
 
 
 def read_depth(path: Path) -> NDArray[np.float64]:
-    """(H, W) as stored; integers are divided by the maximum of their type."""
-    if path.suffix.lower() == ".npy":
-        depth = read_npy(path)
-        if depth.ndim == 3 and 1 in (depth.shape[0], depth.shape[-1]):
-            depth = depth.reshape(depth.shape[1:] if depth.shape[0] == 1 else depth.shape[:2])
-        if depth.ndim != 2:
-            raise InputError(f"{path}: expected depth (H, W), found shape {depth.shape}")
-        return depth
-    if path.suffix.lower() == ".exr":
-        channels = images.read_channels(path)
-        name = next((name for name in CHANNELS if name in channels), None)
-        if name is None and len(channels) == 1:
-            [name] = channels
+    """(H, W) as stored: of an EXR file, another picture or .npy."""
+    stored = read_stored(path)
+    if isinstance(stored, dict):
+        name = next((name for name in CHANNELS if name in stored), None)
+        if name is None and len(stored) == 1:
+            [name] = stored
         if name is None:
             raise InputError(
                 f"{path}: expected one of the channels {', '.join(CHANNELS)}, "
-                f"found {listed(channels)}"
+                f"found {listed(stored)}"
             )
-        return channels[name].astype(np.float64)
-    data = images.read_data(path)
-    colors = data[..., : 3 if data.shape[-1] >= 3 else 1]
-    if not (colors == colors[..., :1]).all():
-        raise InputError(
-            f"{path}: expected depth in one channel, found colours; a coloured picture of depth "
-            "cannot be read back"
-        )
-    return np.ascontiguousarray(colors[..., 0])
+        return stored[name].astype(np.float64)
+    if stored.ndim == 3 and 1 in (stored.shape[0], stored.shape[-1]):
+        stored = stored.reshape(stored.shape[1:] if stored.shape[0] == 1 else stored.shape[:2])
+    elif stored.ndim == 3 and stored.shape[-1] in (2, 3, 4):  # of a picture, maybe with alpha
+        colors = stored[..., : 3 if stored.shape[-1] >= 3 else 1]
+        if not (colors == colors[..., :1]).all():
+            raise InputError(
+                f"{path}: expected depth in one channel, found colours; a coloured picture of "
+                "depth cannot be read back"
+            )
+        stored = colors[..., 0]
+    if stored.ndim != 2:
+        raise InputError(f"{path}: expected depth (H, W), found shape {stored.shape}")
+    return np.ascontiguousarray(stored, dtype=np.float64)
 
 
 def write_depth(path: Path, depth: NDArray[np.floating[Any]]) -> None:

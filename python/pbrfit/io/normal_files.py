@@ -6,7 +6,11 @@ Camera space has X right, Y up and Z towards the viewer. What a file means is sa
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +21,36 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.input_files import there
 from pbrfit.io.quoting import listed
+from pbrfit.io.samples import read_stored
 
 NORMAL_FILES = ("normals.exr", "normals.png")
 
 UNCERTAINTY = "uncertainty.Y"
 """Channel of `normals.exr`: how far off each normal may be, in degrees, where somebody said so;
 `Scene.normal_sigma` says what it means."""
+
+MIN_NORMAL_LENGTH = 0.1
+"""Length below which a vector has no direction worth normalising."""
+
+LENGTH_TOLERANCE = 0.25
+"""Excess of a length over 1 from which on a vector is no normal. Means of unit vectors are shorter;
+rounding to 8 bits adds 0.007, and a JPEG file's or a filter's ringing 0.1 and more."""
+
+MEDIAN_TOLERANCE = 0.1
+"""Median distance of lengths from 1 up to which a map holds normals: the mean of unit vectors that
+scatter by θ (RMS) has a length of about 1 − θ²/2, which is 0.9 at 26 degrees."""
+
+ROUNDING = 3**0.5 / 255
+"""Change of a vector's length by rounding to 8 bits, at most."""
+
+JUDGED_MAX = 1 << 20
+"""Pixels whose lengths tell how a file is to be read: of larger maps every few."""
+
+SIGNED = 127, 32767
+"""Largest codes of signed integers."""
+
+NO_NORMALS = r"position|vector|uv|motion|velocity|tangent|crypto|(^|\.)p(world)?$"
+"""Words in the names of layers that hold other vectors than normals."""
 
 
 @dataclass(frozen=True)
@@ -67,41 +95,148 @@ def find_normals(folder: Path) -> list[Path]:
     return [path for name in NORMAL_FILES if there(path := folder / name)]
 
 
-def read_normals(path: Path) -> NDArray[np.float64]:
-    """Read a normal map: EXR channels as they are, or a PNG whose values v mean n = 2v - 1.
+@dataclass(frozen=True, eq=False)
+class StoredNormals:
+    """Normals that a file holds, decoded."""
 
-    Returns (H, W, 3), in whatever frame and of whatever length the file holds. Raises InputError if
-    the file has other channels.
+    vectors: NDArray[np.float64]
+    """(H, W, 3) in the frame of the file, of any length; NaN where the file has no normal."""
+    uncertainty: NDArray[np.float32] | None
+    """(H, W): `UNCERTAINTY` as it is stored; None if the file has none."""
+    said: tuple[str, ...]
+    """What was read otherwise than the kind of file suggests, in words."""
+
+
+def read_normals(path: Path) -> StoredNormals:
+    """Read a normal map: an EXR file, another picture, or .npy of shape (H, W, 3) or (3, H, W).
+
+    Integers of a picture are codes, n = 2v - 1 with v from 0 to 1, and floats are components,
+    unless lengths say otherwise (`_decoded`). Two channels are x and y. A pixel has no normal where
+    its vector is NaN, shorter than `MIN_NORMAL_LENGTH`, or too long, as that of black codes is.
+    Raises InputError if the file has other channels, or vectors that are no normals however they
+    are read; OSError if it cannot be read.
     """
-    if path.suffix.lower() == ".exr":
-        channels = images.read_channels(path)
-        triple = next(
-            (
-                [f"{prefix}{name}" for name in names]
-                for names in ("XYZ", "RGB", "xyz")
-                for prefix in ("", "normal.", "normals.", "Normal.", "N.")
-                if all(f"{prefix}{name}" in channels for name in names)
-            ),
-            None,
+    stored = read_stored(path)
+    uncertainty, said = None, []
+    if isinstance(stored, dict):
+        uncertainty = stored.get(UNCERTAINTY)
+        names = _channels(path, stored)
+        if "".join(names) not in ("XYZ", "RGB", "xyz"):
+            said.append(f"channels {', '.join(names)}")
+        values: NDArray[Any] = np.stack([stored[name] for name in names], axis=-1)
+    else:
+        values = stored[0] if stored.ndim == 4 and len(stored) == 1 else stored
+        if values.ndim == 3 and values.shape[-1] not in (2, 3, 4) and len(values) in (2, 3):
+            values = np.moveaxis(values, 0, -1)
+        if values.ndim != 3 or values.shape[-1] not in (2, 3, 4):
+            raise InputError(f"{path}: expected normals (H, W, 3), found shape {values.shape}")
+        values = values[..., :3]
+    with np.errstate(all="ignore"):  # too long to have a length: no normal
+        vectors, how = _decoded(path, values)
+        length = np.linalg.norm(vectors, axis=-1)
+        long = ~(length <= 1 + LENGTH_TOLERANCE)
+        none = long | (length < MIN_NORMAL_LENGTH)
+    if long.any():
+        from scipy.ndimage import maximum_filter
+
+        # Between a normal and a background that is none lie mixtures of both, with other lengths.
+        mixed = np.abs(length - 1) > LENGTH_TOLERANCE
+        none |= mixed & maximum_filter(long & np.isfinite(length), 3)
+    vectors[none] = np.nan
+    return StoredNormals(vectors, uncertainty, (*said, *how))
+
+
+def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], list[str]]:
+    """Vectors (H, W, 3) of what is stored, (H, W, 2 or 3), and how they were read, if otherwise.
+
+    The reading is the one in which lengths are nearest to 1, in the median: that of the number type
+    unless another halves the distance. Grey pixels, which are backgrounds, do not count.
+    """
+    step = math.ceil(math.sqrt(stored.shape[0] * stored.shape[1] / JUDGED_MAX))
+    some = stored[::step, ::step].astype(np.float64)
+    some = some[np.isfinite(some).all(axis=-1)]
+    low, high = some.min(initial=0.0), some.max(initial=0.0)
+    readings: dict[str, Callable[[NDArray[Any]], NDArray[np.float64]]]
+    readings = {"": partial(np.asarray, dtype=np.float64)}
+    if stored.dtype.kind == "u":
+        readings[""] = partial(_of_codes, largest=np.iinfo(stored.dtype).max)
+    elif low >= -ROUNDING and high <= 1 + ROUNDING:
+        readings["0 to 1 read as 2v − 1"] = partial(_of_codes, largest=1)
+    if stored.shape[-1] == 2:  # lengths tell nothing, but numbers below 0 tell components
+        *_, (how, reading) = readings.items()
+        return _with_z(reading(stored)), ["z = √(1 − x² − y²)", *filter(None, [how])]
+    for largest in (127, 255, 32767, 65535):
+        if 1 + ROUNDING < max(high, -low) <= largest + 1 and (low < 0) == (largest in SIGNED):
+            decode = _of_signed if low < 0 else _of_codes
+            readings[f"codes up to {largest}"] = partial(decode, largest=largest)
+    given = readings[""]
+    spans = np.ptp(some, axis=0) if len(some) else np.ones(3)
+    if spans[2] == 0 < spans[:2].min():
+        said = "z = √(1 − x² − y²), as the third channel is the same everywhere"
+        readings[said] = lambda v: _with_z(given(v))
+    some = some[np.ptp(some, axis=-1) > 0]
+    if not len(some):
+        return given(stored), []
+    lengths = {how: np.linalg.norm(reading(some), axis=-1) for how, reading in readings.items()}
+    off = {how: float(np.median(np.abs(of - 1))) for how, of in lengths.items()}
+    best = min(off, key=lambda how: off[how])
+    behind = best.startswith("z") and (given(some)[:, 2] <= 0).all()
+    if off[""] <= max(2 * off[best], ROUNDING) and not behind:
+        best = ""
+    if off[best] > MEDIAN_TOLERANCE:
+        few, many = np.percentile(lengths[""], [5, 95])
+        raise InputError(
+            f"{path}: expected normals, vectors of length 1 or codes of such, found lengths of "
+            f"{few:.2g} to {many:.2g} (5 to 95 % of the pixels)"
         )
-        if triple is None:
-            raise InputError(
-                f"{path}: expected channels X, Y, Z (or R, G, B, or normal.X ...), "
-                f"found {listed(channels)}"
-            )
-        return np.stack([channels[name] for name in triple], axis=-1).astype(np.float64)
-    data = images.read_data(path)
-    if data.shape[-1] < 3:
-        raise InputError(f"{path}: expected three channels, found {data.shape[-1]}")
-    return 2.0 * data[..., :3] - 1.0
+    return readings[best](stored), [best] if best else []
 
 
-def read_uncertainty(path: Path) -> NDArray[np.float32] | None:
-    """(H, W), degrees: `UNCERTAINTY` of a file with normals as it is stored; None if it has none.
+def _of_codes(values: NDArray[Any], largest: float) -> NDArray[np.float64]:
+    return np.asarray(2.0 * (values / np.float64(largest)) - 1.0)
 
-    Raises InputError or OSError if the file cannot be read.
-    """
-    return images.read_channels(path).get(UNCERTAINTY) if path.suffix.lower() == ".exr" else None
+
+def _of_signed(values: NDArray[Any], largest: float) -> NDArray[np.float64]:
+    return np.asarray(values / np.float64(largest))
+
+
+def _with_z(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors that face the viewer, of their x and y; longer where there are none."""
+    x, y = np.asarray(vectors[..., 0], np.float64), np.asarray(vectors[..., 1], np.float64)
+    return np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
+
+
+def _channels(path: Path, names: Iterable[str]) -> list[str]:
+    """The channels with normals: X, Y, Z; else those of the layer of that name; else R, G, B."""
+    layers: dict[str, dict[str, str]] = {}
+    for name in names:
+        layer, _, letter = name.rpartition(".")
+        layers.setdefault(layer, {})[letter.upper()] = name
+
+    def having(letters: str, *, called: str) -> list[list[str]]:
+        return [
+            [of[letter] for letter in letters]
+            for layer, of in layers.items()
+            if set(letters) <= set(of) and re.search(called, layer, re.IGNORECASE)
+        ]
+
+    exactly, roughly, others = r"(^|\.)(n|normals?)$", "normal", rf"^(?!.*({NO_NORMALS})).+$"
+    for sets in (
+        having("XYZ", called="^$"),
+        having("XYZ", called=exactly) + having("RGB", called=exactly),
+        having("XYZ", called=roughly) + having("RGB", called=roughly),
+        having("XYZ", called=others),
+        having("RGB", called="^$"),
+        having("XY", called=rf"^$|{exactly}") + having("RG", called=rf"^$|{exactly}"),
+    ):
+        if len(sets) == 1:
+            return sets[0]
+        if sets:
+            found = listed(" ".join(one) for one in sets)
+            raise InputError(f"{path}: expected one layer of normals, found {found}")
+    raise InputError(
+        f"{path}: expected channels X, Y, Z (or R, G, B, or normal.X ...), found {listed(names)}"
+    )
 
 
 def write_normals(

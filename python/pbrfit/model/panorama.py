@@ -35,6 +35,10 @@ FEWEST_ROWS = 7
 does not integrate them exactly, and grey panoramas would light unevenly."""
 
 
+NEGATIVE_MAX = 1 / 255
+"""Share of a panorama's light that may be negative, and is taken for 0: a code of 8 bits."""
+
+
 def directions(height: int, width: int) -> NDArray[np.float64]:
     """Where the light of each pixel comes from: (height, width, 3) unit vectors."""
     return _rows(height, width, slice(None))
@@ -69,13 +73,15 @@ def read(
     """Read a panorama as linear Rec.709: (H, 2H, 3).
 
     Other pictures than EXR and Radiance HDR files are read too, but know no light above white,
-    which is warned of where they reach it. `color_space` is as for `images.read_picture`. Raises
-    InputError if it cannot be read as a picture, is not twice as wide as high or too small, or
-    holds NaN, infinity or negative radiance. Colours that only other primaries than Rec.709 hold
-    are negative in Rec.709 and welcome. Raises OSError if the file cannot be read.
+    which is warned of where they reach it. So are infinities, taken for the brightest pixel or
+    65504, where half floats end; and a little negative radiance, as filters leave it, taken for 0.
+    `color_space` is as for `images.read_picture`. Raises InputError if it cannot be read as a
+    picture, is not twice as wide as high or too small, holds NaN or nothing finite, or so much
+    negative radiance that light changes (`NEGATIVE_MAX`). Colours that only other primaries than
+    Rec.709 hold are negative in Rec.709 and welcome. Raises OSError if the file cannot be read.
     """
     picture = images.read_picture(path, color_space)
-    _check(picture, str(path))
+    pixels = _mended(picture, str(path))
     clipped = picture.limits is not None and (picture.limits == AT_LEAST).any(axis=-1)
     if np.any(clipped):
         log.warning(
@@ -84,23 +90,36 @@ def read(
             path,
             100 * np.mean(clipped),
         )
-    return picture.pixels
+    return pixels
 
 
-def _check(picture: images.Picture, name: str) -> None:
-    height, width = picture.pixels.shape[:2]
+def _mended(picture: images.Picture, name: str) -> NDArray[np.float32]:
+    pixels = picture.pixels
+    height, width = pixels.shape[:2]
     if width != 2 * height:
         raise InputError(
             f"{name}: expected a panorama twice as wide as high (equirectangular), "
             f"found {width} × {height}"
         )
-    _refuse_where(~np.isfinite(picture.pixels).all(axis=-1), "NaN or infinity", name)
-    _refuse_where(picture.negative, "negative radiance", name)
+    infinite = np.isposinf(pixels)
+    unsound = (~np.isfinite(pixels) & ~infinite).any(axis=-1) | infinite.all()
+    _refuse_where(unsound, "NaN or infinity", name)
+    below = picture.negative[..., None] & (pixels < 0)
+    light = solid_angles(height, width)[:, None, None] * np.where(infinite, 0, pixels)
+    if -light[below].sum() > NEGATIVE_MAX * np.abs(light).sum():
+        _refuse_where(picture.negative, "negative radiance", name)
     if height < FEWEST_ROWS:
         raise InputError(
             f"{name}: expected a panorama of {2 * FEWEST_ROWS} × {FEWEST_ROWS} pixels or more, "
             f"found {width} × {height}"
         )
+    most = max(float(pixels[~infinite].max()), float(np.finfo(np.float16).max))
+    for wrong, what, value in ((infinite, "infinite", most), (below, "negative", 0.0)):
+        if wrong.any():
+            pixels[wrong] = value
+            count = np.count_nonzero(wrong.any(axis=-1))
+            log.warning("%s: %d pixels are %s, taken for %g", name, count, what, value)
+    return pixels
 
 
 def _refuse_where(wrong: ArrayLike, what: str, name: str) -> None:

@@ -16,6 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.io import limits as file_limits
 from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals, refuse_masked
 from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
+from pbrfit.io.normal_files import MIN_NORMAL_LENGTH
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
@@ -42,9 +43,6 @@ CHANNELS = "red", "green", "blue"
 FIRST_FOV = 60.0
 """Horizontal field of view in degrees that stands for one that nobody told, until a fit finds it:
 that of a lens of 31 mm on a 35 mm camera."""
-
-MIN_NORMAL_LENGTH = 0.1
-"""Normals shorter than this have no direction worth normalising."""
 
 SHAPE_PICTURES_MIN = 3
 """Pictures under different lights from which on normals can be found where none are given."""

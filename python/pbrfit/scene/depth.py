@@ -42,6 +42,11 @@ DISAGREEMENT_MIN = 45.0
 COMPARED_MAX = 1 << 16
 """Pixels that are compared when a scene is made: rows and columns are left out of larger maps."""
 
+FAR_RATIO = 10.0
+"""Ratio of a depth that several pixels have, to the bit, to the next smaller one of the map, from
+which on it is a far plane: what lies there is seen in the same direction from everything nearer, to
+within 1/10 radian."""
+
 SAME_SURFACE = 0.1
 """Relative difference of inverse depth from the median within which samples of a pixel that is
 averaged down are one surface; others lie beyond a jump."""
@@ -80,10 +85,7 @@ def checked_depth(
         raise InputError(f"depth: expected shape {shape}, found {array.shape}")
     if array.dtype.kind not in "uif":
         raise InputError(f"depth: expected real numbers, found {array.dtype}")
-    depth, holes = without_holes(array)
-    notes = []
-    if holes:
-        notes.append(f"{holes} pixels of 0, negative or infinite depth left out")
+    depth, notes = without_holes(array)
     if not normals_known:
         return depth, notes
     found = compared(depth, normals, fov, at_most=COMPARED_MAX)
@@ -103,19 +105,29 @@ def checked_depth(
     return depth, notes
 
 
-def without_holes(depth: NDArray[Any]) -> tuple[Depth, int]:
-    """Depth with NaN where no distance is, and how many other numbers stood there.
+def without_holes(depth: NDArray[Any], *, inverse: bool = False) -> tuple[Depth, list[str]]:
+    """Depth with NaN where no distance is, and which other numbers stood there, in words.
 
-    Raises InputError if no pixel has a distance.
+    A far plane is none (`FAR_RATIO`), nor the largest half float, to which renderers clip; but
+    numbers that are `inverse` have no far end. Raises InputError if no pixel has a distance.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold is infinite then
         kept: Depth = depth.astype(np.float32)
         hit = (kept > 0) & (kept < DEPTH_MAX)
     if not hit.any():
         raise InputError("depth: expected distances above 0, found none")
-    holes = int(np.count_nonzero(~hit & ~np.isnan(kept)))
+    notes = []
+    if holes := int(np.count_nonzero(~hit & ~np.isnan(kept))):
+        notes.append(f"{holes} pixels of 0, negative or infinite depth left out")
+    top = kept[hit].max()
+    at_top = hit & (kept == top)
+    nearer = kept[hit & ~at_top].max(initial=0)
+    far = np.count_nonzero(at_top) > 1 and top >= FAR_RATIO * nearer
+    if nearer > 0 and not inverse and (far or top == np.finfo(np.float16).max):
+        notes.append(f"{np.count_nonzero(at_top)} pixels of a far plane, {top:g}, left out")
+        hit &= ~at_top
     kept[~hit] = np.nan
-    return kept, holes
+    return kept, notes
 
 
 @dataclass(frozen=True)
@@ -156,7 +168,12 @@ def compared(
         return Agreement(as_depth, math.nan)
     inverse = 1.0 / few
     if width is not None:  # only here its unit matters, and nobody told it
-        inverse *= _slope(wanted) / _slope(from_depth(inverse, fov=fov, view_width=width)[0])
+        found, known = from_depth(inverse, fov=fov, view_width=width)
+        known &= np.isfinite(wanted[..., 0])
+        steepness = _slope(found[known])
+        if not steepness > 0:  # most of it faces the camera: no unit explains the normals
+            return Agreement(as_depth, math.nan)
+        inverse *= _slope(wanted[known]) / steepness
     return Agreement(as_depth, angle(inverse))
 
 

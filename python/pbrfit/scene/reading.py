@@ -18,7 +18,7 @@ from pbrfit.io.depth_files import find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
-from pbrfit.io.normal_files import UNCERTAINTY, find_normals, read_normals, read_uncertainty
+from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
 from pbrfit.io.quoting import quoted
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
@@ -30,7 +30,6 @@ from pbrfit.scene import depth as scene_depth
 from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import (
     FIRST_FOV,
-    MIN_NORMAL_LENGTH,
     SHAPE_PICTURES_MIN,
     SceneArrays,
     Source,
@@ -149,6 +148,7 @@ def load(
         normals, mask, segments = _averaged(normals, mask, segments, size)
         depth = None if depth is None else scene_depth.reduced(depth, size)
     weights = None if pictures_alone else _read_weights(notes, names, mask, full_size)
+    weights = _without_bad(read, mask, paths, weights, assumed)
     limits = _limits(read, mask, paths, code_range, assumed, for_good=dark is not None)
     if dark is not None:  # here, as what was clipped is found in the values of the files
         _subtract(dark, read.pixels, mask, paths, assumed)
@@ -284,6 +284,8 @@ class _Pictures:
     """Whether a float file has limits."""
     noise: list[FileNoise | None]
     """What its file did to each picture."""
+    bad: list[NDArray[np.bool_] | None]
+    """(H, W, 3) of each picture: samples that were NaN or infinite, and are 0; None = none."""
     mask: NDArray[np.bool_]
     """What alpha leaves, at the files' size."""
     focal_length: float | None = None
@@ -314,6 +316,7 @@ def _read_pictures(
                 searched=[],
                 said=False,
                 noise=[],
+                bad=[],
                 mask=np.ones(full_size, dtype=bool),
             )
         if full_size != read.mask.shape:
@@ -324,6 +327,9 @@ def _read_pictures(
             )
         whole = size == full_size
         read.pixels[i] = picture.pixels if whole else averaged_channels(picture.pixels, size)
+        bad = ~np.isfinite(read.pixels[i])
+        read.bad.append(bad if bad.any() else None)
+        read.pixels[i][bad] = 0
         if picture.limits is not None:
             read.limits[i] = picture.limits if whole else file_limits.averaged(picture.limits, size)
         is_float = picture.bit_depth == 32
@@ -352,6 +358,45 @@ def _read_pictures(
     return read
 
 
+def _without_bad(
+    read: _Pictures,
+    mask: NDArray[np.bool_],
+    paths: list[Path],
+    weights: NDArray[np.float32] | None,
+    assumed: dict[str, str],
+) -> NDArray[np.float32] | None:
+    """Weights that are 0 where a sample is NaN or infinite; as given where none in the mask is.
+
+    Raises InputError if that is so in half of a picture's pixels.
+    """
+    pixels = np.count_nonzero(mask)
+    counts = {
+        path: np.count_nonzero(mask & bad.any(axis=-1))
+        for path, bad in zip(paths, read.bad, strict=True)
+        if bad is not None
+    }
+    worst = max(counts, key=lambda path: counts[path], default=None)
+    if worst is None or not counts[worst]:
+        return weights
+    if 2 * counts[worst] >= pixels:
+        raise InputError(
+            f"{worst}: expected finite pixels, found {counts[worst]} of {pixels} that are NaN or "
+            "infinite; a mask can leave them out"
+        )
+    said = (
+        f"{sum(counts.values())} pixels that are NaN or infinite left out, each of its picture "
+        f"alone; the most in {worst.name}, {counts[worst]}"
+    )
+    log.warning("%s: %s", worst.parent, said)
+    assumed["gaps"] = said
+    given = np.ones((1, 1, 1), np.float32) if weights is None else weights
+    given = given[..., None] if given.ndim < 4 else given
+    found = np.broadcast_to(given, read.pixels.shape).copy()
+    for of_picture, bad in zip(found, read.bad, strict=True):
+        of_picture[bad if bad is not None else slice(0)] = 0
+    return found
+
+
 def _in_words(forms: dict[str, list[str]]) -> str:
     """The forms of integer files, the most frequent first, and how many files have each."""
     if len(forms) == 1:
@@ -374,7 +419,7 @@ def _limits(
 
     With `for_good` they are sought here in any case, as the pictures are still to be changed.
     """
-    counted = [every_channel(mask)] * len(paths)
+    counted = [every_channel(mask) & (True if bad is None else ~bad) for bad in read.bad]
     for path, limits in zip(paths, read.limits, strict=True):
         if limits[mask].all():
             low, high = code_range or images.CODE_RANGE
@@ -499,9 +544,21 @@ def _read_mask(notes: _Notes, size: tuple[int, int]) -> NDArray[np.bool_]:
     path = notes.folder / "mask.png"
     drawn = images.read_data(path)
     _expect_size(path, drawn.shape[:2], size)
-    mask: NDArray[np.bool_] = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1].mean(axis=-1) >= 0.5
+    colors = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1]
+    drawn_in_grey = np.ptp(colors) > 0 and (colors == colors[..., :1]).all()
+    if drawn.shape[-1] in (2, 4) and np.ptp(drawn[..., -1]) > 0 and not drawn_in_grey:
+        colors = drawn[..., -1:]
+        notes.assumed["mask"] = f"{path.name}: its alpha, as it is not drawn in black and white"
+    white = colors.max()
+    mask: NDArray[np.bool_] = colors.mean(axis=-1) >= 0.5
+    if not mask.any() and white > 0 and np.isin(colors, (0, white)).all():
+        mask = colors.mean(axis=-1) >= white / 2
+        notes.assumed["mask"] = f"{path.name}: 0 and {white:.2g} of white alone, taken for it"
     if not mask.any():
-        raise InputError(f"{path}: expected at least one white pixel, found none")
+        raise InputError(
+            f"{path}: expected at least one white pixel, found none, and {white:.2g} of white at "
+            "most"
+        )
     return mask
 
 
@@ -522,13 +579,14 @@ def _read_depth(notes: _Notes, size: tuple[int, int]) -> NDArray[np.float32] | N
     stored = read_depth(path)
     _expect_size(path, stored.shape, size)
     try:
-        depth, _ = scene_depth.without_holes(stored)
+        depth, holes = scene_depth.without_holes(stored)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     low, middle, high = np.nanpercentile(depth, [0, 50, 100])
     said = f"{path.name}: {low:.3g} to {high:.3g}, median {middle:.3g}"
     unknown = 100 * np.isnan(depth).mean()
-    notes.assumed["depth"] = f"{said}; {unknown:.2g} % of the pixels unknown" if unknown else said
+    holes += [f"{unknown:.2g} % of the pixels unknown"] if unknown else []
+    notes.assumed["depth"] = "; ".join([said, *holes])
     return depth
 
 
@@ -576,7 +634,10 @@ def _read_or_leave_normals(
 def _read_normals(
     notes: _Notes, settings: Settings, mask: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
-    """Unit normals in camera space, and their standard deviation in degrees, where it is given."""
+    """Unit normals in camera space, and their standard deviation in degrees, where it is given.
+
+    Pixels that have none are taken out of the mask, in place.
+    """
     folder = notes.folder
     found = find_normals(folder)
     if not found:
@@ -588,23 +649,29 @@ def _read_normals(
         raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
     [path] = found
     notes.has(path.name)
-    normals = read_normals(path)
-    _expect_size(path, normals.shape[:2], mask.shape)
+    read = read_normals(path)
+    _expect_size(path, read.vectors.shape[:2], mask.shape)
     try:
-        normals = settings.convention.to_camera(normals)
+        normals = settings.convention.to_camera(read.vectors)
     except InputError as error:
         raise InputError(f"{folder / 'scene.toml'}: {error}") from None
-    said = f"{path.name}, {settings.convention}"
-    sigma = read_uncertainty(path)
+    said = ", ".join([path.name, *read.said, str(settings.convention)])
+    none = mask & np.isnan(normals[..., 0])
+    if none.any():
+        mask &= ~none
+        if not mask.any():
+            raise InputError(f"{path}: expected normals of some pixel of the mask, found none")
+        said += (
+            f"; {np.count_nonzero(none)} pixels left out, whose vectors are zero, NaN or longer "
+            "than normals"
+        )
+    sigma = read.uncertainty
     if sigma is not None:
         _check_not_negative(path, f"{UNCERTAINTY} of finite degrees", sigma[mask])
         low, middle, high = np.percentile(sigma[mask], [0, 50, 100])
         said += f", uncertain by {low:.2g} to {high:.2g} degrees, median {middle:.2g}"
     notes.assumed["normals"] = said
-    try:
-        return unit_normals(normals, mask), sigma
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    return unit_normals(normals, mask), sigma
 
 
 def _read_truth(folder: Path, names: tuple[str, ...], size: tuple[int, int]) -> Truth | None:

@@ -106,9 +106,9 @@ def test_a_light_that_does_not_ring_is_left_alone() -> None:
     np.testing.assert_array_equal(panorama.nonnegative(0 * soft), 0 * soft)
 
 
-def one_negative_channel() -> np.ndarray:
+def one_negative(value: float) -> np.ndarray:
     pixels = np.ones((8, 16, 3))
-    pixels[2, 5, 0] = -1e-3
+    pixels[2, 5, 0] = value
     return pixels
 
 
@@ -120,7 +120,7 @@ def one_negative_channel() -> np.ndarray:
         (np.full((8, 16, 3), np.inf), "found NaN or infinity in 128 pixels"),
         (np.full((8, 16, 3), -1.0), "found negative radiance in 128 pixels"),
         (
-            one_negative_channel(),
+            one_negative(-3.0),
             "found negative radiance in 1 pixels, the first in column 5 of ro",
         ),
         (np.ones((6, 12, 3)), "expected a panorama of 14 × 7 pixels or more, found 12 × 6"),
@@ -132,6 +132,17 @@ def test_what_is_no_panorama_is_refused(pixels: np.ndarray, message: str, tmp_pa
     with pytest.raises(InputError, match=message) as caught:
         panorama.read(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_single_wrong_pixels_are_mended_and_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "sky.exr"
+    for value, mended in ((-1e-3, 0), (-0.3, 0), (np.inf, 65504)):
+        images.write_exr(path, {c: one_negative(value)[..., i] for i, c in enumerate("RGB")})
+        np.testing.assert_array_equal(panorama.read(path), one_negative(mended))
+        assert f"sky.exr: 1 pixels are {'inf' if value > 0 else 'neg'}" in caplog.text
+        caplog.clear()
 
 
 def test_the_smallest_panorama_lights_evenly(tmp_path: Path) -> None:

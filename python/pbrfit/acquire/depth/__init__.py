@@ -43,6 +43,7 @@ def estimate(
     surface: Surface,
     *,
     depth_kind: DepthKind = "z",
+    unit: float = 1.0,
     fuse: bool = False,
     **options: Any,
 ) -> Depth:
@@ -55,8 +56,7 @@ def estimate(
     ----------
     source
         "marigold" or "depth-anything"; "normals", which are integrated; or a file: EXR, .npy, or a
-        grey PNG or TIFF of 16 bits or floats, of the picture's size or larger in the same
-        proportion, in any unit.
+        grey PNG or TIFF, of the picture's size or larger in the same proportion, in any unit.
     srgb8
         (H, W, 3), sRGB: what a network is shown. Of the others only its size matters.
     surface
@@ -64,6 +64,8 @@ def estimate(
         them its unknown offset is found.
     depth_kind
         Of a file: "z", "ray" (distance along the pixel's ray) or "disparity" (inverse of z).
+    unit
+        Of a file: what its numbers are multiplied by, 0.001 for metres of millimetres.
     fuse
         Make the depth agree with the normals (`pbrfit.scene.integration`).
     options
@@ -98,7 +100,8 @@ def estimate(
         path = Path(source)
         if not path.exists() and path.name == source and not path.suffix:
             raise InputError(f"depth: expected {SOURCES}, found {source!r}")
-        found = _of_file(path, size, surface.fov, depth_kind)
+        found, of_file = _of_file(path, size, surface.fov, depth_kind, unit)
+        remarks += of_file
         record |= {"file": path.name, "kind": depth_kind}
     if fuse:
         normals = _normals(surface, "fuse")
@@ -121,18 +124,26 @@ def _normals(surface: Surface, what: str) -> NDArray[np.float64]:
     return surface.normals
 
 
-def _of_file(path: Path, size: tuple[int, int], fov: float, kind: DepthKind) -> NDArray[np.float32]:
-    """Distances along the axis, at the size (height, width) of the pictures."""
+def _of_file(
+    path: Path, size: tuple[int, int], fov: float, kind: DepthKind, unit: float
+) -> tuple[NDArray[np.float32], list[str]]:
+    """Distances along the axis, at the size (height, width) of the pictures; and remarks."""
+    if not 0 < unit < np.inf:
+        raise InputError(f"unit: expected a number above 0, found {unit:g}")
     stored = read_depth(path)
     if stored.shape != size:
         check_reducible(path, stored.shape, size)
     try:
-        values = without_holes(stored)[0].astype(np.float64)
+        kept, said = without_holes(stored, inverse=kind == "disparity")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    values = unit * kept.astype(np.float64)
+    if unit == 1 and np.nanmax(values) > 1 and not np.fmod(values[np.isfinite(values)], 1).any():
+        said.append("whole numbers, in the unit of the file; --unit 0.001 makes metres of mm")
     if kind == "disparity":
         values = 1.0 / values
     elif kind == "ray":
         height, width = stored.shape
         values = values * geometry.view_directions(height, width, fov)[..., 2]
-    return reduced(values, size) if stored.shape != size else values.astype(np.float32)
+    found = reduced(values, size) if stored.shape != size else values.astype(np.float32)
+    return found, said

@@ -35,6 +35,8 @@ class Normals:
     known: NDArray[np.bool_] | None = None
     """(H, W), where the source has a normal at all; elsewhere it faces the viewer. None =
     everywhere."""
+    remarks: tuple[str, ...] = ()
+    """How a file was read, where that is not as its kind suggests."""
 
     @property
     def weights(self) -> NDArray[np.float32] | None:
@@ -81,6 +83,7 @@ def estimate(
         return Normals(normals, uncertainty, {"source": kind, **record})
     path = Path(source.removeprefix(DEPTH))
     record = {"source": kind, "file": path.name}
+    remarks: tuple[str, ...] = ()
     if kind == "depth":
         given = {"kind": options.get("depth_kind", "z")}
         if "view_width" in options:
@@ -91,11 +94,11 @@ def estimate(
         raise InputError(f"normals: expected {SOURCES}, found {source!r}")
     else:
         convention = options.get("convention", Convention())
-        normals, known = maps.from_file(path, size, convention)
+        normals, known, remarks = maps.from_file(path, size, convention)
         record["convention"] = str(convention)
     if not (known if mask is None else known & mask).any():  # the fit would have no pixel
         raise InputError(f"{path}: expected normals of some pixel of the mask, found none")
-    return Normals(normals, record=record, known=known)
+    return Normals(normals, record=record, known=known, remarks=remarks)
 
 
 def kind_of(source: str) -> str:

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.normal_files import Convention, read_normals
-from pbrfit.io.npy_files import read_npy
+from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, Convention, read_normals
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.depth_normals import FACING
-from pbrfit.scene.arrays import MIN_NORMAL_LENGTH
 
 BEHIND_SHARE_MAX = 0.01
 """Share of the pixels of a tangent-space map above which normals that point behind its surface say
@@ -21,23 +19,23 @@ that it is of another space."""
 
 def from_file(
     path: Path, size: tuple[int, int], convention: Convention
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], tuple[str, ...]]:
     """Normals of a file in camera space, at the size (height, width) of the pictures.
 
-    The file is EXR (X, Y, Z or R, G, B: the components), PNG or TIFF (n = 2v - 1), or .npy of shape
-    (H, W, 3) or (3, H, W). The map has the pictures' size, or is larger in the same proportion;
-    then normals are averaged. Returns normals, known: (H, W, 3) unit vectors, and (H, W): where the
-    file has one. Elsewhere (zero, NaN) the normal faces the viewer. Raises InputError or OSError if
-    the file holds no normals, those of another frame, or of another proportion.
+    The file is one that `read_normals` reads. The map has the pictures' size, or is larger in the
+    same proportion; then normals are averaged. Returns normals, known, said: (H, W, 3) unit
+    vectors; (H, W), where the file has one, which elsewhere faces the viewer; and how the file was
+    read, in words. Raises InputError or OSError if the file holds no normals, those of another
+    frame, or of another proportion.
     """
-    stored = _stored(path)
+    read = read_normals(path)
+    stored = read.vectors
     if stored.shape[:2] != size:
         check_reducible(path, stored.shape, size)  # before any work is done on it
-    with np.errstate(over="ignore"):  # too long to have a length: not known
-        length = np.linalg.norm(stored, axis=-1)
-    known = np.isfinite(length) & (length >= MIN_NORMAL_LENGTH)
+    length = np.linalg.norm(stored, axis=-1)
+    known = np.isfinite(length)
     if not known.any():
-        raise InputError(f"{path}: expected unit vectors, found only zeros or NaN")
+        raise InputError(f"{path}: expected unit vectors, found no vector of a length near 1")
     if convention.frame == "tangent":
         behind = float(np.mean(stored[known][:, 2] < 0))
         if behind > BEHIND_SHARE_MAX:
@@ -50,20 +48,7 @@ def from_file(
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     unit = turned / np.where(known, length, 1.0)[..., None]
-    return fit_to_size(np.where(known[..., None], unit, FACING), known, size, path)
-
-
-def _stored(path: Path) -> NDArray[np.float64]:
-    if path.suffix.lower() != ".npy":
-        return read_normals(path)
-    array = read_npy(path)
-    if array.ndim == 4 and array.shape[0] == 1:
-        array = array[0]
-    if array.ndim == 3 and array.shape[-1] != 3 and array.shape[0] == 3:
-        array = np.moveaxis(array, 0, -1)
-    if array.ndim != 3 or array.shape[-1] != 3:
-        raise InputError(f"{path}: expected normals (H, W, 3), found shape {array.shape}")
-    return array
+    return *fit_to_size(np.where(known[..., None], unit, FACING), known, size, path), read.said
 
 
 def fit_to_size(
