@@ -9,9 +9,11 @@ import logging
 import os
 import re
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NoReturn
 
 from pbrfit.commands import add_commands
@@ -90,6 +92,17 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         end_with(message_of(error))
         if isinstance(error, OSError):
             unread()
+        return UNUSABLE
+    except ArithmeticError as error:  # of numbers in the input that no check foresaw
+        if sys.flags.dev_mode:
+            raise
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        what = message_of(error) or type(error).__name__
+        end_with(
+            f"expected numbers that can be computed with, found {what} in {place.name}, "
+            f"{Path(place.filename).name}:{place.lineno}; PYTHONDEVMODE=1 shows the way "
+            "there"
+        )
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
         end_with(str(interrupt) or ending.WORD)

@@ -15,7 +15,7 @@ from pbrfit.io.input_files import names_file, open_file
 from pbrfit.io.npy_files import read_npy
 
 Channels = dict[str, NDArray[np.float32]]
-"""Of an EXR file, (H, W) by full name."""
+"""Planes (H, W) of an EXR file by full name."""
 
 
 @names_file
