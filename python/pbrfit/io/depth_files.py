@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from pbrfit.io.samples import read_stored
 
 DEPTH_FILES = ("depth.exr", "depth.npy")
 
-CHANNELS = ("Z", "depth.Z", "Depth.Z", "depth.V", "Depth.V", "depth.Y", "Y", "R")
-"""Channels that may hold depth in an EXR file, in the order in which they are looked for."""
+CHANNELS = ("Z", r"(.+\.)?depth(\.[RVXYZ])?", "Y", "R")
+"""Patterns of channels that may hold depth in an EXR file, in the order in which they are tried."""
 
 
 def find_depth(folder: Path) -> Path | None:
@@ -32,15 +33,12 @@ def read_depth(path: Path) -> NDArray[np.float64]:
     """(H, W) as stored: of an EXR file, another picture or .npy."""
     stored = read_stored(path)
     if isinstance(stored, dict):
-        name = next((name for name in CHANNELS if name in stored), None)
-        if name is None and len(stored) == 1:
-            [name] = stored
-        if name is None:
+        found = [name for one in CHANNELS for name in stored if re.fullmatch(one, name, re.I)]
+        if not found and len(stored) > 1:
             raise InputError(
-                f"{path}: expected one of the channels {', '.join(CHANNELS)}, "
-                f"found {listed(stored)}"
+                f"{path}: expected one of the channels Z, depth.Z, Y, R, found {listed(stored)}"
             )
-        return stored[name].astype(np.float64)
+        return stored[(*found, *stored)[0]].astype(np.float64)
     if stored.ndim == 3 and 1 in (stored.shape[0], stored.shape[-1]):
         stored = stored.reshape(stored.shape[1:] if stored.shape[0] == 1 else stored.shape[:2])
     elif stored.ndim == 3 and stored.shape[-1] in (2, 3, 4):  # of a picture, maybe with alpha

@@ -167,8 +167,8 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
         return _with_z(reading(stored)), ["z = √(1 − x² − y²)", *filter(None, [how])]
     for largest in (127, 255, 32767, 65535):
         if 1 + ROUNDING < max(high, -low) <= largest + 1 and (low < 0) == (largest in SIGNED):
-            decode = _of_signed if low < 0 else _of_codes
-            readings[f"codes up to {largest}"] = partial(decode, largest=largest)
+            reading = partial(_of_codes, largest=largest, signed=bool(low < 0))
+            readings[f"codes up to {largest}"] = reading
     given = readings[""]
     spans = np.ptp(some, axis=0) if len(some) else np.ones(3)
     if spans[2] == 0 < spans[:2].min():
@@ -192,12 +192,9 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
     return readings[best](stored), [best] if best else []
 
 
-def _of_codes(values: NDArray[Any], largest: float) -> NDArray[np.float64]:
-    return np.asarray(2.0 * (values / np.float64(largest)) - 1.0)
-
-
-def _of_signed(values: NDArray[Any], largest: float) -> NDArray[np.float64]:
-    return np.asarray(values / np.float64(largest))
+def _of_codes(values: NDArray[Any], largest: int, signed: bool = False) -> NDArray[np.float64]:
+    shares: NDArray[np.float64] = values / np.float64(largest)
+    return shares if signed else 2.0 * shares - 1.0
 
 
 def _with_z(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,10 @@ from numpy.lib.format import MAGIC_PREFIX
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit._core import InputError
 from pbrfit.io.images import _load, _oriented
 from pbrfit.io.input_files import names_file, open_file
-from pbrfit.io.npy_files import read_npy
+from pbrfit.io.quoting import shown
 
 Channels = dict[str, NDArray[np.float32]]
 """Planes (H, W) of an EXR file by full name."""
@@ -33,3 +35,29 @@ def read_stored(path: Path) -> NDArray[Any] | Channels:
     if kind == "EXR":
         return _core.decode_exr(data, path)[0]
     return _oriented(_core.decode_raster(data, path, indices=False))
+
+
+@names_file
+def read_npy(path: Path) -> NDArray[np.float64]:
+    """Read an array of numpy's own format, without anything that could be code.
+
+    Raises InputError if the file is no array of real numbers; OSError if it cannot be read.
+    """
+    expected = "expected an array of real numbers in .npy"
+    try:
+        with open_file(path) as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about headers of long ago
+            if file.read(len(MAGIC_PREFIX)) != MAGIC_PREFIX:
+                raise ValueError("a file of another kind")
+            # Mapped instead of read: no memory is taken for more than the file holds.
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, InputError, MemoryError):
+        raise
+    except Exception as error:  # headers are Python expressions, and fail in all ways of these
+        raise InputError(f"{path}: {expected}, found {shown(error)}") from None
+    if array.dtype.kind not in "uif":
+        raise InputError(f"{path}: {expected}, found {array.dtype}")
+    if array.size == 0:
+        raise InputError(f"{path}: {expected}, found an empty one, of shape {array.shape}")
+    with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
+        return np.array(array, np.float64)

@@ -34,14 +34,18 @@ FEWEST_ROWS = 7
 """Products of two functions with l = 3 have degree 6; with fewer rows, or columns, `solid_angles`
 does not integrate them exactly, and grey panoramas would light unevenly."""
 
-
 NEGATIVE_MAX = 1 / 255
 """Share of a panorama's light that may be negative, and is taken for 0: a code of 8 bits."""
 
 
-def directions(height: int, width: int) -> NDArray[np.float64]:
-    """Where the light of each pixel comes from: (height, width, 3) unit vectors."""
-    return _rows(height, width, slice(None))
+def directions(height: int, width: int, rows: slice = slice(None)) -> NDArray[np.float64]:
+    """Where the light of each pixel, in some rows, comes from: (h, width, 3) unit vectors."""
+    around = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
+    up = np.pi * (0.5 - (np.arange(height)[rows] + 0.5) / height)[:, None]
+    return np.stack(
+        np.broadcast_arrays(np.sin(around) * np.cos(up), np.sin(up), -np.cos(around) * np.cos(up)),
+        axis=-1,
+    )
 
 
 def solid_angles(height: int, width: int) -> NDArray[np.float64]:
@@ -145,7 +149,7 @@ def project(pixels: NDArray[np.floating[Any]], rotate: float = 0.0) -> NDArray[n
     step = max(1, CHUNK // width)
     for first in range(0, height, step):
         rows = slice(first, first + step)
-        basis = sh_basis(_rows(height, width, rows))
+        basis = sh_basis(directions(height, width, rows))
         weighted = pixels[rows] * weights[rows, None, None]
         light += np.tensordot(basis, weighted, axes=((0, 1), (0, 1)))
     return rotated(light, rotate)
@@ -189,13 +193,3 @@ def nonnegative(coefficients: ArrayLike) -> NDArray[np.float64]:
         middle = (low + high) / 2
         low, high = (low, middle) if darkest(damped(10**middle)) >= 0 else (middle, high)
     return damped(10**high)
-
-
-def _rows(height: int, width: int, rows: slice) -> NDArray[np.float64]:
-    """Directions of some rows."""
-    around = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
-    up = np.pi * (0.5 - (np.arange(height)[rows] + 0.5) / height)[:, None]
-    return np.stack(
-        np.broadcast_arrays(np.sin(around) * np.cos(up), np.sin(up), -np.cos(around) * np.cos(up)),
-        axis=-1,
-    )

@@ -41,15 +41,10 @@ def check_normals_can_be_added(folder: Path, *, overwrite: bool, height: bool = 
     _to_convention(folder, np.zeros(3))
     scene_folder.find_pictures(folder)
     others = [folder / WEIGHT_FILE, *([folder / HEIGHT_FILE] if height else [])]
+    kinds = {WEIGHT_FILE: "weights", HEIGHT_FILE: "height"}
     for path in [*find_normals(folder), *others]:
-        if there(path) and not overwrite:
-            kinds = {WEIGHT_FILE: "weights", HEIGHT_FILE: "height"}
-            what = kinds.get(path.name, "normals")
-            raise FileExistsError(
-                f"{path}: expected no {what} yet, found some; overwrite=True replaces normals and "
-                "weights"
-            )
-        check_free_file(path, overwrite=True)
+        what = kinds.get(path.name, "normals")
+        _check_none(path, what, overwrite=overwrite, replaced=" normals and weights")
 
 
 def add_normals(
@@ -130,12 +125,16 @@ def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool
 
 def check_no_depth(folder: Path, *, overwrite: bool) -> None:
     """Raise FileExistsError if the folder has depth and `overwrite` is False, or it is no file."""
-    for path in (folder / name for name in DEPTH_FILES):
-        if there(path) and not overwrite:
-            raise FileExistsError(
-                f"{path}: expected no depth yet, found some; overwrite=True replaces"
-            )
-        check_free_file(path, overwrite=True)
+    for name in DEPTH_FILES:
+        _check_none(folder / name, "depth", overwrite=overwrite)
+
+
+def _check_none(path: Path, what: str, *, overwrite: bool, replaced: str = "") -> None:
+    if there(path) and not overwrite:
+        raise FileExistsError(
+            f"{path}: expected no {what} yet, found some; overwrite=True replaces{replaced}"
+        )
+    check_free_file(path, overwrite=True)
 
 
 def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
@@ -185,9 +184,4 @@ def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = Fal
 
 def check_no_segments(folder: Path, *, overwrite: bool) -> None:
     """Raise FileExistsError if there are segments and `overwrite` is False, or they are no file."""
-    path = folder / scene_folder.SEGMENT_FILE
-    if there(path) and not overwrite:
-        raise FileExistsError(
-            f"{path}: expected no segments yet, found some; overwrite=True replaces"
-        )
-    check_free_file(path, overwrite=True)
+    _check_none(folder / scene_folder.SEGMENT_FILE, "segments", overwrite=overwrite)

@@ -365,30 +365,20 @@ def _without_bad(
     weights: NDArray[np.float32] | None,
     assumed: dict[str, str],
 ) -> NDArray[np.float32] | None:
-    """Weights that are 0 where a sample is NaN or infinite; as given where none in the mask is.
-
-    Raises InputError if that is so in half of a picture's pixels.
-    """
+    """Weights that are 0 where a sample is NaN or infinite; InputError if half of a picture is."""
     pixels = np.count_nonzero(mask)
-    counts = {
-        path: np.count_nonzero(mask & bad.any(axis=-1))
-        for path, bad in zip(paths, read.bad, strict=True)
-        if bad is not None
-    }
-    worst = max(counts, key=lambda path: counts[path], default=None)
-    if worst is None or not counts[worst]:
+    counts = [0 if bad is None else np.count_nonzero(mask & bad.any(axis=-1)) for bad in read.bad]
+    worst, path = max(counts), paths[int(np.argmax(counts))]
+    if not worst:
         return weights
-    if 2 * counts[worst] >= pixels:
+    if 2 * worst >= pixels:
         raise InputError(
-            f"{worst}: expected finite pixels, found {counts[worst]} of {pixels} that are NaN or "
-            "infinite; a mask can leave them out"
+            f"{path}: expected finite pixels, found {worst} of {pixels} that are NaN or infinite; "
+            "a mask can leave them out"
         )
-    said = (
-        f"{sum(counts.values())} pixels that are NaN or infinite left out, each of its picture "
-        f"alone; the most in {worst.name}, {counts[worst]}"
-    )
-    log.warning("%s: %s", worst.parent, said)
-    assumed["gaps"] = said
+    said = f"{sum(counts)} pixels that are NaN or infinite left out, each of its picture alone"
+    assumed["gaps"] = f"{said}; the most in {path.name}, {worst}"
+    log.warning("%s: %s", path.parent, assumed["gaps"])
     given = np.ones((1, 1, 1), np.float32) if weights is None else weights
     given = given[..., None] if given.ndim < 4 else given
     found = np.broadcast_to(given, read.pixels.shape).copy()
@@ -419,7 +409,8 @@ def _limits(
 
     With `for_good` they are sought here in any case, as the pictures are still to be changed.
     """
-    counted = [every_channel(mask) & (True if bad is None else ~bad) for bad in read.bad]
+    everywhere = every_channel(mask)
+    counted = [everywhere if bad is None else everywhere & ~bad for bad in read.bad]
     for path, limits in zip(paths, read.limits, strict=True):
         if limits[mask].all():
             low, high = code_range or images.CODE_RANGE

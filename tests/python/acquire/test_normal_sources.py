@@ -185,7 +185,7 @@ def test_depth_files_that_cannot_be_used(tmp_path: Path) -> None:
     for name, message in {
         "rgb.exr": "rgb.exr: expected one of the channels Z, .* found A, B",
         "jet.png": "jet.png: expected depth in one channel, found colours",
-        "none.exr": "none.exr: expected depths above 0, found none",
+        "none.exr": "none.exr: depth: expected distances above 0, found none",
         "wide.exr": "wide.exr: expected the pictures' size, 16 × 16 .* found 32 × 16",
         "many.npy": r"many.npy: expected depth \(H, W\), found shape \(3, 16, 16\)",
         "words.npy": "words.npy: expected an array of real numbers",

@@ -197,11 +197,13 @@ def test_saved_depth_comes_back_and_is_an_input(tmp_path: Path) -> None:
     assert read.assumed["depth"].endswith("0.011 % of the pixels unknown")
 
 
-@pytest.mark.parametrize("channel", ["Z", "Y"])
+@pytest.mark.parametrize("channel", ["Z", "Y", "depth.V", "View.Depth.Z"])
 def test_depth_is_read_by_its_channel(tmp_path: Path, channel: str) -> None:
     folder, made = saved(tmp_path / "scene")
     assert made.depth is not None
-    images.write_exr(folder / "depth.exr", {channel: made.depth, "other": 0 * made.depth})
+    images.write_exr(
+        folder / "depth.exr", {channel: made.depth, "R": 0 * made.depth, "N.Z": made.depth}
+    )
     np.testing.assert_array_equal(Scene.load(folder).depth, made.depth)
 
 

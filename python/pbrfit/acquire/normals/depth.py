@@ -16,6 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.acquire.normals.maps import check_reducible, fit_to_size
 from pbrfit.io.depth_files import read_depth
 from pbrfit.model.depth_normals import DepthKind, from_depth
+from pbrfit.scene.depth import without_holes
 
 log = logging.getLogger("pbrfit")
 
@@ -35,15 +36,15 @@ def from_file(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
-    The file is EXR (a channel Z, Y or V, or the only one there is), grey PNG or TIFF of 16 bits or
-    floats, or .npy. The map has the pictures' size, or is larger in the same proportion; then
-    normals are averaged. All else is as for `from_depth`. Returns normals, known: as of
-    `from_depth`. Raises InputError or OSError if the file holds no depth, or of another proportion.
+    The file is one that `read_depth` reads, of the pictures' size or larger in the same proportion;
+    then normals are averaged. All else, and what is returned, is as for `from_depth`. Raises InputError or OSError if the file holds no depth, or of another proportion.
     """
     depth = read_depth(path)
     if depth.shape != size:
         check_reducible(path, depth.shape, size)  # before any work is done on it
     try:
+        if kind != "disparity":
+            depth = np.where(np.isnan(without_holes(depth)[0]), np.nan, depth)
         normals, known = from_depth(depth, fov=fov, kind=kind, view_width=view_width)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
