@@ -368,7 +368,8 @@ def _without_bad(
     """Weights that are 0 where a sample is NaN or infinite; InputError if half of a picture is."""
     pixels = np.count_nonzero(mask)
     counts = [0 if bad is None else np.count_nonzero(mask & bad.any(axis=-1)) for bad in read.bad]
-    worst, path = max(counts), paths[int(np.argmax(counts))]
+    worst = max(counts)
+    path = paths[counts.index(worst)]
     if not worst:
         return weights
     if 2 * worst >= pixels:

@@ -37,7 +37,8 @@ def from_file(
     """Normals of a depth map in a file, at the size (height, width) of the pictures.
 
     The file is one that `read_depth` reads, of the pictures' size or larger in the same proportion;
-    then normals are averaged. All else, and what is returned, is as for `from_depth`. Raises InputError or OSError if the file holds no depth, or of another proportion.
+    then normals are averaged. All else, and what is returned, is as for `from_depth`. Raises
+    InputError or OSError if the file holds no depth, or of another proportion.
     """
     depth = read_depth(path)
     if depth.shape != size:
