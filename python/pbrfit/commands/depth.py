@@ -22,8 +22,7 @@ from pbrfit.commands.network_options import (
     checkpoint,
     source,
 )
-from pbrfit.commands.scene_options import field_of_view
-from pbrfit.model.depth_normals import DepthKind
+from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.scene import completion
 from pbrfit.scene.depth import checked_depth
 from pbrfit.scene.reading import read_surface
@@ -44,11 +43,7 @@ FLAGS: dict[str, Flags] = {
     "depth-anything": {name: MARIGOLD[name] for name in (*SHOWN, "model", *DEVICE)},
     "normals": {},
     "file": {
-        "depth_kind": cli.choice(
-            DepthKind,
-            "what a number says, up to any factor: the distance along the optical axis, that along "
-            "the pixel's ray, or the inverse of the first (default: z)",
-        ),
+        "depth_kind": DEPTH_KIND,
         "unit": cli.value(
             "U",
             cli.number,

@@ -27,9 +27,8 @@ from pbrfit.commands.network_options import (
     checkpoint,
     source,
 )
-from pbrfit.commands.scene_options import field_of_view
+from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
-from pbrfit.model.depth_normals import DepthKind
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.options import FitOptions
 from pbrfit.scene import completion, known_lamps, reading
@@ -52,11 +51,7 @@ FLAGS: dict[str, Flags] = {
         **PRECISION,
     },
     "depth": {
-        "depth_kind": cli.choice(
-            DepthKind,
-            "what a number says, up to any factor: the distance along the optical axis, that along "
-            "the pixel's ray, or the inverse of the first (default: z)",
-        ),
+        "depth_kind": DEPTH_KIND,
         "fov": field_of_view(cli.number, "scene.toml, EXIF, else 60"),
         "view_width": cli.value(
             "WIDTH",
@@ -232,9 +227,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         found = estimate(options.source, blank, fov=fov, **given)
         return found, f"from the depth in {path}, field of view {fov:g} degrees"
     convention = scene_folder.read_settings(options.scene / "scene.toml").convention
-    named = re.search(
-        r"(?i)(directx|normal_?dx|nor_dx)|(opengl|normal_?gl|nor_gl)", Path(path).stem
-    )
+    named = re.search(r"(?i)nor(?:mals?)?_?(?:(dx|directx)|gl|opengl)(?![a-z])", Path(path).stem)
     if "convention" in given:
         given["axes"] = given.pop("convention")
     elif named:

@@ -8,11 +8,18 @@ from collections.abc import Callable
 from pbrfit.batch.settings import Reading
 from pbrfit.commands.arguments import Flag, add_flags, choice, code_range, value
 from pbrfit.io.color import ColorSpace
+from pbrfit.model.depth_normals import DepthKind
 
 COLOR_SPACE = choice(
     ColorSpace,
     "of all pictures (default: scene.toml, ICC profile, else sRGB for integer files and linear "
     "Rec.709 for float files)",
+)
+
+DEPTH_KIND = choice(
+    DepthKind,
+    "what a number says, up to any factor: the distance along the optical axis, that along the "
+    "pixel's ray, or the inverse of the first (default: z)",
 )
 
 
