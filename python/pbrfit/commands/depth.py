@@ -44,11 +44,7 @@ FLAGS: dict[str, Flags] = {
     "normals": {},
     "file": {
         "depth_kind": DEPTH_KIND,
-        "unit": cli.value(
-            "U",
-            cli.number,
-            "what numbers are multiplied by: 0.001 for metres of millimetres (default: 1)",
-        ),
+        "unit": cli.value("U", cli.number, "factor: 0.001 makes metres of mm (default: 1)"),
     },
 }
 """Options of each kind of source."""

@@ -62,8 +62,7 @@ FLAGS: dict[str, Flags] = {
     "file": {
         "convention": cli.choice(
             ("opengl", "directx"),
-            "opengl: Y up; directx: Y down (default: as FILE's name says, else scene.toml, else "
-            "opengl)",
+            "opengl: Y up; directx: Y down (default: by FILE's name, else scene.toml, else opengl)",
         ),
         "frame": cli.choice(
             ("camera", "tangent", "world"),

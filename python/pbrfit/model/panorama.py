@@ -110,8 +110,8 @@ def _mended(picture: images.Picture, name: str) -> NDArray[np.float32]:
     _refuse_where(unsound, "NaN or infinity", name)
     below = picture.negative[..., None] & (pixels < 0)
     light = solid_angles(height, width)[:, None, None] * np.where(infinite, 0, pixels)
-    if -light[below].sum() > NEGATIVE_MAX * np.abs(light).sum():
-        _refuse_where(picture.negative, "negative radiance", name)
+    too_much = -light[below].sum() > NEGATIVE_MAX * np.abs(light).sum()
+    _refuse_where(picture.negative & too_much, "negative radiance", name)
     if height < FEWEST_ROWS:
         raise InputError(
             f"{name}: expected a panorama of {2 * FEWEST_ROWS} × {FEWEST_ROWS} pixels or more, "
