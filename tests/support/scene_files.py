@@ -14,9 +14,11 @@ from PIL import Image
 from pbrfit.cli import main
 from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
+from pbrfit.model.geometry import view_directions
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
+from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic.geometry import trace
 
 SIZE = 16
 LIGHTS = 3
@@ -33,6 +35,15 @@ def room() -> Scene:
         segments=bright.segments,
         names=bright.names,
     )
+
+
+def world(kind: Any, seed: int, height: int, width: int, fov: float) -> tuple[Any, Any, Any]:
+    """Depth along the axis, true normals, and where there is anything, of a synthetic room."""
+    made = draw(kind, np.random.default_rng(seed))
+    views = view_directions(height, width, fov)
+    hits = trace(made.primitives, made.eye, -views.reshape(-1, 3) @ made.turn.T)
+    z = hits.distance.reshape(height, width) * views[..., 2]
+    return z, (hits.normals @ made.turn).reshape(height, width, 3), hits.index.reshape(z.shape) >= 0
 
 
 def truth_of(scene: Scene) -> Truth:

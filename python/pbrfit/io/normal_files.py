@@ -157,7 +157,7 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
     some = some[np.isfinite(some).all(axis=-1)]
     low, high = some.min(initial=0.0), some.max(initial=0.0)
     readings: dict[str, Callable[[NDArray[Any]], NDArray[np.float64]]]
-    readings = {"": partial(np.asarray, dtype=np.float64)}
+    readings = {"": partial(np.array, dtype=np.float64)}
     if stored.dtype.kind == "u":
         readings[""] = partial(_of_codes, largest=np.iinfo(stored.dtype).max)
     elif low >= -ROUNDING and high <= 1 + ROUNDING:

@@ -19,8 +19,7 @@ from pbrfit.acquire.depth.offset import with_offset
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.scene.depth import compared
-from pbrfit.synthetic import draw
-from pbrfit.synthetic.geometry import trace
+from scene_files import world
 
 Array = NDArray[np.float64]
 
@@ -30,11 +29,7 @@ FOV = 60.0
 
 def surface(size: int = SIZE) -> tuple[Array, Array]:
     """Depth and normals of a synthetic room."""
-    made = draw("room", np.random.default_rng(3))
-    views = geometry.view_directions(size, size, FOV)
-    hits = trace(made.primitives, made.eye, -views.reshape(-1, 3) @ made.turn.T)
-    depth = hits.distance.reshape(size, size) * views[..., 2]
-    return depth, (hits.normals @ made.turn).reshape(size, size, 3)
+    return world("room", 3, size, size, FOV)[:2]
 
 
 @pytest.fixture

@@ -22,9 +22,7 @@ from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.geometry import angles_between, facing_away, view_directions
 from pbrfit.result.metrics import display, white_of
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import draw
-from pbrfit.synthetic.geometry import trace
-from scene_files import LIGHTS, SIZE, room, write_folder
+from scene_files import LIGHTS, SIZE, room, world, write_folder
 
 Array = NDArray[np.float64]
 
@@ -93,15 +91,6 @@ def test_a_sphere_is_right_to_second_order(size: int, bound: float) -> None:
     wrong = angles_between(normals_found, normals)[known]
     assert np.mean(known) > 0.9
     assert np.median(wrong) < bound
-
-
-def world(kind: Any, seed: int, height: int, width: int, fov: float) -> tuple[Array, Array, Any]:
-    """Depth along the axis, true normals, and where there is anything, of a synthetic room."""
-    made = draw(kind, np.random.default_rng(seed))
-    views = view_directions(height, width, fov)
-    hits = trace(made.primitives, made.eye, -views.reshape(-1, 3) @ made.turn.T)
-    z = hits.distance.reshape(height, width) * views[..., 2]
-    return z, (hits.normals @ made.turn).reshape(height, width, 3), hits.index.reshape(z.shape) >= 0
 
 
 @pytest.mark.parametrize("kind", ["room", "furnished"])

@@ -20,8 +20,7 @@ from pbrfit.model.depth_normals import from_depth
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.depth import compared, reduced
-from pbrfit.synthetic import draw
-from pbrfit.synthetic.geometry import trace
+from scene_files import world
 
 SIZE = 48
 FOV = 60.0
@@ -45,11 +44,7 @@ def scene(depth: Any, normals: Any, **changes: Any) -> Scene:
 
 def furnished(size: int = 96) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depth and normals of a synthetic room."""
-    made = draw("room", np.random.default_rng(3))
-    views = geometry.view_directions(size, size, FOV)
-    hits = trace(made.primitives, made.eye, -views.reshape(-1, 3) @ made.turn.T)
-    depth = hits.distance.reshape(size, size) * views[..., 2]
-    return depth, (hits.normals @ made.turn).reshape(size, size, 3)
+    return world("room", 3, size, size, FOV)[:2]
 
 
 # Checks
