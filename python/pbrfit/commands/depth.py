@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.acquire.depth import Depth, depth_anything, estimate, marigold
+from pbrfit.acquire.depth import depth_anything, estimate, marigold
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import (
@@ -24,7 +24,7 @@ from pbrfit.commands.network_options import (
 )
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.scene import completion
-from pbrfit.scene.depth import checked_depth
+from pbrfit.scene.depth import checked_depth, in_words
 from pbrfit.scene.reading import read_surface
 
 MARIGOLD: Flags = {
@@ -101,15 +101,8 @@ def run(options: argparse.Namespace) -> int:
     path = completion.add_depth(options.scene, found.depth, overwrite=options.overwrite)
     if not options.quiet:
         with cli.unread_is_no_failure():
-            print(f"{path}: {_facts(found)}")
+            print(f"{path}: {in_words(found.depth)}")
             for remark in found.remarks:
                 print(f"  {remark}")
             print(f"look at it: pbrfit inspect {shlex.quote(str(options.scene))}")
     return cli.DONE
-
-
-def _facts(found: Depth) -> str:
-    low, middle, high = np.nanpercentile(found.depth, [0, 50, 100])
-    said = f"{low:.3g} to {high:.3g}, median {middle:.3g}"
-    unknown = 100 * np.isnan(found.depth).mean()
-    return f"{said}; {unknown:.2g} % of the pixels unknown" if unknown else said

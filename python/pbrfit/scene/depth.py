@@ -130,6 +130,14 @@ def without_holes(depth: NDArray[Any], *, inverse: bool = False) -> tuple[Depth,
     return kept, notes
 
 
+def in_words(depth: Depth) -> str:
+    """Its range, median and share of unknown pixels."""
+    numbers = (float(f"{one:.3g}") for one in np.nanpercentile(depth, [0, 100, 50]))
+    said = "{:g} to {:g}, median {:g}".format(*numbers)
+    unknown = 100 * np.isnan(depth).mean()
+    return f"{said}; {unknown:.2g} % of the pixels unknown" if unknown else said
+
+
 @dataclass(frozen=True)
 class Agreement:
     """Median angles in degrees between given normals and those of a map; NaN = not comparable."""

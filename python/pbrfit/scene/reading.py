@@ -574,10 +574,7 @@ def _read_depth(notes: _Notes, size: tuple[int, int]) -> NDArray[np.float32] | N
         depth, holes = scene_depth.without_holes(stored)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    low, middle, high = np.nanpercentile(depth, [0, 50, 100])
-    said = f"{path.name}: {low:.3g} to {high:.3g}, median {middle:.3g}"
-    unknown = 100 * np.isnan(depth).mean()
-    holes += [f"{unknown:.2g} % of the pixels unknown"] if unknown else []
+    said = f"{path.name}: {scene_depth.in_words(depth)}"
     notes.assumed["depth"] = "; ".join([said, *holes])
     return depth
 

@@ -198,6 +198,7 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
         said = done("depth", folder, "--from", path, "--overwrite", *flags)
         assert ("whole numbers, in the unit of the file" in said) == (unit == 1)
         assert f"{SIZE} pixels of 0" in said
+        assert f"depth.exr: {2520 * unit:g} to" in said
         found = Scene.load(folder).depth
         assert found is not None
         np.testing.assert_allclose(found, np.where(depth > 0, unit * depth, np.nan), rtol=1e-6)
