@@ -170,7 +170,7 @@ def read_picture(
     if raster is not None and samples.dtype.kind == "u":
         plain = raster.samples[..., :-1] if alpha is not None else raster.samples
         tables = read_tables(data, plain.shape[2]) if kind == "JPEG" else None
-        stored = Stored(plain, raster.orientation, convert, raster.format, tables)
+        stored = Stored(plain, raster.orientation >= 5, convert, raster.format, tables)
     pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
     if limits is not None:
         limits = converted(np.broadcast_to(limits, pixels.shape), convert.matrix)
@@ -210,7 +210,7 @@ def _raw_picture(
         focal_length_35mm=found.focal_length_35mm,
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=16,
-        stored=Stored(found.samples, 1, linear, RAW, None),
+        stored=Stored(found.samples, False, linear, RAW, None),
         curve_told=True,
     )
 

@@ -102,13 +102,6 @@ class PartialScene(Scene):
             whole.height, whole.width, self.fov, window.rows, window.columns
         )
 
-    def noise_floor(self, picture: int) -> NDArray[np.float32] | None:
-        """(h, w, 3): standard deviation of what its file did to the samples of a picture."""
-        noise = None if self.file_noise is None else self.file_noise[picture]
-        if noise is None:
-            return None
-        return noise.deviation(self.images[picture], self.window.rows, self.window.columns)
-
     @lazy
     def radius_squared(self) -> NDArray[np.float64]:
         """(h, w): squared distance of pixels from the middle of the whole, 1 in its corners."""
