@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.color import Conversion
-from pbrfit.io.jpeg_noise import Tables, jpeg_variance, kept
+from pbrfit.io.jpeg_noise import Tables, jpeg_variance, kept_variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Stored:
 
     def in_words(self) -> str:
         """The form of the file, in short."""
-        of_jpeg = self.tables.in_words() if self.tables is not None else ""
+        of_jpeg = f", {self.tables.in_words()}" if self.tables is not None else ""
         return f"{8 * self.codes.dtype.itemsize}-bit {self.form}{of_jpeg}"
 
     def noise(self, size: tuple[int, int]) -> FileNoise:
@@ -65,7 +65,7 @@ class Stored:
         small = size[::-1] if self.turned else size
         rounding = 1 / 12
         for length, to in zip(self.codes.shape, small, strict=False):
-            rounding *= float(kept(length, to, 1).sum())
+            rounding *= float(kept_variance(length, to).sum())
         variance, shared = np.full(3, rounding), 0.0
         if self.tables is not None:
             of_jpeg, shared = jpeg_variance(self.codes, self.tables, small)

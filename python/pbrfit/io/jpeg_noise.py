@@ -2,26 +2,26 @@
 
 A JPEG file holds, for each component (Y, Cb, Cr) and block of 8 × 8 samples, the coefficients c_k
 of an orthonormal cosine transform, rounded to multiples of the steps q_k in its tables (ITU-T T.81,
-A.3). It keeps lengths: samples are off by the mean over k of what coefficients are off by.
+A.3). The transform keeps lengths: the error variance of samples is the mean of the coefficients'.
 
-**A coefficient** that is rounded to n ≠ 0, and the first one, is off by q²/12; one that is rounded
-to 0 is off by itself. Its density is Laplacian, exp(−|c| / β) / 2β (E. Y. Lam and J. W. Goodman, "A
-mathematical analysis of the DCT coefficient distributions for images", IEEE Trans. Image Process.
-9, 2000), with β = s / |k|² for the frequency k = (k_y, k_x): the transform continues a block as in
-a mirror, so that what is smooth has kinks in its slope. With u = q/β and e = exp(−u/2),
+**Coefficients** rounded to n ≠ 0, and the first one of a block, are off by q²/12; those rounded to
+0 are off by themselves. Their density is Laplacian, exp(−|c| / β) / 2β (E. Y. Lam and J. W.
+Goodman, "A mathematical analysis of the DCT coefficient distributions for images", IEEE Trans.
+Image Process. 9, 2000), with β = s / |k|² at the frequency k = (k_y, k_x), as of a smooth function
+whose slope has kinks: the transform continues a block as mirrors do. With u = q/β, e = exp(−u/2)
 
-    of a block are not 0:  Σ_k e_k, which tells s from their number m, as m + ½
-    of those that are 0:  E c² = q² (2/u² − (1/4 + 1/u) e / (1 − e));    u → 0: q²/12
+    coefficients of a block that are not 0:  m + ½ = Σ_k e_k, which tells its s;
+    those that are:  E c² = q² (2/u² − (1/4 + 1/u) e / (1 − e));  u → 0: q²/12.
 
 Two roundings to integers, before the transform and after the inverse one, add 1/12 each.
 
 **Chroma at half resolution** lacks the octave above its own. The power of natural pictures falls
-with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4, 1987), so that every octave has
-the energy of the one below it, which is the upper half of the stored block.
+with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4, 1987), so every octave has the
+energy of the one below it, which is the upper half of the stored block.
 
-**Pictures of one view** have most coefficients in common but for a factor. So what was rounded to
-0, or lost with the resolution of chroma, is lost in all of them alike, and the mean over pictures
-has it still. What rounding left of other coefficients is independent.
+**Pictures of one view** have most coefficients in common but for a factor, so what was rounded to
+0, or lost with the resolution of chroma, is lost in all of them alike (`SHARED_ZERO`,
+`SHARED_LOSS`). What rounding left of other coefficients is independent.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ are 0 in one picture half of the energy is in such as are not 0 in another. By s
 50 to 98; in others the correlation that follows from them is off by up to a third."""
 
 SAMPLED = 32
-"""Places along each side of a picture whose blocks are looked at, at most."""
+"""Blocks of the coarsest component, along each side of a picture, that are looked at."""
 
 YCC_TO_RGB = np.array([[1, 0, 1.402], [1, -0.344136, -0.714136], [1, 1.772, 0]])
 """JFIF 1.02."""
@@ -58,18 +58,17 @@ YCC_TO_RGB = np.array([[1, 0, 1.402], [1, -0.344136, -0.714136], [1, 1.772, 0]])
 class Tables:
     """How a JPEG file was quantised."""
 
-    steps: tuple[Array, ...]
-    """(8, 8) of each component: q, rows are vertical frequencies."""
+    steps: Array
+    """(C, 8, 8) of each component: q, rows are vertical frequencies."""
     sampling: NDArray[np.intp]
-    """(1 or 3, 2): how many rows and columns of the picture a component's sample stands for."""
+    """(C, 2): how many rows and columns of the picture one of a component's samples stands for."""
     to_rgb: Array
-    """(3, 3) from Y, Cb, Cr, or whatever else the components are; (3, 1) from grey."""
+    """(3, C): Red, green and blue by components."""
 
     def in_words(self) -> str:
         """Mean steps and resolution of colour."""
-        mean = f", mean quantisation step {self.steps[0].mean():.2g}"
-        largest = np.max(self.sampling)
-        return mean if largest == 1 else f"{mean}, chroma at 1/{largest} resolution"
+        mean, coarsest = f"mean quantisation step {self.steps[0].mean():.2g}", self.sampling.max()
+        return mean if coarsest == 1 else f"{mean}, chroma at 1/{coarsest} resolution"
 
 
 def read_tables(data: bytes, channels: int) -> Tables | None:
@@ -81,96 +80,83 @@ def read_tables(data: bytes, channels: int) -> Tables | None:
         try:
             picture: Any = Image.open(io.BytesIO(data), formats=("JPEG",))
             _, across, down, tables = zip(*picture.layer, strict=True)
-            steps = tuple(
-                np.array(picture.quantization[one], dtype=np.float64).reshape(SIDE, SIDE)
-                for one in tables
-            )
-            plain = picture.info.get("adobe_transform", 1) == 0
+            steps = np.array([picture.quantization[one] for one in tables], dtype=np.float64)
             factors = np.stack([down, across], axis=1)
             sampling, rest = np.divmod(factors.max(axis=0), factors)
+            plain = picture.info.get("adobe_transform", 1) == 0
         except Exception:  # whatever a damaged header leads to
             return None
-    if len(steps) != channels or rest.any() or sampling.min() < 1 or np.min(steps) <= 0:
+    if len(steps) != channels or rest.any() or sampling.min() < 1 or steps.min() <= 0:
         return None
     to_rgb = np.ones((3, 1)) if channels == 1 else np.eye(3) if plain else YCC_TO_RGB
-    return Tables(steps, sampling, to_rgb)
+    return Tables(steps.reshape(channels, SIDE, SIDE), sampling, to_rgb)
 
 
 def jpeg_variance(
     codes: NDArray[np.uint8], tables: Tables, size: tuple[int, int]
 ) -> tuple[Array, float]:
-    """(3,): variances of R, G and B, in codes², of a decoded picture (H, W, 1 or 3).
+    """(3,): variances of red, green and blue, in codes², of a decoded picture (H, W, C).
 
-    They are those of means where the picture is averaged down to `size`. What rounding R, G and B
-    to codes adds is not in them. Beside them, in the mean: their covariance with another
-    picture of the view.
+    They are those of means where it is averaged down to `size`, without the last rounding to codes.
+    Beside them what their mean has in common with another picture of the view.
     """
-    of_axes = list(zip(codes.shape[:2], size, tables.sampling.T, strict=True))
-    places = [_places(length, SIDE * int(times.max())) for length, _, times in of_axes]
+    places, kept = [], []
+    for length, small, times in zip(codes.shape[:2], size, tables.sampling.T, strict=True):
+        block = SIDE * times.max()
+        of_blocks = np.unique(np.linspace(0, (length - 1) // block, SAMPLED).astype(np.intp))
+        within = of_blocks[:, None] * block + np.arange(block)
+        places.append(np.minimum(within.ravel(), length - 1))
+        kept.append([kept_variance(length, small, one) for one in times])
     sampled = codes[np.ix_(*places)]
-    if sampled.shape[2] == 3:
+    if len(tables.steps) == 3:
         sampled = np.einsum("hwc,kc->hwk", sampled, np.linalg.inv(tables.to_rgb))
-    found, shared = np.zeros(3), 0.0
-    for c, steps in enumerate(tables.steps):
-        shares = [kept(length, to, int(times[c])) for length, to, times in of_axes]
-        others, zeros, lost = _of_component(sampled[..., c], steps, tables.sampling[c], shares)
-        to_rgb = np.square(tables.to_rgb[:, c])
-        found += (others + zeros + lost) * to_rgb
-        shared += (SHARED_ZERO * zeros + SHARED_LOSS * lost) * to_rgb.mean()
-    return found, shared
+    found = np.zeros((3, 3))
+    for c, of in enumerate(zip(tables.steps, tables.sampling, *kept, strict=True)):
+        found += np.multiply.outer(np.square(tables.to_rgb[:, c]), _errors(sampled[..., c], *of))
+    return found.sum(axis=1), float(found.mean(axis=0) @ [0, SHARED_ZERO, SHARED_LOSS])
 
 
-def _places(length: int, block: int) -> NDArray[np.intp]:
-    """Of whole blocks spread over a side, which is continued at its end."""
-    of_blocks = np.linspace(0, (length - 1) // block, SAMPLED).round().astype(np.intp)
-    places = np.unique(of_blocks)[:, None] * block + np.arange(block)
-    return np.minimum(places.ravel(), length - 1)
+def _errors(
+    plane: NDArray[Any], q: Array, sampling: NDArray[np.intp], down: Array, across: Array
+) -> Array:
+    """Variances, (3,), of a component, `down` and `across` of those of its frequencies.
 
-
-def _of_component(
-    plane: NDArray[Any], steps: Array, sampling: NDArray[np.intp], shares: list[Array]
-) -> tuple[float, float, float]:
-    """Variances of a sample, by `shares` of those of vertical and of horizontal coefficients.
-
-    By coefficients that are not 0, by those that are, and by what was lost with the resolution.
+    Of coefficients that are not 0, of those that are, and of what was lost with the resolution.
     """
     from scipy.fft import dctn
 
     height, width = plane.shape // sampling // SIDE
     plane = plane.reshape(height, SIDE, sampling[0], width, SIDE, sampling[1]).mean(axis=(2, 5))
-    found = np.rint(dctn(plane - 128, axes=(1, 3), norm="ortho") / steps[:, None])
-    counts = found.swapaxes(1, 2).reshape(-1, SIDE**2)[:, 1:]
-    zero = counts == 0
-    y, x = np.indices(steps.shape)
-    halves = (steps * (y**2 + x**2) / 2).ravel()[1:]  # u/2 is this over s
-    scales = np.geomspace(halves.min() / 10, halves.max() * 100, 1000)
-    expected = np.exp(-halves / scales[:, None]).sum(axis=1)
-    own = np.interp(np.count_nonzero(counts, axis=1) + 0.5, expected, scales)
-    u = np.maximum(2 * halves / own[:, None], 1e-2)  # where it is flat to u/5, and digits are left
-    of_zeros = 2 / u**2 - (0.25 + 1 / u) / np.expm1(np.minimum(u / 2, 80))
-
-    of_zeros = (zero * of_zeros).mean(axis=0) * steps.ravel()[1:] ** 2
-    of_others = (steps**2).ravel() / 12 * np.append(1, 1 - zero.mean(axis=0))
-    kept_shares = np.multiply.outer(*shares).ravel()
-    energy = of_zeros + np.square(counts).mean(axis=0) * steps.ravel()[1:] ** 2
-    octaves = [np.where(np.arange(SIDE) < 4, 0, int(times).bit_length() - 1) for times in sampling]
-    upper = np.maximum.outer(*octaves).ravel()[1:]
-    return (
-        float(of_others @ kept_shares + 2 / 12 * kept_shares.sum()),
-        float(of_zeros @ kept_shares[1:]),
-        float(energy @ upper * kept_shares[-1]),
-    )
+    counts = np.rint(dctn(plane - 128, axes=(1, 3), norm="ortho") / q[:, None]).swapaxes(1, 2)
+    counts[..., 0, 0] = 1  # the first one is off by q²/12 always
+    y, x = np.indices(q.shape)
+    scales = np.geomspace(0.01, 1e9, 2000)[:, None, None]  # from where all are 0 to where none is
+    squared = q * (y**2 + x**2)  # u s
+    expected = np.exp(-squared / 2 / scales).sum(axis=(1, 2))
+    m = np.count_nonzero(counts, axis=(2, 3))
+    own = np.interp(m + 0.5, expected, scales.ravel())[..., None, None]
+    u = np.maximum(squared / own, 0.01)  # below, densities are flat to u/5 and digits cancel
+    of_zero = 2 / u**2 - (0.25 + 1 / u) / np.expm1(np.minimum(u / 2, 80))
+    of_zero = np.where(counts == 0, of_zero, 0).mean(axis=(0, 1))
+    others = (counts != 0).mean(axis=(0, 1)) / 12
+    energy = of_zero + np.square(counts).mean(axis=(0, 1))
+    octaves = [np.repeat([0, int(times).bit_length() - 1], SIDE // 2) for times in sampling]
+    kept = np.multiply.outer(down, across)
+    lost = energy * np.maximum.outer(*octaves) * kept[-1, -1]
+    found = q**2 * np.stack([others * kept, of_zero * kept, lost])
+    found[0] += 2 / 12 * kept
+    return np.asarray(found.sum(axis=(1, 2)))
 
 
-def kept(length: int, small: int, times: int) -> Array:
-    """(8,): the variance of a sample, by a variance of 1 of each frequency's coefficient.
+def kept_variance(length: int, small: int, times: int = 1) -> Array:
+    """(8,): the variance of samples by one of 1 of each frequency's coefficients along a side.
 
-    Of a sample averaged down, with shares a_x: the mean of Σ (Σ_x a_x φ_k(x))² over all blocks.
+    Of means with shares a_x: that of Σ (Σ_x a_x φ_k(x))² over all blocks.
     """
     from scipy.fft import dct
     from scipy.sparse import eye_array, kron
 
-    functions = np.repeat(dct(np.eye(SIDE), axis=0, norm="ortho").T, times, axis=0)
+    functions = np.repeat(dct(np.eye(SIDE), norm="ortho"), times, axis=0)
     of_blocks = kron(eye_array(-(-length // len(functions))), functions, format="csr")[:length]
     means = (area_shares(length, small) @ of_blocks).power(2).sum(axis=0) / small
     return np.asarray(means.reshape(-1, SIDE).sum(axis=0))
