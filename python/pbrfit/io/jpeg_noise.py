@@ -10,7 +10,8 @@ Goodman, "A mathematical analysis of the DCT coefficient distributions for image
 Image Process. 9, 2000), with β = s / |k|² at the frequency k = (k_y, k_x), as of a smooth function
 whose slope has kinks: the transform continues a block as mirrors do. With u = q/β, e = exp(−u/2)
 
-    coefficients of a block that are not 0:  m + ½ = Σ_k e_k, which tells its s;
+    coefficients of a block that are not 0:  m + ½ = Σ_k e_k, which tells its s; where m = 0 it is
+        n₁/n₀ of the numbers of blocks with m = 1 and 0 (empirical Bayes by H. Robbins, 1956);
     those that are:  E c² = q² (2/u² − (1/4 + 1/u) e / (1 − e));  u → 0: q²/12.
 
 Two roundings to integers, before the transform and after the inverse one, add 1/12 each.
@@ -132,9 +133,11 @@ def _errors(
     y, x = np.indices(q.shape)
     scales = np.geomspace(0.01, 1e9, 2000)[:, None, None]  # from where all are 0 to where none is
     squared = q * (y**2 + x**2)  # u s
-    expected = np.exp(-squared / 2 / scales).sum(axis=(1, 2))
-    m = np.count_nonzero(counts, axis=(2, 3))
-    own = np.interp(m + 0.5, expected, scales.ravel())[..., None, None]
+    expected = np.exp(-squared / 2 / scales).sum(axis=(1, 2)) - 1
+    m = np.count_nonzero(counts, axis=(2, 3)) - 1
+    none, one = np.bincount(m.ravel(), minlength=2)[:2] + 0.5
+    m = np.where(m == 0, min(one / none, 0.5), m + 0.5)
+    own = np.interp(m, expected, scales.ravel())[..., None, None]
     u = np.maximum(squared / own, 0.01)  # below, densities are flat to u/5 and digits cancel
     of_zero = 2 / u**2 - (0.25 + 1 / u) / np.expm1(np.minimum(u / 2, 80))
     of_zero = np.where(counts == 0, of_zero, 0).mean(axis=(0, 1))

@@ -341,8 +341,7 @@ def coded(curve: Curve) -> Scene:
     """Values of 8-bit files as that curve decodes them, with what rounding left of the first."""
     values = np.arange(N * H * W * 3).reshape(N, H, W, 3) / 255
     images = (decode_srgb(values) if curve == "srgb" else values).astype(np.float32)
-    block = np.zeros(max(H, W), np.int32)
-    noise = FileNoise(Conversion(curve), 256, 1 / 12, None, block[:H], block[:W], 0.0)
+    noise = FileNoise(Conversion(curve), 256, np.full(3, 1 / 12), 0.0)
     return scene(images=images, response=curve, file_noise=(noise, None), assumed={"color": "sRGB"})
 
 
