@@ -2,9 +2,9 @@
 
 Least squares is right for samples of one variance and a normal distribution. Those of cameras and
 files have neither: a picture may be darker, moved, or of something else; bright samples have more
-noise than dark ones, and those of a JPEG's busy blocks more than others; some are hot, or show a
-highlight that the model does not have. So a residual r of picture i at radiance m has a
-distribution with tails (`pbrfit.fit.tails`) and the variance of an ordinary sample
+noise than dark ones; some are hot, or show a highlight that the model does not have. So a residual
+r of picture i at radiance m has a distribution with tails (`pbrfit.fit.tails`) and the variance of
+an ordinary sample
 
     V = s_i² φ(m, f),      φ = c_0 + c_1 m/m̄ + c_2 (m/m̄)² + c_3 f/f̄,      c ≥ 0, mean of φ = 1
 

@@ -10,10 +10,11 @@ Goodman, "A mathematical analysis of the DCT coefficient distributions for image
 Image Process. 9, 2000), with β = s / |k|² at the frequency k = (k_y, k_x), as of a smooth function
 whose slope has kinks: the transform continues a block as mirrors do. With u = q/β, e = exp(−u/2)
 
-    coefficients of a block that are not 0:  m + ½ = Σ_k e_k, which tells its s; where m = 0 it is
-        n₁/n₀ of the numbers of blocks with m = 1 and 0 (empirical Bayes by H. Robbins, 1956);
+    coefficients of a block that are not 0:  m + ½ = Σ_k e_k, which tells its s;
     those that are:  E c² = q² (2/u² − (1/4 + 1/u) e / (1 − e));  u → 0: q²/12.
 
+Where m = 0 the sum is n₁/n₀, at most ½, by the numbers of blocks with m = 1 and 0: its mean there
+(H. Robbins, "An empirical Bayes approach to statistics", Proc. 3rd Berkeley Symp., 1956).
 Two roundings to integers, before the transform and after the inverse one, add 1/12 each.
 
 **Chroma at half resolution** lacks the octave above its own. The power of natural pictures falls
@@ -44,9 +45,8 @@ SIDE = 8
 
 SHARED_ZERO, SHARED_LOSS = 0.4, 0.6
 """Correlation, between two pictures of one view, of the errors of coefficients that are 0, and of
-what chroma lost. Coefficients themselves have 0.8 in rooms under different lights; of those that
-are 0 in one picture half of the energy is in such as are not 0 in another. By six rooms, qualities
-50 to 98; in others the correlation that follows from them is off by up to a third."""
+what chroma lost: by six rooms, qualities 50 to 98, where that of coefficients themselves is 0.8. In
+others the correlation that follows from them is off by up to a third."""
 
 SAMPLED = 32
 """Blocks of the coarsest component, along each side of a picture, that are looked at."""
