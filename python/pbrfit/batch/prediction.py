@@ -24,8 +24,8 @@ from pbrfit.result.refinement import PICTURES_MIN
 from pbrfit.scene import folder as scene_folder
 
 DECODING_BYTES = 64
-"""Bytes a pixel of a file while it is read: its content, samples, float32, and the components of a
-JPEG file in float32 with their coefficients."""
+"""Bytes a pixel of a file, at most, while it is read and averaged: its content, samples, float32,
+and a channel in float64."""
 
 _HEAD = 1 << 20
 """Bytes of an EXR or HDR file in which its size is sought."""
