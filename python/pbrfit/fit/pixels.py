@@ -57,7 +57,6 @@ def descended(
     pixels: Pixels,
     *,
     steps: int,
-    exact_steps: int | None = None,
     starts: int = 0,
     nodes: Nodes = NODES,
     prior: GaussianPrior | None = None,
@@ -66,16 +65,11 @@ def descended(
     """Materials (Q, D) of some pixels, no worse than those of x, and their sums of squares (Q,).
 
     `steps` are of Levenberg and Marquardt's method on sums over pictures that are made once, which
-    know squares to half their digits; `exact_steps` on residuals follow. Beside their own material,
-    pixels start from so many of the best `nodes`. The cost of `prior`, with rows of `pixels`,
+    know squares to half their digits; some on residuals follow. Beside their own material, pixels
+    start from so many of the best `nodes`. The cost of `prior`, with rows of `pixels`,
     counts when materials are compared, and is no part of what is returned.
     """
-    if exact_steps is None:
-        exact_steps = (
-            settings.DESCENT_EXACT_STEPS
-            if objective.tangent_offsets is None
-            else settings.DESCENT_EXACT_STEPS_FREE_NORMALS
-        )
+    free = objective.tangent_offsets is not None
     none, known = np.empty(0), objective.known_metallic
     roughness, metallic = nodes if starts else (none, none)
     return objective.problem.fit_materials(
@@ -85,7 +79,9 @@ def descended(
         metallic if known is None or not starts else np.array([known]),
         starts=starts,
         steps=steps,
-        exact_steps=exact_steps,
+        exact_steps=settings.DESCENT_EXACT_STEPS_FREE_NORMALS
+        if free
+        else settings.DESCENT_EXACT_STEPS,
         mean=None if prior is None else prior.mean,
         precision=None if prior is None else prior.precision,
         held_normals=held_normals,

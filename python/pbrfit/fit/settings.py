@@ -15,9 +15,8 @@ MEAN_RADIANCE = 0.4
 """Mean valid radiance after division by the scene scale, so that exposure does not matter."""
 
 START_MEAN_ALBEDO = 0.5
-"""Mean albedo that the mean picture is scaled to at the start, the middle of the range. The scale
-between albedo and light is what the fit finds last, so it matters where it starts: from 0.4, the
-mean radiance, the errors on synthetic rooms after 500 iterations are 1.5 times as large."""
+"""Mean albedo that the mean picture is scaled to at the start, the middle of the range: the scale
+between albedo and light is what a fit finds last."""
 
 START_ROUGHNESS = 0.5
 START_METALLIC = 0.25
@@ -33,12 +32,11 @@ LIGHT_RIDGE = 1e-6
 the lights finite where the normals show only part of a sphere."""
 
 NOISE_SIGMA_MIN = 1e-4 * MEAN_RADIANCE
-"""Smallest standard deviation of the noise that a robust loss allows for, in units of x: pictures
-may be explained perfectly."""
+"""Smallest standard deviation of the noise in units of x that a robust loss allows for."""
 
 NEAR_GREY = 0.05
 """Relative deviation of the lights from grey (`color_deviation`) up to which the monochrome prior
-acts by itself; above it lights keep their colours. docs/priors.md has what was measured."""
+acts by itself (docs/priors.md)."""
 
 GREY_WEIGHT = 1e-3
 """Weight of the monochrome prior on lights that are near grey."""
@@ -58,9 +56,8 @@ DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
 leave fewer."""
 
 NOISE_VARIANCE_MIN = 1e-20
-"""Smallest variance of the noise in units of x squared, far below that of any picture: it keeps
-quotients finite where pictures are explained perfectly. `NOISE_SIGMA_MIN` is larger because a
-robust loss bends there."""
+"""Smallest variance of the noise in units of x squared: quotients stay finite where pictures are
+explained perfectly."""
 
 
 DAMPING_START = 1e-3
@@ -81,23 +78,20 @@ COARSE_STEPS = 6
 
 SAMPLES_OF_UNKNOWN = 5
 """Samples for each unknown of a pixel below which lights are sought from a second start too: in
-colour, up to 8 pictures. One start ended in wrong minima in two of 12 rooms with 5 pictures, and in
-one of 8 whose highlights are clipped. More pictures decide between minima by themselves."""
+colour, up to 8 pictures. One start ended in wrong minima in two of 12 rooms with 5 pictures."""
 
 DIELECTRIC_ROUNDS = 2
 DIELECTRIC_SIGMA = 0.1
 """Rounds of that second start in which roughness and metallic have a normal distribution around a
-dielectric of middle roughness, and its standard deviation: most surfaces are dielectrics, and few
-pictures show lights before they show materials."""
+dielectric of middle roughness, and its standard deviation: most surfaces are dielectrics."""
 
 ROBUST_ROUND = 2
 """Round from which on a robust loss weighs samples: before, residuals are those of wrong lights."""
 
 COARSE_GAIN_MIN = 10.0
 GAIN_MIN = 0.1
-"""By how much a joint step has to promise to lower the sum, in variances of a residual, that is in
-units of χ²: 1 is one standard deviation of one direction of the lights, 0.1 a third of one. The
-coarse level's lights are only a start."""
+"""Gain in χ² that a joint step has to promise, on the coarse level and at last: 1 is one standard
+deviation of one direction of the lights, 0.1 a third of one."""
 
 COARSE_ROUND_GAIN_MIN = 0.02
 COARSE_WEIGHT_FALL = 0.1
@@ -106,8 +100,7 @@ prior's weight, is the last."""
 
 PATCH_SIDE = 8
 PATCHES_MIN = 4
-"""Rows and columns of a level's pixels in a patch, and how many patches tell a design effect. It
-hardly depends on their size."""
+"""Rows and columns of a level's pixels in a patch, and how many patches tell a design effect."""
 
 
 # --- Noise of samples -------------------------------------------------------------------------
@@ -126,20 +119,19 @@ that the model does not have, to hot pixels in pictures of 8 bits and of floats.
 
 OUTLIER_SHARE_START, OUTLIER_SHARE_MAX = 0.01, 0.2
 OUTLIER_STEPS = 4
-"""Share of outliers that steps of expectation and maximisation begin with, and the largest: where
-there are more, what is left has no ordinary samples, and is Student's t. The steps' number."""
+"""Share of outliers that expectation and maximisation begin with, and the largest, above which no
+samples are ordinary; how many steps."""
 
 NOISE_VARIANCE_RATIO_MIN = 1 / 256
-"""Smallest variance of a picture beside the median of all: one sixteenth of the deviation, as far
-as exposures are evened out. A black picture is explained to the last digit and says nothing."""
+"""Smallest variance of a picture beside the median of all, one sixteenth of the deviation: a black
+picture is explained to the last digit and says nothing."""
 
 NOISE_READ_SHARE_MIN = 1e-3
 """Smallest share of the variance that does not depend on radiance: 3 % of the deviation, so that no
 black sample has all the weight."""
 
 PICTURE_DEVIATION_NAMED = 2.0
-"""Ratio of a picture's deviation to the median from which the result names it: it weighs a quarter.
-"""
+"""Ratio of a picture's deviation to the median from which the result names it."""
 
 WEIGHT_ROUNDS = 3
 """Times that all pixels are fitted and their samples weighed in turn."""
@@ -154,50 +146,44 @@ one per cent of a standard deviation."""
 
 LOG_FOCAL_LENGTH_SIGMA = 0.45
 """Standard deviation of the logarithm of the focal length around that of `FIRST_FOV`, 31 mm on a 35
-mm camera: lenses from 13 mm to 77 mm, which are those of telephones and of common zooms (from the
-widest to the longest), are within two of them. It decides where the pictures do not say."""
+mm camera: lenses of telephones and common zooms, 13 mm to 77 mm, are within two of them."""
 
 RESPONSE_SIGMAS = (0.3, 0.1, 0.1)
 """Standard deviations of the exponent of a tone curve around 1, and of how far it differs in
-shadows and in lights: gammas of displays and cameras, 1.8 to 2.6, differ by factors of 0.8 to 1.2
-from what a file is decoded with, and filmic curves bend at both ends."""
+shadows and in lights: gammas of displays and cameras are 1.8 to 2.6."""
 
 FOV_MIN = 1.0
 """Degrees that a narrower field of view, and an orthographic one, counts as while it is moved."""
 
 NUISANCE_DIFFERENCE = 0.02
-"""Change of a number of the camera, a logarithm, for derivatives: what float32 rounds is then 1e-5
-of it, and the third derivative as little."""
+"""Change of a number of the camera, a logarithm, for derivatives: float32 rounds 1e-5 of it."""
 
 NUISANCE_STEP_MAX = 0.3
-"""Largest change of such a number in a round: steps are of a linear model, and a lens a third
-longer is as far as it holds."""
+"""Largest change of such a number in a round: as far as a linear model holds."""
 
 NUISANCE_GAIN_MIN = 1.0
 """Gain in χ² of a step, at which these numbers count as found: one standard deviation."""
 
 NUISANCE_INFORMATION_MIN = 1e-6
 """Share of its information that a number of the camera keeps when lights are solved for, below
-which that is rounding, of float32 derivatives, and only the prior tells the number."""
+which that is rounding of float32 derivatives."""
 
 NUISANCE_ERROR_RATIO = 0.02
-"""As `CG_ERROR_RATIO`, where what the lights take is subtracted: the rest is some tenths of the
-whole, and is right to a hundredth."""
+"""As `CG_ERROR_RATIO`, where what the lights take is subtracted, and some tenths are left."""
 
 
 # --- Gauss-Newton: all pixels -----------------------------------------------------------------
 
 DESCENT_ROUGHNESS_NODES = (0.08, 1.0, 12)
 DESCENT_METALLIC_NODES = (0.0, 1.0, 6)
-"""(Lowest, highest, count) of the nodes from which pixels descend. Below roughness 0.1 pictures
-under SH light hardly change."""
+"""(Lowest, highest, count) of the nodes from which pixels descend."""
 
 DESCENT_STEPS = 12
 """Steps of a pixel's descent from a node, on sums over pictures that are made once."""
 
 LATE_STEPS = 4
 """Steps of a pixel's descent when a time limit was reached before any pass over all pixels: they
-bring a few per cent short of the loss that `DESCENT_STEPS` bring, within eight passes in all."""
+end a few per cent above the loss of `DESCENT_STEPS`."""
 
 DESCENT_EXACT_STEPS = 1
 DESCENT_EXACT_STEPS_FREE_NORMALS = 4
@@ -209,8 +195,7 @@ DESCENT_STEPS_AFTER_JOINT = 4
 
 RETRY_RATIO = 5.0
 """Ratio of a pixel's sum of squared residuals to the median of all from which it is tried again
-from more nodes and from its neighbours' materials. Of pure noise in 16 pictures of three channels
-practically none is."""
+from more nodes and from its neighbours' materials: beyond noise."""
 
 RETRY_ROUGHNESS_NODES = (0.02, 1.0, 24)
 RETRY_METALLIC_NODES = (0.0, 1.0, 11)
@@ -224,12 +209,10 @@ GLOBAL_STEPS_MAX = 8
 """Joint steps of all pixels in a round."""
 
 GLOBAL_STEP_SHARES = (1.0, 0.4)
-"""Shares of a joint step that are tried before the damping grows; fewer than of a subset's because
-each costs a pass over all pixels."""
+"""Shares of a joint step that are tried before the damping grows; each costs a pass over all."""
 
 GLOBAL_DAMPING_FACTOR = 30.0
-"""Factor on the damping after a failed step, and divisor after another. There is none at first, and
-then `DAMPING_START`."""
+"""Factor on the damping after a failed step, and divisor after another."""
 
 GLOBAL_DAMPING_MAX = 0.5
 """Damping from which a failed step is the last."""
@@ -249,24 +232,21 @@ PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""
 
 SECANT_GAIN_MIN = 0.5
-"""Share of what a joint step of all pixels promised that it has to gain for its secant to be kept.
-Near the end steps gain 0.8 and more; less tells that the sum is not quadratic so far, where secants
-mislead, and those before are forgotten too."""
+"""Share of what a joint step of all pixels promised that it has to gain for its secant to be kept:
+less tells that the sum is not quadratic so far, and those before are forgotten too."""
 
 CG_ITERATIONS_MAX = 20
 """Products with the lights' system in a joint step."""
 
 CG_ERROR_RATIO = 0.1
 """Ratio of the remaining error to the first, in the norm of the preconditioner, at which conjugate
-gradients stop: a step of lights goes with a descent of all pixels, which costs more than the few
-products between 0.3 and this."""
+gradients stop: the descent of all pixels after them costs more."""
 
 CG_RENEW = 10
 """Iterations of conjugate gradients from which on the preconditioner is made anew."""
 
 CG_GAIN_SHARE = 0.1
-"""Share of the gain that makes a step worth while (`GAIN_MIN`) at which they stop too, because less
-is left to gain."""
+"""Share of the gain that makes a step worth while (`GAIN_MIN`) at which they stop too."""
 
 
 # --- Comparison of explanations ---------------------------------------------------------------
@@ -340,22 +320,18 @@ each."""
 # --- L-BFGS-B ---------------------------------------------------------------------------------
 
 DATA_SHARE_OF_ITERATIONS = 0.5
-"""Share of the iterations that L-BFGS spends on the data alone, before the mixture prior is fitted
-around its result; the rest is spent with the prior."""
+"""Share of the iterations that L-BFGS spends before the mixture prior is fitted around its end."""
 
 EXACT_RMSE = 1e-6
 """Root mean square residual, at mean radiance 0.4, up to which pictures count as explained to the
-last digit: then no mixture prior is fitted. Rounding to float32 leaves 1e-8."""
+last digit. Rounding to float32 leaves 1e-8."""
 
 LBFGS_PAIRS = 10
-"""Pairs of steps and gradients that L-BFGS remembers; memory grows with it, 10 is scipy's default.
-"""
+"""Pairs of steps and gradients that L-BFGS remembers; scipy's default."""
 
 TRAP_ROUGHNESS = 0.1
 """Roughness below which the first stages of L-BFGS do not go. Band weights and G1 depend on r⁴, so
-their slope is r³ and roughness 0 is a stationary point of every pixel: one that overshoots to the
-bound stays there, far from its minimum, and bends the lights. Between 0 and 0.1 pictures under SH
-light hardly change, so little is lost by waiting."""
+roughness 0 is a stationary point of every pixel: one that overshoots to it stays there."""
 
 TRAPPED_MARGIN = 0.005
 """Roughness above `TRAP_ROUGHNESS` up to which a pixel counts as caught at that bound."""
@@ -384,12 +360,11 @@ PRIOR_SIGMA_MIN = 0.01
 
 PRIOR_ROUNDS = ((0.05, 1024, 8), (0.02, 1024, 8), (PRIOR_SIGMA_MIN, 2048, 4), (0.0, 4096, 6))
 """Rounds that find lights and prior together: that deviation, wide at first, while lights are
-wrong; pixels; and joint steps at most. Where the deviation is 0 pixels have that of their group:
-the softest direction, the common scale, settles last, and takes more pixels."""
+wrong; pixels; and joint steps at most. Where the deviation is 0 pixels have that of their group."""
 
 SPREAD_MIN = 0.002
-"""Smallest standard deviation of roughness and metallic in a group of pixels of one material. It is
-below what pixels tell together: 0.1/√1000 of a thousand dielectric ones."""
+"""Smallest standard deviation of roughness and metallic in a group of pixels of one material: below
+what a thousand dielectric pixels tell together, 0.1/√1000."""
 
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
@@ -407,8 +382,8 @@ PICTURE_PSEUDO_PIXELS = 10.0
 """Number of pixels that the distribution of the whole picture counts for in that of a segment."""
 
 NODE_PROBABILITY_MIN = 1e-30
-"""Smallest probability of a node. Pixels that nothing was fitted to may have a likelihood of 0, to
-the last bit, wherever else something was found; their likelihood alone decides then."""
+"""Smallest probability of a node: pixels that nothing was fitted to may have a likelihood of 0
+wherever else something was found."""
 
 GROUP_PROBABILITY_SHARE = 0.02
 """Share of the largest probability: neighbouring nodes above it are one group."""
@@ -417,8 +392,7 @@ LIKELIHOOD_CURVATURE_MIN = 1e-6
 """Smallest second difference of a log-likelihood between nodes, which may be flat."""
 
 OFFSET_PRECISION_SHARE = 1e-3
-"""Precision of a cluster's offset around 0, as a share of the summed precision of its pixels: so
-small that clusters move almost freely."""
+"""Precision of a cluster's offset around 0, as a share of the summed precision of its pixels."""
 
 
 # --- Scale ------------------------------------------------------------------------------------
@@ -434,12 +408,10 @@ SCALE_PATCHES = 8
 a fifth, and are larger than what a shadow or a JPEG's block has in common."""
 
 GROUP_LEVERAGE_MAX = 0.5
-"""Share of the information on the scale that a group counts as having, at most: where one has
-nearly all, there are no others to compare it with."""
+"""Share of the information on the scale that a group counts as having, at most."""
 
 FREEDOM_MIN = 3.0
-"""Smallest degrees of freedom of a jackknife's variance. With fewer the 95 % of Student's t are a
-statement on its tails, and not on the groups."""
+"""Smallest degrees of freedom of a jackknife's variance."""
 
 UNIFORM_PRECISION = 12.0
 """1/variance of a number that may lie anywhere in [0, 1]."""
@@ -462,16 +434,14 @@ WHITE_ALBEDO_MIN = 1e-3
 # --- Normals ----------------------------------------------------------------------------------
 
 STRIDED_SUBSET_EXCESS = 1.25
-"""Times as many pixels as wanted that a strided subset may have: rows and columns are chosen, not
-pixels, so their number is not exact."""
+"""Times as many pixels as wanted that a strided subset may have."""
 
 NORMALS_PIXEL_STEPS = 12
 """Steps of a pixel by itself from such a start."""
 
 NORMALS_ROUNDS_OF_PASSES = (3, COARSE_ROUNDS_MAX)
-"""Rounds of the coarse level with free normals, at most. What the first pass finds are lights, from
-which all else starts once more: on nine rooms, half of them with normals 10° off, that halved the
-errors, and another pass took 3 % more off them."""
+"""Rounds of the coarse level with free normals, at most, in two passes: from the first one's lights
+all else starts once more, which on nine rooms halved the errors."""
 
 NORMALS_PATCH_SIDE = 4
 """Pixels along a side of the patches of a level whose offsets move together."""
@@ -514,15 +484,15 @@ NORMALS_DIELECTRIC_SIGMA = 0.2
 
 NORMALS_MATERIAL_SIGMAS_MIN = (0.1, 0.04, 0.02)
 """Smallest standard deviation of the fitted prior on roughness and metallic in the rounds after
-those; the last value holds from then on. A smaller one binds pixels of a segment more strongly."""
+those; the last value holds from then on."""
 
 NORMALS_METALLIC_NODES = (0.0, 1.0)
 """Metallic of the nodes that the prior is fitted on: there is hardly anything between dielectrics
 and metals, and with normals free the pictures alone do not say so."""
 
 NORMALS_OFFSET_SIGMA_ALONE = math.radians(60.0)
-"""Standard deviation of each tangent offset by itself, in radians. It is weak on purpose: counted
-once a pixel, a stronger one would hold back a turn that all normals have in common."""
+"""Standard deviation of each tangent offset by itself, in radians: weak, because counted once a
+pixel it holds back a turn that all normals have in common."""
 
 NORMALS_OFFSET_SIGMA_START = math.radians(6.0)
 """Standard deviation of the difference between neighbours' tangent offsets, in radians, before it
@@ -546,32 +516,19 @@ NORMALS_PRIOR_UPDATES = 3
 """Times that all pixels refine their normals, each time with a prior around where their neighbours
 were the time before."""
 
-NORMALS_GAIN_WINDOW = 5
-"""Rows and columns of pixels over which the gain of refined normals is averaged."""
-
-NORMALS_GAIN_OF_NOISE = 2.0
-"""Gain of a pixel, in summed squared residuals over the noise's variance, that two numbers more
-have on noise alone."""
-
-NORMALS_GAIN_SIGMAS = 3.0
-"""Standard deviations above that from which on a mean gain is real; below it pixels get their given
-normals back."""
-
 
 # --- Tiles ------------------------------------------------------------------------------------
 
 TILES_SUBSET_PIXELS_MAX = 1 << 18
-"""Pixels that find the lights of a large picture, about: 512². The error of a pixel's materials
-that comes from the lights is then 1 % of that from its own noise, and a fit of so many takes a
-minute."""
+"""Pixels that find the lights of a large picture, about 512²: the lights then make 1 % of the error
+that a pixel's own noise makes."""
 
 TILE_SIDE = 512
 """Rows and columns of a tile, at most: memory grows with its square."""
 
 TILE_MARGIN = 32
 """Pixels around a tile that are fitted with it and left to its neighbours, where normals are
-refined and so neighbours are to be alike: the borders of two tiles then come from almost the same
-pixels."""
+refined."""
 
 
 # --- Uncertainty ------------------------------------------------------------------------------
@@ -594,16 +551,15 @@ hardly better than a guess."""
 
 MISFIT_AMPLIFICATION = 120.0
 """G: by how much more of an error of the model lights and materials take up than what neighbours
-share of the residuals. On rooms of seeds 5000 to 5003 with 60 degrees told as 90, lights of order 3
-fitted with 2, the other model, shadows or bounces, deviations were right with 50 to 600."""
+share of the residuals. With wrong fields of view, orders, models and surroundings 50 to 600 fit."""
 
 MISFIT_SHARE_MAX = 0.5
 """Largest deviation of a sample by the model's errors, as a share of the mean radiance: more would
 say that the pictures show next to nothing of the scene."""
 
 MISFIT_STEPS = 16
-"""Distance of pixels that show what the model lacks, as a part of the longer side: well beyond the
-blur of a camera and what refined normals leave, well within the size of a shadow."""
+"""Distance of pixels that show what the model lacks, as a part of the longer side: beyond the blur
+of a camera, within the size of a shadow."""
 
 MISFIT_PAIRS = 2048
 """Pairs of such pixels, in each direction: what they share is known to a hundredth of s²."""
@@ -617,17 +573,14 @@ samples is so many times smaller than the error of the scale that it makes."""
 
 SCALE_NOISE_RATIO = 2.0
 """Least relative deviation of a scale that was found, in relative deviations of the samples: bias
-by noise, which the jackknife does not see. Of rooms of seeds 5000 to 5004 with noise of 2.5 % the
-scale is off by 2 to 9 %, all in one direction."""
+by noise, which the jackknife does not see (2 to 9 % with noise of 2.5 %)."""
 
 LIGHT_PIXELS_MAX = 1024
-"""Pixels, evenly spread, up to which all and above which so many give the covariance of the lights.
-Time and memory grow with them, the deviations hardly change."""
+"""Pixels, evenly spread, that give the covariance of the lights, at most."""
 
 OMITTED_VARIANCE_SHARE_MAX = 1e-3
-"""Share of the pixels' variances, in the mean, that the modes of the lights which are left out may
-add together; smaller keeps more modes."""
+"""Share of the pixels' variances, in the mean, that the lights' modes left out may add together."""
 
 LIGHT_INFORMATION_MIN = 1e-10
 """Share of its information that a direction of the light keeps when materials are fitted too, below
-which it is rounding: materials can make up for that direction completely."""
+which it is rounding."""

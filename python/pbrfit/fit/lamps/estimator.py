@@ -43,7 +43,7 @@ from pbrfit.result.camera import Camera
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.refinement import FROM_PICTURES, Refinement
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.result.verdict import Verdict, expected_errors, level_of
+from pbrfit.result.verdict import by_deviations
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread
 from pbrfit.transport.scenery import Scenery
@@ -293,11 +293,8 @@ class LampFit:
             lamps = replace(self.begin.lamps, colors=self.begin.lamps.colors / few.scale)
             return few, [("lamps as compared", lamps, albedo_under(few, lamps))]
         if self.start is not None and (known is None or not known.near.any()):
-            lamps = Lamps(
-                np.arange(few.pictures), self.start.directions, colors=self.start.strengths
-            )
-            albedo = self.start.albedo.reshape(-1, 3)[places]
-            return few, [(self.start.note, *balanced(few, lamps, albedo))]
+            lamps = Lamps(np.arange(few.pictures), self.start.directions)
+            return few, [(self.start.note, *colored(few, lamps))]
         if known is not None:
             return few, [("known lamps", *colored(few, known))]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
@@ -738,31 +735,8 @@ class LampFit:
             noise=fit.noise.floor * scale,
             effective_share=1.0,
             albedo_scale=(red, green, blue),
-            verdicts={
-                name: Verdict(level_of(name, error), error)
-                for name, error in expected_errors(deviation).items()
-            },
+            verdicts=by_deviations(deviation),
         )
-
-
-def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Array]:
-    """Lamps and albedos (P, 3) that are known up to a factor a channel, in the pictures' units.
-
-    On the whole lamps are grey, as in pictures whose white was balanced, and the mean albedo is
-    `ALBEDO_MEAN`.
-    """
-    cosines = np.maximum(pixels.normals @ lamps.places.T, 0)
-    shown = cosines[..., None] * lamps.colors[None] * albedo[:, None]
-    lit = (cosines > 0.3)[..., None] & pixels.told
-    ratio = np.where(lit & (shown > 0), pixels.samples / np.maximum(shown, 1e-12), 1)
-    factor = np.array(
-        [np.median(ratio[..., c][lit[..., c]]) if lit[..., c].any() else 1.0 for c in range(3)]
-    )
-    albedo = np.maximum(albedo * factor, 1e-9)
-    tint = np.exp(np.log(np.maximum(lamps.colors, 1e-9)).mean(axis=0))
-    colors, albedo = lamps.colors / tint, albedo * tint
-    mean = max(float(albedo.mean()), 1e-9) / ALBEDO_MEAN
-    return replace(lamps, colors=colors * mean), np.clip(albedo / mean, 0.01, 0.95)
 
 
 def albedo_under(pixels: LampPixels, lamps: Lamps) -> Array:
@@ -808,29 +782,17 @@ def _spread(values: Array, few: NDArray[np.intp], places: NDArray[np.intp], widt
     return np.asarray(values[tree.query(np.stack(np.divmod(places, width), axis=-1))[1]])
 
 
-def check_near(scene: Scene) -> None:
-    """Raise InputError if known lamps are near and nobody knows where surfaces are."""
-    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
-        raise InputError("lamps: expected depth for near lamps, found none")
-
-
 def check_light(scene: Scene, setup: FitSetup) -> None:
     """Raise InputError if lamps are asked for, or known, and cannot be fitted."""
     if setup.options.light == "lamps" and scene.lighting is not None:
         raise InputError("light: expected unknown light for lamps, found known SH light")
-    check_near(scene)
+    if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
+        raise InputError("lamps: expected depth for near lamps, found none")
 
 
 @one_blas_thread()
 def fit_lamps(
     scene: Scene, setup: FitSetup, start: FirstShape | None = None, begin: Found | None = None
 ) -> FitOutput:
-    """Fit surfaces, lamps and ambient light to a scene, from what some pixels have found.
-
-    Raises
-    ------
-    InputError
-        If known lamps are near and there is no depth.
-    """
-    check_near(scene)
+    """Fit surfaces, lamps and ambient light to a scene, from what some pixels have found."""
     return LampFit(scene, setup, start, begin).solve()

@@ -16,15 +16,10 @@ from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.free import offsets_of
-from pbrfit.fit.normals.noise import (
-    degrees_of_freedom,
-    noise_variance,
-    offset_variances,
-    pixel_sums,
-)
+from pbrfit.fit.normals.noise import noise_variance, offset_variances, pixel_sums
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import chunks, descended, fit_all, taken
+from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
@@ -92,15 +87,13 @@ def refine_all(
     prior: TangentOffsetPrior,
     noise: NoiseModel | None,
     stop: Callable[[], bool],
-) -> Array | None:
-    """Change the normals of all pixels, with their materials; x changes.
+) -> bool:
+    """Change the normals of all pixels, with their materials; x changes. False if time ran out.
 
-    Returned are the sums of squared residuals (P,), or None if time ran out before all pixels had
-    been refined. Samples weigh by their `noise`, of which outliers show once pixels are fitted.
+    Samples weigh by their `noise`, of which outliers show once pixels are fitted.
     """
     layout = objective.layout
     assert layout.tangent_offsets is not None
-    sums = None
     for number in range(settings.NORMALS_PRIOR_UPDATES):
         if noise is not None:
             weights = noise.weights(objective, x if number else None, first=number == 1)
@@ -114,47 +107,10 @@ def refine_all(
             np.concatenate([free, offset_precision], axis=1),
         )
         starts, steps = (0, 0) if number else (1, settings.NORMALS_PIXEL_STEPS)
-        sums = fit_all(objective, x, starts=starts, steps=steps, prior=pixel_prior, stop=stop)
-        if sums is None:
-            return None
+        if fit_all(objective, x, starts=starts, steps=steps, prior=pixel_prior, stop=stop) is None:
+            return False
         prior = prior.fitted(
             offsets_of(objective, x),
             offset_variances(objective, x, pixel_prior.precision, variance),
         )
-    return sums
-
-
-def restore_given(objective: Objective, x: Array, sum_sq_residuals: Array) -> None:
-    """Give pixels their given normals back around which nothing has been gained; x changes.
-
-    With `sum_sq_residuals` (P,) of the refined ones. Given normals have the best materials there.
-    """
-    from scipy.ndimage import uniform_filter
-
-    layout = objective.layout
-    assert layout.tangent_offsets is not None
-    given_x = x.copy()
-    given_x[layout.tangent_offsets] = 0.0
-    sums = np.empty(objective.pixels)
-    unknowns = np.empty((objective.pixels, layout.maps.stop // objective.pixels))
-    steps = settings.NORMALS_PIXEL_STEPS
-    for chunk in chunks(objective.pixels):
-        unknowns[chunk], sums[chunk] = descended(
-            objective, given_x, chunk, steps=steps, exact_steps=2, held_normals=True
-        )
-    gain = (sums - sum_sq_residuals) / noise_variance(objective, sum_sq_residuals)
-    gain = np.minimum(gain, 10 * degrees_of_freedom(objective))
-    # Means over the valid pixels of a window around each.
-    size = settings.NORMALS_GAIN_WINDOW
-    inside = uniform_filter(layout.valid.astype(np.float64), size, mode="constant")
-    around = uniform_filter(layout.whole(gain, 0.0), size, mode="constant")
-    counted = np.maximum(inside[layout.valid] * size**2, 1.0)
-    mean = around[layout.valid] * size**2 / counted
-    # The square of a normal number has mean 1 and variance 2.
-    needed = settings.NORMALS_GAIN_OF_NOISE * (
-        1 + settings.NORMALS_GAIN_SIGMAS * np.sqrt(1 / counted)
-    )
-    restored = mean < needed
-    refined = taken(objective, x, slice(None)).copy()
-    refined[restored] = unknowns[restored]
-    x[layout.maps] = refined.T.ravel()
+    return True

@@ -3,10 +3,6 @@
 Whether they are is decided by left-out pictures (`pbrfit.fit.compare`), or asked for. Some pixels
 find lights, materials and normals together; then all pixels refine theirs, and materials are fitted
 to these with all priors.
-
-At the end every part of the picture has to have gained: where given normals explain the pictures as
-well as the refined ones, given that these have two numbers a pixel more to do it with, the given
-ones are put back.
 """
 
 from __future__ import annotations
@@ -25,7 +21,6 @@ from pbrfit.fit.light_modes import light_modes
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.all_pixels import (
     refine_all,
-    restore_given,
     start_from_level,
     start_from_offsets,
     tangent_offsets_between,
@@ -155,10 +150,8 @@ def _refine(
 ) -> PixelFit | None:
     """The fit of all pixels with refined normals, from an x of `free`; None if time ran out."""
     with run.stage("normals of all pixels"):
-        sums = refine_all(free, free_x, prior, noise, run.out_of_time)
-        if sums is None:
+        if not refine_all(free, free_x, prior, noise, run.out_of_time):
             return None
-        restore_given(free, free_x, sums)
     run, ended = _fit_held(run, run.scene, free, free_x, make)
     if run.out_of_time():  # perhaps after the fit that has ended
         ended = run.ended("")
