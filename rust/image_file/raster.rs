@@ -1,5 +1,6 @@
 //! PNG, JPEG, TIFF and Radiance HDR in, PNG out.
 
+use std::borrow::Cow;
 use std::io::Cursor;
 use std::path::Path;
 
@@ -8,7 +9,7 @@ use image::codecs::jpeg::JpegDecoder;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder};
 use png::{BitDepth, Transformations};
-use tiff::decoder::DecodingResult;
+use tiff::decoder::{ChunkType, DecodingResult};
 use tiff::tags::Tag;
 
 use super::{
@@ -77,13 +78,39 @@ pub struct Raster {
     pub exif: Option<Vec<u8>>,
     /// EXIF orientation, 1 to 8.
     pub orientation: u8,
-    /// Colour information in the file that is not acted upon, in words.
-    pub ignored: Option<String>,
+    /// Of a PNG with a cICP chunk: primaries and transfer function (Rec. ITU-T H.273).
+    pub code_points: Option<[u8; 2]>,
+    /// Of a PNG without an sRGB chunk: what its gAMA chunk says.
+    pub gamma: Option<f32>,
+    /// Of a PNG without an sRGB chunk: xy of red, green, blue, white in its cHRM chunk.
+    pub chromaticities: Option<[f32; 8]>,
+    /// Smaller pages of a TIFF, which are not read.
+    pub passed_over: usize,
+}
+
+impl Raster {
+    /// Of one format, size and number of channels; with samples and nothing beside.
+    fn plain(format: Format, [width, height, channels]: [usize; 3], samples: Samples) -> Self {
+        Self {
+            format,
+            width,
+            height,
+            channels,
+            samples,
+            icc_profile: None,
+            exif: None,
+            orientation: 1,
+            code_points: None,
+            gamma: None,
+            chromaticities: None,
+            passed_over: 0,
+        }
+    }
 }
 
 /// Reads the bytes of a picture file in the format of its content: PNG (1 to 16 bits, all
 /// colour types), JPEG (grey or colour), TIFF (8 or 16-bit integers, floats,
-/// the first page) or Radiance HDR.
+/// the page of full resolution) or Radiance HDR.
 ///
 /// With `indices`, a palette PNG gives its indices instead of colours and grey
 /// below 8 bits is not spread over 0 to 255.
@@ -150,16 +177,26 @@ fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
     };
     let info = reader.info();
     let exif = info.exif_metadata.as_ref().map(|exif| exif.to_vec());
+    let shape = [width, height, output.color_type.samples()];
+    let untold = info.srgb.is_none();
     Ok(Raster {
-        format: Format::Png,
-        width,
-        height,
-        channels: output.color_type.samples(),
-        samples,
         orientation: exif_orientation(exif.as_deref()),
         icc_profile: info.icc_profile.as_ref().map(|profile| profile.to_vec()),
         exif,
-        ignored: ignored_by_png(info),
+        code_points: info
+            .coding_independent_code_points
+            .map(|cicp| [cicp.color_primaries, cicp.transfer_function]),
+        gamma: info
+            .gama_chunk
+            .filter(|_| untold)
+            .map(|gamma| gamma.into_value()),
+        chromaticities: info.chrm_chunk.filter(|_| untold).map(|chrm| {
+            let [red, green, blue, white] = [chrm.red, chrm.green, chrm.blue, chrm.white];
+            let [rx, ry, gx, gy] = [red.0, red.1, green.0, green.1].map(|v| v.into_value());
+            let [bx, by, wx, wy] = [blue.0, blue.1, white.0, white.1].map(|v| v.into_value());
+            [rx, ry, gx, gy, bx, by, wx, wy]
+        }),
+        ..Raster::plain(Format::Png, shape, samples)
     })
 }
 
@@ -176,27 +213,6 @@ fn unpack(buffer: &[u8], width: usize, height: usize, bits: usize) -> Vec<u8> {
         }));
     }
     samples
-}
-
-/// Colour chunks that say something else than sRGB and are overruled by
-/// nothing better.
-fn ignored_by_png(info: &png::Info<'_>) -> Option<String> {
-    if let Some(cicp) = info.coding_independent_code_points {
-        // Rec. ITU-T H.273: primaries 1 = Rec.709; transfer 13 = sRGB.
-        if (cicp.color_primaries, cicp.transfer_function) != (1, 13) {
-            return Some(format!(
-                "cICP chunk (primaries {}, transfer {})",
-                cicp.color_primaries, cicp.transfer_function
-            ));
-        }
-        return None;
-    }
-    if info.icc_profile.is_some() || info.srgb.is_some() {
-        return None;
-    }
-    let gamma = info.gama_chunk?.into_value();
-    // 0.45455 is what encoders write to mean sRGB.
-    ((gamma - 0.45455).abs() > 0.01).then(|| format!("gAMA chunk ({gamma})"))
 }
 
 fn exif_orientation(exif: Option<&[u8]>) -> u8 {
@@ -227,16 +243,12 @@ fn decode_jpeg(bytes: &[u8], path: &Path) -> Result<Raster> {
         DynamicImage::ImageLuma8(image) => (1, image.into_raw()),
         image => (3, image.into_rgb8().into_raw()),
     };
+    let shape = [width as usize, height as usize, channels];
     Ok(Raster {
-        format: Format::Jpeg,
-        width: width as usize,
-        height: height as usize,
-        channels,
-        samples: Samples::U8(samples),
         icc_profile,
         orientation: exif_orientation(exif.as_deref()),
         exif,
-        ignored: None,
+        ..Raster::plain(Format::Jpeg, shape, Samples::U8(samples))
     })
 }
 
@@ -285,16 +297,27 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
         }
         error => broken(path, Format::Tiff, error),
     };
-    if longest_tiff_text(bytes) > bytes.len() as u64 {
-        return Err(broken(path, Format::Tiff, "a text longer than the file"));
+    let (page, passed_over) = full_page(bytes, path)?;
+    let mut bytes = Cow::Borrowed(bytes);
+    if let Some(page) = page {
+        let file = TiffBytes(&bytes);
+        if file.longest_text(page) > bytes.len() as u64 {
+            return Err(broken(path, Format::Tiff, "a text longer than the file"));
+        }
+        if file.first_page() != Some(page) {
+            check_memory(path, bytes.len() as u64)?;
+            let at = file.word();
+            put(bytes.to_mut(), at, page, at);
+        }
     }
-    let mut limits = tiff::decoder::Limits::default();
-    limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
-    limits.intermediate_buffer_size = limits.decoding_buffer_size;
-    limits.ifd_value_size = 1 << 26; // large profiles, long lists of strips
-    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes))
-        .map_err(error)?
-        .with_limits(limits);
+    let open = |bytes| {
+        let mut limits = tiff::decoder::Limits::default();
+        limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
+        limits.intermediate_buffer_size = limits.decoding_buffer_size;
+        limits.ifd_value_size = 1 << 26; // large profiles, long lists of strips
+        tiff::decoder::Decoder::new(Cursor::new(bytes)).map(|decoder| decoder.with_limits(limits))
+    };
+    let mut decoder = open(&bytes[..]).map_err(error)?;
     let (width, height) = decoder.dimensions().map_err(error)?;
     let file_size = bytes.len() as u64;
     let most = TIFF_PIXELS * file_size;
@@ -323,20 +346,39 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     }
     let samples = u64::from(width) * u64::from(height) * channels as u64;
     check_memory(path, 2 * samples * u64::from(bits).div_ceil(8))?;
+    let orientation = decoder.find_tag_unsigned(Tag::Orientation).map_err(error)?;
+    let profile = decoder.find_tag(Tag::IccProfile).map_err(error)?;
+    let pixels = width as usize * height as usize;
+    let (mut planes, mut plane) = (0, pixels);
+    let planar: Option<u16> = decoder
+        .find_tag_unsigned(Tag::PlanarConfiguration)
+        .map_err(error)?;
+    let tall;
+    if planar == Some(2) && decoder.get_chunk_type() == ChunkType::Tile {
+        let (_, side) = decoder.chunk_dimensions();
+        let rows = height.div_ceil(side) * side;
+        (planes, plane) = (channels, width as usize * rows as usize);
+        check_memory(
+            path,
+            file_size + 2 * u64::from(bits / 8) * (planes * plane) as u64,
+        )?;
+        tall = stacked_planes(&bytes, u64::from(rows) * channels as u64);
+        decoder = open(&tall[..]).map_err(error)?;
+    }
     let mut decoded = DecodingResult::U8(Vec::new());
     let layout = decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
-    let pixels = width as usize * height as usize;
+    planes = planes.max(layout.planes);
     let samples = match decoded {
-        DecodingResult::U8(values) => Samples::U8(interleave(values, layout.planes, pixels)),
-        DecodingResult::U16(values) => Samples::U16(interleave(values, layout.planes, pixels)),
-        DecodingResult::F32(values) => Samples::F32(interleave(values, layout.planes, pixels)),
+        DecodingResult::U8(values) => Samples::U8(interleave(values, planes, plane, pixels)),
+        DecodingResult::U16(values) => Samples::U16(interleave(values, planes, plane, pixels)),
+        DecodingResult::F32(values) => Samples::F32(interleave(values, planes, plane, pixels)),
         DecodingResult::F16(values) => {
             let values = values.into_iter().map(|value| value.to_f32()).collect();
-            Samples::F32(interleave(values, layout.planes, pixels))
+            Samples::F32(interleave(values, planes, plane, pixels))
         }
         DecodingResult::F64(values) => {
             let values = values.into_iter().map(|value| value as f32).collect();
-            Samples::F32(interleave(values, layout.planes, pixels))
+            Samples::F32(interleave(values, planes, plane, pixels))
         }
         _ => {
             let expected = "expected 8 or 16-bit unsigned integers or floats";
@@ -344,66 +386,255 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
             return Err(content(path, format!("{expected}, found {found}")));
         }
     };
-    let orientation = decoder.find_tag_unsigned(Tag::Orientation).map_err(error)?;
-    let profile = decoder.find_tag(Tag::IccProfile).map_err(error)?;
+    let shape = [width as usize, height as usize, channels];
     Ok(Raster {
-        format: Format::Tiff,
-        width: width as usize,
-        height: height as usize,
-        channels,
-        samples,
         icc_profile: profile
             .map(|value| value.into_u8_vec())
             .transpose()
             .map_err(error)?,
-        exif: None,
         orientation: orientation
             .filter(|value| (1..=8).contains(value))
             .unwrap_or(1),
-        ignored: None,
+        passed_over,
+        ..Raster::plain(Format::Tiff, shape, samples)
     })
 }
 
-/// Longest text that the first directory of a TIFF tells of (TIFF 6.0, section 2;
-/// BigTIFF has 8 bytes where TIFF has 4). The decoder of `tiff` 0.11 takes memory
-/// for texts of up to 4 GiB before it reads them, and prints a line about longer
-/// ones.
-fn longest_tiff_text(bytes: &[u8]) -> u64 {
-    const ASCII: u64 = 2;
-    let little = bytes.starts_with(b"II");
-    let big = matches!(bytes.get(2..4), Some([0x2b, 0] | [0, 0x2b]));
-    let number = |at: u64, size: u64| {
+/// Where the directory of the one picture in a TIFF is, and how many smaller pages there
+/// are beside: thumbnails, the levels of a pyramid. `None` where no directory is whole,
+/// which is the decoder's to refuse.
+fn full_page(bytes: &[u8], path: &Path) -> Result<(Option<u64>, usize)> {
+    let file = TiffBytes(bytes);
+    let mut pages = file.pages();
+    if pages.iter().all(|page| page.reduced) {
+        // Beside thumbnails alone the picture lies in a directory below.
+        let below: Vec<_> = pages.iter().flat_map(|page| file.below(page.at)).collect();
+        pages.extend(below);
+    }
+    let marked = pages.iter().any(|page| !page.reduced);
+    let full: Vec<_> = pages
+        .iter()
+        .filter(|page| !page.reduced || !marked)
+        .collect();
+    let Some(largest) = full
+        .iter()
+        .max_by_key(|page| page.width.saturating_mul(page.height))
+    else {
+        return Ok((None, 0));
+    };
+    // The next level of a pyramid has half the sides, rounded up.
+    let is_level = |width: u64, side: u64| width <= side.div_ceil(2);
+    let count = full
+        .iter()
+        .filter(|page| {
+            !(is_level(page.width, largest.width) && is_level(page.height, largest.height))
+        })
+        .count()
+        .max(file.slices(largest.at));
+    if count > 1 {
+        let found = format!("expected one picture, found {count} pages: save each as a file");
+        return Err(content(path, found));
+    }
+    Ok((Some(largest.at), pages.len() - 1))
+}
+
+/// A page of a TIFF.
+struct Page {
+    /// Where its directory begins.
+    at: u64,
+    width: u64,
+    height: u64,
+    /// Whether it says that it is a smaller version, or a mask, of another.
+    reduced: bool,
+}
+
+/// Most pages of a TIFF that are looked at.
+const MOST_PAGES: usize = 4096;
+
+/// The directories of a TIFF (TIFF 6.0, section 2; BigTIFF has 8 bytes where TIFF has 4).
+struct TiffBytes<'a>(&'a [u8]);
+
+/// One tag in a directory.
+struct Entry {
+    tag: u64,
+    kind: u64,
+    count: u64,
+    /// Where it begins.
+    at: u64,
+}
+
+impl TiffBytes<'_> {
+    /// Bytes of an offset; the first directory's stands behind as many.
+    fn word(&self) -> u64 {
+        let big = matches!(self.0.get(2..4), Some([0x2b, 0] | [0, 0x2b]));
+        if big { 8 } else { 4 }
+    }
+
+    fn number(&self, at: u64, size: u64) -> Option<u64> {
         let range = usize::try_from(at).ok()?..usize::try_from(at.checked_add(size)?).ok()?;
-        let digits = bytes.get(range)?.iter();
+        let digits = self.0.get(range)?.iter();
         let join = |number: u64, &digit: &u8| number << 8 | u64::from(digit);
-        Some(match little {
+        Some(match self.0.starts_with(b"II") {
             true => digits.rev().fold(0, join),
             false => digits.fold(0, join),
         })
-    };
-    let (start, count_size, entry_size, word) = if big { (8, 8, 20, 8) } else { (4, 2, 12, 4) };
-    let longest = || {
-        let directory = number(start, word)?;
-        let entries = number(directory, count_size)?;
-        let mut longest = 0;
-        for entry in 0..entries.min(bytes.len() as u64 / entry_size) {
-            let at = directory + count_size + entry * entry_size;
-            if number(at + 2, 2)? == ASCII {
-                longest = longest.max(number(at + 4, word)?);
+    }
+
+    fn first_page(&self) -> Option<u64> {
+        self.number(self.word(), self.word())
+    }
+
+    /// The tags of a directory, as far as it is whole, and where the next one begins.
+    fn directory(&self, at: u64) -> (Vec<Entry>, u64) {
+        let (count_size, entry_size) = if self.word() == 8 { (8, 20) } else { (2, 12) };
+        let count = self.number(at, count_size).unwrap_or(0);
+        let count = count.min(self.0.len() as u64 / entry_size);
+        let start = at.saturating_add(count_size);
+        let entries = (0..count).map_while(|k| {
+            let at = start + k * entry_size;
+            Some(Entry {
+                tag: self.number(at, 2)?,
+                kind: self.number(at + 2, 2)?,
+                count: self.number(at + 4, self.word())?,
+                at,
+            })
+        });
+        let next = self.number(start + count * entry_size, self.word());
+        (entries.collect(), next.unwrap_or(0))
+    }
+
+    /// Bytes that an entry's values take, and where they are: in it, if they fit.
+    fn values(&self, entry: &Entry) -> (u64, u64) {
+        let size = [1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 8, 8, 8, 8];
+        let kind = usize::try_from(entry.kind).unwrap_or(0).wrapping_sub(1);
+        let size = size.get(kind).copied().unwrap_or(1);
+        let inside = entry.at + 4 + self.word();
+        let fits = entry.count.saturating_mul(size) <= self.word();
+        let outside = || self.number(inside, self.word()).unwrap_or(u64::MAX);
+        (size, if fits { inside } else { outside() })
+    }
+
+    /// Longest text that a directory tells of. The decoder of `tiff` 0.11 takes memory for
+    /// texts of up to 4 GiB before it reads them, and prints a line about longer ones.
+    fn longest_text(&self, at: u64) -> u64 {
+        const ASCII: u64 = 2;
+        let entries = self.directory(at).0.into_iter();
+        let texts = entries.filter(|entry| entry.kind == ASCII);
+        texts.map(|entry| entry.count).max().unwrap_or(0)
+    }
+
+    fn page(&self, at: u64) -> (Page, u64) {
+        let (entries, next) = self.directory(at);
+        let value = |tag| {
+            let entry = entries.iter().find(|entry| entry.tag == tag)?;
+            let (size, at) = self.values(entry);
+            self.number(at, size)
+        };
+        let kinds = value(254).unwrap_or(0); // bits: smaller version, page, mask
+        let page = Page {
+            at,
+            width: value(256).unwrap_or(0),
+            height: value(257).unwrap_or(0),
+            reduced: kinds & 0b101 != 0 || value(255) == Some(2),
+        };
+        (page, next)
+    }
+
+    /// All pages, in the order of the file.
+    fn pages(&self) -> Vec<Page> {
+        let mut pages: Vec<Page> = Vec::new();
+        let mut next = self.first_page().unwrap_or(0);
+        let seen = |pages: &[Page], next| pages.iter().any(|page| page.at == next);
+        while next != 0 && pages.len() < MOST_PAGES && !seen(&pages, next) {
+            let (page, after) = self.page(next);
+            if page.width > 0 {
+                pages.push(page);
             }
+            next = if after == next { 0 } else { after };
         }
-        Some(longest)
-    };
-    longest().unwrap_or(0) // a directory that is cut off is the decoder's to refuse
+        pages
+    }
+
+    /// Pages below one, by its tag SubIFDs.
+    fn below(&self, at: u64) -> Vec<Page> {
+        let (entries, _) = self.directory(at);
+        let Some(entry) = entries.iter().find(|entry| entry.tag == 330) else {
+            return Vec::new();
+        };
+        let (size, at) = self.values(entry);
+        let places = (0..entry.count.min(MOST_PAGES as u64))
+            .map_while(|k| self.number(at.checked_add(k * size)?, size));
+        places.map(|place| self.page(place).0).collect()
+    }
+
+    /// How many pictures ImageJ says that there are behind one directory.
+    fn slices(&self, at: u64) -> usize {
+        let (entries, _) = self.directory(at);
+        let text = entries
+            .iter()
+            .find(|entry| entry.tag == 270)
+            .and_then(|entry| {
+                let start = usize::try_from(self.values(entry).1).ok()?;
+                let text = self.0.get(start..)?;
+                Some(&text[..text.len().min(entry.count as usize)])
+            });
+        let lines = text.unwrap_or_default().split(|&byte| byte == b'\n');
+        lines
+            .skip_while(|line| !line.starts_with(b"ImageJ="))
+            .find_map(|line| std::str::from_utf8(line.strip_prefix(b"images=")?).ok())
+            .and_then(|count| count.trim().parse().ok())
+            .unwrap_or(1)
+    }
 }
 
-/// Planes stored one after another become interleaved samples.
-fn interleave<T: Copy>(values: Vec<T>, planes: usize, pixels: usize) -> Vec<T> {
-    if planes <= 1 || values.len() != planes * pixels {
+/// Writes a number of some bytes in a TIFF's byte order.
+fn put(bytes: &mut [u8], at: u64, value: u64, size: u64) {
+    let (at, size) = (at as usize, size as usize);
+    match bytes.starts_with(b"II") {
+        true => bytes[at..at + size].copy_from_slice(&value.to_le_bytes()[..size]),
+        false => bytes[at..at + size].copy_from_slice(&value.to_be_bytes()[8 - size..]),
+    }
+}
+
+/// A TIFF of tiles in separate planes as one in grey, whose planes lie one below the
+/// other: it has the same tiles in the same order. The decoder of `tiff` 0.11 takes the
+/// lowest tiles of all planes but the first for whole ones.
+fn stacked_planes(bytes: &[u8], rows: u64) -> Vec<u8> {
+    let mut tall = bytes.to_vec();
+    let file = TiffBytes(bytes);
+    let (entries, _) = file.directory(file.first_page().unwrap_or(0));
+    for entry in entries {
+        let first = || {
+            let (size, at) = file.values(&entry);
+            file.number(at, size).unwrap_or(0)
+        };
+        let value = match entry.tag {
+            257 => rows,
+            258 | 339 => first(), // bits, sample format: of one sample
+            262 => u64::from(first() != 0), // white is zero, else black
+            277 | 284 => 1,       // one sample, no planes
+            338 => {
+                put(&mut tall, entry.at, 65000, 2); // no alpha: a tag that nobody reads
+                continue;
+            }
+            _ => continue,
+        };
+        let word = file.word();
+        put(&mut tall, entry.at + 2, 4, 2); // LONG
+        put(&mut tall, entry.at + 4, 1, word);
+        put(&mut tall, entry.at + 4 + word, value, 4);
+    }
+    tall
+}
+
+/// Planes stored one after another, each beginning `plane` values behind the other, become
+/// interleaved samples.
+fn interleave<T: Copy>(values: Vec<T>, planes: usize, plane: usize, pixels: usize) -> Vec<T> {
+    if planes <= 1 && plane == pixels || values.len() != planes * plane {
         return values; // a wrong length is found by the caller
     }
     (0..pixels)
-        .flat_map(|pixel| (0..planes).map(move |plane| plane * pixels + pixel))
+        .flat_map(|pixel| (0..planes).map(move |k| k * plane + pixel))
         .map(|i| values[i])
         .collect()
 }
@@ -418,17 +649,9 @@ fn decode_hdr(bytes: &[u8], path: &Path) -> Result<Raster> {
     check_size(path, width.into(), height.into(), most, file_size)?;
     check_memory(path, 12 * u64::from(width) * u64::from(height))?;
     let image = DynamicImage::from_decoder(decoder).map_err(error)?;
-    Ok(Raster {
-        format: Format::Hdr,
-        width: width as usize,
-        height: height as usize,
-        channels: 3,
-        samples: Samples::F32(image.into_rgb32f().into_raw()),
-        icc_profile: None,
-        exif: None,
-        orientation: 1,
-        ignored: None,
-    })
+    let shape = [width as usize, height as usize, 3];
+    let samples = Samples::F32(image.into_rgb32f().into_raw());
+    Ok(Raster::plain(Format::Hdr, shape, samples))
 }
 
 /// Samples of a PNG to be written.

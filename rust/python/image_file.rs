@@ -33,7 +33,10 @@ struct Raster {
     icc_profile: Option<Py<PyBytes>>,
     exif: Option<Py<PyBytes>>,
     orientation: u8,
-    ignored: Option<String>,
+    code_points: Option<[u8; 2]>,
+    gamma: Option<f32>,
+    chromaticities: Option<[f32; 8]>,
+    passed_over: usize,
 }
 
 /// The format by the first bytes: EXR, PNG, JPEG, TIFF, HDR or None.
@@ -80,7 +83,10 @@ fn decode_raster(
         icc_profile: bytes(raster.icc_profile),
         exif: bytes(raster.exif),
         orientation: raster.orientation,
-        ignored: raster.ignored,
+        code_points: raster.code_points,
+        gamma: raster.gamma,
+        chromaticities: raster.chromaticities,
+        passed_over: raster.passed_over,
     })
 }
 

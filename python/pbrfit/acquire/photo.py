@@ -170,8 +170,8 @@ def shown_to_network(
     there is no such picture, or one cannot be read, or all are black.
     """
     paths = scene_folder.find_pictures(folder)
-    if color_space is None:
-        color_space = scene_folder.read_settings(folder / "scene.toml").color_space
+    settings = scene_folder.read_settings(folder / "scene.toml")
+    color_space = color_space or settings.color_space
     if picture is not None:
         names = [path.stem for path in paths]
         if picture not in names:
@@ -182,7 +182,7 @@ def shown_to_network(
         paths = [paths[names.index(picture)]]
     total: NDArray[np.float64] | None = None
     for path in paths:
-        read = images.read_picture(path, color_space)
+        read = images.read_picture(path, color_space, orientation=settings.orientation or "exif")
         pixels = np.where(np.isfinite(read.pixels), read.pixels, 0.0).astype(np.float64)
         mean = float(pixels.mean())
         if total is None:

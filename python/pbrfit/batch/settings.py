@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.images import Orientation
 
 if TYPE_CHECKING:
     from pbrfit.scene.scene import Scene
@@ -21,6 +22,7 @@ class Reading:
     color_space: ColorSpace | None = None
     max_size: int | None = None
     code_range: tuple[int, int] | None = None
+    orientation: Orientation | None = None
 
     def load(self, path: Path) -> Scene:
         """Read a scene folder."""

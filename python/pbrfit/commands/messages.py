@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pbrfit import address_space
 from pbrfit.io.quoting import visible
 
-OPTIONS = ("fov", "iterations", "time_limit", "white")
+OPTIONS = ("color_space", "fov", "iterations", "orientation", "time_limit", "white")
 """Options that the library speaks of, as Python names them."""
 
 

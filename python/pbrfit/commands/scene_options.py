@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pbrfit.batch.settings import Reading
 from pbrfit.commands.arguments import Flag, add_flags, choice, code_range, value
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.images import Orientation
 from pbrfit.model.depth_normals import DepthKind
 
 COLOR_SPACE = choice(
@@ -34,6 +35,11 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         parser,
         fov=field_of_view(float, "scene.toml, EXIF, else fitted"),
         color_space=COLOR_SPACE,
+        orientation=choice(
+            Orientation,
+            "turn pictures as their EXIF data says, or take them as they are stored (default: "
+            "scene.toml, else exif)",
+        ),
         max_size=value(
             "PIXELS", int, "average larger pictures down to this longer side (default: as they are)"
         ),
@@ -55,4 +61,5 @@ def reading(options: argparse.Namespace) -> Reading:
         color_space=options.color_space or decoded,
         max_size=options.max_size,
         code_range=options.code_range,
+        orientation=options.orientation,
     )

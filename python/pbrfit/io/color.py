@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-ColorSpace = Literal["srgb", "linear", "acescg", "display-p3"]
+ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
 """How stored values are to be read.
 
 ``srgb``: sRGB curve, Rec.709 primaries. ``linear``: linear Rec.709. ``acescg``: linear ACES AP1,
-white point of ACES (about D60). ``display-p3``: sRGB curve, P3 primaries, D65.
+white point of ACES (about D60). ``display-p3``: sRGB curve, P3 primaries, D65. ``adobe-rgb``:
+Adobe RGB (1998), D65.
 """
-
 
 Curve = Literal["srgb", "linear"]
 """Transfer curves that files without a profile may have."""
@@ -35,10 +35,26 @@ class Primaries:
     white: tuple[float, float]
 
 
-# ITU-R BT.709 (also IEC 61966-2-1, sRGB); SMPTE EG 432-1 primaries with D65; S-2014-004 (ACEScg).
+# ITU-R BT.709 (also IEC 61966-2-1, sRGB); SMPTE EG 432-1 primaries with D65; S-2014-004 (ACEScg);
+# ITU-R BT.2020; Adobe RGB (1998) color image encoding, 2005; CIE 1931, white of equal energy.
 REC709 = Primaries((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.3127, 0.3290))
 DISPLAY_P3 = Primaries((0.680, 0.320), (0.265, 0.690), (0.150, 0.060), (0.3127, 0.3290))
 ACES_AP1 = Primaries((0.713, 0.293), (0.165, 0.830), (0.128, 0.044), (0.32168, 0.33767))
+REC2020 = Primaries((0.708, 0.292), (0.170, 0.797), (0.131, 0.046), (0.3127, 0.3290))
+ADOBE_RGB = Primaries((0.64, 0.33), (0.21, 0.71), (0.15, 0.06), (0.3127, 0.3290))
+CIE_XYZ = Primaries((1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (1 / 3, 1 / 3))
+
+_SPACES: dict[str, tuple[Curve | float, Primaries]] = {
+    "srgb": ("srgb", REC709),
+    "linear": ("linear", REC709),
+    "acescg": ("linear", ACES_AP1),
+    "display-p3": ("srgb", DISPLAY_P3),
+    "adobe-rgb": (563 / 256, ADOBE_RGB),
+}
+
+# Code points of Rec. ITU-T H.273 that are acted upon.
+CODED_PRIMARIES = {1: REC709, 9: REC2020, 12: DISPLAY_P3}
+CODED_CURVES: dict[int, Curve | float] = {4: 2.2, 5: 2.8, 8: "linear", 13: "srgb"}
 
 # White of the profile connection space, ICC.1:2022, 7.2.16, in XYZ.
 ICC_D50 = np.array([0.9642, 1.0, 0.8249])
@@ -71,19 +87,23 @@ def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
 def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
     """Matrix (3, 3) from linear RGB to CIE XYZ, white with Y = 1.
 
-    The columns are the primaries, XYZ = (x/y, 1, (1-x-y)/y), each scaled so that equal amounts of
-    the three give the white point. Raises ValueError if a y is zero or the primaries lie on one
-    line.
+    The columns are the primaries, (x, y, 1-x-y), each scaled so that equal amounts of the three
+    give the white point. Raises ValueError if the y of white is not above 0, or if the primaries,
+    or two of them and white, lie on one line.
     """
     points = np.array([primaries.red, primaries.green, primaries.blue, primaries.white])
     x, y = points.T
-    if not np.isfinite(points).all() or np.any(np.abs(y) < 1e-6):
-        raise ValueError(f"chromaticities: expected finite xy with y > 0, found {points.tolist()}")
-    xyz = np.stack([x / y, np.ones(4), (1 - x - y) / y])
-    columns, white = xyz[:, :3], xyz[:, 3]
-    if np.linalg.cond(columns) > 1e6:
-        raise ValueError(f"chromaticities: expected a triangle, found {points[:3].tolist()}")
-    return np.asarray(columns * np.linalg.solve(columns, white))
+    if not np.isfinite(points).all() or y[3] < 1e-6:
+        raise ValueError(
+            f"chromaticities: expected finite xy, of white y > 0, found {points.tolist()}"
+        )
+    xyz = np.stack([x, y, 1 - x - y])
+    columns, white = xyz[:, :3], xyz[:, 3] / y[3]
+    if np.linalg.cond(columns) <= 1e6:
+        scaled = np.asarray(columns * np.linalg.solve(columns, white))
+        if np.linalg.cond(scaled) <= 1e6:
+            return scaled
+    raise ValueError(f"chromaticities: expected a triangle around white, found {points.tolist()}")
 
 
 def bradford(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -116,8 +136,9 @@ def icc_to_rec709(to_xyz: ArrayLike) -> NDArray[np.float64]:
 class Conversion:
     """The way from stored samples to linear Rec.709."""
 
-    curve: Curve | NDArray[np.float32]
-    """``"srgb"``, ``"linear"``, or sampled curves of an integer file, (1 or 3, levels) float32."""
+    curve: Curve | float | NDArray[np.float32]
+    """``"srgb"``, ``"linear"``, an exponent, or sampled curves of an integer file, (1 or 3, levels)
+    float32."""
     matrix: NDArray[np.float64] | None = None
     """(3, 3) from linear RGB to linear Rec.709, or None for the identity."""
 
@@ -125,10 +146,9 @@ class Conversion:
         """Samples (H, W, 3), uint8, uint16 or floating, as linear Rec.709 float32, a new array."""
         if samples.dtype.kind == "u":
             linear = self._look_up(samples)
-        elif isinstance(self.curve, str) and self.curve == "srgb":
-            linear = np.array(decode_srgb(samples), dtype=np.float32, order="C")
         else:
-            linear = np.array(samples, dtype=np.float32, order="C")
+            assert not isinstance(self.curve, np.ndarray), "curves are sampled for integers"
+            linear = np.array(_decoded(samples, self.curve), dtype=np.float32, order="C")
         if self.matrix is None:
             return linear
         # Plane by plane: the same bits whichever linear algebra library numpy is linked with.
@@ -153,14 +173,17 @@ class Conversion:
                 found = np.where(linear <= 0.0031308, np.float32(1 / 12.92), power)
             found /= np.float32(levels - 1)
             return found
+        curves = self._sampled(levels)
         for k in range(3):
-            curve = self.curve[k % len(self.curve)].astype(np.float64)
+            curve = curves[k % len(curves)].astype(np.float64)
             found[..., k] = np.interp(linear[..., k], curve, np.gradient(curve))
         return found
 
+    def _sampled(self, levels: int) -> NDArray[np.float32]:
+        return self.curve if isinstance(self.curve, np.ndarray) else _table(self.curve, levels)
+
     def _look_up(self, samples: NDArray[Any]) -> NDArray[np.float32]:
-        levels = int(np.iinfo(samples.dtype).max) + 1
-        table = _table(self.curve, levels) if isinstance(self.curve, str) else self.curve
+        table = self._sampled(int(np.iinfo(samples.dtype).max) + 1)
         linear = np.empty(samples.shape, dtype=np.float32)
         # Row by row: an index is widened to 8 bytes a sample on the way.
         if len(table) == 1:
@@ -173,13 +196,19 @@ class Conversion:
         return linear
 
 
-@cache
-def _table(curve: str, levels: int) -> NDArray[np.float32]:
-    """(1, levels) float32: linear light of the codes 0 to levels - 1."""
-    values = np.arange(levels) / (levels - 1)
+def _decoded(values: NDArray[Any], curve: Curve | float) -> NDArray[Any]:
+    """Linear light of encoded values, 1 = white; of negative ones by odd symmetry."""
+    if curve == "linear":
+        return values
     if curve == "srgb":
-        values = decode_srgb(values)
-    table = values.astype(np.float32)[None]
+        return decode_srgb(values)
+    return np.asarray(np.copysign(np.abs(values, dtype=np.float64) ** curve, values))
+
+
+@cache
+def _table(curve: Curve | float, levels: int) -> NDArray[np.float32]:
+    """(1, levels) float32: linear light of the codes 0 to levels - 1."""
+    table = _decoded(np.arange(levels) / (levels - 1), curve).astype(np.float32)[None]
     table.setflags(write=False)
     return table
 
@@ -189,16 +218,24 @@ def conversion(space: ColorSpace) -> Conversion:
 
     Raises ValueError if the name is not one of `ColorSpace`.
     """
-    if space == "srgb":
-        return Conversion("srgb")
-    if space == "linear":
-        return Conversion("linear")
-    if space == "acescg":
-        return Conversion("linear", to_rec709(ACES_AP1))
-    if space == "display-p3":
-        return Conversion("srgb", to_rec709(DISPLAY_P3))
-    names = ", ".join(get_args(ColorSpace))
-    raise ValueError(f"color_space: expected one of {names}, found {space!r}")
+    if space not in _SPACES:
+        raise ValueError(f"color_space: expected one of {', '.join(_SPACES)}, found {space!r}")
+    return from_primaries(*_SPACES[space])
+
+
+def from_primaries(curve: Curve | float, primaries: Primaries) -> Conversion:
+    """Conversion from a curve and primaries; ValueError as `rgb_to_xyz`."""
+    return Conversion(curve, None if near_rec709(primaries) else to_rec709(primaries))
+
+
+def nearest_name(convert: Conversion, dtype: np.dtype[Any]) -> str | None:
+    """The named space that integers of a type are in, to 1/255 of white; None = none of them."""
+    codes = (np.eye(4, 3) * np.iinfo(dtype).max * 0.6 + np.iinfo(dtype).max * 0.3).astype(dtype)
+    for name, space in _SPACES.items():
+        off = convert(codes[None]) - from_primaries(*space)(codes[None])
+        if np.abs(off).max() <= 1 / 255:
+            return name
+    return None
 
 
 def near_rec709(primaries: Primaries) -> bool:

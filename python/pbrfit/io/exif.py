@@ -1,25 +1,70 @@
-"""EXIF data of picture files."""
+"""EXIF data of picture files (EXIF 2.32)."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-_EXIF_IFD = 0x8769
-_FOCAL_LENGTH_35MM = 0xA405
+from pbrfit.io.quoting import shown
+
+_EXIF_IFD, _INTEROPERABILITY_IFD = 0x8769, 0xA005
+_MAKE, _MODEL = 0x010F, 0x0110
+_EXPOSURE_TIME, _F_NUMBER, _SENSITIVITY = 0x829A, 0x829D, 0x8827
+_FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
+_COLOR_SPACE, _UNCALIBRATED = 0xA001, 65535
 
 
-def focal_length_35mm(exif: bytes | None) -> float | None:
-    """Tag FocalLengthIn35mmFilm of a block or of a TIFF file; None = unknown, as 0 is there."""
+@dataclass(frozen=True)
+class Exif:
+    """What a file says of how it was taken."""
+
+    focal_length_35mm: float | None = None
+    """Millimetres; None = unknown."""
+    color_space: str | None = None
+    """ "adobe-rgb", "uncalibrated" (neither sRGB nor Adobe RGB), or None where nothing else than
+    sRGB is said."""
+    settings: Mapping[str, str] = field(default_factory=dict)
+    """Camera, focal length and exposure in words, where they are known."""
+
+
+def read(exif: bytes | None) -> Exif:
+    """Read a block that begins with a TIFF header, or a TIFF file; what is damaged is not used."""
     if exif is None:
-        return None
+        return Exif()
     from PIL import Image  # here: it takes longer to import than most of this package
 
     tags = Image.Exif()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about damaged EXIF, which is then not used
+        warnings.simplefilter("ignore")  # about damaged EXIF
         try:
             tags.load(exif)
-            value = float(tags.get_ifd(_EXIF_IFD)[_FOCAL_LENGTH_35MM])
-        except Exception:  # no such tag, or whatever a damaged block leads to
+            more = tags.get_ifd(_EXIF_IFD)
+            index = str(tags.get_ifd(_INTEROPERABILITY_IFD).get(1, ""))
+        except Exception:  # whatever a damaged block leads to
+            return Exif()
+
+    def number(tag: int) -> float | None:
+        try:
+            value = float(more[tag])
+        except (KeyError, TypeError, ValueError, ArithmeticError):
             return None
-    return value if 0 < value < float("inf") else None
+        return value if 0 < value < float("inf") else None
+
+    settings = {}
+    camera = " ".join(shown(tags[tag]).strip("\0 ") for tag in (_MAKE, _MODEL) if tag in tags)
+    if camera:
+        settings["camera"] = camera
+    equivalent = number(_FOCAL_LENGTH_35MM)
+    if length := number(_FOCAL_LENGTH) or equivalent:
+        settings["focal length"] = f"{length:g} mm"
+    forms = {_EXPOSURE_TIME: "{:.3g} s", _F_NUMBER: "f/{:g}", _SENSITIVITY: "ISO {:g}"}
+    exposure = [form.format(value) for tag, form in forms.items() if (value := number(tag))]
+    if exposure:
+        settings["exposure"] = " ".join(exposure)
+    stated = number(_COLOR_SPACE)
+    color_space = "uncalibrated" if stated == _UNCALIBRATED else None
+    # 2 is not of the standard: some cameras write it. R03 is the DCF's option file, Adobe RGB.
+    if stated == 2 or (stated == _UNCALIBRATED and index.startswith("R03")):
+        color_space = "adobe-rgb"
+    return Exif(equivalent, color_space, settings)

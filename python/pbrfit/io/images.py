@@ -10,27 +10,32 @@ import hashlib
 import logging
 import operator
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.io import raw_files
+from pbrfit.io import exif, radiance, raw_files
 from pbrfit.io.color import (
+    CODED_CURVES,
+    CODED_PRIMARIES,
+    REC709,
     ColorSpace,
     Conversion,
+    Curve,
     Primaries,
     conversion,
     from_icc,
+    from_primaries,
     near_rec709,
-    to_rec709,
+    nearest_name,
+    rgb_to_xyz,
 )
-from pbrfit.io.exif import focal_length_35mm
 from pbrfit.io.file_noise import Stored
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
 from pbrfit.io.jpeg_noise import read_tables
@@ -44,6 +49,9 @@ PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 PngTag = Literal["srgb", "linear"] | None
 """What a PNG file says about its encoding."""
+
+Orientation = Literal["exif", "as-stored"]
+"""Whether pictures are turned as their EXIF data says."""
 
 RAW = "RAW"
 """Format of cameras' raw files, beside those that the core tells."""
@@ -90,6 +98,11 @@ class Picture:
     curve_told: bool
     """Whether a caller, a profile or the file type says by which curve values are decoded; False
     where sRGB is only what most files without a profile are."""
+    settings: Mapping[str, str] = field(default_factory=dict)
+    """What pictures of a set share, as far as it is known, in words: camera, exposure, focal
+    length, orientation, colour profile."""
+    notes: tuple[str, ...] = ()
+    """What of the file was left out or undone, in words."""
 
 
 @names_file
@@ -98,16 +111,18 @@ def read_picture(
     color_space: ColorSpace | None = None,
     layer: str | None = None,
     code_range: tuple[int, int] | None = None,
+    orientation: Orientation = "exif",
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
-    A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile and
-    are sRGB without one; float files (EXR, HDR, float TIFF) are linear Rec.709, or linear in the
-    chromaticities that an EXR file states. Grey is repeated to three channels. The EXIF orientation
-    is applied. Raw files are developed to linear Rec.709 (`pbrfit.io.raw_files`). Raises InputError
-    if the content cannot be used: another format, a damaged file, a profile that is not made of
-    curves and a matrix, no colour channels, an unknown `color_space`; or if `code_range` is none;
-    OSError if the file cannot be read.
+    A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile,
+    the colour chunks of a PNG, or EXIF data that says Adobe RGB, and are sRGB without; float files
+    (EXR, HDR, float TIFF) are linear Rec.709, or linear in the chromaticities that an EXR or HDR
+    file states. Grey is repeated to three channels. Alpha of 0 everywhere is none. Raw files are
+    developed to linear Rec.709 (`pbrfit.io.raw_files`). Raises InputError if the content cannot be
+    used: another format, a damaged file, a profile that is not made of curves and a matrix, no
+    colour channels, an unknown `color_space` or `orientation`; or if `code_range` is none; OSError
+    if the file cannot be read.
 
     Parameters
     ----------
@@ -122,12 +137,16 @@ def read_picture(
         Lowest and highest code that is data, of an 8-bit file; a 16-bit file has the same shares
         of its maximum. None = `CODE_RANGE` of a JPEG file, of others all but 0 and the maximum.
         What is outside is marked in `limits`, channel by channel; pixels stay as they are.
+    orientation
+        Whether the EXIF orientation is applied.
     """
     asked = None if code_range is None else _checked(code_range)
+    if orientation not in get_args(Orientation):
+        raise InputError(f"orientation: expected exif or as-stored, found {orientation!r}")
     path, data, kind = _load(path, raw=True)
     if kind == RAW:
         _refuse_layer(path, kind, layer)
-        return _raw_picture(path, data, color_space, asked)
+        return _raw_picture(path, data, color_space, asked, orientation)
     chosen: Conversion | None = None
     if color_space is not None:
         try:
@@ -136,21 +155,30 @@ def read_picture(
             raise InputError(str(error)) from None
     samples: NDArray[Any]
     raster = stored = limits = None
+    taken, settings, notes, told, turned = exif.Exif(), {}, [], True, 1
     if kind == "EXR":
         samples, limits, found, color = _exr_picture(path, data, layer)
-        focal_length = None
     else:
         _refuse_layer(path, kind, layer)
-        raster = _core.decode_raster(data, path, indices=False)
-        samples = _oriented(raster)
-        focal_length = focal_length_35mm(data if kind == "TIFF" else raster.exif)
-        found, color = _raster_color(path, raster, decide=chosen is None)
+        raster, header = _decoded(path, data)
+        turned = raster.orientation if orientation == "exif" else 1
+        samples = _oriented(raster.samples, turned if header is None else header.orientation)
+        taken = exif.read(data if kind == "TIFF" else raster.exif)
+        found, color, told = _raster_color(path, raster, taken, decide=chosen is None)
+        settings = {**taken.settings, "orientation": str(raster.orientation)}
+        if raster.passed_over:
+            notes.append(f"smaller pages not read ({raster.passed_over} of each file)")
+        if header is not None:
+            samples, found, color, notes = _hdr_color(path, header, samples)
     if chosen is not None:
-        color = f"{color_space} (as asked for)"
+        color, told = f"{color_space} (as asked for)", True
 
     colors, alpha = samples, None
     if samples.shape[2] in (2, 4):
         colors, alpha = samples[..., :-1], samples[..., -1]
+        if not alpha.any():
+            alpha = None
+            notes.append("alpha is 0 in all pixels and ignored")
     negative = np.zeros(samples.shape[:2], dtype=np.bool_)
     bit_depth = 8 * samples.dtype.itemsize
     if samples.dtype.kind == "u":
@@ -168,9 +196,12 @@ def read_picture(
             alpha = alpha.astype(np.float32)
     convert = chosen or found
     if raster is not None and samples.dtype.kind == "u":
-        plain = raster.samples[..., :-1] if alpha is not None else raster.samples
+        plain = raster.samples[..., : colors.shape[2]]
         tables = read_tables(data, plain.shape[2]) if kind == "JPEG" else None
-        stored = Stored(plain, raster.orientation >= 5, convert, raster.format, tables)
+        stored = Stored(plain, turned >= 5, convert, raster.format, tables)
+        if chosen is None:
+            name = nearest_name(convert, samples.dtype) or color.partition(" (")[0]
+            settings["colour profile"] = name
     pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
     if limits is not None:
         limits = converted(np.broadcast_to(limits, pixels.shape), convert.matrix)
@@ -180,26 +211,29 @@ def read_picture(
         limits=limits,
         negative=negative,
         color=color,
-        focal_length_35mm=focal_length,
+        focal_length_35mm=taken.focal_length_35mm,
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=bit_depth,
         stored=stored,
-        curve_told=chosen is not None
-        or raster is None
-        or stored is None
-        or bool(raster.icc_profile),
+        curve_told=told,
+        settings=settings,
+        notes=tuple(notes),
     )
 
 
 def _raw_picture(
-    path: Path, data: bytes, color_space: ColorSpace | None, asked: tuple[int, int] | None
+    path: Path,
+    data: bytes,
+    color_space: ColorSpace | None,
+    asked: tuple[int, int] | None,
+    orientation: Orientation,
 ) -> Picture:
     if color_space not in (None, "linear"):
         raise InputError(
             f"{path}: expected colour space linear for a raw file, found {color_space}"
         )
     low, high = (257 * code for code in asked) if asked is not None else (1, 65534)
-    found = raw_files.develop(path, data, (low, high))
+    found = raw_files.develop(path, data, (low, high), turned=orientation == "exif")
     linear = Conversion("linear")
     return Picture(
         pixels=linear(found.samples),
@@ -207,11 +241,12 @@ def _raw_picture(
         limits=found.limits,
         negative=np.zeros(found.samples.shape[:2], dtype=np.bool_),
         color=found.color,
-        focal_length_35mm=found.focal_length_35mm,
+        focal_length_35mm=found.exif.focal_length_35mm,
         sha256=hashlib.sha256(data).hexdigest(),
         bit_depth=16,
         stored=Stored(found.samples, False, linear, RAW, None),
         curve_told=True,
+        settings={**found.exif.settings, "orientation": found.orientation},
     )
 
 
@@ -229,14 +264,17 @@ def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray
     if kind == "EXR":
         channels, _ = _core.decode_exr(data, path)
         prefix = f"{layer}." if layer else ""
-        found = _pick(channels, prefix, ("RGBA", "RGB", "XYZ", "YA", "Y"))
+        found = _pick(channels, prefix, "RGBA", "RGB", "XYZ", "YA", "Y")
         if not found and len(channels) == 1 and not layer:
             found = list(channels.values())
         if not found:
             raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or X, Y, Z")
         return np.stack(found, axis=-1).astype(np.float64)
     _refuse_layer(path, kind, layer)
-    samples = _oriented(_core.decode_raster(data, path, indices=False))
+    raster, header = _decoded(path, data)
+    samples = _oriented(
+        raster.samples, raster.orientation if header is None else header.orientation
+    )
     if samples.dtype.kind == "u":
         return samples / np.float64(np.iinfo(samples.dtype).max)
     return samples.astype(np.float64)
@@ -254,7 +292,8 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     expected = "expected ids in a grey 8 or 16-bit PNG or TIFF"
     if kind not in ("PNG", "TIFF"):
         raise InputError(f"{path}: {expected}, found {_article(kind)} file")
-    samples = _oriented(_core.decode_raster(data, path, indices=True))
+    raster = _core.decode_raster(data, path, indices=True)
+    samples = _oriented(raster.samples, raster.orientation)
     if samples.shape[2] != 1 or samples.dtype.kind != "u":
         raise InputError(f"{path}: {expected}, found {samples.shape[2]} channels {samples.dtype}")
     return np.ascontiguousarray(samples[..., 0], dtype=np.uint16)
@@ -377,27 +416,35 @@ def _refuse_layer(path: Path, kind: str, layer: str | None) -> None:
         raise InputError(f"{path}: expected an EXR file with layer {layer}, found {_article(kind)}")
 
 
-def _oriented(raster: _core.Raster) -> NDArray[Any]:
+def _decoded(path: Path, data: bytes) -> tuple[_core.Raster, radiance.Header | None]:
+    """What a file other than EXR holds, and the header of an HDR file."""
+    header = radiance.read(data)
+    return _core.decode_raster(data if header is None else header.plain, path, False), header
+
+
+def _oriented(samples: NDArray[Any], orientation: int) -> NDArray[Any]:
     """Turn samples to how they are to be seen: EXIF 2.32, table 6 (tag Orientation)."""
-    samples = raster.samples
-    if raster.orientation >= 5:
+    if orientation >= 5:
         samples = samples.swapaxes(0, 1)
     # After the swap 5 is done, 6 lacks a left-right flip, 7 both flips, 8 an up-down flip.
-    if raster.orientation in (2, 3, 6, 7):
+    if orientation in (2, 3, 6, 7):
         samples = samples[:, ::-1]
-    if raster.orientation in (3, 4, 7, 8):
+    if orientation in (3, 4, 7, 8):
         samples = samples[::-1]
     return samples
 
 
-def _raster_color(path: Path, raster: _core.Raster, decide: bool) -> tuple[Conversion, str]:
-    """Decide the conversion by the rules of `read_picture`, and the sentence that says so."""
+def _raster_color(
+    path: Path, raster: _core.Raster, taken: exif.Exif, decide: bool
+) -> tuple[Conversion, str, bool]:
+    """Decide the conversion by the rules of `read_picture`; a sentence, and whether it is told."""
     samples = raster.samples
     if samples.dtype.kind == "f":
         if decide and raster.icc_profile is not None:
             logger.warning("%s: its ICC profile is ignored because it is a float file", path)
-        return Conversion("linear"), f"linear Rec.709 (float {raster.format})"
+        return Conversion("linear"), f"linear Rec.709 (float {raster.format})", True
     bits = 8 * samples.dtype.itemsize
+    form = f"{bits}-bit {raster.format}"
     if decide and raster.icc_profile is not None:
         grey = samples.shape[2] < 3
         curves, to_xyz = _core.decode_icc(raster.icc_profile, 1 << bits, path)
@@ -406,10 +453,65 @@ def _raster_color(path: Path, raster: _core.Raster, decide: bool) -> tuple[Conve
                 f"{path}: expected an ICC profile for RGB, found one for grey: convert the"
                 " picture to sRGB or give its colour space"
             )
-        return from_icc(curves, to_xyz), f"ICC profile of the {bits}-bit {raster.format}"
-    if decide and raster.ignored is not None:
-        logger.warning("%s: read as sRGB; its %s is ignored", path, raster.ignored)
-    return Conversion("srgb"), f"sRGB ({bits}-bit {raster.format} without a profile)"
+        return from_icc(curves, to_xyz), f"ICC profile of the {form}", True
+    if not decide:
+        return Conversion("srgb"), "", False
+    if (found := _png_color(path, raster)) is not None:
+        return found[0], f"{found[1]} of the {form}", True
+    if taken.color_space == "adobe-rgb":
+        return conversion("adobe-rgb"), f"Adobe RGB (EXIF of the {form})", True
+    uncalibrated = ", and EXIF says another colour space" * (taken.color_space is not None)
+    return Conversion("srgb"), f"sRGB ({form} without a profile{uncalibrated})", False
+
+
+def _png_color(path: Path, raster: _core.Raster) -> tuple[Conversion, str] | None:
+    """The conversion by a PNG's chunks cICP, gAMA and cHRM, and their names; None = sRGB."""
+    curve: Curve | float = "srgb"
+    primaries = REC709
+    if raster.code_points is not None:
+        coded, transfer = raster.code_points
+        if coded not in CODED_PRIMARIES or transfer not in CODED_CURVES:
+            chunk = f"cICP chunk (primaries {coded}, transfer {transfer})"
+            logger.warning("%s: read as sRGB; its %s is ignored", path, chunk)
+            return None
+        names, primaries, curve = "cICP chunk", CODED_PRIMARIES[coded], CODED_CURVES[transfer]
+    else:
+        if raster.chromaticities is not None:
+            primaries = _primaries(raster.chromaticities)
+        # 0.45455 beside the primaries of Rec.709 is what encoders write to mean sRGB.
+        usual = near_rec709(primaries) and abs((raster.gamma or 0.45455) - 0.45455) <= 0.01
+        if raster.gamma and not usual:
+            curve = 1 / raster.gamma
+        names = "gAMA chunk" if near_rec709(primaries) else "gAMA and cHRM chunks"
+    if curve == "srgb" and near_rec709(primaries):
+        return None
+    try:
+        return from_primaries(curve, primaries), names
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _primaries(x_y: Sequence[float]) -> Primaries:
+    return Primaries(*zip(x_y[::2], x_y[1::2], strict=True))
+
+
+def _hdr_color(
+    path: Path, header: radiance.Header, samples: NDArray[Any]
+) -> tuple[NDArray[Any], Conversion, str, list[str]]:
+    """Samples before exposure, their conversion and its sentence, and what was undone."""
+    undone = []
+    if header.factors != (1.0, 1.0, 1.0):
+        samples = samples / np.array(header.factors, dtype=np.float32)
+        undone.append(
+            f"EXPOSURE and COLORCORR undone: {' '.join(map('{:g}'.format, header.factors))}"
+        )
+    if header.primaries is None or near_rec709(header.primaries):
+        return samples, Conversion("linear"), "linear Rec.709 (float HDR)", undone
+    try:
+        convert = from_primaries("linear", header.primaries)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    return samples, convert, "linear, converted from the HDR's primaries", undone
 
 
 def _exr_picture(
@@ -418,12 +520,26 @@ def _exr_picture(
     """Find samples (H, W, 1 to 4), their limits if it has any, conversion and its sentence."""
     channels, chromaticities = _core.decode_exr(data, path)
     prefix = f"{layer}." if layer else ""
-    found = _pick(channels, prefix, ("RGBA", "RGB", "YA", "Y"))
+    chroma = ("Y", "RY", "BY")
+    found = _pick(channels, prefix, "RGBA", "RGB", (*chroma, "A"), chroma, "YA", "Y")
     if not found:
         raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or {prefix}Y")
+    primaries = REC709 if chromaticities is None else _primaries(chromaticities)
+    linear = Conversion("linear")
+    try:
+        if len(found) > 2 and not near_rec709(primaries):
+            linear = from_primaries("linear", primaries)
+        if len(found) > 2 and f"{prefix}R" not in channels:
+            # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
+            luma, red, blue = found[0], (found[1] + 1) * found[0], (found[2] + 1) * found[0]
+            weights = rgb_to_xyz(primaries)[1].astype(np.float32)  # they add up to 1
+            green = (luma - weights[0] * red - weights[2] * blue) / weights[1]
+            found[:3] = red, green, blue
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
     samples = np.stack(found, axis=-1)
     limits = None
-    stored = _pick(channels, f"{prefix}{LIMITS}.", ("RGB",))
+    stored = _pick(channels, f"{prefix}{LIMITS}.", "RGB")
     if stored:
         if not np.isin(stored, (ORDINARY, AT_LEAST, AT_MOST)).all():
             raise InputError(
@@ -431,29 +547,21 @@ def _exr_picture(
             )
         limits = np.stack(stored, axis=-1).astype(np.uint8)
     del channels, found, stored
-    linear = Conversion("linear")
     if chromaticities is None:
         return samples, limits, linear, "linear Rec.709 (EXR without chromaticities)"
-    x_y = [(chromaticities[k], chromaticities[k + 1]) for k in range(0, 8, 2)]
-    primaries = Primaries(*x_y)
     if near_rec709(primaries):
         return samples, limits, linear, "linear Rec.709 (chromaticities of the EXR)"
     if samples.shape[2] < 3:
         return samples, limits, linear, "linear grey (EXR)"
-    try:
-        matrix = to_rec709(primaries)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-    converted_colors = "linear, converted from the EXR's chromaticities"
-    return samples, limits, Conversion("linear", matrix), converted_colors
+    return samples, limits, linear, "linear, converted from the EXR's chromaticities"
 
 
 def _pick(
-    channels: Mapping[str, NDArray[np.float32]], prefix: str, sets: tuple[str, ...]
+    channels: Mapping[str, NDArray[np.float32]], prefix: str, *sets: Iterable[str]
 ) -> list[NDArray[np.float32]]:
     """Choose the channels of the first set that is there as a whole."""
-    for letters in sets:
-        names = [prefix + letter for letter in letters]
+    for own in sets:
+        names = [prefix + name for name in own]
         if all(name in channels for name in names):
             return [channels[name] for name in names]
     return []

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io import exif
 from pbrfit.io.color import REC709, rgb_to_xyz
-from pbrfit.io.exif import focal_length_35mm
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.limits import AT_LEAST, Limits, converted, of_codes
 from pbrfit.io.quoting import shown
@@ -46,13 +46,14 @@ class Developed:
     """A raw file as linear light."""
 
     samples: NDArray[np.uint16]
-    """(H, W, 3), linear Rec.709 times 65535, turned as the camera was held."""
+    """(H, W, 3), linear Rec.709 times 65535, as the sensor has them or as the camera was held."""
     limits: Limits | None
     """(H, W, 3): where `samples` bound the radiance; None = nowhere."""
     color: str
     """One sentence on its colour."""
-    focal_length_35mm: float | None
-    """In millimetres; None = the file does not say."""
+    exif: exif.Exif
+    orientation: str
+    """EXIF's number for how the camera was held."""
 
 
 def is_raw(path: Path, head: bytes, kind: str | None) -> bool:
@@ -72,13 +73,14 @@ def how_to_develop(path: Path) -> str:
     )
 
 
-def develop(path: Path, data: bytes, codes: tuple[int, int]) -> Developed:
-    """Develop the content of a raw file.
+def develop(path: Path, data: bytes, codes: tuple[int, int], turned: bool = True) -> Developed:
+    """Develop the content of a raw file, `turned` as the camera was held.
 
     `codes` are the lowest and the highest of 65536 that are data. Raises InputError if rawpy is not
     there, or LibRaw cannot read the file.
     """
     with _opened(path, data) as (rawpy, raw):
+        flip = int(raw.sizes.flip)
         samples: NDArray[np.uint16] = raw.postprocess(
             gamma=(1, 1),
             no_auto_bright=True,
@@ -86,24 +88,29 @@ def develop(path: Path, data: bytes, codes: tuple[int, int]) -> Developed:
             use_camera_wb=True,
             output_bps=16,
             output_color=rawpy.ColorSpace.sRGB,
+            **({} if turned else {"user_flip": 0}),
         )
         if samples.ndim != 3 or samples.shape[2] != 3 or samples.dtype != np.uint16:
             raise InputError(
                 f"{path}: expected three channels of 16 bits, found {samples.shape} {samples.dtype}"
             )
         limits = of_codes(samples, *codes)
-        clipped = _clipped(raw, samples.shape)
+        clipped = _clipped(raw, samples.shape, flip if turned else 0)
         if clipped is not None and clipped.any():
             found = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
             # Where the developed value is at its end, that is nearer the truth.
             limits = found if limits is None else np.where(limits != 0, limits, found)
         factors = np.array(raw.camera_whitebalance[:3], np.float64)
-        focal_length = focal_length_35mm(_as_tiff(data)) or focal_length_35mm(_exif_of_thumb(raw))
+        taken = exif.read(_as_tiff(data))
+        if taken.focal_length_35mm is None:
+            of_thumb = exif.read(_exif_of_thumb(raw))
+            taken = of_thumb if of_thumb.settings else taken
     balance = "camera white balance"
     if factors[1] > 0:
         balance += " {:.3g}, 1, {:.3g}".format(*(factors[[0, 2]] / factors[1]))
     color = f"linear Rec.709, {balance} (raw file, LibRaw)"
-    return Developed(np.ascontiguousarray(samples), limits, color, focal_length)
+    orientation = {3: "3", 5: "8", 6: "6"}.get(flip, "1")
+    return Developed(np.ascontiguousarray(samples), limits, color, taken, orientation)
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -133,7 +140,7 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
         ) from None
 
 
-def _clipped(raw: Any, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+def _clipped(raw: Any, shape: tuple[int, ...], flip: int) -> NDArray[np.bool_] | None:
     """(H, W, 3): where a sensor's sample of a channel was clipped, turned as the picture is.
 
     None where the sensor's samples do not lie under those of the picture.
@@ -156,11 +163,11 @@ def _clipped(raw: Any, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
             [maximum_filter(over & (channels == c), around) for c in range(3)], axis=-1
         )
     # dcraw's flip: 4 swaps rows and columns, after 2 and 1 have turned them round.
-    if raw.sizes.flip & 2:
+    if flip & 2:
         clipped = clipped[::-1]
-    if raw.sizes.flip & 1:
+    if flip & 1:
         clipped = clipped[:, ::-1]
-    if raw.sizes.flip & 4:
+    if flip & 4:
         clipped = clipped.swapaxes(0, 1)
     return clipped if clipped.shape == shape else None
 

@@ -68,6 +68,7 @@ def _read(result: Result, path: Path) -> Scene:
         color_space=how.color_space,
         max_size=how.max_size,
         code_range=how.code_range,
+        orientation=how.orientation,
     )
     scene = result.as_fitted(scene)
     _check(result, scene, str(path))

@@ -347,6 +347,7 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
         "max_size": None if source.max_size is None else int(source.max_size),
         "code_range": None if source.code_range is None else [*map(int, source.code_range)],
         "fov": None if source.fov is None else float(source.fov),
+        "orientation": source.orientation,
     }
 
 
@@ -356,6 +357,9 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
         low, high = map(whole, code_range)
         code_range = low, high
     fov = content.get("fov")  # earlier versions did not write it
+    orientation = content.get("orientation")  # nor this
+    if orientation not in (None, *get_args(images.Orientation)):
+        raise ValueError(f"orientation {quoted(orientation)}")
     max_size, color_space = content["max_size"], content["color_space"]
     if color_space not in (None, *get_args(ColorSpace)):
         raise ValueError(f"color_space {quoted(color_space)}")
@@ -365,6 +369,7 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
         max_size=None if max_size is None else whole(max_size, least=1),
         code_range=code_range,
         fov=None if fov is None else number(fov),
+        orientation=orientation,
     )
 
 

@@ -29,6 +29,7 @@ from pbrfit.scene.plateaus import plateaus
 if TYPE_CHECKING:
     from pbrfit.io.color import ColorSpace
     from pbrfit.io.file_noise import FileNoise
+    from pbrfit.io.images import Orientation
 
 log = logging.getLogger("pbrfit")
 
@@ -82,6 +83,7 @@ class Source:
     max_size: int | None = None
     code_range: tuple[int, int] | None = None
     fov: float | None = None
+    orientation: Orientation | None = None
     """As given to `Scene.load`."""
     size: tuple[int, int] | None = field(default=None, compare=False)
     """(height, width) of the pictures before `max_size`; None = not known."""

@@ -67,6 +67,8 @@ class Settings:
     """Horizontal field of view in degrees, 0 = orthographic."""
     color_space: ColorSpace | None = None
     """Of all pictures."""
+    orientation: images.Orientation | None = None
+    """Of all pictures."""
     normals: str = "opengl"
     """Either "opengl" (Y up) or "directx" (Y down)."""
     normals_frame: str = "camera"
@@ -91,7 +93,9 @@ def field_of_view(folder: Path, fov: float | None) -> float:
     if fov is not None:
         geometry.check_fov(fov)
     settings = read_settings(folder / "scene.toml")
-    first = images.read_picture(find_pictures(folder)[0])
+    first = images.read_picture(
+        find_pictures(folder)[0], orientation=settings.orientation or "exif"
+    )
     size = first.pixels.shape[:2]
     decided, _ = decided_fov(folder, fov, settings, first.focal_length_35mm, size)
     return FIRST_FOV if decided is None else decided
@@ -224,6 +228,7 @@ def read_settings(path: Path) -> Settings:
     return Settings(
         fov=_fov(path, content),
         color_space=_choice(path, content, "color_space", get_args(ColorSpace), None),
+        orientation=_choice(path, content, "orientation", get_args(images.Orientation), None),
         normals=_choice(path, content, "normals", ("opengl", "directx"), "opengl"),
         normals_frame=_choice(path, content, "normals_frame", ("camera", "world"), "camera"),
         world_to_camera=_rotation(path, content),

@@ -16,10 +16,12 @@ from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
+from pbrfit.io.images import Orientation
 from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
-from pbrfit.io.quoting import quoted
+from pbrfit.io.quoting import listed, quoted, shown
+from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import geometry
@@ -90,13 +92,14 @@ def load(
     color_space: ColorSpace | None = None,
     max_size: int | None = None,
     code_range: tuple[int, int] | None = None,
+    orientation: Orientation | None = None,
     pictures_alone: bool = False,
 ) -> AnyScene:
     """Read a scene folder as a scene of some class; see `Scene.load`.
 
     With `pictures_alone` as if there were no normals, and no weights, which may be theirs.
     """
-    source = Source(folder.resolve(), color_space, max_size, code_range, fov)
+    source = Source(folder.resolve(), color_space, max_size, code_range, fov, orientation)
     if max_size is not None and max_size < 1:
         raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
     paths = find_pictures(folder)
@@ -116,10 +119,11 @@ def load(
                 f"{path.parent}: expected file names in UTF-8, found {path.name!r}"
             ) from None
     if len(set(names)) != len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{paths[0].parent}: expected one picture a name, found {twice} twice")
+        raise InputError(f"{paths[0].parent}: {_twice(paths)}")
 
-    read = _read_pictures(paths, notes, color_space or settings.color_space, max_size, code_range)
+    color_space = color_space or settings.color_space
+    orientation = orientation or settings.orientation or "exif"
+    read = _read_pictures(paths, notes, color_space, orientation, max_size, code_range)
     # From here on every map must have the size that the pictures have on disk.
     mask = read.mask
     full_size, size = mask.shape, read.pixels.shape[1:3]
@@ -129,7 +133,7 @@ def load(
             f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"
         )
     mask &= _read_mask(notes, full_size)
-    dark = _read_dark_frame(notes, color_space or settings.color_space, full_size)
+    dark = _read_dark_frame(notes, color_space, orientation, full_size)
     if dark is not None:
         mask &= dark.usable
     if not mask.any():
@@ -219,7 +223,8 @@ def read_surface(folder: Path, fov: float | None = None) -> Surface:
     settings = read_settings(folder / "scene.toml")
     if fov is not None:
         geometry.check_fov(fov)
-    first = images.read_picture(find_pictures(folder)[0])
+    orientation = settings.orientation or "exif"
+    first = images.read_picture(find_pictures(folder)[0], orientation=orientation)
     size = first.pixels.shape[0], first.pixels.shape[1]
     mask = _read_mask(notes, size)
     there = bool(find_normals(folder))
@@ -258,9 +263,10 @@ def read_pictures(folder: Path, fov: float | None = None) -> Pictures:
     notes = _Notes(folder)
     settings = read_settings(folder / "scene.toml")
     paths = find_pictures(folder)
-    read = _read_pictures(paths, notes, settings.color_space, None, None)
+    color_space, orientation = settings.color_space, settings.orientation or "exif"
+    read = _read_pictures(paths, notes, color_space, orientation, None, None)
     size = read.mask.shape
-    dark = _read_dark_frame(notes, settings.color_space, size)
+    dark = _read_dark_frame(notes, color_space, orientation, size)
     if dark is not None:
         _subtract(dark, read.pixels, dark.usable, paths, notes.assumed)
     decided, said = decided_fov(folder, fov, settings, read.focal_length, size)
@@ -298,14 +304,19 @@ def _read_pictures(
     paths: list[Path],
     notes: _Notes,
     color_space: ColorSpace | None,
+    orientation: Orientation,
     max_size: int | None,
     code_range: tuple[int, int] | None,
 ) -> _Pictures:
     read: _Pictures | None = None
     colors: dict[str, list[str]] = {}
     forms: dict[str, list[str]] = {}
+    remarks: dict[str, list[str]] = {}
+    shared: dict[str, dict[str, list[str]]] = {}  # settings by what they are of and by value
     for i, path in enumerate(paths):
-        picture = images.read_picture(path, color_space, code_range=code_range)
+        picture = images.read_picture(
+            path, color_space, code_range=code_range, orientation=orientation
+        )
         full_size = picture.pixels.shape[:2]
         if read is None:
             size = full_size if max_size is None else reduced_size(full_size, max_size)
@@ -345,12 +356,20 @@ def _read_pictures(
         read.focal_length = read.focal_length or picture.focal_length_35mm
         read.curve_told |= picture.curve_told
         colors.setdefault(picture.color, []).append(path.name)
+        for remark in picture.notes:
+            remarks.setdefault(remark, []).append(path.name)
+        for what, value in picture.settings.items():
+            shared.setdefault(what, {}).setdefault(value, []).append(path.name)
         notes.inputs[path.relative_to(notes.folder).as_posix()] = picture.sha256
     assert read is not None
     for color, names in colors.items():
         notes.assumed["color" if len(colors) == 1 else f"color of {', '.join(names)}"] = color
     if forms:
         notes.assumed["encoding"] = _in_words(forms)
+    if remarks:
+        said = (f"{remark}: {listed(names)}" for remark, names in remarks.items())
+        notes.assumed["pictures"] = "; ".join(said)
+    _compare_settings(shared, notes, orientation)
     if not read.mask.any():
         raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
     if not read.mask.all():
@@ -386,6 +405,59 @@ def _without_bad(
     for of_picture, bad in zip(found, read.bad, strict=True):
         of_picture[bad if bad is not None else slice(0)] = 0
     return found
+
+
+def _twice(paths: list[Path]) -> str:
+    """What is wrong with pictures of which some have the name of another."""
+    of_name: dict[str, list[str]] = {}
+    for path in paths:
+        of_name.setdefault(path.stem, []).append(path.name)
+    pairs = [files for files in of_name.values() if len(files) > 1]
+    said = f"expected one picture a name, found {' and '.join(map(shown, pairs[0]))}"
+    if len(pairs) > 1:
+        said += f", and {len(pairs) - 1} more such pair{'s' * (len(pairs) > 2)}"
+    raw = [name for name in pairs[0] if Path(name).suffix.lower() in RAW_SUFFIXES]
+    if not raw or len(raw) == len(pairs[0]):
+        return f"{said}: take one of them away"
+    other, kept = (
+        Path(next(name for name in pairs[0] if (name in raw) == is_raw)).suffix
+        for is_raw in (False, True)
+    )
+    return (
+        f"{said}, which are one picture twice: take the {other} files away ({kept} ones are linear "
+        f"light, read with pbrfit[raw]), or the {kept} ones"
+    )
+
+
+def _compare_settings(
+    shared: dict[str, dict[str, list[str]]], notes: _Notes, orientation: Orientation
+) -> None:
+    """Say which pictures of a set were taken or stored otherwise than the others."""
+    differing = {}
+    for what, files in shared.items():
+        if len(files) > 1:
+            common, *others = sorted(files, key=lambda value: -len(files[value]))
+            odd = ", ".join(f"{value} ({listed(files[value])})" for value in others)
+            differing[what] = f"{odd}, else {common}"
+    if differing:
+        said = (f"{what} {files}" for what, files in differing.items())
+        notes.assumed["set"] = "; ".join(said)
+    if orientation == "as-stored":
+        notes.assumed["orientation"] = "as stored, whatever EXIF says"
+        differing.pop("orientation", None)
+    consequences = {
+        "orientation": "each is turned by its own; option orientation as-stored turns none",
+        "focal length": "pictures of one view have one, and one field of view is used",
+        "colour profile": "each is decoded by its own; option color_space decodes all alike",
+    }
+    for what in consequences.keys() & differing.keys():
+        log.warning(
+            "%s: expected one %s of all pictures, found %s: %s",
+            notes.folder,
+            {"orientation": "EXIF orientation"}.get(what, what),
+            differing[what],
+            consequences[what],
+        )
 
 
 def _in_words(forms: dict[str, list[str]]) -> str:
@@ -450,12 +522,15 @@ class _DarkFrame:
 
 
 def _read_dark_frame(
-    notes: _Notes, color_space: ColorSpace | None, size: tuple[int, int]
+    notes: _Notes,
+    color_space: ColorSpace | None,
+    orientation: Orientation,
+    size: tuple[int, int],
 ) -> _DarkFrame | None:
     path = find_dark_frame(notes.folder)
     if path is None:
         return None
-    picture = images.read_picture(path, color_space)
+    picture = images.read_picture(path, color_space, orientation=orientation)
     notes.inputs[path.name] = picture.sha256
     _expect_size(path, picture.pixels.shape[:2], size)
     usable: NDArray[np.bool_] = np.asarray(np.isfinite(picture.pixels).all(axis=-1))

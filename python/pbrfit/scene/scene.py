@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.images import Orientation
 from pbrfit.scene import reading, writing
 from pbrfit.scene.arrays import SceneArrays
 
@@ -21,6 +22,7 @@ class Scene(SceneArrays):
         color_space: ColorSpace | None = None,
         max_size: int | None = None,
         code_range: tuple[int, int] | None = None,
+        orientation: Orientation | None = None,
     ) -> Scene:
         """Read a scene folder (see docs/formats.md).
 
@@ -38,6 +40,9 @@ class Scene(SceneArrays):
             Lowest and highest code of 8-bit pictures that is data, and the same shares of the
             maximum of 16-bit ones; what is outside is in `limits`. None = 1 to 250 in JPEG, all but
             0 and the maximum in other integer pictures; (0, 255) = all are data.
+        orientation
+            "exif" turns each picture as its EXIF data says, "as-stored" none; overrides
+            `scene.toml`. None = as there, else "exif".
 
         Raises
         ------
@@ -51,6 +56,7 @@ class Scene(SceneArrays):
             color_space=color_space,
             max_size=max_size,
             code_range=code_range,
+            orientation=orientation,
         )
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

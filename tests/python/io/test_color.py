@@ -106,8 +106,8 @@ def test_every_named_space_has_a_conversion() -> None:
     for space in get_args(color.ColorSpace):
         white = color.conversion(space)(np.full((1, 1, 3), 255, np.uint8))
         np.testing.assert_allclose(white, 1, rtol=1e-6)
-    with pytest.raises(ValueError, match="expected one of srgb, linear, acescg, display-p3"):
-        color.conversion("adobe-rgb")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="expected one of srgb, linear, acescg, display-p3, adobe"):
+        color.conversion("rec2020")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

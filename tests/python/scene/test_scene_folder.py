@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
 from pbrfit import InputError, Scene, Truth
+from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images, normal_files
 from pbrfit.model.lighting import Lighting
 from pbrfit.scene.arrays import AT_LEAST, AT_MOST
+from pbrfit.scene.reading import read_pictures
 from pbrfit.synthetic import make_scene
 from scene_files import (
     FORMATS,
@@ -40,6 +42,19 @@ from scene_files import write_integers as write_png
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return write_folder(tmp_path / "scene")
+
+
+def retag(folder: Path, tags: dict[str, dict[int, Any]]) -> list[Path]:
+    """The folder's pictures in JPEG, some with EXIF tags; of PNG what is so named."""
+    paths = []
+    for name, image in zip(room().names, room().images, strict=True):
+        exif = Image.Exif()
+        for tag, value in tags.get(name, {}).items():
+            exif[tag] = value
+        paths.append(folder / "images" / f"{name}.jpg")
+        write_jpeg(paths[-1], image, exif)
+        (folder / "images" / f"{name}.exr").unlink()
+    return paths
 
 
 def write_mask(path: Path, white: Any) -> None:
@@ -145,6 +160,89 @@ def test_a_focal_length_holds_along_the_diagonal_of_a_turned_picture(
     scene = Scene.load(tmp_path)
     np.testing.assert_allclose(scene.images, seen[:2], atol=0.1)
     assert scene.fov == pytest.approx(fov)
+
+
+ORIENTATION = "expected one EXIF orientation of all pictures, found 3 (light_01.jpg), else 1: each"
+
+
+@pytest.mark.parametrize(
+    ("tags", "said", "warned"),
+    [
+        ({0x112: 3}, "orientation 3 (light_01.jpg), else 1", ORIENTATION),
+        ({0x112: 1}, None, None),
+        ({0x8769: {0x920A: 85.0}}, "focal length 85 mm (light_01.jpg), else 50 mm", "focal length"),
+        ({0x8769: {0x920A: 50.0}}, None, None),
+        (
+            {0x8769: {0x829A: 0.25, 0x829D: 8.0, 0x8827: 100}},
+            "exposure 0.25 s f/8 ISO 100 (light_01.jpg), else 0.01 s",
+            None,
+        ),
+        ({0x110: "beta"}, "camera beta (light_01.jpg), else alpha", None),
+        (
+            {0x8769: {0xA001: 2}},
+            "colour profile adobe-rgb (light_01.jpg), else srgb",
+            "option color_space decodes all alike",
+        ),
+    ],
+)
+def test_a_picture_taken_otherwise_than_the_others_is_named(
+    folder: Path,
+    caplog: pytest.LogCaptureFixture,
+    tags: dict[int, Any],
+    said: str | None,
+    warned: str | None,
+) -> None:
+    alike = {0x110: "alpha", 0x8769: {0x920A: 50.0, 0x829A: 0.01}}
+    odd = alike | tags
+    odd[0x8769] = {**alike[0x8769], **tags.get(0x8769, {})}  # type: ignore[dict-item]
+    retag(folder, {"light_00": alike, "light_01": odd, "light_02": alike})
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        assert Scene.load(folder).assumed.get("set") == said
+    assert len(caplog.records) == (warned is not None)
+    assert warned is None or warned in caplog.text
+
+
+def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """By the option, else by scene.toml; the dark frame too, and what a network is shown."""
+    paths = retag(folder, {"light_01": {0x112: 3}, "light_02": {0x112: 6}})
+    turned, kept = Scene.load(folder), Scene.load(folder, orientation="as-stored")
+    assert kept.source is not None
+    assert kept.source.orientation == "as-stored"
+    stored = [images.read_picture(path, orientation="as-stored").pixels for path in paths]
+    np.testing.assert_array_equal(kept.images, stored)
+    np.testing.assert_array_equal(turned.images[1], kept.images[1, ::-1, ::-1])
+    noise, as_kept = turned.noise_floor(), kept.noise_floor()
+    assert noise is not None
+    assert as_kept is not None
+    np.testing.assert_array_equal(noise[1], as_kept[1, ::-1, ::-1])
+    np.testing.assert_allclose(kept.images, room().images, atol=0.1)
+    caplog.clear()
+    (folder / "scene.toml").write_text('fov = 60\norientation = "as-stored"\n')
+    by_file = Scene.load(folder)
+    np.testing.assert_array_equal(by_file.images, stored)
+    np.testing.assert_array_equal(read_pictures(folder).images, stored)
+    np.testing.assert_array_equal(Scene.load(folder, orientation="exif").images, turned.images)
+    assert by_file.assumed["orientation"] == "as stored, whatever EXIF says"
+    write_jpeg(folder / "dark.jpg", np.zeros((SIZE, SIZE, 3)), None)
+    assert "dark frame" in Scene.load(folder).assumed
+    seen, _ = shown_to_network(folder, "light_01")
+    as_exif, _ = shown_to_network(folder, "light_00")
+    assert (
+        np.abs(seen.astype(int) - as_exif).mean() < np.abs(seen.astype(int) - as_exif[::-1]).mean()
+    )
+
+
+def test_alpha_of_nothing_is_no_mask(folder: Path) -> None:
+    alpha = np.zeros((SIZE, SIZE))
+    image = images.read_data(folder / "images" / "light_00.exr")
+    channels = {"R": image[..., 0], "G": image[..., 1], "B": image[..., 2], "A": alpha}
+    images.write_exr(folder / "images" / "light_00.exr", channels)
+    scene = Scene.load(folder)
+    assert scene.valid.all()
+    assert scene.assumed["pictures"] == "alpha is 0 in all pixels and ignored: light_00.exr"
+    alpha[3, 4] = 1.0  # then it is one
+    images.write_exr(folder / "images" / "light_00.exr", channels)
+    np.testing.assert_array_equal(Scene.load(folder).valid, alpha == 1)
 
 
 def test_alpha_and_mask_leave_pixels_out(folder: Path) -> None:
@@ -663,7 +761,16 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     "one picture": (leave_one, "scene: images: expected at least two pictures .*lighting.json"),
     "equal names": (
         lambda f: write_jpeg(f / "images" / "light_00.jpg", room().images[0]),
-        "images: expected one picture a name, found light_00 twice",
+        "expected one picture a name, found light_00.exr and light_00.jpg: take one of them away",
+    ),
+    "raw files beside pictures of the camera": (
+        lambda f: [
+            (f / "images" / f"light_0{k}.{kind}").write_bytes(b"")
+            for k in (1, 2)
+            for kind in ("NEF", "nef.xmp")
+        ],
+        r"found light_01.NEF and light_01.exr, and 1 more such pair, which are one picture twice: "
+        r"take the .exr files away \(.NEF .*\), or the .NEF ones$",
     ),
     "sizes that differ": (
         lambda f: write_exr(f / "images" / "light_02.exr", room().images[0][:, 1:]),
@@ -736,6 +843,7 @@ def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
         ({"fov": np.nan}, "fov: expected degrees"),
         ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
         ({"color_space": "log"}, "color_space: expected one of srgb"),
+        ({"orientation": "upright"}, "orientation: expected exif or as-stored, found 'upright'"),
         ({"code_range": (9, 3)}, "code_range: expected two 8-bit codes"),
     ],
 )

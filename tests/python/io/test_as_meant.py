@@ -1,0 +1,369 @@
+"""Picture files are read as their makers meant them: layouts, pages, scan orders, colour."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from numpy.typing import NDArray
+from PIL import Image, ImageCms
+
+from pbrfit._core import InputError
+from pbrfit.io import color, images, radiance
+
+RNG = np.random.default_rng(4)
+RGBA8: NDArray[np.uint8] = RNG.integers(1, 255, (41, 53, 4), dtype=np.uint8)
+RGB8 = np.ascontiguousarray(RGBA8[..., :3])
+GREY8 = np.ascontiguousarray(RGBA8[..., 0])
+RGB16 = RGB8.astype(np.uint16) * 257 + 3
+FLOAT = RNG.random((41, 53, 3)).astype(np.float32)
+
+
+# TIFF
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"byteorder": ">"}, {"bigtiff": True}, {"bigtiff": True, "byteorder": ">"},
+    {"compression": "deflate"}, {"compression": "deflate", "predictor": True}, {"tile": (48, 64)},
+])  # fmt: skip
+@pytest.mark.parametrize("pixels", [RGB8, RGBA8, RGB16, FLOAT])
+def test_tiles_in_separate_planes(tmp_path: Path, pixels: Any, options: dict[str, Any]) -> None:
+    path = tmp_path / "a.tif"
+    alpha = {"extrasamples": ["unassalpha"]} if pixels.shape[2] == 4 else {}
+    how = {"planarconfig": "separate", "tile": (16, 32), "photometric": "rgb"} | alpha | options
+    if pixels.dtype.kind == "f":
+        how.pop("predictor", None)  # of floats it would be another, which tifffile alone lacks
+    tifffile.imwrite(path, np.moveaxis(pixels, -1, 0), **how)
+    unit = 1 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
+    np.testing.assert_array_equal(images.read_data(path), pixels / np.float64(unit))
+
+
+def pages(*written: tuple[NDArray[Any], dict[str, Any]]) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        with tifffile.TiffWriter(path) as file:
+            for pixels, options in written:
+                file.write(pixels, **{"photometric": "rgb", "metadata": None, **options})
+
+    return write
+
+
+def imagej(path: Path) -> None:
+    """One directory, six pictures behind each other, as ImageJ writes large stacks."""
+    tifffile.imwrite(path, GREY8, description="ImageJ=1.53t\nimages=6\nslices=6\n", metadata=None)
+
+
+SMALL, QUARTER, HALF = RGB8[:10, :13], RGB8[:11, :14], RGB8[:21, :27]
+REDUCED, OLD = {"subfiletype": 1}, {"extratags": [(255, 3, 1, 2, True)]}
+TILES = {"planarconfig": "separate", "tile": (16, 16)}
+PAGES: dict[str, tuple[Callable[[Path], None], int | str]] = {
+    "thumbnail first": (pages((SMALL, REDUCED), (RGB8, {})), 1),
+    "thumbnail last": (pages((RGB8, {}), (SMALL, REDUCED)), 1),
+    "thumbnail of the old kind": (pages((SMALL, OLD), (RGB8, {})), 1),
+    "thumbnail that does not say so": (pages((SMALL, {}), (RGB8, {})), 1),
+    "pyramid": (pages((RGB8, {"tile": (16, 16)}), (HALF, REDUCED), (QUARTER, REDUCED)), 2),
+    "pyramid that does not say so": (pages((RGB8, {}), (HALF, {}), (QUARTER, {})), 2),
+    "mask": (pages((RGB8, {}), (GREY8 > 99, {"subfiletype": 4, "photometric": "mask"})), 1),
+    "levels below": (pages((RGB8, {"subifds": 1}), (HALF, REDUCED)), 0),
+    "picture below its thumbnail": (pages((SMALL, {"subifds": 1, **REDUCED}), (RGB8, {})), 1),
+    "says that it is reduced": (pages((RGB8, REDUCED)), 0),
+    "planar tiles behind a thumbnail": (
+        pages((SMALL, REDUCED), (np.moveaxis(RGB8, -1, 0), TILES)), 1
+    ),
+    "stack": (pages(*[(RGB8, {})] * 6), "expected one picture, found 6 pages"),
+    "stack of pages": (pages(*[(RGB8, {"subfiletype": 2})] * 3), "found 3 pages"),
+    "stack with thumbnails": (pages(*[(RGB8, {}), (SMALL, REDUCED)] * 2), "found 2 pages"),
+    "scans of two sizes": (pages((RGB8, {}), (RGB8[:22], {})), "found 2 pages"),
+    "more than half": (pages((RGB8, {}), (RGB8[:22, :27], {})), "found 2 pages"),
+    "stack of ImageJ": (imagej, "expected one picture, found 6 pages"),
+}  # fmt: skip
+
+
+REWRITTEN = [name for name in PAGES if not re.search("below|mask|tiles|ImageJ", name)]
+
+
+@pytest.mark.parametrize(
+    ("name", "big"), [(name, False) for name in PAGES] + [(name, True) for name in REWRITTEN]
+)
+def test_the_one_page_of_full_resolution(tmp_path: Path, name: str, big: bool) -> None:
+    write, expected = PAGES[name]
+    path = tmp_path / "a.tif"
+    write(path)
+    if big:  # as BigTIFF of the other byte order
+        with tifffile.TiffFile(path) as file:
+            read = [(page.asarray(), page.subfiletype, page.tags.get(255)) for page in file.pages]
+        with tifffile.TiffWriter(path, bigtiff=True, byteorder=">") as out:
+            for pixels, kind, old in read:
+                tags = [] if old is None else [(255, 3, 1, old.value, True)]
+                out.write(
+                    pixels, photometric="rgb", subfiletype=kind, metadata=None, extratags=tags
+                )
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=rf"a\.tif: .*{expected}"):
+            images.read_picture(path)
+        return
+    np.testing.assert_array_equal(images.read_data(path), RGB8 / 255)
+    notes = (f"smaller pages not read ({expected} of each file)",) if expected else ()
+    assert images.read_picture(path).notes == notes
+
+
+def test_pages_that_follow_each_other_for_ever(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    pages((RGB8, {}))(path)
+    data = bytearray(path.read_bytes())
+    [first] = struct.unpack_from("<I", data, 4)
+    [count] = struct.unpack_from("<H", data, first)
+    struct.pack_into("<I", data, first + 2 + 12 * count, first)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"a\.tif: .*cycle"):
+        images.read_data(path)
+
+
+# Radiance HDR
+
+
+WIDE: NDArray[np.uint8] = RNG.integers(128, 256, (5, 9, 4), dtype=np.uint8)
+WIDE[..., 3] = 129
+RADIANCE = WIDE[..., :3] / 256 * 2
+
+
+def hdr(
+    path: Path, scanlines: NDArray[Any], order: str, lines: str = "", kind: str = "rgbe"
+) -> Path:
+    first, second = order.split()
+    head = f"#?RADIANCE\n{lines}FORMAT=32-bit_rle_{kind}\n\n"
+    head += f"{first} {len(scanlines)} {second} {scanlines.shape[1]}\n"
+    path.write_bytes(head.encode() + scanlines.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("slow", ["-Y", "+Y", "-X", "+X"])
+@pytest.mark.parametrize("fast", ["-Y", "+Y", "-X", "+X"])
+def test_hdr_in_all_orders(tmp_path: Path, slow: str, fast: str) -> None:
+    """ "-Y" counts rows from the top, as Radiance's Y grows upwards; "+X" columns from the left."""
+    if slow[1] == fast[1]:
+        hdr(tmp_path / "a.hdr", WIDE, f"{slow} {fast}")
+        with pytest.raises(InputError, match=r"a\.hdr: expected a whole HDR file"):
+            images.read_picture(tmp_path / "a.hdr")
+        return
+    scanlines = WIDE
+    if "+Y" in (slow, fast):
+        scanlines = scanlines[::-1]
+    if "-X" in (slow, fast):
+        scanlines = scanlines[:, ::-1]
+    if slow[1] == "X":
+        scanlines = scanlines.swapaxes(0, 1)
+    path = hdr(tmp_path / "a.hdr", np.ascontiguousarray(scanlines), f"{slow} {fast}")
+    for orientation in ("exif", "as-stored"):
+        found = images.read_picture(path, orientation=orientation).pixels  # type: ignore[arg-type]
+        np.testing.assert_array_equal(found, RADIANCE.astype(np.float32))
+    np.testing.assert_array_equal(images.read_data(path), RADIANCE)
+
+
+P3 = "0.68 0.32 0.265 0.69 0.15 0.06 0.3127 0.329"
+
+
+@pytest.mark.parametrize(
+    ("lines", "kind", "matrix", "factors"),
+    [
+        ("EXPOSURE=2\n", "rgbe", None, (2, 2, 2)),
+        ("EXPOSURE= 2\nEXPOSURE=0.25\n", "rgbe", None, (0.5, 0.5, 0.5)),
+        ("EXPOSURE=2\nCOLORCORR=1 0.5 2\n", "rgbe", None, (2, 1, 4)),
+        ("EXPOSURE=much\nEXPOSURE=0\nEXPOSURE=inf\nVIEW=x\n", "rgbe", None, (1, 1, 1)),
+        (f"PRIMARIES={P3}\n", "rgbe", color.to_rec709(color.DISPLAY_P3), (1, 1, 1)),
+        ("", "xyze", color.to_rec709(color.CIE_XYZ), (1, 1, 1)),
+        ("EXPOSURE=4\n", "xyze", color.to_rec709(color.CIE_XYZ), (4, 4, 4)),
+    ],
+)
+def test_the_header_of_an_hdr_file_counts(
+    tmp_path: Path, lines: str, kind: str, matrix: Any, factors: tuple[float, ...]
+) -> None:
+    picture = images.read_picture(hdr(tmp_path / "a.hdr", WIDE, "-Y +X", lines, kind))
+    expected = RADIANCE / factors @ (np.eye(3) if matrix is None else matrix).T
+    np.testing.assert_allclose(picture.pixels, expected, rtol=1e-5, atol=1e-6)
+    assert len(picture.notes) == (factors != (1, 1, 1))
+
+
+# EXR
+
+
+XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
+AP0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
+XY0 = (0.64, 0.33, 0.3, 0.6, 0.2, 0.0, 0.3127, 0.329)
+
+
+@pytest.mark.parametrize("chromaticities", [None, XYZ, AP0, XY0])
+@pytest.mark.parametrize("layer", [None, "beauty"])
+@pytest.mark.parametrize("alpha", [False, True])
+@pytest.mark.parametrize("luminance", [False, True])
+def test_exr_primaries_and_luminance(
+    tmp_path: Path, chromaticities: Any, layer: str | None, alpha: bool, luminance: bool
+) -> None:
+    """Files of Y, RY and BY (OpenEXR, ImfRgbaYca.h) hold the colours that files of R, G, B do."""
+    header: dict[str, Any] = {"compression": OpenEXR.ZIP_COMPRESSION}
+    points = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+    if chromaticities is not None:
+        points = header["chromaticities"] = chromaticities
+    # The matrix by hand: columns (x, y, z) of the primaries, scaled so that they add up to white.
+    columns = np.array(
+        [(x, y, 1 - x - y) for x, y in zip(points[::2], points[1::2], strict=True)]
+    ).T
+    to_xyz = columns[:, :3] * np.linalg.solve(columns[:, :3], columns[:, 3] / columns[1, 3])
+    planes = dict(zip("RGB", np.moveaxis(FLOAT, -1, 0), strict=True))
+    if luminance and chromaticities is not XYZ:
+        y = FLOAT @ to_xyz[1]
+        planes = {"Y": y, "RY": (planes["R"] - y) / y, "BY": (planes["B"] - y) / y}
+    if alpha:
+        planes["A"] = FLOAT[..., 0]
+    prefix = "" if layer is None else f"{layer}."
+    channels = {prefix + name: np.ascontiguousarray(p, np.float32) for name, p in planes.items()}
+    path = str(tmp_path / "a.exr")
+    OpenEXR.File(header, channels).write(path)
+    picture = images.read_picture(path, layer=layer)
+    rec709 = color.rgb_to_xyz(color.REC709)
+    adapted = color.bradford(to_xyz.sum(axis=1), rec709.sum(axis=1)) @ to_xyz
+    expected = FLOAT @ np.linalg.solve(rec709, adapted).T
+    np.testing.assert_allclose(picture.pixels, expected, rtol=1e-4, atol=2e-4)
+    assert (picture.alpha is not None) == alpha
+
+
+def test_a_white_without_light_is_refused(tmp_path: Path) -> None:
+    for points, message in (
+        ((*XYZ[:6], 0.5, 0.0), "of white y > 0"),
+        ((*XYZ[:6], 0.5, 0.5), "triangle"),
+    ):
+        path = str(tmp_path / "a.exr")
+        OpenEXR.File({"chromaticities": points}, {"RGB": FLOAT}).write(path)
+        with pytest.raises(InputError, match=rf"a\.exr: chromaticities: expected .*{message}"):
+            images.read_picture(path)
+
+
+# Colour without a profile
+
+
+def power(exponent: float) -> NDArray[np.float64]:
+    return (RGB8 / 255) ** exponent
+
+
+SRGB = color.decode_srgb(RGB8 / 255)
+ADOBE = power(563 / 256) @ color.to_rec709(color.ADOBE_RGB).T
+
+
+def exif(color_space: int, index: str | None = None) -> Image.Exif:
+    tags = Image.Exif()
+    tags[0x8769] = {0xA001: color_space} | ({} if index is None else {0xA005: {1: index}})
+    return tags
+
+
+def chrm(points: color.Primaries) -> bytes:
+    x_y = itertools.chain(points.white, points.red, points.green, points.blue)
+    return struct.pack(">8I", *(round(1e5 * value) for value in x_y))
+
+
+def png(path: Path, **chunks: bytes) -> None:
+    """A PNG with chunks behind its header, without a profile."""
+    Image.fromarray(RGB8).save(path)
+    data = path.read_bytes()
+    more = b""
+    for name, body in chunks.items():
+        kind = name.encode()
+        more += struct.pack(">I", len(body)) + kind + body
+        more += struct.pack(">I", zlib.crc32(kind + body))
+    path.write_bytes(data[:33] + more + data[33:])
+
+
+def gama(gamma: float) -> bytes:
+    return struct.pack(">I", round(1e5 * gamma))
+
+
+P3_MATRIX = color.to_rec709(color.DISPLAY_P3).T
+CHUNKS: dict[str, tuple[dict[str, bytes], NDArray[np.float64]]] = {
+    "linear": ({"gAMA": gama(1)}, power(1)),
+    "of old displays": ({"gAMA": gama(1 / 1.8)}, power(1 / round(1 / 1.8, 5))),
+    "of sRGB": ({"gAMA": gama(0.45455), "cHRM": chrm(color.REC709)}, SRGB),
+    "none": ({"gAMA": gama(0)}, SRGB),
+    "Adobe RGB": (
+        {"gAMA": gama(256 / 563), "cHRM": chrm(color.ADOBE_RGB)},
+        power(1 / round(256 / 563, 5)) @ color.to_rec709(color.ADOBE_RGB).T,
+    ),
+    "primaries alone": ({"cHRM": chrm(color.DISPLAY_P3)}, SRGB @ P3_MATRIX),
+    "sRGB before others": ({"sRGB": b"\0", "gAMA": gama(1), "cHRM": chrm(color.DISPLAY_P3)}, SRGB),
+    "Display P3": ({"cICP": bytes([12, 13, 0, 1]), "gAMA": gama(1)}, SRGB @ P3_MATRIX),
+    "linear Rec.2020": ({"cICP": bytes([9, 8, 0, 1])}, power(1) @ color.to_rec709(color.REC2020).T),
+    "coded power": ({"cICP": bytes([1, 4, 0, 1])}, power(2.2)),
+}
+
+
+@pytest.mark.parametrize("name", CHUNKS)
+def test_colour_chunks_of_png(tmp_path: Path, name: str) -> None:
+    chunks, expected = CHUNKS[name]
+    png(tmp_path / "a.png", **chunks)
+    picture = images.read_picture(tmp_path / "a.png")
+    np.testing.assert_allclose(picture.pixels, expected, rtol=1e-4, atol=2e-6)
+    assert picture.curve_told == (expected is not SRGB)
+    assert picture.color.endswith(
+        "chunk of the 8-bit PNG" if "cICP" in chunks and picture.curve_told
+        else "sRGB (8-bit PNG without a profile)" if expected is SRGB else "of the 8-bit PNG"
+    )  # fmt: skip
+    asked = images.read_picture(tmp_path / "a.png", color_space="srgb")
+    np.testing.assert_allclose(asked.pixels, SRGB, rtol=1e-6)
+    assert picture.stored is not None
+    noise = picture.stored.noise(picture.pixels.shape[:2]).deviation(
+        np.zeros((1, 1, 3)), slice(1), slice(1)
+    )
+    assert (noise > 0).all()  # also where a power is flat
+
+
+def test_primaries_of_a_png_that_are_none_are_refused(tmp_path: Path) -> None:
+    png(tmp_path / "a.png", cHRM=bytes(32))
+    with pytest.raises(InputError, match=r"a\.png: chromaticities: expected"):
+        images.read_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("form", ["JPEG", "PNG"])
+@pytest.mark.parametrize(
+    ("tags", "profile", "expected", "told"),
+    [
+        (exif(65535, "R03"), None, ADOBE, "Adobe RGB (EXIF of the 8-bit {})"),
+        (exif(2), None, ADOBE, "Adobe RGB (EXIF of the 8-bit {})"),
+        (exif(1, "R98"), None, SRGB, "sRGB (8-bit {} without a profile)"),
+        (
+            exif(65535),
+            None,
+            SRGB,
+            "sRGB (8-bit {} without a profile, and EXIF says another colour space)",
+        ),
+        (exif(65535, "R03"), "srgb", SRGB, "ICC profile of the 8-bit {}"),
+    ],
+)
+def test_adobe_rgb_by_exif(
+    tmp_path: Path, form: str, tags: Image.Exif, profile: str | None, expected: Any, told: str
+) -> None:
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    more = {} if profile is None else {"icc_profile": srgb}
+    path = tmp_path / "a"
+    flat = np.full((16, 16, 3), (200, 40, 90), np.uint8)
+    Image.fromarray(flat).save(path, form, exif=tags.tobytes(), **more)
+    picture = images.read_picture(path)
+    assert picture.color == told.format(form)
+    space: color.ColorSpace = "adobe-rgb" if expected is ADOBE else "srgb"
+    by_name = images.read_picture(path, color_space=space)
+    np.testing.assert_allclose(picture.pixels, by_name.pixels, atol=1e-3)
+    assert picture.settings["colour profile"] == space
+
+
+def test_adobe_rgb_by_name(tmp_path: Path) -> None:
+    Image.fromarray(RGB8).save(tmp_path / "a.png")
+    picture = images.read_picture(tmp_path / "a.png", color_space="adobe-rgb")
+    np.testing.assert_allclose(picture.pixels, ADOBE, rtol=1e-5, atol=1e-6)
+    Image.fromarray(RGB8).save(tmp_path / "a.tif", exif=exif(2).tobytes())
+    np.testing.assert_array_equal(images.read_picture(tmp_path / "a.tif").pixels, picture.pixels)
+    assert radiance.read((tmp_path / "a.png").read_bytes()) is None
