@@ -276,7 +276,9 @@ def test_preview_is_an_8_bit_srgb_png(result: Result, tmp_path: Path) -> None:
 
 def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> None:
     make_scene("room", size=8, lights=2).save(tmp_path / "scenes" / "ä room")
-    scene = Scene.load(tmp_path / "scenes" / "ä room", max_size=6, code_range=(0, 255))
+    scene = Scene.load(
+        tmp_path / "scenes" / "ä room", max_size=6, code_range=(0, 255), orientation="as-stored"
+    )
     decompose(scene, iterations=1).save(tmp_path / "out" / "result")
     text = (tmp_path / "out" / "result" / "result.json").read_text("utf-8")
     assert json.loads(text)["scene"] == {
@@ -285,6 +287,7 @@ def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> N
         "max_size": 6,
         "code_range": [0, 255],
         "fov": None,
+        "orientation": "as-stored",
     }
     assert str(tmp_path) not in text
     assert Result.load(tmp_path / "out" / "result").source == scene.source
@@ -304,7 +307,7 @@ def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
     file.write_text(json.dumps(content), encoding="utf-8")
     assert Result.load(tmp_path / "out").source is None
     whole = {"path": "x", "color_space": None, "max_size": None, "code_range": [1, 250]}
-    for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"fov": "wide"}):
+    for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"orientation": 3}):
         scene = whole | wrong
         file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
         with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):

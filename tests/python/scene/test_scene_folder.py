@@ -211,10 +211,10 @@ def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> N
     stored = [images.read_picture(path, orientation="as-stored").pixels for path in paths]
     np.testing.assert_array_equal(kept.images, stored)
     np.testing.assert_array_equal(turned.images[1], kept.images[1, ::-1, ::-1])
-    noise, as_kept = turned.noise_floor(), kept.noise_floor()
+    noise, as_kept = turned.noise_floor(1), kept.noise_floor(1)
     assert noise is not None
     assert as_kept is not None
-    np.testing.assert_array_equal(noise[1], as_kept[1, ::-1, ::-1])
+    np.testing.assert_array_equal(noise, as_kept[::-1, ::-1])
     np.testing.assert_allclose(kept.images, room().images, atol=0.1)
     caplog.clear()
     (folder / "scene.toml").write_text('fov = 60\norientation = "as-stored"\n')
