@@ -358,10 +358,9 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
         let (_, side) = decoder.chunk_dimensions();
         let rows = height.div_ceil(side) * side;
         (planes, plane) = (channels, width as usize * rows as usize);
-        check_memory(
-            path,
-            file_size + 2 * u64::from(bits / 8) * (planes * plane) as u64,
-        )?;
+        check_size(path, width.into(), rows.into(), most, file_size)?;
+        let values = 2 * u64::from(bits.div_ceil(8)) * (planes * plane) as u64;
+        check_memory(path, file_size + values)?;
         tall = stacked_planes(&bytes, u64::from(rows) * channels as u64);
         decoder = open(&tall[..]).map_err(error)?;
     }
@@ -411,31 +410,23 @@ fn full_page(bytes: &[u8], path: &Path) -> Result<(Option<u64>, usize)> {
         let below: Vec<_> = pages.iter().flat_map(|page| file.below(page.at)).collect();
         pages.extend(below);
     }
-    let marked = pages.iter().any(|page| !page.reduced);
-    let full: Vec<_> = pages
-        .iter()
-        .filter(|page| !page.reduced || !marked)
-        .collect();
-    let Some(largest) = full
-        .iter()
-        .max_by_key(|page| page.width.saturating_mul(page.height))
-    else {
+    let total = pages.len();
+    if pages.iter().any(|page| !page.reduced) {
+        pages.retain(|page| !page.reduced);
+    }
+    let area = |page: &&Page| page.width.saturating_mul(page.height);
+    let Some(largest) = pages.iter().max_by_key(area) else {
         return Ok((None, 0));
     };
     // The next level of a pyramid has half the sides, rounded up.
-    let is_level = |width: u64, side: u64| width <= side.div_ceil(2);
-    let count = full
-        .iter()
-        .filter(|page| {
-            !(is_level(page.width, largest.width) && is_level(page.height, largest.height))
-        })
-        .count()
-        .max(file.slices(largest.at));
+    let [width, height] = [largest.width, largest.height].map(|side| side.div_ceil(2));
+    let is_level = |page: &&Page| page.width <= width && page.height <= height;
+    let count = pages.len() - pages.iter().filter(is_level).count();
     if count > 1 {
         let found = format!("expected one picture, found {count} pages: save each as a file");
         return Err(content(path, found));
     }
-    Ok((Some(largest.at), pages.len() - 1))
+    Ok((Some(largest.at), total - 1))
 }
 
 /// A page of a TIFF.
@@ -449,7 +440,7 @@ struct Page {
 }
 
 /// Most pages of a TIFF that are looked at.
-const MOST_PAGES: usize = 4096;
+const MOST_PAGES: usize = 1024;
 
 /// The directories of a TIFF (TIFF 6.0, section 2; BigTIFF has 8 bytes where TIFF has 4).
 struct TiffBytes<'a>(&'a [u8]);
@@ -505,7 +496,7 @@ impl TiffBytes<'_> {
 
     /// Bytes that an entry's values take, and where they are: in it, if they fit.
     fn values(&self, entry: &Entry) -> (u64, u64) {
-        let size = [1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 8, 8, 8, 8];
+        let size = [1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 8, 8, 8, 8, 8];
         let kind = usize::try_from(entry.kind).unwrap_or(0).wrapping_sub(1);
         let size = size.get(kind).copied().unwrap_or(1);
         let inside = entry.at + 4 + self.word();
@@ -544,13 +535,15 @@ impl TiffBytes<'_> {
     fn pages(&self) -> Vec<Page> {
         let mut pages: Vec<Page> = Vec::new();
         let mut next = self.first_page().unwrap_or(0);
-        let seen = |pages: &[Page], next| pages.iter().any(|page| page.at == next);
-        while next != 0 && pages.len() < MOST_PAGES && !seen(&pages, next) {
+        for _ in 0..MOST_PAGES {
+            if next == 0 || pages.iter().any(|page| page.at == next) {
+                break;
+            }
             let (page, after) = self.page(next);
-            if page.width > 0 {
+            if page.width > 0 || pages.is_empty() {
                 pages.push(page);
             }
-            next = if after == next { 0 } else { after };
+            next = after;
         }
         pages
     }
@@ -565,25 +558,6 @@ impl TiffBytes<'_> {
         let places = (0..entry.count.min(MOST_PAGES as u64))
             .map_while(|k| self.number(at.checked_add(k * size)?, size));
         places.map(|place| self.page(place).0).collect()
-    }
-
-    /// How many pictures ImageJ says that there are behind one directory.
-    fn slices(&self, at: u64) -> usize {
-        let (entries, _) = self.directory(at);
-        let text = entries
-            .iter()
-            .find(|entry| entry.tag == 270)
-            .and_then(|entry| {
-                let start = usize::try_from(self.values(entry).1).ok()?;
-                let text = self.0.get(start..)?;
-                Some(&text[..text.len().min(entry.count as usize)])
-            });
-        let lines = text.unwrap_or_default().split(|&byte| byte == b'\n');
-        lines
-            .skip_while(|line| !line.starts_with(b"ImageJ="))
-            .find_map(|line| std::str::from_utf8(line.strip_prefix(b"images=")?).ok())
-            .and_then(|count| count.trim().parse().ok())
-            .unwrap_or(1)
     }
 }
 

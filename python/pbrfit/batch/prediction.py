@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from pbrfit._core import image_format
 from pbrfit.batch.settings import Reading
@@ -109,7 +110,8 @@ def _of_raster(path: Path) -> tuple[int, int] | None:
         warnings.simplefilter("ignore")  # about large pictures, and damage that is told later
         try:
             with open_file(path) as file, Image.open(file) as picture:
-                return picture.height, picture.width
+                pages = ImageSequence.Iterator(picture) if picture.format == "TIFF" else [picture]
+                return max(((page.height, page.width) for page in pages), key=math.prod)
         except Exception:  # forms that Pillow does not know, or whatever damage leads to
             return None
 

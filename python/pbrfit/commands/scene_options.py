@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import fields
 
 from pbrfit.batch.settings import Reading
 from pbrfit.commands.arguments import Flag, add_flags, choice, code_range, value
@@ -56,10 +57,5 @@ def reading(options: argparse.Namespace) -> Reading:
     """How a scene folder is to be read."""
     response = getattr(options, "response", None)
     decoded: ColorSpace | None = response if response in ("srgb", "linear") else None
-    return Reading(
-        fov=options.fov,
-        color_space=options.color_space or decoded,
-        max_size=options.max_size,
-        code_range=options.code_range,
-        orientation=options.orientation,
-    )
+    given = {one.name: getattr(options, one.name) for one in fields(Reading)}
+    return Reading(**{**given, "color_space": options.color_space or decoded})

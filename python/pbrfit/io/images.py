@@ -200,8 +200,8 @@ def read_picture(
         tables = read_tables(data, plain.shape[2]) if kind == "JPEG" else None
         stored = Stored(plain, turned >= 5, convert, raster.format, tables)
         if chosen is None:
-            name = nearest_name(convert, samples.dtype) or color.partition(" (")[0]
-            settings["colour profile"] = name
+            unnamed = f"{color}, sha256 {hashlib.sha256(raster.icc_profile or b'').hexdigest()[:8]}"
+            settings["colour profile"] = nearest_name(convert, samples.dtype) or unnamed
     pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
     if limits is not None:
         limits = converted(np.broadcast_to(limits, pixels.shape), convert.matrix)
