@@ -97,8 +97,7 @@ def read_photo(
             f"{width} × {height}, which max_size {max_size} makes {size[1]} × {size[0]}"
         )
     assumed = {"color": picture.color}
-    if picture.notes:
-        assumed["picture"] = "; ".join(picture.notes)
+    assumed |= {"picture": "; ".join(picture.notes)} if picture.notes else {}
     sound = np.asarray(np.isfinite(picture.pixels).all(axis=-1))
     pixels = np.where(sound[..., None], picture.pixels, np.float32(0))
     valid = sound if picture.alpha is None else sound & (picture.alpha >= 0.5)

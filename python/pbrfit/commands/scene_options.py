@@ -38,8 +38,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         color_space=COLOR_SPACE,
         orientation=choice(
             Orientation,
-            "turn pictures as their EXIF data says, or take them as they are stored (default: "
-            "scene.toml, else exif)",
+            "turn pictures as EXIF says, or leave them (default: scene.toml, else exif)",
         ),
         max_size=value(
             "PIXELS", int, "average larger pictures down to this longer side (default: as they are)"

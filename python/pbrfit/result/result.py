@@ -358,11 +358,10 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
         code_range = low, high
     fov = content.get("fov")  # earlier versions did not write it
     orientation = content.get("orientation")  # nor this
-    if orientation not in (None, *get_args(images.Orientation)):
-        raise ValueError(f"orientation {quoted(orientation)}")
     max_size, color_space = content["max_size"], content["color_space"]
-    if color_space not in (None, *get_args(ColorSpace)):
-        raise ValueError(f"color_space {quoted(color_space)}")
+    known = (None, *get_args(ColorSpace)), (None, *get_args(images.Orientation))
+    if color_space not in known[0] or orientation not in known[1]:
+        raise ValueError(f"color_space {quoted(color_space)}, orientation {quoted(orientation)}")
     return Source(
         path=(folder / path_text(content["path"])).resolve(),
         color_space=color_space,

@@ -440,23 +440,19 @@ def _compare_settings(
             odd = ", ".join(f"{value} ({listed(files[value])})" for value in others)
             differing[what] = f"{odd}, else {common}"
     if differing:
-        said = (f"{what} {files}" for what, files in differing.items())
-        notes.assumed["set"] = "; ".join(said)
+        notes.assumed["set"] = "; ".join(f"{what} {files}" for what, files in differing.items())
     if orientation == "as-stored":
         notes.assumed["orientation"] = "as stored, whatever EXIF says"
         differing.pop("orientation", None)
     consequences = {
-        "orientation": "each is turned by its own; option orientation as-stored turns none",
+        "orientation": "each is turned by its EXIF data; option orientation as-stored turns none",
         "focal length": "pictures of one view have one, and one field of view is used",
         "colour profile": "each is decoded by its own; option color_space decodes all alike",
     }
     for what in consequences.keys() & differing.keys():
         log.warning(
             "%s: expected one %s of all pictures, found %s: %s",
-            notes.folder,
-            {"orientation": "EXIF orientation"}.get(what, what),
-            differing[what],
-            consequences[what],
+            *(notes.folder, what, differing[what], consequences[what]),
         )
 
 

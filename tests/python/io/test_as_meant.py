@@ -48,7 +48,7 @@ def test_tiles_in_separate_planes(tmp_path: Path, pixels: Any, options: dict[str
 
 def pages(*written: tuple[NDArray[Any], dict[str, Any]]) -> Callable[[Path, bool], None]:
     def write(path: Path, big: bool) -> None:
-        with tifffile.TiffWriter(path, bigtiff=big, byteorder="<>"[big]) as file:
+        with tifffile.TiffWriter(path, bigtiff=big, byteorder=">" if big else "<") as file:
             for pixels, options in written:
                 file.write(pixels, **{"photometric": "rgb", "metadata": None, **options})
 

@@ -162,7 +162,7 @@ def test_a_focal_length_holds_along_the_diagonal_of_a_turned_picture(
     assert scene.fov == pytest.approx(fov)
 
 
-ORIENTATION = "expected one EXIF orientation of all pictures, found 3 (light_01.jpg), else 1: each"
+ORIENTATION = "expected one orientation of all pictures, found 3 (light_01.jpg), else 1: each"
 
 
 @pytest.mark.parametrize(
