@@ -398,13 +398,11 @@ def _guess(path: Path, head: bytes) -> str:
             f"HEIC or AVIF: convert it first, for example with"
             f" `heif-convert {path.name} {path.stem}.png`"
         )
-    if head.startswith(b"GIF8"):
-        return "GIF"
-    if head.startswith(b"BM"):
-        return "BMP"
     if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
         return "WebP"
-    return f"a file that starts with {head[:8]!r}"
+    known = {b"GIF8": "GIF", b"BM": "BMP"}
+    told = (name for start, name in known.items() if head.startswith(start))
+    return next(told, f"a file that starts with {head[:8]!r}")
 
 
 def _article(kind: str) -> str:
