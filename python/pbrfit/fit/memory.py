@@ -53,6 +53,12 @@ written."""
 WORTH_SAYING = 2**30
 """Bytes above which a fit says how much memory it needs."""
 
+CGROUP_FILES = {
+    1: ("memory/", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    2: ("", "memory.max", "memory.current", "inactive_file"),
+}
+"""Folder, files and statistic of both versions of control groups."""
+
 ROOT = Path("/")
 """Where the system's files are; tests have their own."""
 
@@ -245,25 +251,16 @@ def _groups_allow() -> list[int]:
     left = []
     for line in _lines("proc/self/cgroup"):
         _, controllers, path = line.split(":", 2)
-        if controllers == "":
-            root, limit, usage = "sys/fs/cgroup", "memory.max", "memory.current"
-            reclaimable = "inactive_file"
-        elif "memory" in controllers.split(","):
-            root, limit, usage = (
-                "sys/fs/cgroup/memory",
-                "memory.limit_in_bytes",
-                "memory.usage_in_bytes",
-            )
-            reclaimable = "total_inactive_file"
-        else:
+        if controllers and "memory" not in controllers.split(","):
             continue
-        group = Path(path.lstrip("/"))
+        root, limit, usage, reclaimable = CGROUP_FILES[2 if not controllers else 1]
+        group, root = Path(path.lstrip("/")), f"sys/fs/cgroup/{root}"
         # In a container the path may be that outside of it; then only the root is there.
         for folder in (group, *group.parents):
-            most, used = (_number(f"{root}/{folder}/{file}") for file in (limit, usage))
+            most, used = (_number(f"{root}{folder}/{file}") for file in (limit, usage))
             if most is None or used is None:
                 continue
-            statistics = dict(line.split() for line in _lines(f"{root}/{folder}/memory.stat"))
+            statistics = dict(line.split() for line in _lines(f"{root}{folder}/memory.stat"))
             # Files that were read once count as used, and are given up when memory is wanted.
             left.append(max(0, most - used + int(statistics.get(reclaimable, 0))))
     return left

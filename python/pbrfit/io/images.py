@@ -271,10 +271,7 @@ def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray
             raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or X, Y, Z")
         return np.stack(found, axis=-1).astype(np.float64)
     _refuse_layer(path, kind, layer)
-    raster, header = _decoded(path, data)
-    samples = _oriented(
-        raster.samples, raster.orientation if header is None else header.orientation
-    )
+    samples = upright(path, data)
     if samples.dtype.kind == "u":
         return samples / np.float64(np.iinfo(samples.dtype).max)
     return samples.astype(np.float64)
@@ -418,6 +415,12 @@ def _decoded(path: Path, data: bytes) -> tuple[_core.Raster, radiance.Header | N
     """What a file other than EXR holds, and the header of an HDR file."""
     header = radiance.read(data)
     return _core.decode_raster(data if header is None else header.plain, path, False), header
+
+
+def upright(path: Path, data: bytes) -> NDArray[Any]:
+    """Samples (H, W, C) of a file other than EXR, as stored, turned to how they are to be seen."""
+    raster, header = _decoded(path, data)
+    return _oriented(raster.samples, raster.orientation if header is None else header.orientation)
 
 
 def _oriented(samples: NDArray[Any], orientation: int) -> NDArray[Any]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.io.images import _load, _oriented
+from pbrfit.io.images import _load, upright
 from pbrfit.io.input_files import names_file, open_file
 from pbrfit.io.quoting import shown
 
@@ -34,7 +34,7 @@ def read_stored(path: Path) -> NDArray[Any] | Channels:
     path, data, kind = _load(path)
     if kind == "EXR":
         return _core.decode_exr(data, path)[0]
-    return _oriented(_core.decode_raster(data, path, indices=False))
+    return upright(path, data)
 
 
 @names_file

@@ -76,20 +76,15 @@ def refer(
         mean = np.maximum(albedo.mean(axis=0), settings.WHITE_ALBEDO_MIN)
         return np.log(mean / value), variance.mean(axis=0) / len(albedo)
 
-    near = window & valid
-    for _ in range(settings.WHITE_STEPS_MAX):
-        step, _ = wanted(surfaces(near), near)
-        if np.abs(step).max() < settings.WHITE_ERROR:
-            break
-        moved += _brightened(fit, step)
-    bands = surfaces(valid)
-    left, variance = wanted(bands, valid)
-    for _ in range(WHOLE_STEPS_MAX):
-        if np.abs(left).max() < settings.WHITE_ERROR:
-            break
-        moved += _brightened(fit, left)
-        bands = surfaces(valid)
-        left, variance = wanted(bands, valid)
+    for mask, most in ((window & valid, settings.WHITE_STEPS_MAX), (valid, WHOLE_STEPS_MAX)):
+        bands = surfaces(mask)
+        left, variance = wanted(bands, mask)
+        for _ in range(most):
+            if np.abs(left).max() < settings.WHITE_ERROR:
+                break
+            moved += _brightened(fit, left)
+            bands = surfaces(mask)
+            left, variance = wanted(bands, mask)
     # What all pixels left of it, by the neighbours that they are judged with.
     off = variance / value**2 + settings.WHITE_TOLERANCE**2 + left**2
     return bands, Reference(off, reference_in_words(white, len(own), np.expm1(moved)))
