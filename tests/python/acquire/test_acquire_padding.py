@@ -104,12 +104,6 @@ def test_a_scaled_picture_comes_back_where_it_was(size: tuple[int, int], limits:
     assert np.sqrt(np.mean((back.astype(float) - photo) ** 2)) < 1.2
 
 
-def test_a_network_that_shifts_by_half_a_pixel_is_measured() -> None:
-    photo = picture(200, 300).astype(np.float64)
-    moved = np.asarray(np.rint((photo[:, 1:] + photo[:, :-1]) / 2), dtype=np.uint8)
-    assert shift_between(photo[:, 1:].astype(np.uint8), moved) == pytest.approx(0.5, abs=0.05)
-
-
 def test_padding_is_the_mirror_image_on_all_sides() -> None:
     photo = picture(97, 131)
     found = frame((97, 131), FLUX2_KLEIN)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.acquire import generation_report
-from pbrfit.result.sheet import INK, MARGIN, PAPER, REFUSED, Panel
+from pbrfit.result.sheet import MARGIN, REFUSED, Panel
 
 Pixels = NDArray[np.uint8]
 
@@ -61,10 +61,3 @@ def test_a_long_reason_is_wrapped_and_stays_in_its_column() -> None:
     # The panel is 192 pixels wide, and so is its column.
     assert red.min() >= MARGIN
     assert red.max() < MARGIN + 192
-
-
-def test_a_title_stands_above_all() -> None:
-    with_title = contact_sheet(GREY, [], title="kitchen.jpg")
-    above = with_title[: rows_of(with_title, 128, 128, 128).min()]
-    assert (above == INK).all(axis=-1).any()
-    assert tuple(with_title[0, 0]) == PAPER

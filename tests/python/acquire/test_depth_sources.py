@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from command_runs import done, refused
 from pbrfit import Scene
 from pbrfit._core import InputError
-from pbrfit.acquire import depth as sources
 from pbrfit.acquire.depth import depth_anything, marigold
 from pbrfit.acquire.depth.marigold import aligned_mean
 from pbrfit.acquire.depth.offset import with_offset
@@ -227,14 +226,3 @@ def test_answers_of_depth_anything(
     assert off(found, depth).max() < 0.02
     if metric:
         np.testing.assert_allclose(found, depth, rtol=1e-6)
-
-
-def test_a_source_that_is_no_file_names_those_there_are() -> None:
-    from pbrfit.scene.reading import Surface
-
-    blank: NDArray[np.uint8] = np.zeros((4, 4, 3), np.uint8)
-    none = Surface((4, 4), FOV, None, np.ones((4, 4), bool), None)
-    with pytest.raises(InputError, match="depth: expected marigold, depth-anything, normals or"):
-        sources.estimate("midas", blank, none)
-    with pytest.raises(InputError, match="normals: expected a scene with normals"):
-        sources.estimate("normals", blank, none)

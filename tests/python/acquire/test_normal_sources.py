@@ -238,14 +238,6 @@ def test_pixels_without_a_normal_have_no_weight(tmp_path: Path) -> None:
         estimate(str(path), np.zeros((SIZE, SIZE, 3), np.uint8), fov=60, mask=nowhere)
 
 
-def test_sources_and_options_that_do_not_exist() -> None:
-    shown = np.zeros((4, 4, 3), np.uint8)
-    with pytest.raises(InputError, match="normals: expected marigold, flat, depth:FILE or FILE"):
-        estimate("guess", shown, fov=60)
-    with pytest.raises(FileNotFoundError, match=r"there\.exr"):
-        estimate("there.exr", shown, fov=60)
-
-
 # --- Uncertainty ---
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from pbrfit import InputError
 from pbrfit.acquire.review import LOG_CHANGE_MIN, Reviewer, illumination, structure
-from pbrfit.io.color import encode_srgb
 from pbrfit_evaluation.review.damage import damaged
 from pbrfit_evaluation.review.pictures import View, camera, relights
 
@@ -167,36 +166,6 @@ def test_unusable_photographs_and_pictures_are_refused_in_one_line() -> None:
         reviewer().picture(np.zeros((80, 80, 3)))
 
 
-def test_lasting_gradients_are_those_of_the_albedo() -> None:
-    """Weiss's estimate, on pictures that are albedo times an illumination that varies slowly."""
-    rng = np.random.default_rng(1)
-    row, column = np.mgrid[:64, :64] / 64
-    albedo = 0.2 + 0.5 * (np.sin(20 * row) * np.sin(16 * column) > 0)[..., None] * np.ones(3)
-    lit = [
-        albedo * np.exp(a * row + b * column)[..., None] * 0.5
-        for a, b in rng.uniform(-0.7, 0.7, (9, 2))
-    ]
-    found = structure.lasting([structure.gradients(picture) for picture in lit])
-    expected = structure.gradients(0.5 * albedo)
-    pure = expected.values / np.maximum(expected.factor, 0.3)
-    inside = np.s_[4:-4, 4:-4]
-    np.testing.assert_allclose(found.values[inside], pure[inside], atol=0.03)
-    for picture in lit:
-        share = structure.kept(structure.gradients(picture), found, (16, 16))
-        assert np.nanmin(share) > 0.9
-
-
-def test_detail_that_is_gone_is_not_kept() -> None:
-    members = [structure.gradients(picture) for picture in pictures()]
-    reference = structure.lasting(members)
-    gone = pictures()[1].copy()
-    gone[60:160, 60:160] = gone[60:160, 60:160].mean(axis=(0, 1))
-    share = structure.kept(structure.gradients(gone), reference, (64, 64))
-    honest = structure.kept(members[1], reference, (64, 64))
-    assert np.nanmin(share[22:33, 22:33]) < 0.45
-    assert np.nanmin(honest[22:33, 22:33]) > 0.8
-
-
 def test_black_and_clipped_pixels_are_no_evidence() -> None:
     members = [structure.gradients(picture) for picture in pictures()]
     reference = structure.lasting(members)
@@ -217,14 +186,6 @@ def mixtures(count: int = 8) -> Array:
     return np.asarray(albedo * np.einsum("nkc,kp->npc", shares, lights))
 
 
-def test_light_that_the_others_make_up_leaves_nothing() -> None:
-    found = mixtures()
-    used = np.ones(found.shape[:2], bool)
-    for i in range(len(found)):
-        residual = illumination.unexplained(i, found, used)
-        assert np.abs(residual).max() < 0.05
-
-
 def test_another_colour_is_mixed_and_a_shadow_is_not() -> None:
     size = (32, 32)
     used = np.ones((8, 32 * 32), bool)
@@ -242,9 +203,3 @@ def test_another_colour_is_mixed_and_a_shadow_is_not() -> None:
         assert bright.max() > 0.01
     assert most["colour"] > 0.05
     assert most["shadow"] < 0.1 * most["colour"]
-
-
-def test_the_reviewer_reads_pictures_as_the_screen_shows_them() -> None:
-    """`camera` and the 8-bit files of a run are the same."""
-    codes = np.round(255 * encode_srgb(view().pictures[1].clip(0, 1)))
-    np.testing.assert_allclose(encode_srgb(pictures()[1]), codes / 255, atol=1e-9)

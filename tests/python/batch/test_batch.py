@@ -382,10 +382,19 @@ def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what:
     assert not is_kept(result)
 
 
-@pytest.mark.parametrize("key", ["version", "files", "scene", "inputs", "options", "uncertainty"])
-def test_a_result_of_another_version_is_made_again(result: Path, key: str) -> None:
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("version", "0.0.1"),
+        ("held_out", {"error": "small"}),
+        *((key, None) for key in ("files", "scene", "inputs", "options", "uncertainty")),
+    ],
+)
+def test_a_damaged_result_or_one_of_another_version_is_made_again(
+    result: Path, key: str, value: Any
+) -> None:
     file = result / "out" / "result.json"
-    changed(file, lambda content: content.update({key: "0.0.1" if key == "version" else None}))
+    changed(file, lambda content: content.update({key: value}))
     assert not is_kept(result)
     for strange in ("[]", "3", "", "{}", '{"version": 1'):
         file.write_text(strange, "utf-8")

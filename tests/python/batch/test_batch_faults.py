@@ -173,18 +173,6 @@ def test_a_lock_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
 
 
 @POSIX
-def test_a_lock_that_becomes_a_pipe_is_not_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lock = tmp_path / "out" / place.NAME / place.LOCK
-    lock.parent.mkdir(parents=True)
-    os.mkfifo(lock)
-    monkeypatch.setattr(place, "_check_ours", lambda *_: None)
-    with pytest.raises(FileExistsError, match="no regular file"), place.of_batch(tmp_path / "out"):
-        pass
-
-
-@POSIX
 def test_only_what_batches_make_is_removed_from_their_place(tmp_path: Path) -> None:
     held = tmp_path / "out" / place.NAME
     theirs = tmp_path / "theirs"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import pbrfit
 from pbrfit import _core
 from peers import kernel, race, report
-from peers.case import BAND_OF, BANDS, Case, band_polynomials
+from peers.case import Case, band_polynomials
 from peers.machine import Machine
 from peers.outcome import Outcome, names
 from peers.race import Settings, Standing
@@ -31,11 +31,6 @@ def test_band_polynomials_are_as_close_as_stated() -> None:
     r = np.linspace(0, 1, 2001)
     found = [np.polynomial.Polynomial(c)(2 * r - 1) for c in band_polynomials()]
     np.testing.assert_allclose(np.stack(found, axis=-1), pbrfit.ggx_band_weights(r)[0], atol=3e-6)
-
-
-def test_bands_hold_their_coefficients() -> None:
-    found = [degree for degree, band in enumerate(BANDS) for _ in range(16)[band]]
-    assert found == list(BAND_OF)
 
 
 @pytest.mark.parametrize("name", [name for name in ENTRIES if name != OURS])
@@ -110,18 +105,6 @@ def test_peers_that_cannot_take_part_are_named_with_the_reason() -> None:
     assert "albedo 0.0e+00" in wrong.status
     assert fails.status == "RuntimeError: cannot open compiler.h"
     assert dies.status == "its process ended with code 3"
-
-
-def test_a_peer_that_ends_between_turns_withdraws() -> None:
-    seat = race.Seat(ENTRIES[OURS], Settings(8, 2, (1,), 2), 1)
-    try:
-        seat.ready()
-        seat._process.kill()
-        seat._process.join()
-        with pytest.raises(race.WithdrawnError, match="its process ended with code"):
-            seat.turn()
-    finally:
-        seat.leave()
 
 
 def test_tolerances_at_their_borders() -> None:

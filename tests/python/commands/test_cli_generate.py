@@ -157,9 +157,3 @@ def test_prompts_are_listed_and_saved_as_a_catalogue_to_edit(tmp_path: Path) -> 
     assert "--overwrite" in complaint("generate", "--save-prompts", mine)
     done("generate", "--save-prompts", mine, "--overwrite")
     assert read_prompts(mine) == read_prompts()
-
-
-def test_help_has_a_group_for_each_part() -> None:
-    said = done("generate", "--help")
-    for group in ("the photograph", "pictures under", "prompts", "review", "normals and segments"):
-        assert f"\n{group}" in said

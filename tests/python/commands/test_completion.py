@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from command_runs import done, refused
+from command_runs import done
 from pbrfit.commands import SUMMARIES
 from pbrfit.commands.completion import SHELLS, subcommands, whole_parser
 
@@ -63,7 +63,3 @@ def test_bash_offers(typed: str, offered: set[str], scripts: dict[str, Path]) ->
 def test_without_the_evaluation_there_are_no_suites(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pbrfit.commands.evaluate.entry_points", lambda **_: ())
     assert subcommands(subcommands(whole_parser())["evaluate"]) == {}
-
-
-def test_an_unknown_shell_is_refused() -> None:
-    assert "choose from bash, zsh, fish" in refused("completion", "tcsh")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import subprocess
 import sys
@@ -12,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from pbrfit import _core
-from pbrfit.io.output import new_folder, scratch_folder
 from scene_files import tree
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
@@ -203,16 +200,3 @@ def test_the_command_says_so_once(here: Path, number: signal.Signals) -> None:
     assert process.returncode == 128 + number
     assert stderr == "pbrfit: interrupted; no unfinished result was left behind\n"
     assert tree(here) == {"old": "", "old/old.txt": "old"}
-
-
-def test_what_is_done_is_forgotten(tmp_path: Path) -> None:
-    with scratch_folder() as folder:
-        (folder / "file").write_text("x")
-    assert not folder.exists()
-    with new_folder(tmp_path / "out"):
-        pass
-    # Numbers go up and nothing stays noted: ending now would take nothing away.
-    number = _core.unfinished(tmp_path / "none")
-    _core.finished(number)
-    _core.finished(number)
-    assert os.listdir(tmp_path) == ["out"]  # noqa: PTH208

@@ -39,6 +39,9 @@ def test_the_package_and_the_help_start_without_anything_that_takes_time() -> No
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
     assert heavy_after("from pbrfit import *", (*HEAVY, "PIL", "importlib.metadata")) == []
+    statements = "import pbrfit\npbrfit.decompose, pbrfit.Result"
+    shown = ("tqdm", "matplotlib", "PIL", "pbrfit.report", "pbrfit.export")
+    assert heavy_after(statements, shown) == []
 
 
 def test_every_public_name_is_found_and_no_other() -> None:

@@ -15,7 +15,6 @@ from pbrfit import Scene
 from pbrfit.io.images import read_data
 from pbrfit.model.geometry import angles_between
 from pbrfit.report import lamp_sheet as drawn
-from pbrfit.scene import known_lamps
 from pbrfit.scene.ball import Ball
 from scene_files import write_exr, write_folder, write_integers
 
@@ -149,23 +148,18 @@ def test_what_cannot_be_done_is_refused_in_one_line(
     assert not (folder / "lights.json").exists()
 
 
-def test_options_of_a_ball_have_no_meaning_with_a_file(folder: Path, tmp_path: Path) -> None:
+def test_options_without_meaning_and_files_of_other_pictures_are_refused(
+    folder: Path, tmp_path: Path
+) -> None:
     (tmp_path / "dome.lp").write_text(LP)
     convert = ("lights", folder, "--from", tmp_path / "dome.lp")
     assert "--albedo: has no meaning with --from" in refused(*convert, "--albedo", "0.5")
-
-
-def test_an_albedo_has_no_meaning_with_a_mirror(tmp_path: Path) -> None:
-    scene = with_ball(tmp_path / "scene", "mirror")
-    assert "--albedo: has no meaning with a mirror ball" in refused(
-        "lights", scene, "--albedo", "0.5"
-    )
-
-
-def test_a_file_of_other_pictures_is_refused(folder: Path, tmp_path: Path) -> None:
+    mirror = with_ball(tmp_path / "mirror", "mirror")
+    said = refused("lights", mirror, "--albedo", "0.5")
+    assert "--albedo: has no meaning with a mirror ball" in said
     (tmp_path / "dome.lp").write_text("1\nx 0 0 1\n")
-    said = refused("lights", folder, "--from", tmp_path / "dome.lp")
-    assert "dome.lp: expected a lamp for each of the 3 pictures, found 1" in said
+    expected = "dome.lp: expected a lamp for each of the 3 pictures, found 1"
+    assert expected in refused(*convert)
 
 
 def test_a_preview_that_cannot_be_written_leaves_no_lamps(folder: Path, tmp_path: Path) -> None:
@@ -176,27 +170,8 @@ def test_a_preview_that_cannot_be_written_leaves_no_lamps(folder: Path, tmp_path
     assert not (folder / "lights.json").exists()
 
 
-@pytest.mark.parametrize(
-    ("names", "shared"),
-    [
-        (("light_00", "light_01"), "light_"),
-        (("a", "b"), ""),
-        (("a",), ""),
-        (("IMG_1", "IMG_10"), "IMG_"),
-        (("same", "same"), ""),
-    ],
-)
-def test_labels_leave_out_what_all_names_begin_with(names: tuple[str, ...], shared: str) -> None:
-    assert drawn._shared(names) == shared
-
-
 def test_lamps_behind_are_drawn_too(tmp_path: Path) -> None:
     directions = np.array([[0, 0, 1.0], [0, 0, -1.0], [1, 0, 0]])
     png = drawn.preview(("a", "b", "c"), directions, None)
     (tmp_path / "a.png").write_bytes(png)
     assert read_data(tmp_path / "a.png").shape == (744, 744, 4)
-
-
-def test_azimuth_and_elevation() -> None:
-    found = known_lamps.angles(np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [0, 0, -1]]))
-    np.testing.assert_allclose(found, [(0, 0), (90, 0), (0, -90), (180, 0)], atol=1e-12)

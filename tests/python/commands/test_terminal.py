@@ -15,7 +15,7 @@ import pytest
 import pbrfit
 from command_runs import done, ran
 from left_out_pictures import DECISION, EXPLAINED, LAMP, SENTENCE
-from pbrfit.commands import progress, terminal
+from pbrfit.commands import progress
 from pbrfit.commands.completion import subcommands, whole_parser
 from pbrfit.commands.messages import OPTIONS, complain, in_flags
 from pbrfit.commands.scene_display import Row, batch_table
@@ -232,17 +232,6 @@ def test_a_scene_says_how_its_left_out_pictures_are_explained(
     assert [line["held_out"] is None for line in lines] == [False, True]
 
 
-def test_a_result_whose_held_out_error_is_damaged_is_not_kept(tmp_path: Path) -> None:
-    scene, out = write_folder(tmp_path / "scene"), tmp_path / "out"
-    fit = ("decompose", scene, "--out", out, "--iterations", 1, "--resume", "--json")
-    assert json.loads(done(*fit))["status"] == "done"
-    assert json.loads(done(*fit))["status"] == "kept"
-    file = out / "result.json"
-    content = json.loads(file.read_text("utf-8"))
-    file.write_text(json.dumps(content | {"held_out": {"error": "small"}}), "utf-8")
-    assert json.loads(done(*fit))["status"] == "done"
-
-
 def test_progress_in_a_pipe_is_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -285,11 +274,6 @@ def test_a_terminal_has_a_bar_and_quiet_nothing(monkeypatch: pytest.MonkeyPatch)
         with progress.progress_bar(4, quiet=True) as bar:
             bar.update(2)
         assert stream.getvalue() == ""
-
-
-def test_a_terminal_is_told_from_a_pipe() -> None:
-    assert terminal.columns_of(Stream(terminal=True)) == 80
-    assert terminal.columns_of(Stream(terminal=False)) is None
 
 
 def test_names_steer_no_terminal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -347,13 +347,10 @@ def test_nothing_is_nan_and_outside_holds_the_nearest(result: Result, tmp_path: 
     for path in (tmp_path / "out").rglob("*.exr"):
         for name, values in exr(path).items():
             assert np.isfinite(values).all(), (path, name)
-    rows, columns = np.nonzero(result.mask)
-    roughness = exr(tmp_path / "out" / "exr" / "roughness.exr")["Y"]
-    for i, j in np.argwhere(~result.mask):
-        distance = (rows - i) ** 2 + (columns - j) ** 2
-        near = distance == distance.min()
-        candidates = result.roughness.astype(np.float32)[rows[near], columns[near]]
-        assert roughness[i, j] in candidates
+    # The nearest, as the layers of a saved result are (test_result.py).
+    folder = tmp_path / "out" / "exr"
+    roughness = exr(folder / "materials.exr")["roughness.Y"]
+    np.testing.assert_array_equal(exr(folder / "roughness.exr")["Y"], roughness)
 
 
 # glTF
@@ -366,23 +363,6 @@ def test_the_glb_keeps_to_the_specification(result: Result, tmp_path: Path) -> N
         read = glb_reader.read((tmp_path / str(i) / "material.glb").read_bytes())
         assert read.document["asset"]["generator"] == f"pbrfit {version('pbrfit')}"
         assert "sRGB" in read.document["asset"]["extras"]["color_space"]
-
-
-def test_a_reader_of_glb_files_that_finds_mistakes(result: Result) -> None:
-    good = glb(Maps.of(result), result.fov)
-    glb_reader.read(good)
-    for wrong in (
-        good[:-4],
-        good.replace(b'"count":4', b'"count":3', 1),
-        good.replace(b'"max":[0.5', b'"max":[0.6', 1),
-        good.replace(b'"target":34963', b'"target":34962', 1),
-        good.replace(b'"image/png"', b'"image/jpg"', 1),
-        good.replace(b'"index":2', b'"index":3', 1),
-        good.replace(b'"byteOffset":48', b'"byteOffset":46', 1),
-    ):
-        assert wrong != good
-        with pytest.raises((AssertionError, struct.error, ValueError)):
-            glb_reader.read(wrong)
 
 
 def test_glb_textures_are_the_maps_in_their_channels(result: Result) -> None:
@@ -758,6 +738,9 @@ def test_export_prints_what_it_wrote(folder: Path, tmp_path: Path) -> None:
         ({"format": "mtlx", "preset": "blender"}, "preset: expected none with format mtlx"),
         ({"format": "gltf", "normals": "directx"}, "normals: expected opengl, the convention"),
         ({"format": "exr", "bits": 8}, "bits: expected none with format exr"),
+        ({"format": "ply", "bits": 8}, "bits: expected none with format ply, found 8"),
+        ({"format": "ptm", "bits": 8}, "bits: expected none with format ptm, found 8"),
+        ({"format": "ply", "normals": "directx"}, "normals: expected none with format ply"),
         ({"preset": "unity", "geometry": "facets"}, "geometry: expected none where no glTF"),
         *(
             ({name: "tiff"}, f"{name}: expected one of .*, found 'tiff'")
@@ -847,11 +830,7 @@ def test_points_as_another_reader_sees_them(result: Result, tmp_path: Path) -> N
         assert point["metallic"] == pytest.approx(result.metallic[i, j])
 
 
-def test_points_need_depth_and_take_no_options_of_textures(result: Result, tmp_path: Path) -> None:
+def test_points_need_depth(result: Result, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected a result with depth for ply, found one without"):
         export_result(result, tmp_path / "out", format="ply")
     assert not (tmp_path / "out").exists()
-    with pytest.raises(InputError, match="bits: expected none with format ply, found 8"):
-        export_result(result, tmp_path / "out", format="ply", bits=8)
-    with pytest.raises(InputError, match="normals: expected none with format ply, found directx"):
-        export_result(result, tmp_path / "out", format="ply", normals="directx")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from command_runs import done, refused
+from command_runs import done
 from pbrfit import InputError, Result, relight
 from pbrfit.export import export_result
 from pbrfit.export.rti import basis, directions, lp, ptm
@@ -189,11 +189,6 @@ def test_a_texture_map_as_a_command_writes_it(result: Result, tmp_path: Path) ->
     said = done("export", tmp_path / "result", "--out", tmp_path / "out", "--format", "ptm")
     assert "relit.ptm" in said
     assert (tmp_path / "out" / "relit.ptm").read_bytes() == ptm(Result.load(tmp_path / "result"))[0]
-    message = refused(
-        *("export", tmp_path / "result", "--out", tmp_path / "other"),
-        *("--format", "ptm", "--bits", 8),
-    )
-    assert "bits: expected none with format ptm, found 8" in message
 
 
 def test_black_surfaces_have_a_texture_map(result: Result) -> None:

@@ -86,13 +86,6 @@ def test_the_document_is_sound_and_its_files_are_there(
     ]
 
 
-def test_the_list_of_files_has_it(result: Result, tmp_path: Path) -> None:
-    exported(result, tmp_path, "opengl", False)
-    told = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))
-    assert "material.mtlx" in {file["path"] for file in told["files"]}
-    assert told["model"] == result.model
-
-
 @pytest.mark.skipif(not os.environ.get(VARIABLE), reason=f"{VARIABLE} is not set")
 @pytest.mark.parametrize(("normals", "masked"), CASES)
 def test_materialx_finds_every_definition_and_makes_shaders(

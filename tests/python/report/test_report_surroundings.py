@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from pbrfit.report.surroundings import CAMERA, LINE, SEEN, plan_key, plan_view
+from pbrfit.report.surroundings import LINE, SEEN, plan_view
 from pbrfit.transport.scenery import Scenery
 from small_worlds import ball_alone, box_room
 
@@ -42,9 +42,3 @@ def test_a_thing_without_walls_can_be_drawn() -> None:
     for view in (above, side):
         ET.fromstring(view)
         assert np.isfinite(float(re.findall(r'height="(\d+)"', view)[0]))
-
-
-def test_the_key_names_every_colour() -> None:
-    key = plan_key()
-    assert key.count("patch") == 5
-    assert CAMERA in key

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,6 +62,13 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def furnished() -> Result:
     return room()
+
+
+@pytest.fixture
+def view(browser: Browser, furnished: Result, tmp_path: Path) -> Iterator[View]:
+    """The view of the furnished room, beside its pictures."""
+    with opened(browser, furnished, tmp_path, tiles=tiles_of(furnished)) as found:
+        yield found
 
 
 def of_model(result: Result, model: Model) -> Result:
@@ -123,9 +129,6 @@ def test_every_recovered_light_gives_the_pixels_of_the_package(
             largest, mean = difference(view.saved(), true)
             assert largest <= AT_MOST, name
             assert mean < 0.1
-        turned = rotated(result.lighting[1], -130)
-        address = f"light={result.pictures[1]}&rotate=-130&exposure=0.5"
-        assert shown_off(view, address, result, turned, exposure=0.5) <= AT_MOST
 
 
 LAMPS = [(-35, 35), (60, -20), (10, 85), (120, 20)]
@@ -160,7 +163,7 @@ def test_a_lamp_gives_the_pixels_of_the_package(
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_ambient_light_around_the_lamp_is_the_mean_of_the_recovered_lights(
+def test_ambient_light_is_the_mean_of_the_recovered_lights_and_a_lamp_may_be_soft(
     browser: Browser, furnished: Result, tmp_path: Path, model: Model
 ) -> None:
     result = of_model(furnished, model)
@@ -173,6 +176,9 @@ def test_ambient_light_around_the_lamp_is_the_mean_of_the_recovered_lights(
         lights = [DirectionalLight(70, 0), 0.5 * mean]
         address = "azimuth=70&elevation=0&ambient=0.5"
         assert shown_off(view, address, result, lights) <= AT_MOST
+        soft = DirectionalLight(40, 20, softness=25)
+        address = "azimuth=40&elevation=20&ambient=0&softness=25"
+        assert shown_off(view, address, result, soft) <= AT_MOST
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -196,21 +202,20 @@ def test_a_picture_that_was_lit_by_lamps_is_shown_under_them(
 
 
 def test_turned_lights_and_tone_maps_give_the_pixels_of_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path
+    view: View, furnished: Result
 ) -> None:
     tones: tuple[ToneMap, ...] = ("none", "neutral")
-    with opened(browser, furnished, tmp_path) as view:
-        for degrees in (25.0, -170.5, 90.0):
-            light = rotated(furnished.lighting[1], degrees)
-            here = f"light={furnished.pictures[1]}&rotate={degrees}"
-            address = f"{here}&exposure=0.25"
-            assert shown_off(view, address, furnished, light, exposure=0.25) <= AT_MOST
-            assert shown_off(view, f"{here}&tilt=-35", furnished, tilted(light, -35)) <= AT_MOST
-        light = furnished.lighting[0]
-        for tone_map, exposure in itertools.product(tones, (-2.0, 1.5)):
-            address = f"light={furnished.pictures[0]}&exposure={exposure}&tone={tone_map}"
-            of: dict[str, Any] = {"exposure": exposure, "tone_map": tone_map}
-            assert shown_off(view, address, furnished, light, **of) <= AT_MOST
+    for degrees in (25.0, -170.5, 90.0):
+        light = rotated(furnished.lighting[1], degrees)
+        here = f"light={furnished.pictures[1]}&rotate={degrees}"
+        address = f"{here}&exposure=0.25"
+        assert shown_off(view, address, furnished, light, exposure=0.25) <= AT_MOST
+        assert shown_off(view, f"{here}&tilt=-35", furnished, tilted(light, -35)) <= AT_MOST
+    light = furnished.lighting[0]
+    for tone_map, exposure in itertools.product(tones, (-2.0, 1.5)):
+        address = f"light={furnished.pictures[0]}&exposure={exposure}&tone={tone_map}"
+        of: dict[str, Any] = {"exposure": exposure, "tone_map": tone_map}
+        assert shown_off(view, address, furnished, light, **of) <= AT_MOST
 
 
 @pytest.mark.parametrize(
@@ -246,30 +251,30 @@ def test_roughness_and_metallic_are_added_and_kept_in_range(
             assert off <= AT_MOST, address
 
 
-def test_large_maps_are_averaged_down(browser: Browser, tmp_path: Path) -> None:
-    holes = np.arange(150 * 211).reshape(150, 211) % 7 > 0
-    check_averaged(browser, made(150, 211, mask=holes, fov=40.0), tmp_path, 100, (71, 100, 4))
+HOLES = np.arange(150 * 211).reshape(150, 211) % 7 > 0
 
 
-@pytest.mark.slow
-def test_the_largest_maps_there_are_are_averaged_down(browser: Browser, tmp_path: Path) -> None:
-    check_averaged(browser, made(700, 1400), tmp_path, 1024, (512, 1024, 4))
-
-
-def test_maps_of_more_than_1024_pixels_are_kept(browser: Browser, tmp_path: Path) -> None:
-    check_averaged(browser, made(60, 1500), tmp_path, 4096, (60, 1500, 4))
-
-
-def check_averaged(
-    browser: Browser, result: Result, folder: Path, max_side: int, shape: tuple[int, ...]
+@pytest.mark.parametrize(
+    ("size", "options", "max_side", "shape"),
+    [
+        ((150, 211), {"mask": HOLES, "fov": 40.0}, 100, (71, 100, 4)),
+        pytest.param((700, 1400), {}, 1024, (512, 1024, 4), marks=pytest.mark.slow),
+        ((60, 1500), {}, 4096, (60, 1500, 4)),
+    ],
+)
+def test_maps_are_averaged_down_to_the_largest_side(
+    browser: Browser,
+    tmp_path: Path,
+    size: tuple[int, int],
+    options: dict[str, Any],
+    max_side: int,
+    shape: tuple[int, ...],
 ) -> None:
-    with opened(browser, result, folder, max_side=max_side) as view:
-        view.go(f"light={result.pictures[0]}")
+    result = made(*size, **options)
+    address, light = f"light={result.pictures[0]}", result.lighting[0]
+    with opened(browser, result, tmp_path, max_side=max_side) as view:
+        assert shown_off(view, address, result, light, max_side=max_side) <= AT_MOST
         assert view.saved().shape == shape
-        off = shown_off(
-            view, f"light={result.pictures[0]}", result, result.lighting[0], max_side=max_side
-        )
-        assert off <= AT_MOST
 
 
 def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
@@ -289,19 +294,18 @@ def test_maps_can_be_looked_at(browser: Browser, tmp_path: Path) -> None:
             assert difference(view.saved(), coded(pixels, BAND_MASK))[0] <= 1, name
 
 
-def test_the_picture_can_be_saved(browser: Browser, furnished: Result, tmp_path: Path) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        view.adjust()
-        view.choose(furnished.pictures[0])
-        view.control("rotate").fill("-20")
-        wait_until(view.page, "location.hash.includes('rotate=-20')")
-        with view.page.expect_download() as download:
-            view.page.get_by_role("button", name="Save PNG").click()
-        assert download.value.suggested_filename == f"relit-{furnished.pictures[0]}--20.png"
-        found = pixels_of_png(Path(download.value.path()).read_bytes())
-        light = rotated(furnished.lighting[0], -20)
-        true = expected(furnished, light, exposure=view.automatic(), tone_map="neutral")
-        assert difference(found, true)[0] <= AT_MOST
+def test_the_picture_can_be_saved(view: View, furnished: Result) -> None:
+    view.adjust()
+    view.choose(furnished.pictures[0])
+    view.control("rotate").fill("-20")
+    wait_until(view.page, "location.hash.includes('rotate=-20')")
+    with view.page.expect_download() as download:
+        view.page.get_by_role("button", name="Save PNG").click()
+    assert download.value.suggested_filename == f"relit-{furnished.pictures[0]}--20.png"
+    found = pixels_of_png(Path(download.value.path()).read_bytes())
+    light = rotated(furnished.lighting[0], -20)
+    true = expected(furnished, light, exposure=view.automatic(), tone_map="neutral")
+    assert difference(found, true)[0] <= AT_MOST
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -338,18 +342,6 @@ def test_a_panorama_from_a_file_lights_as_the_package_has_it(
         view.choose(f"{name}.hdr")
         view.control("rotate").fill("0")
         assert off(light) <= AT_MOST
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_a_soft_lamp_is_that_of_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path, model: Model
-) -> None:
-    furnished = of_model(furnished, model)
-    with opened(browser, furnished, tmp_path) as view:
-        view.go("azimuth=40&elevation=20&ambient=0&softness=25")
-        lamp = DirectionalLight(40, 20, softness=25)
-        true = expected(furnished, lamp, exposure=view.automatic(), tone_map="neutral")
-        assert difference(view.saved(), true)[0] <= AT_MOST
 
 
 def hdr(rows: bytes, width: int = 8, height: int = 4, header: bytes = b"") -> bytes:
@@ -395,29 +387,26 @@ def old_runs(row: NDArray[np.uint8]) -> bytes:
     return coded_row
 
 
-def test_every_kind_of_radiance_file_is_read_as_by_the_package(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
+def test_every_kind_of_radiance_file_is_read_as_by_the_package(view: View, tmp_path: Path) -> None:
     coders: dict[str, tuple[int, Callable[[NDArray[np.uint8]], bytes]]] = {
         "as it is": (14, lambda row: row.tobytes()),
         "runs": (16, runs),
         "old runs": (18, old_runs),
     }
-    with opened(browser, furnished, tmp_path) as view:
-        for kind, (width, coder) in coders.items():
-            rows = pixels_of(width, width // 2)
-            content = hdr(b"".join(coder(row) for row in rows), width, width // 2, b"EXPOSURE=2\n")
-            file = tmp_path / f"ünit {kind}.hdr"
-            file.write_bytes(content)
-            levels = Environment.read(file).blurred.levels()
-            assert view.open(file) == f"{file.name}: {width} × {width // 2}."
-            found = view.page.evaluate(
-                "(({ view }) => [...view.opened.environment.levels.slice(2), "
-                "...view.opened.environment.hemispheres].map(({ texels }) => Array.from(texels)))"
-                "(document.querySelector('.relight-view'))"
-            )
-            for ours, theirs in zip(levels[2:], found, strict=True):
-                np.testing.assert_allclose(np.ravel(ours), theirs, rtol=2e-5)
+    for kind, (width, coder) in coders.items():
+        rows = pixels_of(width, width // 2)
+        content = hdr(b"".join(coder(row) for row in rows), width, width // 2, b"EXPOSURE=2\n")
+        file = tmp_path / f"ünit {kind}.hdr"
+        file.write_bytes(content)
+        levels = Environment.read(file).blurred.levels()
+        assert view.open(file) == f"{file.name}: {width} × {width // 2}."
+        found = view.page.evaluate(
+            "(({ view }) => [...view.opened.environment.levels.slice(2), "
+            "...view.opened.environment.hemispheres].map(({ texels }) => Array.from(texels)))"
+            "(document.querySelector('.relight-view'))"
+        )
+        for ours, theirs in zip(levels[2:], found, strict=True):
+            np.testing.assert_allclose(np.ravel(ours), theirs, rtol=2e-5)
 
 
 GOOD = b"".join(runs(row) for row in pixels_of(16, 8))
@@ -447,20 +436,19 @@ BROKEN = {
 
 
 def test_broken_panoramas_are_refused_in_words_and_change_nothing(
-    browser: Browser, furnished: Result, tmp_path: Path
+    view: View, furnished: Result, tmp_path: Path
 ) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        before = view.saved()
-        for name, (content, message) in BROKEN.items():
-            file = tmp_path / f"{name}.hdr"
-            file.write_bytes(content)
-            said = view.open(file)
-            assert said.startswith(f"{name}.hdr: ")
-            assert message in said
-        np.testing.assert_array_equal(view.saved(), before)
-        assert view.state()["light"] == ""
-        tiles = view.page.locator("input[name=light]").count()
-        assert tiles == 1 + len(furnished.pictures)
+    before = view.saved()
+    for name, (content, message) in BROKEN.items():
+        file = tmp_path / f"{name}.hdr"
+        file.write_bytes(content)
+        said = view.open(file)
+        assert said.startswith(f"{name}.hdr: ")
+        assert message in said
+    np.testing.assert_array_equal(view.saved(), before)
+    assert view.state()["light"] == ""
+    tiles = view.page.locator("input[name=light]").count()
+    assert tiles == 1 + len(furnished.pictures)
 
 
 def grey_rows(width: int) -> bytes:
@@ -470,269 +458,229 @@ def grey_rows(width: int) -> bytes:
     return row * (width // 2)
 
 
-@pytest.mark.slow
-def test_a_small_file_of_many_pixels_takes_hardly_longer(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    """49 kB are 8192 × 4096 pixels."""
-    seconds = []
-    for width in (1024, 8192):
-        file = tmp_path / f"{width}.hdr"
-        file.write_bytes(hdr(grey_rows(width), width, width // 2))
-        with opened(browser, furnished, tmp_path) as view:
-            began = time.monotonic()
-            assert view.open(file) == f"{width}.hdr: {width} × {width // 2}."
-            seconds.append(time.monotonic() - began)
-    assert seconds[1] < 1.5 * seconds[0] + 2
-
-
-def test_a_panorama_that_takes_too_long_is_refused(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
+def test_a_panorama_that_takes_too_long_is_refused(view: View, tmp_path: Path) -> None:
     file = tmp_path / "slow.hdr"
     file.write_bytes(hdr(grey_rows(1024), 1024, 512))
-    with opened(browser, furnished, tmp_path) as view:
-        view.page.evaluate(
-            """() => {
-                const now = performance.now.bind(performance);
-                let slow = 0;
-                performance.now = () => now() + 1000 * slow++;
-            }"""
-        )
-        assert view.open(file).startswith(
-            "slow.hdr: expected a panorama that is read within 20 s, found 1024 × 512 pixels"
-        )
-        assert view.state()["light"] == ""
+    view.page.evaluate(
+        """() => {
+            const now = performance.now.bind(performance);
+            let slow = 0;
+            performance.now = () => now() + 1000 * slow++;
+        }"""
+    )
+    assert view.open(file).startswith(
+        "slow.hdr: expected a panorama that is read within 20 s, found 1024 × 512 pixels"
+    )
+    assert view.state()["light"] == ""
 
 
-def test_a_panorama_can_be_dropped_on_the_picture(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
+def test_a_panorama_can_be_dropped_on_the_picture(view: View) -> None:
     content = hdr(GOOD, 16, 8)
-    with opened(browser, furnished, tmp_path) as view:
-        transfer = view.page.evaluate_handle(
-            """bytes => {
-                const transfer = new DataTransfer();
-                transfer.items.add(new File([new Uint8Array(bytes)], "dropped.hdr"));
-                return transfer;
-            }""",
-            list(content),
-        )
-        canvas = view.page.locator(".relight-canvas")
-        canvas.dispatch_event("dragover", {"dataTransfer": transfer})
-        assert view.page.locator(".relight-drop").is_visible()
-        canvas.dispatch_event("drop", {"dataTransfer": transfer})
-        wait_until(
-            view.page,
-            "document.querySelector('.relight-message').textContent.startsWith('dropped.hdr: 16')",
-        )
-        assert not view.page.locator(".relight-drop").is_visible()
-        assert view.state()["light"] == "dropped.hdr"
+    transfer = view.page.evaluate_handle(
+        """bytes => {
+            const transfer = new DataTransfer();
+            transfer.items.add(new File([new Uint8Array(bytes)], "dropped.hdr"));
+            return transfer;
+        }""",
+        list(content),
+    )
+    canvas = view.page.locator(".relight-canvas")
+    canvas.dispatch_event("dragover", {"dataTransfer": transfer})
+    assert view.page.locator(".relight-drop").is_visible()
+    canvas.dispatch_event("drop", {"dataTransfer": transfer})
+    wait_until(
+        view.page,
+        "document.querySelector('.relight-message').textContent.startsWith('dropped.hdr: 16')",
+    )
+    assert not view.page.locator(".relight-drop").is_visible()
+    assert view.state()["light"] == "dropped.hdr"
 
 
-def test_the_lamp_goes_where_the_pointer_is(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        box = view.box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        mouse = view.page.mouse
-        mouse.move(x, y)
-        mouse.down()
-        assert view.state()["azimuth"] == pytest.approx(0, abs=0.2)
-        mouse.move(x + box["width"] / 4, y, steps=3)
-        assert view.state()["azimuth"] == pytest.approx(44, abs=0.2)
-        mouse.move(x, y - box["height"] / 4, steps=3)
-        mouse.up()
-        mouse.move(x, y)
-        placed = view.state()
-        assert placed["elevation"] == pytest.approx(44, abs=0.2)
-        lamp = DirectionalLight(placed["azimuth"], placed["elevation"])
-        wait_until(view.page, "location.hash.includes('elevation')")
-        address = view.page.url.partition("#")[2]
-        assert shown_off(view, f"{address}&ambient=0", furnished, lamp) <= AT_MOST
-        # Beside the picture it stays at the edge.
-        box = view.box()
-        mouse.move(box["x"] - 40, y)
-        mouse.down()
-        mouse.up()
-        assert view.state()["azimuth"] == pytest.approx(-88, abs=0.2)
-        view.go(f"{address}&ambient=0.1")
-        view.saved()
-        # A mark shows where it is.
-        mark = view.page.locator(".relight-lamp").bounding_box()
-        assert mark is not None
-        box = view.box()
-        place = [(mark[a] + mark["width"] / 2 - box[a]) / box["width"] for a in ("x", "y")]
-        assert place == pytest.approx([0.5, 0.25], abs=0.005)
+def test_the_lamp_goes_where_the_pointer_is(view: View, furnished: Result) -> None:
+    box = view.box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    mouse = view.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    assert view.state()["azimuth"] == pytest.approx(0, abs=0.2)
+    mouse.move(x + box["width"] / 4, y, steps=3)
+    assert view.state()["azimuth"] == pytest.approx(44, abs=0.2)
+    mouse.move(x, y - box["height"] / 4, steps=3)
+    mouse.up()
+    mouse.move(x, y)
+    placed = view.state()
+    assert placed["elevation"] == pytest.approx(44, abs=0.2)
+    lamp = DirectionalLight(placed["azimuth"], placed["elevation"])
+    wait_until(view.page, "location.hash.includes('elevation')")
+    address = view.page.url.partition("#")[2]
+    assert shown_off(view, f"{address}&ambient=0", furnished, lamp) <= AT_MOST
+    # Beside the picture it stays at the edge.
+    box = view.box()
+    mouse.move(box["x"] - 40, y)
+    mouse.down()
+    mouse.up()
+    assert view.state()["azimuth"] == pytest.approx(-88, abs=0.2)
+    view.go(f"{address}&ambient=0.1")
+    view.saved()
+    # A mark shows where it is.
+    mark = view.page.locator(".relight-lamp").bounding_box()
+    assert mark is not None
+    box = view.box()
+    place = [(mark[a] + mark["width"] / 2 - box[a]) / box["width"] for a in ("x", "y")]
+    assert place == pytest.approx([0.5, 0.25], abs=0.005)
 
 
-def test_a_drag_turns_the_light_of_a_picture(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        view.choose(furnished.pictures[0])
-        box = view.box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        mouse = view.page.mouse
-        mouse.move(x, y)
-        mouse.down()
-        mouse.move(x + box["width"] / 4, y - box["width"] / 8, steps=5)
-        mouse.up()
-        mouse.move(x, y)
-        turned = view.state()
-        assert turned["rotate"] == pytest.approx(45, abs=0.5)
-        assert turned["tilt"] == pytest.approx(22.5, abs=0.5)
-        light = tilted(rotated(furnished.lighting[0], turned["rotate"]), turned["tilt"])
-        true = expected(furnished, light, exposure=view.automatic(), tone_map="neutral")
-        assert difference(view.saved(), true)[0] <= AT_MOST
+def test_a_drag_turns_the_light_of_a_picture(view: View, furnished: Result) -> None:
+    view.choose(furnished.pictures[0])
+    box = view.box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    mouse = view.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + box["width"] / 4, y - box["width"] / 8, steps=5)
+    mouse.up()
+    mouse.move(x, y)
+    turned = view.state()
+    assert turned["rotate"] == pytest.approx(45, abs=0.5)
+    assert turned["tilt"] == pytest.approx(22.5, abs=0.5)
+    light = tilted(rotated(furnished.lighting[0], turned["rotate"]), turned["tilt"])
+    true = expected(furnished, light, exposure=view.automatic(), tone_map="neutral")
+    assert difference(view.saved(), true)[0] <= AT_MOST
 
 
-def test_keys_move_the_light_and_home_brings_it_back(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        view.page.locator(".relight-canvas").focus()
-        keys = ("ArrowRight", "ArrowRight", "Shift+ArrowLeft", "ArrowUp", "Shift+ArrowDown")
-        for key in keys:
-            view.page.keyboard.press(key)
-        assert (view.state()["azimuth"], view.state()["elevation"]) == (-35 + 9, 35 + 4)
-        view.page.keyboard.press("Home")
-        assert (view.state()["azimuth"], view.state()["elevation"]) == (-35, 35)
-        view.page.keyboard.press("]")
-        assert view.state()["light"] == furnished.pictures[0]
-        for key in keys:
-            view.page.keyboard.press(key)
-        assert (view.state()["rotate"], view.state()["tilt"]) == (9, 4)
-        wait_until(view.page, "document.querySelector('[name=rotate]').value === '9'")
-        assert view.control("rotate").get_attribute("aria-valuetext") == "+9°"
-        view.page.keyboard.press("Home")
-        assert (view.state()["rotate"], view.state()["tilt"]) == (0, 0)
-        for _ in range(37):
-            view.page.keyboard.press("ArrowRight")
-            view.page.keyboard.press("ArrowUp")
-        assert (view.state()["rotate"], view.state()["tilt"]) == (-175, 90)
-        view.adjust()
-        for end in (180, -180):
-            view.control("rotate").fill(str(end))
-            assert view.state()["rotate"] == end
-        view.go("rotate=725")
-        assert view.state()["rotate"] == 5
+def test_keys_move_the_light_and_home_brings_it_back(view: View, furnished: Result) -> None:
+    view.page.locator(".relight-canvas").focus()
+    keys = ("ArrowRight", "ArrowRight", "Shift+ArrowLeft", "ArrowUp", "Shift+ArrowDown")
+    for key in keys:
+        view.page.keyboard.press(key)
+    assert (view.state()["azimuth"], view.state()["elevation"]) == (-35 + 9, 35 + 4)
+    view.page.keyboard.press("Home")
+    assert (view.state()["azimuth"], view.state()["elevation"]) == (-35, 35)
+    view.page.keyboard.press("]")
+    assert view.state()["light"] == furnished.pictures[0]
+    for key in keys:
+        view.page.keyboard.press(key)
+    assert (view.state()["rotate"], view.state()["tilt"]) == (9, 4)
+    wait_until(view.page, "document.querySelector('[name=rotate]').value === '9'")
+    assert view.control("rotate").get_attribute("aria-valuetext") == "+9°"
+    view.page.keyboard.press("Home")
+    assert (view.state()["rotate"], view.state()["tilt"]) == (0, 0)
+    for _ in range(37):
+        view.page.keyboard.press("ArrowRight")
+        view.page.keyboard.press("ArrowUp")
+    assert (view.state()["rotate"], view.state()["tilt"]) == (-175, 90)
+    view.adjust()
+    for end in (180, -180):
+        view.control("rotate").fill(str(end))
+        assert view.state()["rotate"] == end
+    view.go("rotate=725")
+    assert view.state()["rotate"] == 5
 
 
-def test_keys_do_everything(browser: Browser, furnished: Result, tmp_path: Path) -> None:
+def test_keys_do_everything(view: View, furnished: Result) -> None:
     def stage(name: str) -> Any:
         return view.page.evaluate(f"document.querySelector('.relight-view').view.stage.{name}")
 
-    with opened(browser, furnished, tmp_path, tiles=tiles_of(furnished)) as view:
-        press = view.page.keyboard.press
-        for number, shown in enumerate(VIEWS, start=1):
-            press(str(number))
-            assert view.state()["view"] == shown
-        press("1")
-        press("+")
-        assert stage("zoom") == 1.25
-        view.page.locator(".relight-canvas").focus()
-        press("h")
-        before = stage("at[0]")
-        press("ArrowRight")
-        view.page.wait_for_timeout(50)
-        assert stage("at[0]") != before
-        press("h")
-        press("0")
-        assert stage("zoom") == 1
-        press("c")
-        assert view.state()["picture"] == furnished.pictures[0]
-        press("]")  # the picture of the light is compared with
-        press("]")
-        assert view.state()["picture"] == view.state()["light"] == furnished.pictures[1]
-        press("c")
-        assert view.state()["picture"] == ""
-        press("l")
-        assert view.state()["light"] == ""
-        press("a")
-        assert view.page.locator(".relight-panel").is_visible()
-        press("a")
-        press("?")
-        assert view.page.locator(".relight-keys").is_visible()
-        press("Escape")
-        assert not view.page.locator(".relight-keys").is_visible()
-        press("r")
-        wait_until(view.page, "location.hash === ''")
+    press = view.page.keyboard.press
+    for number, shown in enumerate(VIEWS, start=1):
+        press(str(number))
+        assert view.state()["view"] == shown
+    press("1")
+    press("+")
+    assert stage("zoom") == 1.25
+    view.page.locator(".relight-canvas").focus()
+    press("h")
+    before = stage("at[0]")
+    press("ArrowRight")
+    view.page.wait_for_timeout(50)
+    assert stage("at[0]") != before
+    press("h")
+    press("0")
+    assert stage("zoom") == 1
+    press("c")
+    assert view.state()["picture"] == furnished.pictures[0]
+    press("]")  # the picture of the light is compared with
+    press("]")
+    assert view.state()["picture"] == view.state()["light"] == furnished.pictures[1]
+    press("c")
+    assert view.state()["picture"] == ""
+    press("l")
+    assert view.state()["light"] == ""
+    press("a")
+    assert view.page.locator(".relight-panel").is_visible()
+    press("a")
+    press("?")
+    assert view.page.locator(".relight-keys").is_visible()
+    press("Escape")
+    assert not view.page.locator(".relight-keys").is_visible()
+    press("r")
+    wait_until(view.page, "location.hash === ''")
 
 
-def test_the_wheel_zooms_about_the_pointer_and_the_hand_moves_the_picture(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path) as view:
+def test_the_wheel_zooms_about_the_pointer_and_the_hand_moves_the_picture(view: View) -> None:
 
-        def under(x: float, y: float) -> tuple[float, float]:
-            box = view.box()
-            return (x - box["x"]) / box["width"], (y - box["y"]) / box["height"]
-
+    def under(x: float, y: float) -> tuple[float, float]:
         box = view.box()
-        x, y = box["x"] + 0.3 * box["width"], box["y"] + 0.6 * box["height"]
-        view.page.mouse.move(x, y)
-        for _ in range(4):
-            view.page.mouse.wheel(0, -200)
-        view.page.wait_for_timeout(50)
-        assert view.box()["width"] > 2 * box["width"]
-        assert under(x, y) == pytest.approx((0.3, 0.6), abs=0.01)
-        lamp = view.state()["azimuth"]
-        view.page.get_by_role("button", name="Move the picture").click()
-        view.page.mouse.move(x, y)
-        view.page.mouse.down()
-        view.page.mouse.move(x + 40, y + 25, steps=3)
-        view.page.mouse.up()
-        assert under(x + 40, y + 25) == pytest.approx((0.3, 0.6), abs=0.01)
-        assert view.state()["azimuth"] == lamp
-        view.page.mouse.dblclick(x, y)
-        assert view.box() == pytest.approx(box, abs=0.5)
-        # The picture is the same whatever is seen of it.
-        assert view.saved().shape == (24, 24, 4)
+        return (x - box["x"]) / box["width"], (y - box["y"]) / box["height"]
+
+    box = view.box()
+    x, y = box["x"] + 0.3 * box["width"], box["y"] + 0.6 * box["height"]
+    view.page.mouse.move(x, y)
+    for _ in range(4):
+        view.page.mouse.wheel(0, -200)
+    view.page.wait_for_timeout(50)
+    assert view.box()["width"] > 2 * box["width"]
+    assert under(x, y) == pytest.approx((0.3, 0.6), abs=0.01)
+    lamp = view.state()["azimuth"]
+    view.page.get_by_role("button", name="Move the picture").click()
+    view.page.mouse.move(x, y)
+    view.page.mouse.down()
+    view.page.mouse.move(x + 40, y + 25, steps=3)
+    view.page.mouse.up()
+    assert under(x + 40, y + 25) == pytest.approx((0.3, 0.6), abs=0.01)
+    assert view.state()["azimuth"] == lamp
+    view.page.mouse.dblclick(x, y)
+    assert view.box() == pytest.approx(box, abs=0.5)
+    # The picture is the same whatever is seen of it.
+    assert view.saved().shape == (24, 24, 4)
 
 
-def test_a_picture_is_compared_up_to_a_border_that_moves(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path, tiles=tiles_of(furnished)) as view:
-        border = view.page.get_by_role("slider", name="Border between picture and relit")
-        assert not border.is_visible()
-        view.page.get_by_role("button", name="Compare with a picture").click()
-        assert border.get_attribute("aria-valuenow") == "50"
-        before = view.page.locator(".relight-before")
-        assert before.is_visible()
-        box = view.box()
-        middle = border.bounding_box()
-        assert middle is not None
-        assert middle["x"] + middle["width"] / 2 == pytest.approx(
-            box["x"] + box["width"] / 2, abs=1
-        )
-        border.focus()
-        view.page.keyboard.press("ArrowRight")
-        assert border.get_attribute("aria-valuenow") == "52"
-        lamp = view.state()["azimuth"]
-        view.page.keyboard.press("Home")
-        assert border.get_attribute("aria-valuenow") == "0"
-        assert view.state()["azimuth"] == lamp
-        y = middle["y"] + middle["height"] / 2
-        view.page.mouse.move(box["x"], y)
-        view.page.mouse.down()
-        view.page.mouse.move(box["x"] + 0.25 * box["width"], y, steps=3)
-        view.page.mouse.up()
-        assert border.get_attribute("aria-valuenow") == "25"
-        assert "inset(0" in before.evaluate("image => image.style.clipPath")
-        wait_until(view.page, "location.hash.includes('picture=')")
-        # Any picture can be chosen.
-        view.adjust()
-        view.control("picture").select_option(furnished.pictures[2])
-        wait_until(
-            view.page,
-            "name => document.querySelector('.relight-before').alt === `Picture ${name}`",
-            arg=furnished.pictures[2],
-        )
-        view.control("picture").select_option("")
-        wait_until(view.page, "document.querySelector('.relight-before').hidden")
+def test_a_picture_is_compared_up_to_a_border_that_moves(view: View, furnished: Result) -> None:
+    border = view.page.get_by_role("slider", name="Border between picture and relit")
+    assert not border.is_visible()
+    view.page.get_by_role("button", name="Compare with a picture").click()
+    assert border.get_attribute("aria-valuenow") == "50"
+    before = view.page.locator(".relight-before")
+    assert before.is_visible()
+    box = view.box()
+    middle = border.bounding_box()
+    assert middle is not None
+    assert middle["x"] + middle["width"] / 2 == pytest.approx(box["x"] + box["width"] / 2, abs=1)
+    border.focus()
+    view.page.keyboard.press("ArrowRight")
+    assert border.get_attribute("aria-valuenow") == "52"
+    lamp = view.state()["azimuth"]
+    view.page.keyboard.press("Home")
+    assert border.get_attribute("aria-valuenow") == "0"
+    assert view.state()["azimuth"] == lamp
+    y = middle["y"] + middle["height"] / 2
+    view.page.mouse.move(box["x"], y)
+    view.page.mouse.down()
+    view.page.mouse.move(box["x"] + 0.25 * box["width"], y, steps=3)
+    view.page.mouse.up()
+    assert border.get_attribute("aria-valuenow") == "25"
+    assert "inset(0" in before.evaluate("image => image.style.clipPath")
+    wait_until(view.page, "location.hash.includes('picture=')")
+    # Any picture can be chosen.
+    view.adjust()
+    view.control("picture").select_option(furnished.pictures[2])
+    wait_until(
+        view.page,
+        "name => document.querySelector('.relight-before').alt === `Picture ${name}`",
+        arg=furnished.pictures[2],
+    )
+    view.control("picture").select_option("")
+    wait_until(view.page, "document.querySelector('.relight-before').hidden")
 
 
 def test_without_pictures_nothing_is_compared(
@@ -768,52 +716,49 @@ def test_deviations_are_shown_where_there_are_some(
         assert view.state()["view"] == "relit"
 
 
-def test_every_control_has_a_name_and_can_be_reached(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path, tiles=tiles_of(furnished)) as view:
-        view.adjust()
-        nameless = view.page.evaluate(
-            """() => [...document.querySelectorAll('button, input, select, canvas, [role]')]
-                .filter((e) => e.checkVisibility() && !e.closest('[aria-hidden=true]'))
-                .filter((e) => !(e.getAttribute('aria-label') || e.innerText?.trim() || e.alt
-                    || e.labels?.[0]?.innerText.trim()))
-                .map((e) => e.outerHTML.slice(0, 120))"""
-        )
-        assert nameless == []
-        unseen = view.page.evaluate(
-            """async () => {
-                const found = [];
-                const wanted = [...document.querySelectorAll('button, input, select, [tabindex]')]
-                    .filter((e) => e.checkVisibility());
-                for (const e of wanted) {
-                    e.focus();
-                    if (document.activeElement !== e) found.push(e.outerHTML.slice(0, 120));
-                }
-                return found;
-            }"""
-        )
-        assert unseen == []
-        # From the picture on: what is shown, tools, the panel, the filmstrip.
-        order = []
-        view.page.locator(".relight-canvas").focus()
-        for _ in range(40):
-            view.page.keyboard.press("Tab")
-            order.append(view.page.evaluate("document.activeElement.name"))
-            if order[-1] == "light":
-                break
-        wanted = [
-            "view",
-            "compare",
-            "hand",
-            "zoomout",
-            "zoomin",
-            "adjust",
-            "azimuth",
-            "save",
-            "light",
-        ]
-        assert [name for name in order if name in wanted] == wanted
+def test_every_control_has_a_name_and_can_be_reached(view: View) -> None:
+    view.adjust()
+    nameless = view.page.evaluate(
+        """() => [...document.querySelectorAll('button, input, select, canvas, [role]')]
+            .filter((e) => e.checkVisibility() && !e.closest('[aria-hidden=true]'))
+            .filter((e) => !(e.getAttribute('aria-label') || e.innerText?.trim() || e.alt
+                || e.labels?.[0]?.innerText.trim()))
+            .map((e) => e.outerHTML.slice(0, 120))"""
+    )
+    assert nameless == []
+    unseen = view.page.evaluate(
+        """async () => {
+            const found = [];
+            const wanted = [...document.querySelectorAll('button, input, select, [tabindex]')]
+                .filter((e) => e.checkVisibility());
+            for (const e of wanted) {
+                e.focus();
+                if (document.activeElement !== e) found.push(e.outerHTML.slice(0, 120));
+            }
+            return found;
+        }"""
+    )
+    assert unseen == []
+    # From the picture on: what is shown, tools, the panel, the filmstrip.
+    order = []
+    view.page.locator(".relight-canvas").focus()
+    for _ in range(40):
+        view.page.keyboard.press("Tab")
+        order.append(view.page.evaluate("document.activeElement.name"))
+        if order[-1] == "light":
+            break
+    wanted = [
+        "view",
+        "compare",
+        "hand",
+        "zoomout",
+        "zoomin",
+        "adjust",
+        "azimuth",
+        "save",
+        "light",
+    ]
+    assert [name for name in order if name in wanted] == wanted
 
 
 def fingers(session: CDPSession, kind: str, points: list[tuple[float, float]]) -> None:
@@ -893,54 +838,48 @@ def test_the_address_says_what_is_shown_and_brings_it_back(
         assert view.state()["rotate"] == 20
 
 
-def test_nothing_is_drawn_without_a_change(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        view.page.wait_for_timeout(100)
-        view.page.evaluate(
-            """() => {
-                const gl = document.querySelector('.relight-canvas').getContext('webgl2');
-                const draw = gl.drawArrays.bind(gl);
-                window.drawn = 0;
-                gl.drawArrays = (...given) => { window.drawn += 1; draw(...given); };
-                const request = window.requestAnimationFrame.bind(window);
-                window.asked = 0;
-                window.requestAnimationFrame = (f) => { window.asked += 1; return request(f); };
-            }"""
-        )
-        view.page.wait_for_timeout(500)
-        assert view.page.evaluate("[window.drawn, window.asked]") == [0, 0]
-        # Several changes before the next frame are drawn once.
-        view.page.evaluate(
-            """() => {
-                const { view } = document.querySelector('.relight-view');
-                for (let i = 0; i < 10; i++) view.change({ rotate: i });
-            }"""
-        )
-        view.page.wait_for_timeout(500)
-        assert view.page.evaluate("[window.drawn, window.asked]") == [1, 1]
+def test_nothing_is_drawn_without_a_change(view: View) -> None:
+    view.page.wait_for_timeout(100)
+    view.page.evaluate(
+        """() => {
+            const gl = document.querySelector('.relight-canvas').getContext('webgl2');
+            const draw = gl.drawArrays.bind(gl);
+            window.drawn = 0;
+            gl.drawArrays = (...given) => { window.drawn += 1; draw(...given); };
+            const request = window.requestAnimationFrame.bind(window);
+            window.asked = 0;
+            window.requestAnimationFrame = (f) => { window.asked += 1; return request(f); };
+        }"""
+    )
+    view.page.wait_for_timeout(500)
+    assert view.page.evaluate("[window.drawn, window.asked]") == [0, 0]
+    # Several changes before the next frame are drawn once.
+    view.page.evaluate(
+        """() => {
+            const { view } = document.querySelector('.relight-view');
+            for (let i = 0; i < 10; i++) view.change({ rotate: i });
+        }"""
+    )
+    view.page.wait_for_timeout(500)
+    assert view.page.evaluate("[window.drawn, window.asked]") == [1, 1]
 
 
-def test_a_lost_context_comes_back_with_the_same_picture(
-    browser: Browser, furnished: Result, tmp_path: Path
-) -> None:
-    with opened(browser, furnished, tmp_path) as view:
-        before = view.saved()
-        view.page.evaluate(
-            """() => {
-                const gl = document.querySelector('.relight-canvas').getContext('webgl2');
-                window.extension = gl.getExtension('WEBGL_lose_context');
-                window.extension.loseContext();
-            }"""
-        )
-        wait_until(view.page, "document.querySelector('.relight-message').textContent !== ''")
-        assert "waiting for it" in view.message()
-        view.go("azimuth=30")  # a change meanwhile does no harm
-        view.page.evaluate("window.extension.restoreContext()")
-        wait_until(view.page, "document.querySelector('.relight-message').textContent === ''")
-        view.go("azimuth=-35")
-        np.testing.assert_array_equal(view.saved(), before)
+def test_a_lost_context_comes_back_with_the_same_picture(view: View) -> None:
+    before = view.saved()
+    view.page.evaluate(
+        """() => {
+            const gl = document.querySelector('.relight-canvas').getContext('webgl2');
+            window.extension = gl.getExtension('WEBGL_lose_context');
+            window.extension.loseContext();
+        }"""
+    )
+    wait_until(view.page, "document.querySelector('.relight-message').textContent !== ''")
+    assert "waiting for it" in view.message()
+    view.go("azimuth=30")  # a change meanwhile does no harm
+    view.page.evaluate("window.extension.restoreContext()")
+    wait_until(view.page, "document.querySelector('.relight-message').textContent === ''")
+    view.go("azimuth=-35")
+    np.testing.assert_array_equal(view.saved(), before)
 
 
 @pytest.mark.parametrize(

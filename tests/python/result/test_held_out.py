@@ -70,14 +70,6 @@ def test_what_came_second_is_the_best_of_those_that_were_not_chosen() -> None:
     assert replace(EXPLAINED, candidates=(lamp,)).decision() == f"chosen: {LAMP}"
 
 
-def test_it_comes_back_from_json() -> None:
-    content = json.loads(json.dumps(EXPLAINED.as_json()))
-    assert list(content) == ["error", "nearest_picture", "pictures", "chosen", "candidates"]
-    assert [list(one) for one in content["candidates"]] == [["what", "score", "error"]] * 3
-    assert HeldOut.from_json(content) == EXPLAINED
-    assert HeldOut.from_json(None) is None
-
-
 WRONG: list[dict[str, Any]] = [
     {"error": "small"},
     {"error": math.nan},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,33 +13,28 @@ from pbrfit.result.metrics import display, psnr, rmse, scaled_per_channel, ssim,
 Array = NDArray[np.float64]
 
 
-def test_rmse_by_hand() -> None:
-    assert rmse(np.array([1.0, 2.0]), np.array([4.0, 6.0])) == pytest.approx(np.sqrt(12.5))
-    assert rmse(np.ones(3), np.ones(3)) == 0.0
+FOUND, TRUE = [[1.0, 2.0], [3.0, 9.0]], [[2.0, 4.0], [6.0, 9.0]]
+SKEWED = [[1.0, 2.0], [0.5, 4.0]]
+INF = np.inf
 
 
-def test_rmse_leaves_out_what_is_nan_in_either() -> None:
-    found = np.array([1.0, np.nan, 3.0, 5.0])
-    assert rmse(found, np.array([2.0, 1.0, np.nan, 5.0])) == pytest.approx(np.sqrt(0.5))
-
-
-def test_rmse_in_float64() -> None:
-    found = np.full(10, 1e-30, dtype=np.float32)  # whose square float32 cannot hold
-    assert rmse(found, np.zeros(10)) == pytest.approx(1e-30)
-
-
-def test_rmse_with_weights_by_hand() -> None:
-    found, true = np.array([[1.0, 2.0], [3.0, 9.0]]), np.array([[2.0, 4.0], [6.0, 9.0]])
-    assert rmse(found, true, np.array([[1.0, 2.0], [0.5, 4.0]])) == pytest.approx(
-        np.sqrt((1 * 1 + 2 * 4 + 0.5 * 9) / 7.5)
-    )
-    assert rmse(found, true, np.array([[1.0], [0.0]])) == pytest.approx(np.sqrt(2.5))
-    assert rmse(found, true, np.full((2, 2), 0.3)) == pytest.approx(rmse(found, true))
-
-
-def test_entries_of_weight_zero_may_be_anything() -> None:
-    found, true = np.array([1.0, np.inf, np.nan, 3.0]), np.array([2.0, np.inf, 0.0, np.inf])
-    assert rmse(found, true, np.array([1.0, 0.0, 0.0, 0.0])) == 1.0
+@pytest.mark.parametrize(
+    ("found", "true", "weights", "expected"),
+    [
+        ([1.0, 2.0], [4.0, 6.0], None, 12.5),
+        ([1.0, 1.0], [1.0, 1.0], None, 0.0),
+        ([1.0, np.nan, 3.0, 5.0], [2.0, 1.0, np.nan, 5.0], None, 0.5),  # in neither
+        (np.full(10, 1e-30, np.float32), np.zeros(10), None, 1e-60),  # which float32 cannot hold
+        (FOUND, TRUE, SKEWED, (1 * 1 + 2 * 4 + 0.5 * 9) / 7.5),
+        (FOUND, TRUE, [[1.0], [0.0]], 2.5),
+        (FOUND, TRUE, np.full((2, 2), 0.3), 3.5),
+        ([1.0, INF, np.nan, 3.0], [2.0, INF, 0.0, INF], [1.0, 0.0, 0.0, 0.0], 1.0),
+    ],
+)
+def test_rmse_by_hand(found: Any, true: Any, weights: Any, expected: float) -> None:
+    given = None if weights is None else np.asarray(weights)
+    of = rmse(np.asarray(found), np.asarray(true), given)
+    assert of == pytest.approx(np.sqrt(expected), rel=1e-6, abs=0)
 
 
 def test_rmse_refuses_what_cannot_be_compared() -> None:

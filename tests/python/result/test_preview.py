@@ -9,15 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit import Result, Scene, decompose
 from pbrfit.result import differences
 from pbrfit.result.drawing import plot_history
 from pbrfit.result.preview import normals_preview, preview
-from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Key, Panel, Row, caption_height, sheet
-from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, ROUGH_MAX, Verdict
+from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, caption_height, sheet
+from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, Verdict
 from pbrfit.synthetic import make_scene
 from refined import degrees_of, refined
 
@@ -113,20 +112,6 @@ def test_a_mark_tells_levels_apart_without_its_colour() -> None:
     assert ring > 0.1
 
 
-def test_pixels_that_are_not_determined_are_vermillion_and_given_ones_white() -> None:
-    _, result = whole()
-    assert result.uncertainty is not None
-    limit = ROUGH_MAX["metallic"]
-    metallic = np.full((24, 24), limit)
-    metallic[0], metallic[1] = 0.0, np.nextafter(limit, 1)
-    deviation = dataclasses.replace(result.uncertainty.deviation, metallic=metallic)
-    uncertainty = dataclasses.replace(result.uncertainty, deviation=deviation)
-    found = differences.deviations(uncertainty)["metallic"].indices()
-    assert (found[0] == differences.WHITE).all()
-    assert (found[1] == differences.VERMILLION).all()
-    assert (found[2:] < differences.STEPS).all()
-
-
 def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
     scene = part(24, 24, truth=True)
     result = with_verdicts(decompose(scene, iterations=1), "")
@@ -181,40 +166,6 @@ def test_panels_lie_where_they_should_and_large_ones_are_averaged() -> None:
     made = sheet([[Panel("stripes", stripes)]])
     assert made.shape[1] == PANEL_SIDE[1] + 2 * MARGIN
     assert abs(int(made[200, 200, 0]) - 128) <= 1
-
-
-def test_a_title_moves_panels_down_and_labels_move_them_right() -> None:
-    red = np.zeros((24, 24, 3))
-    red[..., 0] = 1.0
-    rows: list[Row] = [[Panel("", red)], [Panel("", red)]]
-
-    def corner(made: NDArray[np.uint8]) -> tuple[int, int]:
-        found = np.argwhere((made == (255, 0, 0)).all(axis=-1))
-        return int(found[0][0]), int(found[0][1])
-
-    plain, named = sheet(rows), sheet(rows, title="Title", labels=["first", "second"])
-    assert corner(plain) == (MARGIN, MARGIN)  # no caption, no room for one
-    row, column = corner(named)
-    assert row > MARGIN + 10
-    assert column > MARGIN + 20
-    for top in (row, row + PANEL_SIDE[0] + MARGIN):
-        left = named[top : top + PANEL_SIDE[0], :column]
-        assert (left < 128).any()  # ink
-    assert (named[:row] < 128).any()
-
-
-def test_a_key_shows_its_bar_from_left_to_right_and_its_patches() -> None:
-    grey = np.full((24, 24, 3), 0.5)
-    bar = np.linspace((0.0, 0.0, 1.0), (1.0, 1.0, 0.0), 256)
-    key = Key("what", bar, {0.0: "0", 1.0: "1"}, {"other": (1.0, 0.0, 0.0)})
-    row: Row = [Panel("", grey)] * 4
-    below = sheet([row], keys=[key])[PANEL_SIDE[0] + MARGIN :]
-    blue, yellow, red = (
-        np.argwhere((below == color).all(axis=-1))[:, 1]
-        for color in ((0, 0, 255), (255, 255, 0), (255, 0, 0))
-    )
-    assert blue.min() == MARGIN
-    assert blue.max() < yellow.min() < red.min()
 
 
 def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:

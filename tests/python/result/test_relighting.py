@@ -58,20 +58,38 @@ def test_directions_of_azimuth_and_elevation(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("lamp", "arguments", "message"),
     [
-        ((math.nan, 0), "azimuth: expected a finite number of degrees, found nan"),
-        ((0, math.inf), "elevation: expected a finite number of degrees, found inf"),
-        (("left", 0), "azimuth: expected a finite number of degrees, found 'left'"),
-        ((0, 0, (1, 1, -0.1)), "color: expected three finite numbers, 0 or more"),
-        ((0, 0, (1, 1, math.nan)), "color: expected three finite numbers, 0 or more"),
-        ((0, 0, (1, 1)), "color: expected three finite numbers, 0 or more"),
-        ((0, 0, 3), "color: expected three finite numbers, 0 or more, found 3"),
+        (
+            DirectionalLight,
+            (math.nan, 0),
+            "azimuth: expected a finite number of degrees, found nan",
+        ),
+        (DirectionalLight, (0, math.inf), "elevation: expected a finite number of degrees"),
+        (
+            DirectionalLight,
+            ("left", 0),
+            "azimuth: expected a finite number of degrees, found 'left'",
+        ),
+        *(
+            (DirectionalLight, (0, 0, color), "color: expected three finite numbers, 0 or more")
+            for color in ((1, 1, -0.1), (1, 1, math.nan), (1, 1), 3)
+        ),
+        *(
+            (DirectionalLight, (0, 0, (1, 1, 1), softness), "softness: expected 0 to 45 degrees")
+            for softness in (-1, 46, math.nan, "soft")
+        ),
+        (PointLight, ((0, 0),), "position: expected three finite numbers, found"),
+        (PointLight, ((0, 0, math.nan),), "position: expected three finite numbers"),
+        (PointLight, ((0, 0, 1), (1, -1, 1)), "color: expected three finite numbers, 0 or more"),
+        (PointLight, ((0, 0, 1), (1, 1, 1), -1), "radius: expected a finite number, 0 or more"),
     ],
 )
-def test_unusable_lights_are_refused(arguments: tuple[Any, ...], message: str) -> None:
+def test_unusable_lights_are_refused(
+    lamp: type[DirectionalLight | PointLight], arguments: tuple[Any, ...], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
-        DirectionalLight(*arguments)
+        lamp(*arguments)
 
 
 @pytest.mark.parametrize(
@@ -174,26 +192,6 @@ def test_a_soft_lamp_lets_light_go_out_softly(sphere: Result) -> None:
     dark = np.nan_to_num(hard).max(axis=-1) == 0
     assert np.nan_to_num(soft)[dark & sphere.mask].max() > 0
     assert np.nanmax(soft) < np.nanmax(hard)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (((0, 0),), "position: expected three finite numbers, found"),
-        (((0, 0, np.nan),), "position: expected three finite numbers"),
-        (((0, 0, 1), (1, -1, 1)), "color: expected three finite numbers, 0 or more"),
-        (((0, 0, 1), (1, 1, 1), -1), "radius: expected a finite number, 0 or more, found -1"),
-    ],
-)
-def test_unusable_near_lamps_are_refused(arguments: tuple[Any, ...], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        PointLight(*arguments)
-
-
-@pytest.mark.parametrize("softness", [-1, 46, math.nan, "soft"])
-def test_softness_is_an_angle(softness: Any) -> None:
-    with pytest.raises(InputError, match="softness: expected 0 to 45 degrees"):
-        DirectionalLight(0, 0, softness=softness)
 
 
 def test_surroundings_dim_a_panorama_and_never_make_it_negative() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from left_out_pictures import EXPLAINED, UNEXPLAINED
-from page_reader import Page
+from page_reader import Element, Page
 from pbrfit import Materials, Result, decompose
 from pbrfit.commands.terminal import verdict_lines
 from pbrfit.fit import compare
@@ -37,6 +37,14 @@ VERDICTS = {
 def deviating(value: float) -> Materials:
     """Deviations of one value in all maps."""
     return Materials(np.full((2, 2, 3), value), np.full((2, 2), value), np.full((2, 2), value))
+
+
+def chips_of(result: Result, path: Path) -> tuple[Page, list[Element]]:
+    """The page about a result, and its verdicts."""
+    write_report(result, path)
+    page = Page(path.read_text("utf-8"))
+    chips = page.all("details")
+    return page, [one for one in chips if "verdict" in one.attributes.get("class", "").split()]
 
 
 @pytest.fixture(scope="module")
@@ -169,13 +177,7 @@ def test_one_verdict_everywhere(
 
     monkeypatch.setattr(preview, "sheet", keep)
     preview.preview(result)
-    write_report(result, tmp_path / "page.html")
-    page = Page((tmp_path / "page.html").read_text("utf-8"))
-    chips = [
-        chip
-        for chip in page.all("details")
-        if "verdict" in chip.attributes.get("class", "").split()
-    ]
+    page, chips = chips_of(result, tmp_path / "page.html")
     for (name, one), chip in zip(VERDICTS.items(), chips, strict=True):
         why = "; ".join(filter(None, (one.cause, one.remedy)))
         error = f"± {one.expected_error:.2f}"
@@ -200,14 +202,8 @@ def test_causes_are_not_spoken_of_where_there_are_none(result: Result, tmp_path:
     assert result.uncertainty is not None
     good = {name: Verdict("usable", 0.01) for name in PARAMETERS}
     uncertainty = dataclasses.replace(result.uncertainty, verdicts=good)
-    write_report(dataclasses.replace(result, uncertainty=uncertainty), tmp_path / "page.html")
-    page = Page((tmp_path / "page.html").read_text("utf-8"))
-    chips = [
-        chip
-        for chip in page.all("details")
-        if "verdict" in chip.attributes.get("class", "").split()
-    ]
-    assert len(chips) == len(PARAMETERS)
+    of_good = dataclasses.replace(result, uncertainty=uncertainty)
+    _, chips = chips_of(of_good, tmp_path / "page.html")
     for name, chip in zip(PARAMETERS, chips, strict=True):
         assert chip.text.startswith(f"{name}: usableExpected error of {name}: ± 0.01")
         assert chip.text.endswith(f"{how_to_read()}")

@@ -10,7 +10,6 @@ import pytest
 
 from pbrfit._core import InputError
 from pbrfit.synthetic.geometry import Box, Sphere
-from pbrfit.transport.decision import Extents, candidates
 from pbrfit.transport.scenery import BACK, FRONT, SIDE, WALL, Scenery
 from pbrfit.transport.walls import RUG, SAME_PLANE, Plane, Wall, without_rugs
 from small_worlds import (
@@ -214,16 +213,6 @@ def test_a_coarse_grid_starts_rays_above_itself() -> None:
     assert different < 0.06
     assert false_front < 0.04
     assert lifted(seen, found) < 0.1
-
-
-def test_candidates_change_one_thing_each() -> None:
-    extents = Extents(0.2, 0.9, 0.4, False, (True, True), 0.4)
-    found = list(candidates(extents))
-    assert len(found) == len(set(found)) == 10
-    assert extents not in found
-    opened = [one for one in found if one.behind is None]
-    assert [one.reach for one in opened] == [0.4]
-    assert [one.blocks for one in found[-2:]] == [(False, True), (True, False)]
 
 
 def test_a_wall_that_does_not_block_is_left_out() -> None:
