@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.report.inspection import expected_seconds, time_in_words
+from pbrfit.report.inspection import expected_seconds
 from pbrfit.synthetic import make_scene
 
 MEASURED = [
@@ -30,11 +30,3 @@ def test_expected_time_is_at_most_twice_off(side: int, pictures: int, seconds: f
     few = ParameterLayout.of(make_scene("textured", size=8, lights=2))
     layout = replace(few, valid=np.ones((side, side), bool), pictures=pictures)
     assert seconds / 2 < expected_seconds(layout) < 2 * seconds
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(3.2, "3 s"), (99.0, "99 s"), (120.0, "2 min"), (5900.0, "98 min"), (7200.0, "2 h")],
-)
-def test_times_in_words(seconds: float, words: str) -> None:
-    assert time_in_words(seconds) == words

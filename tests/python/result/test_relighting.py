@@ -15,6 +15,7 @@ from pbrfit import DirectionalLight, Environment, InputError, PointLight, Result
 from pbrfit.model import panorama
 from pbrfit.result.relighting import turned
 from relit import ball, fitted, shaded_ball, side_lit
+from scene_files import room
 
 Array = NDArray[np.floating[Any]]
 
@@ -149,15 +150,9 @@ def test_the_light_of_a_picture_gives_its_reconstruction(result: Result) -> None
     all_at_once = relight(result, result.lighting)
     expected = pbrfit.render(result.materials, result.normals, result.lighting, result.fov)
     np.testing.assert_array_equal(all_at_once, expected)
-    error = float(np.sqrt(np.nanmean((all_at_once - np.asarray(room_images())) ** 2)))
+    error = float(np.sqrt(np.nanmean((all_at_once - np.asarray(room().images, np.float64)) ** 2)))
     assert error == pytest.approx(result.metrics["recon_rmse"], rel=1e-9)
     np.testing.assert_array_equal(relight(result, result.lighting[1]), expected[1])
-
-
-def room_images() -> Array:
-    from scene_files import room
-
-    return np.asarray(room().images, dtype=np.float64)
 
 
 def test_outside_the_mask_there_is_no_number(sphere: Result) -> None:
