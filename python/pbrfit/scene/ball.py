@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,23 +166,14 @@ def sphere_normals(
     """
     rays = _rays(size, fov, columns, rows)
     if fov == 0:
-        across = np.stack(
-            [
-                (np.asarray(columns, np.float64) - ball.x) / ball.radius,
-                (ball.y - np.asarray(rows, np.float64)) / ball.radius,
-            ],
-            axis=-1,
-        )
+        across = np.stack(np.broadcast_arrays(columns - ball.x, ball.y - rows), axis=-1)
+        across /= ball.radius
         squared = 1 - (across**2).sum(axis=-1, keepdims=True)
         normals = np.concatenate([across, np.sqrt(np.maximum(squared, 0.0))], axis=-1)
         return np.where(squared >= 0, normals, np.nan), -rays
     around = np.linspace(0, 2 * np.pi, OUTLINE_ANGLES, endpoint=False)
-    outline = _rays(
-        size,
-        fov,
-        ball.x + ball.radius * np.cos(around),
-        ball.y + ball.radius * np.sin(around),
-    )
+    right, down = ball.radius * np.cos(around), ball.radius * np.sin(around)
+    outline = _rays(size, fov, ball.x + right, ball.y + down)
     # Rays of a cone end in a plane, whose normal is its axis.
     middle = outline.mean(axis=0)
     axis = np.linalg.svd(outline - middle)[2][2]
@@ -214,10 +205,7 @@ def lights_of_balls(
     directions = np.array([[one.direction for one in row] for row in found])
     mean = directions.sum(axis=0)
     mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
-    apart = np.zeros(len(names))
-    for of_ball in directions:
-        for other in directions:
-            apart = np.maximum(apart, geometry.angles_between(of_ball, other) / 2)
+    apart = geometry.angles_between(directions[:, None], directions).max(axis=(0, 1)) / 2
     sure = np.sqrt(np.mean([[one.degrees**2 for one in row] for row in found], axis=0))
     return BallLights(
         kind,
@@ -312,20 +300,14 @@ def _ridges(strength: Array, angle: Array) -> tuple[NDArray[np.bool_], float]:
     return ridge, max(usual, np.finfo(np.float64).tiny)
 
 
-@dataclass(frozen=True)
-class _Outline:
+class _Outline(NamedTuple):
     """Edges along a circle; those across it count negative, so that edges at random are about 0."""
 
     ball: Ball
     support: float = 0.0
     """Mean over its directions of their strength, in that of usual edges and 1 at most."""
-    strength: float = 0.0
-    """Median of the strength, in that of usual edges."""
-
-    @property
-    def weight(self) -> float:
-        """How sure it is a ball's: small circles are found by chance, weak ones within balls."""
-        return self.support * math.sqrt(self.ball.radius * max(self.strength, 0.0))
+    weight: float = 0.0
+    """How sure it is a ball's: small circles are found by chance, weak ones within balls."""
 
 
 def _outlined(ball: Ball, strength: Array, angle: Array) -> _Outline:
@@ -359,7 +341,8 @@ def _outlined(ball: Ball, strength: Array, angle: Array) -> _Outline:
         ball = fitted
     along = radial(ball, np.array([ball.radius - 0.5, ball.radius + 0.5])).mean(axis=1)
     support = float(np.clip(along / usual, -1, 1).mean())
-    return _Outline(ball, support, float(np.median(along / usual)))
+    median = max(float(np.median(along / usual)), 0.0)
+    return _Outline(ball, support, support * math.sqrt(ball.radius * median))
 
 
 def _circle_through(x: Array, y: Array) -> Ball:
@@ -424,8 +407,7 @@ class _Piece:
         return np.asarray(self.images.mean(axis=-1, dtype=np.float64))
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
+class _Found(NamedTuple):
     """What a ball says of a picture's lamp, as `BallLights` has it."""
 
     direction: Array
@@ -437,16 +419,17 @@ class _Found:
 
 def _kind(pieces: Sequence[_Piece]) -> BallKind:
     """A mirror ball has small highlights, a matt one is bright on a side."""
-    shares = []
-    for piece in pieces:
-        for plane in piece.brightness()[:, piece.inside]:
-            shares.append(float(np.mean(plane >= 0.5 * plane.max(initial=0.0))))
+    shares = [
+        np.mean(plane >= 0.5 * plane.max(initial=0.0))
+        for piece in pieces
+        for plane in piece.brightness()[:, piece.inside]
+    ]
     return "mirror" if np.median(shares) <= MIRROR_SHARE_MAX else "matt"
 
 
 def _in_mirror(piece: _Piece, picture: int, name: str) -> _Found:
     """By the middle of the highlight; what is in all pictures is no highlight."""
-    from scipy.ndimage import label
+    from scipy.ndimage import center_of_mass, label
 
     planes, inside = piece.brightness(), piece.inside
     plane = planes[picture]
@@ -464,40 +447,25 @@ def _in_mirror(piece: _Piece, picture: int, name: str) -> _Found:
     spot = np.where(parts == 1 + int(sums[1:].argmax()), plane, 0.0)
     places = []
     for level in HIGHLIGHT_LEVELS:
-        weights = np.where(spot >= level * spot.max(), spot, 0.0)
-        rows, columns = np.indices(weights.shape)
-        total = weights.sum()
-        places.append(
-            (
-                float((weights * columns).sum() / total) + piece.left,
-                float((weights * rows).sum() / total) + piece.top,
-            )
-        )
+        row, column = center_of_mass(np.where(spot >= level * spot.max(), spot, 0.0))
+        places.append((float(column) + piece.left, float(row) + piece.top))
     direction, other = (_reflected(piece, *place) for place in places)
     x, y = places[0]
-    beside = [_reflected(piece, x + dx, y + dy) for dx, dy in _HALF_PIXEL]
+    half = ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
+    beside = [_reflected(piece, x + dx, y + dy) for dx, dy in half]
     half_pixel = max(float(geometry.angles_between(direction, one)) for one in beside)
     degrees = float(np.hypot(half_pixel, geometry.angles_between(direction, other)))
     return _Found(direction, np.full(3, np.nan), degrees, float("nan"), places[0])
 
 
-_HALF_PIXEL = ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
-
-
 def _reflected(piece: _Piece, x: float, y: float) -> Array:
     """Direction that a place of a mirror ball shows; beyond its rim that of the rim there."""
     ball = piece.ball
-    away = np.hypot(x - ball.x, y - ball.y)
-    normal, view = sphere_normals(ball, piece.size, piece.fov, np.array(x), np.array(y))
-    if not np.isfinite(normal).all():
-        share = 0.999 * ball.radius / away
-        normal, view = sphere_normals(
-            ball,
-            piece.size,
-            piece.fov,
-            np.array(ball.x + share * (x - ball.x)),
-            np.array(ball.y + share * (y - ball.y)),
-        )
+    right, down = x - ball.x, y - ball.y
+    share = min(1.0, 0.999 * ball.radius / max(math.hypot(right, down), 1e-9))
+    normal, view = sphere_normals(
+        ball, piece.size, piece.fov, ball.x + share * right, ball.y + share * down
+    )
     direction = 2 * (normal @ view) * normal - view
     return np.asarray(direction / np.linalg.norm(direction))
 
@@ -508,35 +476,32 @@ def _on_matt(piece: _Piece, picture: int, name: str) -> _Found:
         usable = piece.free[picture] & (piece.cosine >= RIM_COSINE_MIN)
     normals, samples = piece.normals[usable], piece.images[picture][usable].astype(np.float64)
     bright = samples.mean(axis=-1)
-    unlit = InputError(
-        f"ball: expected a side that a lamp reaches in every picture, found none in {name}"
-    )
-    if len(bright) < 8 or np.quantile(bright, 0.99) <= 0:
-        raise unlit
-    reached = bright > 0.1 * np.quantile(bright, 0.99)
+    highest = np.quantile(bright, 0.99) if bright.size else 0.0
+    reached = (bright > 0.1 * highest) & (highest > 0)
     for _ in range(ROUNDS_MAX):
         if np.count_nonzero(reached) < 8:
-            raise unlit
+            raise InputError(
+                f"ball: expected a side that a lamp reaches in every picture, found none in {name}"
+            )
         slopes = _slopes(normals[reached], samples[reached])
         direction = slopes.sum(axis=1)
-        if not np.linalg.norm(direction) > 0:
-            raise unlit
         direction /= np.linalg.norm(direction)
         before, reached = reached, normals @ direction > REACHED_COSINE_MIN
         if (reached == before).all():
             break
-    if np.count_nonzero(reached) < 8:
-        raise unlit
     colors = np.maximum(direction @ slopes, 0.0)
     off = samples[reached] - normals[reached] @ slopes
     residual = float(np.sqrt(np.mean(off**2)) / max(float(colors.max()), 1e-30))
     cosine = normals @ direction
     middle = np.median(cosine[reached])
-    halves = []
-    for half in (reached & (cosine >= middle), reached & (cosine < middle)):
-        sloped = _slopes(normals[half], samples[half]).sum(axis=1)
-        halves.append(sloped / max(float(np.linalg.norm(sloped)), 1e-30))
-    of_halves = float(geometry.angles_between(halves[0], halves[1])) / 2
+    sloped = np.array(
+        [
+            _slopes(normals[half], samples[half]).sum(axis=1)
+            for half in (reached & (cosine >= middle), reached & (cosine < middle))
+        ]
+    )
+    sloped /= np.maximum(np.linalg.norm(sloped, axis=1, keepdims=True), 1e-30)
+    of_halves = float(geometry.angles_between(*sloped)) / 2
     degrees = float(np.hypot(of_halves, np.degrees(0.5 / piece.ball.radius)))
     return _Found(direction, colors, degrees, residual, _facing(piece, direction))
 
