@@ -60,25 +60,11 @@ def view_directions(
 
 
 def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
-    """Points that pixels show, from their depth.
+    """Points that pixels show, from their depth (height, width) along the camera's axis.
 
-    Parameters
-    ----------
-    depth
-        (height, width): distance from the camera along its axis, positive, in any unit. With an
-        orthographic camera the unit is half of the picture's width.
-    fov
-        Horizontal field of view in degrees; 0 is orthographic.
-
-    Returns
-    -------
-    (height, width, 3) float64, camera space, in the unit of the depth: the camera is the origin,
-    and z = −depth. NaN where depth is.
-
-    Raises
-    ------
-    InputError
-        If fov is outside [0, 180).
+    Returns (height, width, 3) float64, camera space, in the unit of the depth, with an orthographic
+    camera half of the picture's width: the camera is the origin, and z = −depth. NaN where depth
+    is. Raises InputError if fov, in degrees, is outside [0, 180).
     """
     check_fov(fov)
     height, width = depth.shape

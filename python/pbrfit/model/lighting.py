@@ -16,8 +16,7 @@ from pbrfit.io.checks import of_what, real_array, real_number
 from pbrfit.io.json_files import UNFIT, read_json, table, texts, unfit, write_json
 from pbrfit.io.lamp_files import LENGTH_OFF_MAX, row_as_json, rows_of_json, unit
 from pbrfit.io.quoting import quoted, shown
-from pbrfit.model.lamp_rows import lamps_of_rows, rows_of_lamps
-from pbrfit.model.lamps import Lamps
+from pbrfit.model.lamps import Lamps, lamps_of_rows, rows_of_lamps
 from pbrfit.model.reflection import sh_basis
 
 BAND_OF = np.repeat(np.arange(4), 2 * np.arange(4) + 1)

@@ -18,6 +18,7 @@ common where they could make another.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -95,10 +96,7 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
         used &= mask
     grey = np.where(used, np.asarray(image).clip(0).mean(axis=-1), 0.0)
     if size != image.shape[:2]:
-        grey = averaged(grey, size)
-        share = averaged(used.astype(np.float64), size)
-        used = share > 0.999
-        grey = np.divide(grey, share, out=grey, where=share > 0)
+        grey, used = averaged_used(grey, used, size)
     if not used.any():
         return np.zeros(size, np.complex64)
     bright = np.quantile(grey[used], 0.97)
@@ -107,6 +105,14 @@ def edges(image: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Field:
     inside = binary_erosion(used, iterations=3, border_value=1)
     field = np.where(inside, g * g / (np.abs(g) ** 2 + _WEAK**2), 0)
     return field.astype(np.complex64)
+
+
+def averaged_used(
+    grey: NDArray[np.floating[Any]], used: NDArray[np.bool_], size: tuple[int, int]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Means (h, w) over what is used of a plane, 0 elsewhere, and where that is nearly all."""
+    mean, share = averaged(grey, size), averaged(used.astype(np.float64), size)
+    return np.divide(mean, share, out=mean, where=share > 0), share > 0.999
 
 
 def of_the_others(fields: Sequence[Field]) -> list[Field]:
@@ -141,16 +147,12 @@ def shift_between(reference: Field, field: Field) -> Shift | None:
 
     Both are fields of `edges`, of one size. Returns None if there are no edges to tell by.
     """
-    if min(_energy(reference), _energy(field)) < _LEAST_EDGES * reference.size:
-        return None
     # On small pictures a large shift leaves nothing to compare.
     reach = min(REACH, min(reference.shape) // 4)
-    found = _correlation(reference[None], field[None], reach)
-    place, height = (part[0] for part in _peak(found))
-    in_place = float(found[0, reach, reach])
-    if np.abs(place).max() > reach - 1:  # the peak, if there is one, is beyond
-        place, height = np.zeros(2), in_place
-    return Shift((float(place[0]), float(place[1])), float(height), in_place)
+    found = _peak(reference, field, reach)
+    if found is not None and max(map(abs, found.shift)) > reach - 1:  # it may be beyond
+        return Shift((0.0, 0.0), found.in_place, found.in_place)
+    return found
 
 
 def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment | None:
@@ -163,13 +165,8 @@ def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment 
     if found is None:
         return None
     warp, moved = _tiles(reference, field)
-    return Alignment(
-        shift=(pixel * found.shift[1], pixel * found.shift[0]),
-        agreement=found.agreement,
-        warp=float(pixel * warp),
-        moved=float(moved),
-        pixel=pixel,
-    )
+    down, right = found.shift
+    return Alignment((pixel * right, pixel * down), found.agreement, pixel * warp, moved, pixel)
 
 
 MOST_SHIFT = 1.0
@@ -188,70 +185,51 @@ def _energy(field: NDArray[np.complex64]) -> float:
     return float(np.sum(np.abs(field) ** 2, dtype=np.float64))
 
 
-def _correlation(a: Field, b: Field, reach: int) -> NDArray[np.float64]:
-    """C(d) for (T, h, w) pairs of fields: (T, 2·reach + 1, 2·reach + 1), shift 0 in the middle."""
-    from scipy.fft import fft2, ifft2, next_fast_len
-
-    # So much zero around the fields that nothing meets its periodic copy.
-    size = [next_fast_len(side + reach) for side in a.shape[1:]]
-    product = np.conj(fft2(a, size)) * fft2(b, size)
-    found = np.roll(ifft2(product).real, (reach, reach), axis=(1, 2))
-    found = found[:, : 2 * reach + 1, : 2 * reach + 1].astype(np.float64)
-    energy = [np.sum(np.abs(field) ** 2, axis=(1, 2), dtype=np.float64) for field in (a, b)]
-    scale = np.sqrt(energy[0] * energy[1])
-    found /= np.where(scale > 0, scale, 1.0)[:, None, None]
-    return np.asarray(found)
-
-
-def _peak(found: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the peaks of (T, M, M) correlations are, (T, 2) down and right, and how high, (T,).
+def _peak(a: Field, b: Field, reach: int) -> Shift | None:
+    """Where C(d) is highest, up to `reach` pixels away; None if there are no edges to tell by.
 
     Between samples by the parabola through the peak and its neighbours, along each axis.
     """
-    tiles, side, _ = found.shape
-    row, column = np.divmod(found.reshape(tiles, -1).argmax(axis=1), side)
-    every = np.arange(tiles)
-    height = found[every, row, column]
-    place = np.stack([row, column], axis=1).astype(np.float64)
-    for axis, (down, right) in enumerate(((1, 0), (0, 1))):
-        inner = (place[:, axis] > 0) & (place[:, axis] < side - 1)
-        before = found[every, (row - down) % side, (column - right) % side]
-        after = found[every, (row + down) % side, (column + right) % side]
-        curvature = before - 2 * height + after
-        inner &= curvature < 0
-        slope = np.where(inner, before - after, 0.0)
-        place[:, axis] += (slope / (2 * np.where(inner, curvature, -1.0))).clip(-0.5, 0.5)
-    return place - side // 2, height
+    from scipy.fft import fft2, ifft2, next_fast_len
+
+    energies = _energy(a), _energy(b)
+    if min(energies) < _LEAST_EDGES * a.size:
+        return None
+    # So much zero around the fields that nothing meets its periodic copy.
+    size = [next_fast_len(side + reach) for side in a.shape]
+    product = np.conj(fft2(a, size)) * fft2(b, size)
+    found = np.roll(ifft2(product).real, (reach, reach), axis=(0, 1)).astype(np.float64)
+    found = found[: 2 * reach + 1, : 2 * reach + 1] / np.sqrt(energies[0] * energies[1])
+    peak = np.array(np.unravel_index(found.argmax(), found.shape))
+    height, shift = found[tuple(peak)], (peak - reach).astype(np.float64)
+    for axis, step in enumerate(np.eye(2, dtype=int)):
+        if 0 < peak[axis] < 2 * reach:
+            before, after = found[tuple(peak - step)], found[tuple(peak + step)]
+            curvature = before - 2 * height + after
+            if curvature < 0:
+                shift[axis] += np.clip((before - after) / (2 * curvature), -0.5, 0.5)
+    return Shift((float(shift[0]), float(shift[1])), float(height), float(found[reach, reach]))
 
 
 def _tiles(reference: Field, field: Field) -> tuple[float, float]:
     """Median displacement of tiles, and share of the edges in those that have moved."""
     side = min(TILE, *reference.shape)
-    starts = [
+    rows, columns = (
         np.unique(
             np.linspace(0, length - side, 2 * (length - side) // side + 2).round().astype(int)
         )
         for length in reference.shape
-    ]
-    window = np.sqrt(np.outer(*[np.hanning(side + 2)[1:-1]] * 2)).astype(np.float32)
-    pairs = np.array(
-        [
-            [whole[y : y + side, x : x + side] * window for whole in (reference, field)]
-            for y in starts[0]
-            for x in starts[1]
-        ]
     )
-    weight = np.min(np.sum(np.abs(pairs) ** 2, axis=(2, 3), dtype=np.float64), axis=1)
-    told = weight > _LEAST_EDGES * side**2
-    if not told.any():
+    window = np.sqrt(np.outer(*[np.hanning(side + 2)[1:-1]] * 2)).astype(np.float32)
+    tiles, weights = [], []
+    for y, x in itertools.product(rows, columns):
+        a, b = (whole[y : y + side, x : x + side] * window for whole in (reference, field))
+        found = _peak(a, b, min(_TILE_REACH, side // 4))
+        if found is not None:
+            tiles.append(found)
+            weights.append(min(_energy(a), _energy(b)))
+    if not tiles:
         return 0.0, 0.0
-    weight = weight[told]
-    reach = min(_TILE_REACH, side // 4)
-    found = _correlation(pairs[told, 0], pairs[told, 1], reach)
-    displaced, height = _peak(found)
-    distance = np.hypot(*displaced.T)
-    here = found[:, reach, reach]
-    moved = (distance > _MOVED) & (height > _SURE) & (height - here > _GAIN)
-    clear = height > _SURE
-    median = float(np.median(distance[clear])) if clear.any() else 0.0
-    return median, float(weight[moved].sum() / weight.sum())
+    clear = [np.hypot(*tile.shift) for tile in tiles if tile.agreement > _SURE]
+    moved = np.average([tile.displaced for tile in tiles], weights=weights)
+    return float(np.median(clear or [0.0])), float(moved)

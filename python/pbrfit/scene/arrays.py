@@ -248,7 +248,8 @@ class SceneArrays:
         assumed = {topic: said for topic, said in assumed.items() if topic != "negative"}
         if said := _negative_in_words(images, counted):
             assumed["negative"] = said
-        valid = _valid(mask, weights, limits, (height, width))
+        vars(self).update(images=images, mask=mask, weights=weights, limits=limits)
+        valid = self.valid
         if self.truth is not None:
             _check_truth(self.truth, n, height, width)
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
@@ -259,34 +260,25 @@ class SceneArrays:
         normals_known = bool(self.normals_known and given is not None)
         depth, of_depth = checked_depth(self.depth, normals, fov, normals_known=normals_known)
         if of_depth:
-            assumed = {
-                **assumed,
-                "depth": "; ".join(filter(None, [assumed.get("depth"), *of_depth])),
-            }
+            assumed["depth"] = "; ".join(filter(None, [assumed.get("depth"), *of_depth]))
         normal_sigma = _sigma(self.normal_sigma, valid)
         if normals_known:
             _warn_if_facing_away(normals[valid], fov, valid)
             _warn_if_flat(normals[valid])
-        values = {
-            "images": images,
-            "normals": normals,
-            "depth": depth,
-            "fov": fov,
-            "mask": mask,
-            "segments": segments,
-            "lighting": lighting,
-            "weights": weights,
-            "limits": limits,
-            "file_noise": None if self.file_noise is None else file_noise,
-            "assumed": assumed,
-            "normal_sigma": normal_sigma,
-            "names": names,
-            "model": None if self.model is None else checked_model(self.model),
-            "fov_known": bool(self.fov_known and told is not None),
-            "normals_known": normals_known,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            normals=normals,
+            depth=depth,
+            fov=fov,
+            segments=segments,
+            lighting=lighting,
+            file_noise=None if self.file_noise is None else file_noise,
+            assumed=assumed,
+            normal_sigma=normal_sigma,
+            names=names,
+            model=None if self.model is None else checked_model(self.model),
+            fov_known=bool(self.fov_known and told is not None),
+            normals_known=normals_known,
+        )
 
     def __repr__(self) -> str:
         """In a line: what there is, and no arrays."""
@@ -317,7 +309,11 @@ class SceneArrays:
 
         They are in the mask, and some sample of theirs has weight and is at no limit.
         """
-        return _valid(self.mask, self.weights, self.limits, (self.height, self.width))
+        found = np.zeros((self.height, self.width), bool)
+        for i in range(len(self.images)):
+            weights = self.channel_weights(i)
+            found |= True if weights is None else (weights > 0).any(axis=-1)
+        return found if self.mask is None else found & self.mask
 
     @lazy
     def all_valid(self) -> bool:
@@ -385,13 +381,12 @@ class SceneArrays:
         self, picture: int, rows: slice = slice(None)
     ) -> NDArray[np.float32] | None:
         """(h, W, 3): `weights` of some rows of a picture, 0 at limits; None = all the same."""
+        weights: NDArray[Any] | None = None if self.weights is None else self.weights[picture, rows]
         if self.limits is None:
-            if self.weights is None:
-                return None
-            return self.weights[picture, rows].astype(np.float32, copy=False)
+            return weights
         ordinary: NDArray[np.float32] = (self.limits[picture, rows] == 0).astype(np.float32)
-        if self.weights is not None:
-            ordinary *= self.weights[picture, rows]
+        if weights is not None:
+            ordinary *= weights
         return ordinary
 
     def noise_floor(self, picture: int) -> NDArray[np.float32] | None:
@@ -411,11 +406,7 @@ class SceneArrays:
 
     def brightness(self, picture: int) -> NDArray[np.float64]:
         """(P,): the mean over the channels of `samples`."""
-        red, green, blue = self.samples(picture).T
-        mean: NDArray[np.float64] = np.add(red, green, dtype=np.float64)
-        mean += blue
-        mean /= 3
-        return mean
+        return np.asarray(self.samples(picture).mean(axis=-1, dtype=np.float64))
 
     def through(self, fov: float, correction: Correction | None = None) -> Self:
         """The same scene by another camera, of a field of view in degrees; it shares all else.
@@ -430,10 +421,7 @@ class SceneArrays:
     def decoded_by(self, curve: Curve) -> Self:
         """The scene with its files' values decoded by another curve than `response`.
 
-        Raises
-        ------
-        InputError
-            If there is no choice, because `response` is None.
+        Raises InputError if there is no choice, because `response` is None.
         """
         if curve == self.response:
             return self
@@ -445,10 +433,8 @@ class SceneArrays:
             found[:] = other(of_picture)
         noise = self.file_noise
         if noise is not None:
-            as_curve = Conversion(curve)
-            noise = tuple(
-                None if one is None else replace(one, conversion=as_curve) for one in noise
-            )
+            of = Conversion(curve)
+            noise = tuple(None if one is None else replace(one, conversion=of) for one in noise)
         source = None if self.source is None else replace(self.source, color_space=curve)
         told = f"{curve}: pictures that were left out are explained better than by {self.response}"
         return replace(
@@ -464,25 +450,23 @@ class SceneArrays:
         """Radiance (..., 3) as the files' values, where 1 is white: `response` undone."""
         return encode_srgb(radiance) if self.response == "srgb" else radiance
 
-    def of_pictures(self, pictures: Sequence[int]) -> Self:
-        """The scene of some of the pictures, in this order, without ground truth of the others."""
-        of = list(pictures)
+    def of_pictures(self, pictures: Sequence[int], **changed: Any) -> Self:
+        """The scene of some of the pictures, in this order, without ground truth of the others.
 
-        def some(values: NDArray[Any] | None) -> Any:
-            return None if values is None else values[of]
-
-        truth, noise = self.truth, self.file_noise
+        `changed` are fields that are not those of this scene.
+        """
+        of, truth, noise = list(pictures), self.truth, self.file_noise
+        for name in {"images", "weights", "limits", "lighting"} - changed.keys():
+            given = getattr(self, name)
+            changed[name] = None if given is None else given[of]
         if truth is not None and truth.lighting is not None:
             truth = replace(truth, lighting=truth.lighting[of])
         return replace(
             self,
-            images=self.images[of],
-            weights=some(self.weights),
-            limits=some(self.limits),
+            **changed,
             file_noise=None if noise is None else tuple(noise[i] for i in of),
             names=tuple(self.names[i] for i in of),
-            lighting=some(self.lighting),
-            lamps=None if self.lamps is None else self.lamps.of_pictures(tuple(of)),
+            lamps=None if self.lamps is None else self.lamps.of_pictures(of),
             truth=truth,
         )
 
@@ -633,25 +617,6 @@ def _negative_in_words(images: NDArray[np.floating[Any]], counted: Counted) -> s
         return ""
     share = f"{100 * below / total:.2g} %" if below / total >= 1e-4 else f"{below}"
     return f"{share} of the values are below 0, down to {lowest:.2g}: fitted as they are"
-
-
-def _valid(
-    mask: NDArray[np.bool_] | None,
-    weights: NDArray[np.floating[Any]] | None,
-    limits: NDArray[np.uint8] | None,
-    shape: tuple[int, int],
-) -> NDArray[np.bool_]:
-    if limits is not None:
-        valid = np.zeros(shape, bool)
-        for i, of_picture in enumerate(limits):
-            ordinary = of_picture == 0
-            if weights is not None:
-                ordinary &= weights[i] > 0
-            valid |= ordinary.any(axis=-1)
-        return valid if mask is None else valid & mask
-    if weights is not None:
-        return np.asarray((weights > 0).any(axis=(0, 3)))  # they are 0 outside the mask
-    return np.ones(shape, bool) if mask is None else mask
 
 
 def every_channel(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -145,10 +145,7 @@ def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
     """
     check_no_lamps(folder, overwrite=overwrite)
     names = [path.stem for path in scene_folder.find_pictures(folder)]
-    if len(lamps) and lamps.pictures[-1] >= len(names):
-        raise InputError(
-            f"lamps: expected indices of pictures below {len(names)}, found {lamps.pictures[-1]}"
-        )
+    lamps.check_pictures(len(names))
     path = folder / LAMP_FILES[0]
     with new_file(path, overwrite=overwrite) as temporary:
         known_lamps.save(temporary, lamps, names)

@@ -57,25 +57,9 @@ def checked_depth(
 ) -> tuple[Depth | None, list[str]]:
     """Depth as a scene keeps it, and what there is to say about it.
 
-    Parameters
-    ----------
-    given
-        (H, W) distances along the camera's axis, in any unit; None = unknown.
-    normals
-        (H, W, 3) unit vectors in camera space, NaN where there are none.
-    fov
-        Horizontal field of view in degrees, 0 = orthographic.
-    normals_known
-        False = the normals stand for unknown ones, and depth is not compared with them.
-
-    Returns
-    -------
-    (H, W) float32, NaN where there is no positive number below `DEPTH_MAX`; and notes in words.
-
-    Raises
-    ------
-    InputError
-        If the map has another size or holds no distances.
+    Returns (H, W) float32, NaN where there is no positive number below `DEPTH_MAX`, and notes in
+    words. Depth is not compared with normals (H, W, 3) that stand for unknown ones. Raises
+    InputError if the map has another size or holds no distances.
     """
     if given is None:
         return None, []

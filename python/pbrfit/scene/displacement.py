@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.resampling import averaged, averaged_channels
+from pbrfit.io.resampling import averaged_channels
 from pbrfit.scene import alignment
 from pbrfit.scene.scene import Scene
 
@@ -64,7 +64,6 @@ _FLOOR = 0.2  # of the mean: darker pixels weigh as this
 _REWEIGHTED = 2
 _CAUCHY = 2.4  # in standard deviations, 95 % efficient for normal residuals
 _SAMPLES_OF_UNKNOWN = 16
-_USED_SHARE = 0.999
 _KEPT_PIXELS = 1 << 18
 
 
@@ -146,7 +145,8 @@ class Level:
         grid = np.broadcast_arrays(rows[:, None, :, None], columns[None, :, None, :])
         self._places = np.stack(grid).reshape(2, -1, rows.shape[1], columns.shape[1])
         middle = self._inner(self._places)
-        self._y, self._x = from_middle(middle, size)
+        y, x = from_middle(middle, size)
+        self._ones_y_x = np.stack([np.ones(len(y)), y, x])
         parts = [middle[axis] * CLUSTERS // size[axis] for axis in (0, 1)]
         _, self._cluster = np.unique(parts[0] * CLUSTERS + parts[1], return_inverse=True)
         normals = np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0)
@@ -223,7 +223,7 @@ class Level:
     ) -> Fit | None:
         """Least squares by the basis and a displacement, reweighted for Cauchy's loss."""
         count = len(basis)
-        place = np.stack([np.ones(len(self._y)), self._y, self._x])[:, used]
+        place = self._ones_y_x[:, used]
         wanted = target[used].astype(np.float64)
         known = np.empty((count + 6, len(wanted)))
         known[:count] = self._inner(basis)[:, used]
@@ -309,8 +309,7 @@ class Level:
 
     def rms(self, affine: Array) -> float:
         """Root mean square length of a displacement (2, 3) over the pixels."""
-        place = np.stack([np.ones(len(self._y)), self._y, self._x])
-        return float(np.sqrt(((affine @ place) ** 2).sum(axis=0).mean()))
+        return float(np.sqrt(((affine @ self._ones_y_x) ** 2).sum(axis=0).mean()))
 
 
 def _normal_equations(known: Array, wanted: Array, weights: Array) -> tuple[Array, Array]:
@@ -356,12 +355,8 @@ class Greys:
         if size == self.shape:
             found = self._full(i)
         else:
-            grey, used = self.of(i, self.shape)
-            small, share = averaged(grey, size), np.ones(size)
-            if not used.all():
-                share = averaged(used.astype(np.float64), size)
-                small = np.divide(small, share, out=small, where=share > 0)
-            found = small.astype(np.float32), share > _USED_SHARE
+            small, used = alignment.averaged_used(*self.of(i, self.shape), size)
+            found = small.astype(np.float32), used
         if size[0] * size[1] <= _KEPT_PIXELS:
             self._kept[i, size] = found
         return found
@@ -373,11 +368,9 @@ class Greys:
         used = np.isfinite(grey)
         if scene.mask is not None:
             used &= scene.mask
-        if scene.weights is not None:
-            used &= (scene.weights[i] > 0).all(axis=-1)
-        limits = getattr(scene, "limits", None)
-        if limits is not None:
-            used &= ~limits[i].any(axis=-1)
+        weights = scene.channel_weights(i)
+        if weights is not None:
+            used &= (weights > 0).all(axis=-1)
         return np.where(used, grey, np.float32(0)), used
 
     def normals(self, size: tuple[int, int]) -> Array:

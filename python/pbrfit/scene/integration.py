@@ -100,34 +100,16 @@ def depth_from_normals(
 ) -> NDArray[np.float32]:
     """Depth of a surface with given normals; the module says by which equations.
 
-    Parameters
-    ----------
-    normals
-        (H, W, 3) unit vectors in camera space; NaN where unknown, which is bridged.
-    fov
-        Horizontal field of view in degrees; 0 = orthographic.
-    mask
-        (H, W), True where depth is wanted; None = everywhere.
-    segments
-        (H, W) ids of surfaces, whose borders may be jumps; None = unknown.
-    depth
-        (H, W) noisy distances along the camera's axis, NaN where unknown; None = none. Normals
-        alone tell depth up to a factor, without perspective up to an offset, and say nothing of the
-        distance between surfaces that hang together nowhere.
-    depth_weight
-        λ, above 0: the squared ratio of the deviations of normals, in radians, and depth, relative
-        (orthographic: in its unit).
+    Normals (H, W, 3) are unit vectors in camera space, NaN where unknown, which is bridged; the
+    mask (H, W) is True where depth is wanted; borders of segments (H, W) may be jumps. `depth`
+    (H, W) are noisy distances along the camera's axis, NaN where unknown: normals alone tell depth
+    up to a factor, without perspective up to an offset, and say nothing of the distance between
+    surfaces that hang together nowhere. `depth_weight` is λ, the squared ratio of the deviations of
+    normals, in radians, and depth, relative (orthographic: in its unit).
 
-    Returns
-    -------
-    (H, W) float32 distances along the camera's axis, NaN outside the mask; in the unit of `depth`,
-    without any with median 1 (orthographic: minimum 1).
-
-    Raises
-    ------
-    InputError
-        If an array has another size, no pixel of the mask has a normal, or `depth_weight` is not
-        above 0.
+    Returns (H, W) float32 distances along the camera's axis, NaN outside the mask; in the unit of
+    `depth`, without any with median 1 (orthographic: minimum 1). Raises InputError if an array has
+    another size, no pixel of the mask has a normal, or `depth_weight` is not above 0.
     """
     geometry.check_fov(fov)
     shape = np.shape(normals)[:2]
@@ -144,18 +126,14 @@ def depth_from_normals(
     edges = _Edges.of(unit, known, fov, segments)
     pixels = edges.pixels_per_unit
 
-    given: Array | None = None
-    data = np.zeros(known.size)  # λ/p² where depth is given
+    given, data = np.zeros((2, known.size))  # data is λ/p² where depth is given
     if depth is not None:
         distances = without_holes(depth)[0].astype(np.float64)
         given = (distances if fov == 0 else np.log(distances)).ravel()
         told = np.isfinite(given) & wanted.ravel()
         data[told] = depth_weight / pixels**2
         given = np.where(told, given, 0.0)
-    found = np.zeros(known.size) if given is None else given
-    weights = edges.weights
-    if given is not None:
-        weights = edges.reweighted(found, (data > 0))
+    found, weights = given, edges.reweighted(given, data > 0)
     for _ in range(ROUNDS):
         before, found = found, _solved(edges, weights, data, given, found)
         if np.abs(found - before).max() < UNCHANGED:
@@ -203,10 +181,7 @@ class _Edges:
         cosine = np.clip(cosine, COSINE_MIN, 1.0)
         index = np.arange(known.size).reshape(shape)
         parts: list[list[NDArray[Any]]] = []
-        for a, b in (
-            (np.s_[:, :-1], np.s_[:, 1:]),
-            (np.s_[:-1], np.s_[1:]),
-        ):
+        for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
             both = known[a] & known[b]
             step = rays[b] - rays[a]
             middle = (rays[a] + rays[b]) / 2
@@ -240,9 +215,8 @@ class _Edges:
         """Weights by residuals; those between pixels that are not `told` stay as they are."""
         # In standard deviations that are equal for all, as weights of slanted surfaces are small.
         residual = np.sqrt(self.weights) * self.residuals(unknown)
-        looked_at = np.ones(len(residual), bool)
-        if told is not None:
-            looked_at = told[self.first] & told[self.second]
+        told = np.ones(unknown.shape, bool) if told is None else told
+        looked_at = told[self.first] & told[self.second]
         some = np.abs(residual[self.certain & looked_at])
         middle = float(np.median(some)) if some.size else 0.0
         scale = max(NORMAL_ERROR_MIN, RESIDUAL_SCALE * middle)
@@ -261,7 +235,7 @@ def _half(normals: Array, end: Array, middle: Array, step: Array, fov: float, si
     return np.asarray(sign * np.log(at_end / at_middle))
 
 
-def _solved(edges: _Edges, weights: Array, data: Array, given: Array | None, start: Array) -> Array:
+def _solved(edges: _Edges, weights: Array, data: Array, given: Array, start: Array) -> Array:
     """The unknowns (P,) that minimise the weighted squares."""
     from scipy.sparse import coo_array, diags_array
     from scipy.sparse.linalg import LinearOperator, cg
@@ -277,11 +251,8 @@ def _solved(edges: _Edges, weights: Array, data: Array, given: Array | None, sta
     couplings = coo_array((-np.concatenate([weights] * 2), (rows, columns)), shape=(count, count))
     matrix = (couplings + diags_array(total + held)).tocsr()
     flow = weights * edges.differences
-    right = np.asarray(
-        np.bincount(edges.second, flow, count) - np.bincount(edges.first, flow, count), np.float64
-    )
-    if given is not None:
-        right = right + data * given
+    flows = np.bincount(edges.second, flow, count) - np.bincount(edges.first, flow, count)
+    right = data * given + flows
     # In units in which the diagonal is 1: bridges weigh as much as all else.
     size = 1.0 / np.sqrt(total + held)
     scaled = (diags_array(size) @ matrix @ diags_array(size)).tocsr()
@@ -289,12 +260,7 @@ def _solved(edges: _Edges, weights: Array, data: Array, given: Array | None, sta
     cycle = _multigrid(scaled, np.stack(places, axis=-1), size[:, None] ** -1)
     operator = LinearOperator(scaled.shape, matvec=cycle, dtype=np.float64)
     found, _ = cg(
-        scaled,
-        size * right,
-        x0=start / size,
-        rtol=TOLERANCE,
-        maxiter=ITERATIONS_MAX,
-        M=operator,
+        scaled, size * right, start / size, rtol=TOLERANCE, maxiter=ITERATIONS_MAX, M=operator
     )
     return np.asarray(found * size)
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit.io.lamp_files import read_lamps, write_lamps
 from pbrfit.io.lamp_names import matched
-from pbrfit.model.lamp_rows import lamps_of_rows, rows_of_lamps
-from pbrfit.model.lamps import Lamps
+from pbrfit.model.lamps import Lamps, lamps_of_rows, rows_of_lamps
 
 
 def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:

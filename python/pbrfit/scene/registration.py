@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.resampling import reduced_size
+from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import alignment
 from pbrfit.scene.displacement import (
     COMPONENTS,
@@ -386,49 +387,20 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
     from outside, or from one that has no weight, get weight 0.
     """
     kept = [i for i, one in enumerate(registration.placements) if not one.left_out]
-    everything = np.ones(scene.valid.shape, np.float32)
-    images, weights = scene.images[kept], None
-    if scene.weights is not None or any(registration.placements[i].affine.any() for i in kept):
-        mask = everything if scene.mask is None else scene.mask
-        given = np.broadcast_to(mask[..., None], scene.images.shape)
-        given = given if scene.weights is None else scene.weights
-        weights = given[kept].astype(np.float32)
-    limits = getattr(scene, "limits", None)
-    limits = None if limits is None else limits[kept]
-    for to, i in enumerate(kept):
-        affine = registration.placements[i].affine
-        if affine.any():
-            assert weights is not None
-            used = (weights[to] > 0) & np.isfinite(images[to])
-            images[to], weights[to] = _resampled(images[to], used, weights[to], affine)
-            if limits is not None:
-                limits[to] = _touched(limits[to], affine)
-    if weights is not None and scene.mask is not None:
-        weights *= scene.mask[..., None]
-    truth = scene.truth
-    if truth is not None and truth.lighting is not None:
-        truth = replace(truth, lighting=truth.lighting[kept])
-    changed: dict[str, Any] = {} if limits is None else {"limits": limits}
-    if scene.file_noise is not None:
-        changed["file_noise"] = tuple(scene.file_noise[i] for i in kept)
-    return replace(
-        scene,
-        images=images,
-        weights=weights,
-        names=tuple(scene.names[i] for i in kept),
-        lighting=None if scene.lighting is None else scene.lighting[kept],
-        lamps=None if scene.lamps is None else scene.lamps.of_pictures(kept),
-        truth=truth,
-        **changed,
-    )
-
-
-def _whole(affine: Array) -> tuple[int, int] | None:
-    """The shift in whole pixels, if it is one."""
-    down, right = affine[:, 0]
-    if affine[:, 1:].any() or down != round(down) or right != round(right):
-        return None
-    return round(down), round(right)
+    moved = [(to, registration.placements[i].affine) for to, i in enumerate(kept)]
+    moved = [(to, affine) for to, affine in moved if affine.any()]
+    if not moved:
+        return scene.of_pictures(kept)
+    every = np.ones(1) if scene.mask is None else scene.mask[..., None]
+    given = np.broadcast_to(every, scene.images.shape) if scene.weights is None else scene.weights
+    images, weights = scene.images[kept], given[kept].astype(np.float32)
+    limits = None if scene.limits is None else scene.limits[kept]
+    for to, affine in moved:
+        used = (weights[to] > 0) & np.isfinite(images[to])
+        images[to], weights[to] = _resampled(images[to], used, weights[to], affine)
+        if limits is not None:
+            limits[to] = _touched(limits[to], affine)
+    return scene.of_pictures(kept, images=images, weights=weights, limits=limits)
 
 
 def _resampled(
@@ -440,15 +412,8 @@ def _resampled(
     places = _displaced(used.shape[:2], affine)
     shape = np.array(used.shape[:2])[:, None, None]
     inside = np.asarray(((places >= 0) & (places <= shape - 1)).all(axis=0))[..., None]
-    shift = _whole(affine)
-    filled = np.where(used, image, 0)
-    if shift is not None:
-        rows, columns = (
-            np.clip(np.arange(n) + d, 0, n - 1) for n, d in zip(used.shape[:2], shift, strict=True)
-        )
-        return filled[np.ix_(rows, columns)], np.where(inside, weights[np.ix_(rows, columns)], 0)
     # The splines' prefilter spreads values that are not used a little: they are made like others.
-    filled = np.stack([_filled(image[..., c], used[..., c]) for c in range(3)], axis=-1)
+    filled = np.stack([image[nearest_inside(used[..., c])][..., c] for c in range(3)], axis=-1)
 
     def at(planes: NDArray[Any], order: Literal[1, 3]) -> NDArray[Any]:
         found = [
@@ -456,7 +421,8 @@ def _resampled(
         ]
         return np.stack(found, axis=-1)
 
-    moved = at(filled, 3)
+    # Linear interpolation leaves values at pixels as they are, to the bit.
+    moved = at(filled, 1 if (places == places.round()).all() else 3)
     error = np.abs(moved - at(filled, 1)).max(axis=-1, keepdims=True)
     half = INTERPOLATION_ERROR * max(float(np.abs(image[used]).mean()), 1e-30)
     near = at(weights, 1) / (1 + (error / half) ** 2)
@@ -464,26 +430,15 @@ def _resampled(
     return moved.astype(image.dtype), np.where(inside & ~unused, near, 0).astype(np.float32)
 
 
-def _filled(image: NDArray[Any], used: NDArray[np.bool_]) -> NDArray[Any]:
-    """A plane with what is not used replaced by its nearest value that is."""
-    from scipy.ndimage import distance_transform_edt
-
-    if used.all() or not used.any():
-        return np.where(used, image, 0)
-    nearest = distance_transform_edt(~used, return_distances=False, return_indices=True)
-    return np.asarray(image[tuple(nearest)])
-
-
 def _touched(kinds: NDArray[np.uint8], affine: Array) -> NDArray[np.uint8]:
     """Largest kind (H, W, C) among the four samples around x + u(x)."""
-    rows, columns = _displaced(kinds.shape[:2], affine)
-    found = np.zeros_like(kinds)
-    for around_row in (np.floor(rows), np.ceil(rows)):
-        for around_column in (np.floor(columns), np.ceil(columns)):
-            row = around_row.clip(0, kinds.shape[0] - 1).astype(np.intp)
-            column = around_column.clip(0, kinds.shape[1] - 1).astype(np.intp)
-            np.maximum(found, kinds[row, column], out=found)
-    return found
+    places, last = _displaced(kinds.shape[:2], affine), np.array(kinds.shape[:2]) - 1
+    before, after = (
+        np.clip(side(places), 0, last[:, None, None]).astype(np.intp)
+        for side in (np.floor, np.ceil)
+    )
+    rows, columns = ((before[axis], after[axis]) for axis in (0, 1))
+    return np.asarray(np.max([kinds[row, column] for row in rows for column in columns], axis=0))
 
 
 def _displaced(shape: Sequence[int], affine: Array) -> Array:
