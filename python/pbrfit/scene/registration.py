@@ -413,7 +413,7 @@ def _resampled(
     shape = np.array(used.shape[:2])[:, None, None]
     inside = np.asarray(((places >= 0) & (places <= shape - 1)).all(axis=0))[..., None]
     # The splines' prefilter spreads values that are not used a little: they are made like others.
-    filled = np.stack([image[nearest_inside(used[..., c])][..., c] for c in range(3)], axis=-1)
+    filled = np.stack([image[..., c][nearest_inside(used[..., c])] for c in range(3)], axis=-1)
 
     def at(planes: NDArray[Any], order: Literal[1, 3]) -> NDArray[Any]:
         found = [
