@@ -31,20 +31,17 @@ def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[lis
     are compared without folder, quotes and surrounding spaces, with or without extension; then
     without case and forms of Unicode; then without up to two extensions. The way counts by which
     most pictures have a lamp. Where no name is a picture's, numbers in names tell, if both sides
-    have the same; else order, if alphabet and numbers agree on it on both sides. A warning lists
-    these pairs.
+    have the same; else order, if alphabet and numbers agree on it on both sides.
 
     Raises InputError if some picture has no lamp, or lamps of several names, or nothing tells which
     lamp is whose.
     """
-    best = [-1] * len(given)
+    ways = [[-1] * len(given)]
     for forms in (_as_written, _folded, _bare):
         places = {forms(name)[0]: i for i, name in enumerate(names)}
-        if len(places) < len(names):
-            continue  # these names differ in what is left out
-        found = [next((places[f] for f in forms(one) if f in places), -1) for one in given]
-        if len(set(found) - {-1}) > len(set(best) - {-1}):
-            best = found
+        if len(places) == len(names):  # else names differ in what is left out
+            ways.append([next((places[f] for f in forms(one) if f in places), -1) for one in given])
+    best = max(ways, key=lambda found: len(set(found) - {-1}))
     if max(best) < 0:
         return _by_sequence(path, given, names)
     spare = [one for one, i in zip(given, best, strict=True) if i < 0]
@@ -52,16 +49,14 @@ def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[lis
     first: dict[int, str] = {}
     for one, i in zip(given, best, strict=True):
         if first.setdefault(i, one) != one and i >= 0:  # a name may come again: several lamps
+            found = f"{shown(first[i])} and {shown(one)}"
             raise InputError(
-                f"{path}: expected one name for picture {shown(names[i])}, found "
-                f"{shown(first[i])} and {shown(one)}"
+                f"{path}: expected one name for picture {shown(names[i])}, found {found}"
             )
     without = [name for i, name in enumerate(names) if i not in first]
     if without:
-        raise InputError(
-            f"{path}: expected a lamp for every picture, found none for {shown(without[0])}"
-            f"{_more(without)}" + f"; {others}" * bool(others)
-        )
+        found = f"none for {shown(without[0])}{_more(without)}" + f"; {others}" * bool(others)
+        raise InputError(f"{path}: expected a lamp for every picture, found {found}")
     return best, f"some left out: {others}" * bool(others)
 
 
@@ -81,12 +76,12 @@ def _bare(name: str) -> tuple[str, ...]:
 
 
 def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:
-    """As `matched`, where no name is that of a picture."""
+    """As `matched`, where no name is that of a picture; a warning lists the pairs."""
     if len(given) != len(names):
         example = f" (such as {shown(given[0])})" if given[0] else ""
+        found = f"{len(given)}, none with a picture's name{example}"
         raise InputError(
-            f"{path}: expected a lamp for each of the {len(names)} pictures, found "
-            f"{len(given)}, none with a picture's name{example}"
+            f"{path}: expected a lamp for each of the {len(names)} pictures, found {found}"
         )
     numbers, captured = _numbers(names), _numbers(given)
     # Copies of captures keep their numbers. A set of names that differ in one number alone, each
