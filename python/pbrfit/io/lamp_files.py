@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.io.input_files import TEXT_BYTES, read_text, there
+from pbrfit.io.input_files import TEXT_BYTES, read_text
 from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, whole, write_json
 from pbrfit.io.quoting import listed, quoted, shown
 
@@ -68,18 +68,17 @@ def find_lamps(folder: Path) -> Path | None:
 
     Raises InputError if there are several.
     """
-    found = [path for name in LAMP_FILES if there(path := folder / name)]
-    for below in filter(Path.is_dir, (folder, folder / "images")):
-        beside = LAMP_FILES[1:] if below != folder else ()
-        found += sorted(p for p in below.iterdir() if _is_lp(p) or p.name in beside)
+    found = [
+        path
+        for below, names in ((folder, LAMP_FILES), (folder / "images", LAMP_FILES[1:]))
+        if below.is_dir()
+        for path in sorted(below.iterdir())
+        if path.name in names or re.fullmatch(r"[^.].*\.lp", path.name, re.IGNORECASE)
+    ]
     if len(found) > 1:
-        names = listed(path.relative_to(folder).as_posix() for path in found)
-        raise InputError(f"{folder}: expected one file with lamps, found {names}")
+        every = listed(path.relative_to(folder).as_posix() for path in found)
+        raise InputError(f"{folder}: expected one file with lamps, found {every}")
     return found[0] if found else None
-
-
-def _is_lp(path: Path) -> bool:
-    return path.suffix.lower() == ".lp" and not path.name.startswith(".")
 
 
 def read_lamps(path: Path) -> tuple[list[LampRow], str]:

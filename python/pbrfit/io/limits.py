@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.io import resampling
+
 ORDINARY, AT_LEAST, AT_MOST = 0, 1, 2
 """What a sample says of the true radiance: what it is; at least so much; at most so much."""
 
@@ -43,15 +45,10 @@ def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
         return limits
     parts = np.where(np.abs(matrix) > _NO_PART, matrix, 0.0).astype(np.float32)
     found = np.zeros_like(limits)
-    above, below = limits == AT_LEAST, limits == AT_MOST
     for c, row in enumerate(parts):
-        at_most, at_least = below @ row, above @ row
-        for sums, of_more, of_less in (
-            (at_most, AT_MOST, AT_LEAST),
-            (at_least, AT_LEAST, AT_MOST),
-        ):
-            found[..., c][sums > 0] = of_more
-            found[..., c][sums < 0] = of_less
+        for same, opposite in ((AT_MOST, AT_LEAST), (AT_LEAST, AT_MOST)):
+            sums = (limits == same) @ row
+            found[..., c][sums > 0], found[..., c][sums < 0] = same, opposite
     return found
 
 
@@ -63,20 +60,5 @@ def averaged(limits: Limits, size: tuple[int, int]) -> Limits:
     """
     found = np.zeros((*size, limits.shape[-1]), dtype=np.uint8)
     for limit in (AT_MOST, AT_LEAST):
-        for c in range(limits.shape[-1]):
-            found[..., c][_touched(limits[..., c] == limit, size)] = limit
+        found[resampling.averaged_channels(limits == limit, size) > 0] = limit
     return found
-
-
-def _touched(marked: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Which pixels of a picture averaged down to `size` have a part in any that is marked."""
-    touched = np.zeros(size, dtype=bool)
-    rows, columns = np.nonzero(marked)
-    lows, highs = [], []
-    for at, full, small in zip((rows, columns), marked.shape, size, strict=True):
-        lows.append(at * small // full)
-        highs.append(np.minimum(((at + 1) * small - 1) // full, small - 1))
-    for row in (lows[0], highs[0]):
-        for column in (lows[1], highs[1]):
-            touched[row, column] = True
-    return touched

@@ -27,7 +27,6 @@ TOKEN_BYTES = 6
 ASIDE = "-old"
 """Ending of a folder in which something lies that is being replaced, by its name."""
 
-
 PASSED_OVER = (".DS_Store", "._*", ".nfs*", "Thumbs.db", "desktop.ini", ".pbrfit-*")
 """Patterns of names of files that systems, and pbrfit when it is killed, leave in any folder; they
 go with it."""
@@ -43,10 +42,6 @@ class FolderForm:
     """Paths of all files that pbrfit writes into one, as patterns of `fnmatch`."""
     listed: Callable[[Path], Collection[str]] = lambda _: ()
     """Gives further paths of files: those that a folder itself says it holds."""
-
-    def missing(self, folder: Path) -> str | None:
-        """What a folder lacks to be an earlier output; None where that is nothing."""
-        return next((name for name in self.contains if not there(folder / name)), None)
 
     def foreign(self, folder: Path) -> Iterator[Path]:
         """What is in a folder and not of pbrfit, or of a system."""
@@ -78,10 +73,10 @@ def unfinished(
 ) -> Iterator[None]:
     """Say what has to go away if the process is ended in the block; the block itself removes it.
 
-    A command that is told to end has half a second to do that (`pbrfit.cli.run`). Then this is done
-    for it, also while a long call keeps the interpreter. `temporary` is a file or folder, there or
-    not; `aside` what was set aside, and the name that it gets back if that is free, else it goes
-    away too; `parents` are folders made for it, the deepest first: empty ones always go away.
+    A command that is told to end has half a second for that (`pbrfit.cli.run`); then the core does
+    it. `temporary` is a file or folder, there or not; `aside` what was set aside, and the name that
+    it gets back if that is free; `parents` are folders made for it, the deepest first: those that
+    are empty go away in any case.
     """
     number = _core.unfinished(temporary, aside, list(parents))
     try:
@@ -121,10 +116,8 @@ def making(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        found = error.strerror or str(error)
-        raise type(error)(
-            f"{path}: expected a place where a {what} can be made, found: {found}"
-        ) from None
+        words = f"{path}: expected a place where a {what} can be made, found: "
+        raise type(error)(words + (error.strerror or str(error))) from None
 
 
 @contextmanager
@@ -154,10 +147,9 @@ def new_folder(
     """Give a temporary folder beside `path` that takes its name when the block ends well.
 
     When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
-    parent folders, and a folder that was to be replaced still there. `temporaries` is a folder on
-    the same file system that takes the place of that beside `path`; a folder that is replaced lies
-    in it for an instant as `*-old/NAME`. Raises FileExistsError, see `check_free`; OSError if no
-    folder can be made there.
+    parent folders, and a folder that was to be replaced still there. `temporaries` is a folder
+    beside `path` in which to work instead. A folder that is replaced lies for an instant in
+    `*-old/NAME`. Raises FileExistsError, see `check_free`; OSError if no folder can be made there.
     """
     check_free(path, overwrite=overwrite, form=form)
     target = _place(path)
@@ -167,8 +159,8 @@ def new_folder(
         temporary = temporaries / token
     aside = temporary.with_name(f"{temporary.name}{ASIDE}")
     old = aside / target.name
-    new_parents = [parent for parent in target.parents if not parent.exists()]
-    with unfinished(temporary, aside=(old, target), parents=[aside, *new_parents]):
+    parents = [aside, *(parent for parent in target.parents if not parent.exists())]
+    with unfinished(temporary, aside=(old, target), parents=parents):
         try:
             with making(path, "folder"):
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -202,8 +194,7 @@ def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     check_free_file(path, overwrite=overwrite)
     target = _place(path)
     temporary = target.with_name(f".pbrfit-{secrets.token_hex(TOKEN_BYTES)}{target.suffix}")
-    new_parents = [parent for parent in target.parents if not parent.exists()]
-    with unfinished(temporary, parents=new_parents):
+    with unfinished(temporary, parents=[one for one in target.parents if not one.exists()]):
         try:
             with making(path, "file"):
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -223,18 +214,18 @@ def _place(path: Path) -> Path:
     return path.parent.resolve() / path.name if path.name not in ("", "..") else path.resolve()
 
 
-def check_free_file(path: Path, *, overwrite: bool) -> None:
-    """Check that a file may be written at `path`.
+def check_free_file(path: Path, *, overwrite: bool, kind: str = FILE) -> None:
+    """Check that a file, or something of another `kind`, may be written at `path`.
 
-    Raises FileExistsError if something is there, unless it is a file and `overwrite` is True.
+    Raises FileExistsError if something is there, unless it is of that kind and `overwrite` is True.
     """
     found = what_is(path)
-    if found not in (None, FILE):
-        raise FileExistsError(f"{path}: expected a file or nothing, found {found}")
+    if found not in (None, kind):
+        raise FileExistsError(f"{path}: expected {kind} or nothing, found {found}")
     if found and not overwrite:
+        remedy = "overwrite=True replaces it"
         raise FileExistsError(
-            f"{path}: expected a file that does not exist yet, found one; "
-            "overwrite=True replaces it"
+            f"{path}: expected {kind} that does not exist yet, found one; {remedy}"
         )
 
 
@@ -243,41 +234,33 @@ def check_free(path: Path, *, overwrite: bool, form: FolderForm = EMPTY) -> None
 
     Only an earlier output is replaced: an empty folder, or one of the given form in which there is
     nothing else. Pictures that somebody took, and what somebody put beside a result, are not lost
-    to a slip of the fingers. Raises FileExistsError if something is there, unless it is a folder
-    and `overwrite` is True. A folder that the process works in is never replaced.
+    to a slip of the fingers. Raises FileExistsError if something is there, unless it is such a
+    folder and `overwrite` is True. A folder that the process works in is never replaced.
     """
     check_is_output(path, overwrite=overwrite, form=form)
-    foreign = (
-        [one.relative_to(path).as_posix() for one in form.foreign(path)] if there(path) else []
-    )
-    if foreign:
+    if there(path) and (foreign := list(form.foreign(path))):
+        found = listed(one.relative_to(path).as_posix() for one in foreign)
         raise FileExistsError(
-            f"{path}: expected nothing but an earlier output to replace, found {listed(foreign)} "
-            "besides; move it away first"
+            f"{path}: expected nothing but an earlier output to replace, found {found} besides; "
+            "move it away first"
         )
 
 
 def check_is_output(path: Path, *, overwrite: bool, form: FolderForm) -> None:
     """As `check_free`, whatever else an earlier output may hold by now."""
-    found = what_is(path)
-    if found == FOLDER:
-        if not overwrite:
-            raise FileExistsError(
-                f"{path}: expected a folder that does not exist yet, found one; "
-                "overwrite=True replaces it"
-            )
-        missing = form.missing(path)
-        if missing and not all(_passed_over(one.name) for one in path.iterdir()):
-            raise FileExistsError(
-                f"{path}: expected an earlier output to replace, found a folder without "
-                f"{missing}; remove it yourself if it is not needed"
-            )
-        if Path.cwd().is_relative_to(path.resolve()):
-            raise FileExistsError(
-                f"{path}: expected a folder to replace, found the current one or one above it"
-            )
-    elif found is not None:
-        raise FileExistsError(f"{path}: expected a folder or nothing, found {found}")
+    check_free_file(path, overwrite=overwrite, kind=FOLDER)
+    if not there(path):
+        return
+    missing = next((name for name in form.contains if not there(path / name)), None)
+    if missing and not all(_passed_over(one.name) for one in path.iterdir()):
+        raise FileExistsError(
+            f"{path}: expected an earlier output to replace, found a folder without {missing}; "
+            "remove it yourself if it is not needed"
+        )
+    if Path.cwd().is_relative_to(path.resolve()):
+        raise FileExistsError(
+            f"{path}: expected a folder to replace, found the current one or one above it"
+        )
 
 
 def what_is(path: Path) -> str | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.quoting import listed
-from pbrfit.io.resampling import averaged
+from pbrfit.io.resampling import averaged_channels
 
 WEIGHT_FILE = "weights.exr"
 
@@ -89,9 +89,8 @@ def reduced(weights: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArra
     and only ratios of weights matter: the weight of the mean is the harmonic mean of the weights.
     It is 0 as soon as one of them is.
     """
-    planes = np.moveaxis(weights, -1, 0).reshape(-1, *weights.shape[-3:-1])
+    every = weights.reshape(-1, *weights.shape[-3:])
     with np.errstate(divide="ignore"):
-        # averaged() keeps an infinite variance to the pixels that it has a part in.
-        small = [1.0 / averaged(1.0 / plane.astype(np.float64), size) for plane in planes]
-    stacked = np.stack(small).reshape(weights.shape[-1], *weights.shape[:-3], *size)
-    return np.moveaxis(stacked, 0, -1)
+        # An infinite variance stays in the pixels that it has a part in.
+        small = [1.0 / averaged_channels(1.0 / one.astype(np.float64), size) for one in every]
+    return np.reshape(small, (*weights.shape[:-3], *size, weights.shape[-1]))
