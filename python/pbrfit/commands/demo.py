@@ -17,8 +17,9 @@ from pbrfit.commands.fit_options import (
 from pbrfit.commands.synth import add_synthetic, make_scene
 from pbrfit.commands.terminal import held_out_lines, verdict_lines
 from pbrfit.fit.decompose import decompose
+from pbrfit.io.images import write_png
 from pbrfit.io.output import FolderForm, new_folder
-from pbrfit.io.relit_files import Screen, write_animation, write_png
+from pbrfit.io.relit_files import Screen, write_animation
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.report import write_report
 from pbrfit.result.advice import next_steps
@@ -89,5 +90,5 @@ def _relight(result: Result, folder: Path, threads: int) -> None:
     frames = (
         screen.shown(relight(result, LAMP.turned(360 * k / FRAMES), threads)) for k in range(FRAMES)
     )
-    write_png(folder / "relit.png", screen.shown(relight(result, LAMP, threads)))
+    write_png(folder / "relit.png", screen.shown(relight(result, LAMP, threads)), "srgb")
     write_animation(folder / "relit.webp", ".webp", frames, fps=16)

@@ -10,7 +10,7 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import add_light, choose_light
-from pbrfit.io import relit_files
+from pbrfit.io import images, relit_files
 from pbrfit.io.display import ToneMap
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
 from pbrfit.io.relit_files import Radiance, Range, Screen
@@ -261,7 +261,7 @@ def _write_picture(path: Path, frame: Radiance, screen: Screen) -> None:
     if path.suffix.lower() == ".exr":
         relit_files.write_exr(path, frame)
     else:
-        relit_files.write_png(path, screen.shown(frame))
+        images.write_png(path, screen.shown(frame), "srgb")
 
 
 def _frame_name(k: int, options: argparse.Namespace) -> str:

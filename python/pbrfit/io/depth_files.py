@@ -39,16 +39,15 @@ def read_depth(path: Path) -> NDArray[np.float64]:
                 f"{path}: expected one of the channels Z, depth.Z, Y, R, found {listed(stored)}"
             )
         return stored[(*found, *stored)[0]].astype(np.float64)
-    if stored.ndim == 3 and 1 in (stored.shape[0], stored.shape[-1]):
-        stored = stored.reshape(stored.shape[1:] if stored.shape[0] == 1 else stored.shape[:2])
-    elif stored.ndim == 3 and stored.shape[-1] in (2, 3, 4):  # of a picture, maybe with alpha
-        colors = stored[..., : 3 if stored.shape[-1] >= 3 else 1]
-        if not (colors == colors[..., :1]).all():
+    if stored.ndim == 3 and len(stored) == 1:
+        stored = stored[0]
+    elif stored.ndim == 3 and stored.shape[-1] <= 4:  # of a picture, maybe with alpha
+        if stored.shape[-1] > 2 and (stored[..., 1:3] != stored[..., :1]).any():
             raise InputError(
                 f"{path}: expected depth in one channel, found colours; a coloured picture of "
                 "depth cannot be read back"
             )
-        stored = colors[..., 0]
+        stored = stored[..., 0]
     if stored.ndim != 2:
         raise InputError(f"{path}: expected depth (H, W), found shape {stored.shape}")
     return np.ascontiguousarray(stored, dtype=np.float64)

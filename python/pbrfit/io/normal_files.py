@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +45,6 @@ ROUNDING = 3**0.5 / 255
 JUDGED_MAX = 1 << 20
 """Pixels whose lengths tell how a file is to be read: of larger maps every few."""
 
-SIGNED = 127, 32767
-"""Largest codes of signed integers."""
-
 NO_NORMALS = r"position|vector|uv|motion|velocity|tangent|crypto|(^|\.)p(world)?$"
 """Words in the names of layers that hold other vectors than normals."""
 
@@ -67,24 +63,21 @@ class Convention:
 
     def to_camera(self, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """(..., 3) normals of this convention in camera space."""
-        turned = np.asarray(normals * self._signs(), np.float64)
-        return turned if self.frame != "world" else turned @ self._rotation().T
+        return np.asarray(np.asarray(normals, np.float64) @ self._matrix().T)
 
     def from_camera(self, normals: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """(..., 3) normals of camera space in this convention: undoes `to_camera`."""
-        turned = normals if self.frame != "world" else normals @ self._rotation()
-        return np.asarray(turned * self._signs(), np.float64)
+        return np.asarray(np.asarray(normals, np.float64) @ self._matrix())
 
-    def _signs(self) -> NDArray[np.float64]:
-        return np.array([1.0, -1.0 if self.axes == "directx" else 1.0, 1.0])
-
-    def _rotation(self) -> NDArray[np.float64]:
-        if self.world_to_camera is None:
+    def _matrix(self) -> NDArray[np.float64]:
+        """(3, 3), orthogonal: n_camera = M n."""
+        turn = self.world_to_camera if self.frame == "world" else np.eye(3)
+        if turn is None:
             raise InputError(
                 "expected world_to_camera, a 3 × 3 rotation, beside "
                 'normals_frame = "world"; found none'
             )
-        return self.world_to_camera
+        return turn * [1.0, -1.0 if self.axes == "directx" else 1.0, 1.0]
 
     def __str__(self) -> str:
         return f"{self.axes} axes, {self.frame} space"
@@ -156,31 +149,30 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
     some = stored[::step, ::step].astype(np.float64)
     some = some[np.isfinite(some).all(axis=-1)]
     low, high = some.min(initial=0.0), some.max(initial=0.0)
-    readings: dict[str, Callable[[NDArray[Any]], NDArray[np.float64]]]
-    readings = {"": partial(np.array, dtype=np.float64)}
+    # Largest code, and whether codes have a sign, by words for it.
+    readings = {"": (1, True)}
     if stored.dtype.kind == "u":
-        readings[""] = partial(_of_codes, largest=np.iinfo(stored.dtype).max)
+        readings[""] = int(np.iinfo(stored.dtype).max), False
     elif low >= -ROUNDING and high <= 1 + ROUNDING:
-        readings["0 to 1 read as 2v − 1"] = partial(_of_codes, largest=1)
+        readings["0 to 1 read as 2v − 1"] = 1, False
     if stored.shape[-1] == 2:  # lengths tell nothing, but numbers below 0 tell components
         *_, (how, reading) = readings.items()
-        return _with_z(reading(stored)), ["z = √(1 − x² − y²)", *filter(None, [how])]
-    for largest in (127, 255, 32767, 65535):
-        if 1 + ROUNDING < max(high, -low) <= largest + 1 and (low < 0) == (largest in SIGNED):
-            reading = partial(_of_codes, largest=largest, signed=bool(low < 0))
-            readings[f"codes up to {largest}"] = reading
-    given = readings[""]
+        return _with_z(_of_codes(stored, *reading)), ["z = √(1 − x² − y²)", *filter(None, [how])]
+    for largest in (127, 32767) if low < 0 else (255, 65535):
+        if 1 + ROUNDING < max(high, -low) <= largest + 1:
+            readings[f"codes up to {largest}"] = largest, bool(low < 0)
     spans = np.ptp(some, axis=0) if len(some) else np.ones(3)
-    if spans[2] == 0 < spans[:2].min():
-        said = "z = √(1 − x² − y²), as the third channel is the same everywhere"
-        readings[said] = lambda v: _with_z(given(v))
     some = some[np.ptp(some, axis=-1) > 0]
     if not len(some):
-        return given(stored), []
-    lengths = {how: np.linalg.norm(reading(some), axis=-1) for how, reading in readings.items()}
+        return _of_codes(stored, *readings[""]), []
+    vectors = {how: _of_codes(some, *reading) for how, reading in readings.items()}
+    flat = "z = √(1 − x² − y²), as the third channel is the same everywhere"
+    if spans[2] == 0 < spans[:2].min():
+        vectors[flat] = _with_z(vectors[""])
+    lengths = {how: np.linalg.norm(of, axis=-1) for how, of in vectors.items()}
     off = {how: float(np.median(np.abs(of - 1))) for how, of in lengths.items()}
     best = min(off, key=lambda how: off[how])
-    behind = best.startswith("z") and (given(some)[:, 2] <= 0).all()
+    behind = best == flat and (vectors[""][:, 2] <= 0).all()
     if off[""] <= max(2 * off[best], ROUNDING) and not behind:
         best = ""
     if off[best] > MEDIAN_TOLERANCE:
@@ -189,17 +181,18 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
             f"{path}: expected normals, vectors of length 1 or codes of such, found lengths of "
             f"{few:.2g} to {many:.2g} (5 to 95 % of the pixels)"
         )
-    return readings[best](stored), [best] if best else []
+    found = _of_codes(stored, *readings.get(best, readings[""]))
+    return _with_z(found) if best == flat else found, [best] if best else []
 
 
-def _of_codes(values: NDArray[Any], largest: int, signed: bool = False) -> NDArray[np.float64]:
+def _of_codes(values: NDArray[Any], largest: int, signed: bool) -> NDArray[np.float64]:
     shares: NDArray[np.float64] = values / np.float64(largest)
     return shares if signed else 2.0 * shares - 1.0
 
 
 def _with_z(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors that face the viewer, of their x and y; longer where there are none."""
-    x, y = np.asarray(vectors[..., 0], np.float64), np.asarray(vectors[..., 1], np.float64)
+    x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
 
 
@@ -209,23 +202,21 @@ def _channels(path: Path, names: Iterable[str]) -> list[str]:
     for name in names:
         layer, _, letter = name.rpartition(".")
         layers.setdefault(layer, {})[letter.upper()] = name
-
-    def having(letters: str, *, called: str) -> list[list[str]]:
-        return [
+    exactly = r"(^|\.)(n|normals?)$"
+    for kinds, called in (
+        (("XYZ",), "^$"),
+        (("XYZ", "RGB"), exactly),
+        (("XYZ", "RGB"), "normal"),
+        (("XYZ",), rf"^(?!.*({NO_NORMALS})).+$"),
+        (("RGB",), "^$"),
+        (("XY", "RG"), rf"^$|{exactly}"),
+    ):
+        sets = [
             [of[letter] for letter in letters]
+            for letters in kinds
             for layer, of in layers.items()
             if set(letters) <= set(of) and re.search(called, layer, re.IGNORECASE)
         ]
-
-    exactly, roughly, others = r"(^|\.)(n|normals?)$", "normal", rf"^(?!.*({NO_NORMALS})).+$"
-    for sets in (
-        having("XYZ", called="^$"),
-        having("XYZ", called=exactly) + having("RGB", called=exactly),
-        having("XYZ", called=roughly) + having("RGB", called=roughly),
-        having("XYZ", called=others),
-        having("RGB", called="^$"),
-        having("XY", called=rf"^$|{exactly}") + having("RG", called=rf"^$|{exactly}"),
-    ):
         if len(sets) == 1:
             return sets[0]
         if sets:

@@ -35,11 +35,6 @@ def write_exr(path: Path, radiance: Radiance) -> None:
     images.write_exr(path, channels)
 
 
-def write_png(path: Path, shown: NDArray[np.uint8]) -> None:
-    """Write what `Screen.shown` gives, tagged as sRGB."""
-    images.write_png(path, shown, "srgb")
-
-
 def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
     """Write frames of `Screen.shown` that are repeated for ever; WebP and PNG are lossless.
 
