@@ -28,12 +28,11 @@ def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
     """Content of a JSON file.
 
     `expected` says for the message what it should hold. `finite` refuses NaN and infinities, which
-    are no JSON but often written. Raises InputError if it is not UTF-8 or not JSON, or nested
-    beyond reason, or no regular file; OSError if it cannot be read.
+    are no JSON but often written. Raises InputError if it is no text or not JSON, or nested beyond
+    reason, or no regular file; OSError if it cannot be read.
     """
-    refuse = _refuse if finite else None
     try:
-        return json.loads(read_text(path, TEXT_BYTES), parse_constant=refuse)
+        return json.loads(read_text(path, TEXT_BYTES), parse_constant=_refuse if finite else None)
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
@@ -73,8 +72,7 @@ def flag(value: Any) -> bool:
 
 def path_text(value: Any) -> str:
     """Check a text that can be the path of a file; bytes that are no UTF-8 are as `os` has them."""
-    path = words(value, "a path")
-    if "\0" in path:
+    if "\0" in (path := words(value, "a path")):
         raise ValueError(f"{quoted(value)} in place of a path")
     return path
 

@@ -12,13 +12,11 @@ LONGEST = 200
 MOST = 12
 """Names of a list that are shown."""
 
-TURNING = (0x61C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
-"""Letters that turn the direction of writing, so that a text reads as another one."""
-
-CONTROLS = (*range(9), *range(11, 13), *range(14, 32), *range(0x7F, 0xA0))
-"""Letters that a terminal obeys, but for line ends and tabs."""
-
-_UNSEEN = re.compile(f"[{re.escape(''.join(map(chr, (*TURNING, *CONTROLS))))}]")
+# Controls, which a terminal obeys, but for line ends and tabs; letters that turn the direction of
+# writing, so that a text reads as another one.
+_UNSEEN = re.compile(
+    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+)
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxstring, _short.maxlong, _short.maxother = 4, 60, 40, 60
 
@@ -26,14 +24,12 @@ _short.maxlevel, _short.maxstring, _short.maxlong, _short.maxother = 4, 60, 40, 
 def shown(text: object) -> str:
     """Text without quotation marks, such as another library's words about a file."""
     words = str(text)
-    clean = "".join(
-        letter if letter.isprintable() else repr(letter)[1:-1] for letter in words[:LONGEST]
-    )
-    return clean + "…" * (len(words) > LONGEST)
+    clean = (one if one.isprintable() else repr(one)[1:-1] for one in words[:LONGEST])
+    return "".join(clean) + "…" * (len(words) > LONGEST)
 
 
 def visible(text: str) -> str:
-    """Whole text of any length with \ufffd for each of `TURNING` and `CONTROLS`."""
+    """Whole text of any length with \ufffd for what is obeyed instead of shown."""
     return _UNSEEN.sub("\ufffd", text)
 
 
@@ -46,6 +42,5 @@ def quoted(value: object) -> str:
 def listed(names: Iterable[str]) -> str:
     """Names in alphabetical order, with commas."""
     every = sorted(names)
-    some = [shown(name) for name in every[:MOST]]
     more = [f"{len(every) - MOST} more"] if len(every) > MOST else []
-    return ", ".join(some + more)
+    return ", ".join([*map(shown, every[:MOST]), *more])

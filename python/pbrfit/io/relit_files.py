@@ -108,7 +108,7 @@ class Screen:
         if inside.all():
             return codes
         codes[~inside] = 0
-        return np.dstack([codes, np.where(inside, 255, 0).astype(np.uint8)])
+        return np.dstack([codes, 255 * inside.astype(np.uint8)])
 
     def share(self, pixels: int) -> float:
         """Of all pixels."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib.format import MAGIC_PREFIX
+from numpy.lib.format import MAGIC_PREFIX, open_memmap
 from numpy.typing import NDArray
 
 from pbrfit import _core
@@ -45,19 +45,15 @@ def read_npy(path: Path) -> NDArray[np.float64]:
     """
     expected = "expected an array of real numbers in .npy"
     try:
-        with open_file(path) as file, warnings.catch_warnings():
+        with open_file(path), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about headers of long ago
-            if file.read(len(MAGIC_PREFIX)) != MAGIC_PREFIX:
-                raise ValueError("a file of another kind")
             # Mapped instead of read: no memory is taken for more than the file holds.
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
+            array = open_memmap(path, mode="r")
     except (OSError, InputError, MemoryError):
         raise
     except Exception as error:  # headers are Python expressions, and fail in all ways of these
         raise InputError(f"{path}: {expected}, found {shown(error)}") from None
-    if array.dtype.kind not in "uif":
-        raise InputError(f"{path}: {expected}, found {array.dtype}")
-    if array.size == 0:
-        raise InputError(f"{path}: {expected}, found an empty one, of shape {array.shape}")
+    if array.dtype.kind not in "uif" or array.size == 0:
+        raise InputError(f"{path}: {expected}, found {array.dtype} of shape {array.shape}")
     with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
         return np.array(array, np.float64)

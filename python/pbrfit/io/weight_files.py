@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,35 +32,27 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     file has more than one kind for a picture.
     """
     channels = images.read_channels(path)
-    found = {name: _own(path, channels, name) for name in names}
-    own = {name: weights for name, weights in found.items() if weights is not None}
+    own = []
+    for name in names:
+        every = [f"{name}.{kind}" for kind in (ALL, *COLORS)]
+        found = [channel for channel in every if channel in channels]
+        if found and ALL in channels:
+            raise InputError(f"{path}: expected channel Y or those of {name}, found both")
+        if found not in ([], every[:1], every[1:]):
+            raise InputError(
+                f"{path}: expected {name}.Y, or {name}.R, {name}.G and {name}.B, found "
+                f"{listed(found)}"
+            )
+        if not found and ALL not in channels:
+            raise InputError(
+                f"{path}: expected channel Y, or NAME.Y, or NAME.R, NAME.G and NAME.B, for each "
+                f"picture, found none of {name} among {listed(channels)}"
+            )
+        own.append([channels[channel] for channel in found])
     if ALL in channels:
-        if own:
-            raise InputError(f"{path}: expected channel Y or those of {min(own)}, found both")
         return channels[ALL][..., None]
-    missing = [name for name in names if name not in own]
-    if missing:
-        raise InputError(
-            f"{path}: expected channel Y, or NAME.Y, or NAME.R, NAME.G and NAME.B, for each "
-            f"picture, found none of {missing[0]} among {listed(channels)}"
-        )
-    colors = max(weights.shape[-1] for weights in own.values())
-    return np.stack(
-        [np.broadcast_to(weights, (*weights.shape[:2], colors)) for weights in own.values()]
-    )
-
-
-def _own(
-    path: Path, channels: Mapping[str, NDArray[np.float32]], name: str
-) -> NDArray[np.float32] | None:
-    """(H, W, 1) or (H, W, 3) of a picture; None where it has none of its own."""
-    every = [f"{name}.{ALL}", *(f"{name}.{color}" for color in COLORS)]
-    found = [channel for channel in every if channel in channels]
-    if found not in ([], every[:1], every[1:]):
-        raise InputError(
-            f"{path}: expected {name}.Y, or {name}.R, {name}.G and {name}.B, found {listed(found)}"
-        )
-    return np.stack([channels[channel] for channel in found], axis=-1) if found else None
+    colors = max(map(len, own))
+    return np.stack([np.stack(of * (colors // len(of)), axis=-1) for of in own])
 
 
 def write_weights(path: Path, weights: NDArray[np.floating[Any]], names: Sequence[str]) -> None:
@@ -69,14 +61,12 @@ def write_weights(path: Path, weights: NDArray[np.floating[Any]], names: Sequenc
         weights = weights[..., None]
     if weights.ndim == 3:
         weights = weights[None]
-    grey = [not np.ptp(own, axis=-1).any() for own in weights]
-    alike = all(grey) and all(np.array_equal(weights[0, ..., 0], own[..., 0]) for own in weights)
-    if alike:
+    if (weights == weights[0, ..., :1]).all():
         images.write_exr(path, {ALL: weights[0, ..., 0]})
         return
     channels: dict[str, NDArray[np.floating[Any]]] = {}
-    for name, own, is_grey in zip(names, weights, grey, strict=True):
-        kinds = (ALL,) if is_grey else COLORS
+    for name, own in zip(names, weights, strict=True):
+        kinds = COLORS if np.ptp(own, axis=-1).any() else (ALL,)
         channels |= {f"{name}.{kind}": own[..., c] for c, kind in enumerate(kinds)}
     images.write_exr(path, channels)
 
