@@ -302,7 +302,7 @@ def _facts_of_output(
         return
     colors = "256 colours a frame" if kind == ".gif" else "8 bits"
     yield "written", f"{what}, sRGB, {colors}{alpha}"
-    clipped, black = screen.share(screen.clipped), screen.share(screen.black)
+    clipped, black = (count / max(screen.pixels, 1) for count in (screen.clipped, screen.black))
     chosen = " (by itself)" if options.exposure is None else ""
     yield (
         "shown",

@@ -31,13 +31,8 @@ SETTINGS_BYTES = 2**20
 FILE, FOLDER, LINK = "a file", "a folder", "a link"
 """Regular files, folders and symbolic links in words."""
 
-_KINDS = (
-    (stat.S_ISREG, FILE),
-    (stat.S_ISDIR, FOLDER),
-    (stat.S_ISLNK, LINK),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-)
+_KINDS = {stat.S_IFREG: FILE, stat.S_IFDIR: FOLDER, stat.S_IFLNK: LINK}
+_KINDS |= {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
 
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags with which opening a file waits for nobody, and Windows changes no byte."""
@@ -60,7 +55,7 @@ def there(path: Path) -> bool:
 
 def kind_of(status: os.stat_result) -> str:
     """What something is, in words."""
-    return next((words for of, words in _KINDS if of(status.st_mode)), "a device")
+    return _KINDS.get(stat.S_IFMT(status.st_mode), "a device")
 
 
 def open_file(path: Path) -> BufferedReader:
@@ -72,9 +67,8 @@ def open_file(path: Path) -> BufferedReader:
         _check_regular(path, path.stat())  # first, as to open a device may already do something
     except FileNotFoundError:
         if path.is_symlink():
-            raise InputError(
-                f"{path}: expected a file, found a link to {path.readlink()}, where nothing is"
-            ) from None
+            found = f"a link to {path.readlink()}, where nothing is"
+            raise InputError(f"{path}: expected a file, found {found}") from None
         raise
     file = os.fdopen(os.open(path, os.O_RDONLY | _AT_ONCE), "rb")
     try:
@@ -95,9 +89,8 @@ def content_of(file: BufferedReader, path: Path, most: int) -> bytes:
     try:
         return file.read(size)
     except MemoryError:
-        raise MemoryError(
-            f"{path}: expected {size >> 20} MiB of memory to read it, found less"
-        ) from None
+        expected = f"{size >> 20} MiB of memory to read it"
+        raise MemoryError(f"{path}: expected {expected}, found less") from None
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -141,10 +134,8 @@ def names_file(read: Callable[P, R]) -> Callable[P, R]:
             path, words = args[0] if args else kwargs["path"], str(error)
             if words.startswith(str(path)):
                 raise
-            found = f": {words}" if words else ""
-            raise MemoryError(
-                f"{path}: expected memory for what it holds, found too little{found}"
-            ) from None
+            found = f"too little: {words}" if words else "too little"
+            raise MemoryError(f"{path}: expected memory for what it holds, found {found}") from None
 
     return named
 
@@ -153,9 +144,8 @@ def _bounded(file: BufferedReader, path: Path, most: int) -> int:
     """Size of an open file, in bytes."""
     size = os.fstat(file.fileno()).st_size
     if size > most:
-        raise InputError(
-            f"{path}: expected a file of at most {most >> 20} MiB, found {-(-size >> 20)} MiB"
-        )
+        found = f"{-(-size >> 20)} MiB"
+        raise InputError(f"{path}: expected a file of at most {most >> 20} MiB, found {found}")
     return size
 
 

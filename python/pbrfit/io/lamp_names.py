@@ -78,8 +78,8 @@ def _bare(name: str) -> tuple[str, ...]:
 def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:
     """As `matched`, where no name is that of a picture; a warning lists the pairs."""
     if len(given) != len(names):
-        example = f" (such as {shown(given[0])})" if given[0] else ""
-        found = f"{len(given)}, none with a picture's name{example}"
+        found = f"{len(given)}, none with a picture's name"
+        found += f" (such as {shown(given[0])})" if given[0] else ""
         raise InputError(
             f"{path}: expected a lamp for each of the {len(names)} pictures, found {found}"
         )
@@ -100,11 +100,9 @@ def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tupl
                     )
         pictures, how = list(range(len(names))), "order"
     how = f"matched to the pictures by {how}, as no name in it is that of a picture"
-    pairs = [
-        f"{shown(one) or f'lamp {k + 1}'} with {shown(names[i])}"
-        for k, (one, i) in enumerate(zip(given, pictures, strict=True))
-    ]
-    some = ", ".join(pairs[:3]) + (f" and {len(pairs) - 3} more" if len(pairs) > 3 else "")
+    pairs = enumerate(zip(given[:3], pictures, strict=False), 1)
+    some = ", ".join(f"{shown(one) or f'lamp {k}'} with {shown(names[i])}" for k, (one, i) in pairs)
+    some += f" and {len(given) - 3} more" if len(given) > 3 else ""
     log.warning("%s: lamps are %s: %s", path, how, some)
     return pictures, how
 

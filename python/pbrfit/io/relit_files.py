@@ -45,24 +45,23 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
     if kind == ".gif":
         pictures = (_with_palette(picture) for picture in pictures)
     first = next(pictures)
-    options: dict[str, Any] = {"duration": round(1000 / fps), "loop": 0}
+    options: dict[str, Any] = {"duration": round(1000 / fps)}
     if kind == ".gif":
-        options.update(duration=10 * round(100 / fps), disposal=2)
+        options = {"duration": 10 * round(100 / fps), "disposal": 2}
     elif kind == ".webp":
-        options.update(lossless=True)
+        options["lossless"] = True
         if first.mode == "RGBA":
             # Every frame whole: cropped to a mask that is a rectangle, frames have no transparent
             # pixel left, and the file then says that it has no alpha.
-            options.update(kmin=1, kmax=1)
+            options |= {"kmin": 1, "kmax": 1}
     else:
-        tags = PngImagePlugin.PngInfo()
-        tags.add(b"sRGB", b"\0")  # perceptual, as the other PNG files say
-        options.update(pnginfo=tags)
+        options["pnginfo"] = PngImagePlugin.PngInfo()
+        options["pnginfo"].add(b"sRGB", b"\0")  # perceptual, as the other PNG files say
     # Pillow goes through the frames of a PNG twice.
     others = list(pictures) if kind == ".png" else pictures
     # Opened here: Pillow leaves a file that it opened itself open when a frame fails.
     with path.open("w+b") as file:
-        first.save(file, ANIMATIONS[kind], save_all=True, append_images=others, **options)
+        first.save(file, ANIMATIONS[kind], save_all=True, append_images=others, loop=0, **options)
 
 
 def _with_palette(picture: Image.Image) -> Image.Image:
@@ -109,10 +108,6 @@ class Screen:
             return codes
         codes[~inside] = 0
         return np.dstack([codes, 255 * inside.astype(np.uint8)])
-
-    def share(self, pixels: int) -> float:
-        """Of all pixels."""
-        return pixels / max(self.pixels, 1)
 
 
 @dataclass

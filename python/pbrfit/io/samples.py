@@ -30,26 +30,22 @@ def read_stored(path: Path) -> NDArray[Any] | Channels:
     with open_file(path) as file:
         of_numpy = file.read(len(MAGIC_PREFIX)) == MAGIC_PREFIX
     if of_numpy or path.suffix.lower() == ".npy":
-        return read_npy(path)
+        return _read_npy(path)
     path, data, kind = _load(path)
     if kind == "EXR":
         return _core.decode_exr(data, path)[0]
     return upright(path, data)
 
 
-@names_file
-def read_npy(path: Path) -> NDArray[np.float64]:
-    """Read an array of numpy's own format, without anything that could be code.
-
-    Raises InputError if the file is no array of real numbers; OSError if it cannot be read.
-    """
+def _read_npy(path: Path) -> NDArray[np.float64]:
+    """Read an array of numpy's own format, without anything that could be code."""
     expected = "expected an array of real numbers in .npy"
     try:
-        with open_file(path), warnings.catch_warnings():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about headers of long ago
             # Mapped instead of read: no memory is taken for more than the file holds.
             array = open_memmap(path, mode="r")
-    except (OSError, InputError, MemoryError):
+    except (OSError, MemoryError):
         raise
     except Exception as error:  # headers are Python expressions, and fail in all ways of these
         raise InputError(f"{path}: {expected}, found {shown(error)}") from None

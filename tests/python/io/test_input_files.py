@@ -19,7 +19,7 @@ from pbrfit.commands.messages import message_of
 from pbrfit.io import images, input_files
 from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, read_bytes, read_text
 from pbrfit.io.json_files import read_json
-from pbrfit.io.samples import read_npy
+from pbrfit.io.samples import read_stored
 from pbrfit.model.panorama import read as read_panorama
 from pbrfit.result.history import History
 from pbrfit.scene.folder import find_pictures, read_settings
@@ -36,7 +36,7 @@ def read_anything_json(path: Path) -> object:
 READERS: tuple[Callable[[Path], object], ...] = (
     *(images.read_picture, images.read_data, images.read_ids, images.read_channels),
     *(read_panorama, picture_size, digest),
-    *(read_anything_json, read_npy, History.load, read_settings, read_prompts),
+    *(read_anything_json, read_stored, History.load, read_settings, read_prompts),
 )
 
 

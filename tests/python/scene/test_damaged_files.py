@@ -25,7 +25,7 @@ from pbrfit.acquire import journal
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images
 from pbrfit.io.quoting import listed, quoted, shown
-from pbrfit.io.samples import read_npy
+from pbrfit.io.samples import read_stored
 from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.lighting import BASIS, Lighting
 from pbrfit.model.materials import read_materials
@@ -304,13 +304,13 @@ def npy(kind: str, shape: str, body: bytes = bytes(64)) -> bytes:
 def test_arrays_that_are_none(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.npy"
     path.write_bytes(data)
-    refused(read_npy, path, "expected an array of real numbers in .npy, found")
+    refused(read_stored, path, "expected an array of real numbers in .npy, found")
 
 
 def test_an_array_is_read_and_its_file_let_go(tmp_path: Path) -> None:
     path = tmp_path / "a.npy"
     np.save(path, np.arange(6, dtype=np.float16).reshape(2, 3))
-    array = read_npy(path)
+    array = read_stored(path)
     path.unlink()
     np.testing.assert_array_equal(array, [[0, 1, 2], [3, 4, 5]])
 
