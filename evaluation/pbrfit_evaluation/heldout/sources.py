@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -21,7 +22,6 @@ from pbrfit._core import InputError
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.json_files import UNFIT, read_json, unfit
 from pbrfit.io.normal_files import find_normals
-from pbrfit.io.output import scratch_folder
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.scene import Scene
@@ -149,9 +149,9 @@ def scene_of(source: Source) -> Iterator[Path]:
     if source.kind in ("scene", ROOMS):
         yield source.folder
     else:
-        with scratch_folder() as folder:
-            write_scene(source, folder)
-            yield folder
+        with tempfile.TemporaryDirectory() as folder:
+            write_scene(source, Path(folder))
+            yield Path(folder)
 
 
 def opened(

@@ -21,9 +21,8 @@ Two roundings to integers, before the transform and after the inverse one, add 1
 with the square of the frequency (D. J. Field, J. Opt. Soc. Am. A 4, 1987), so every octave has the
 energy of the one below it, which is the upper half of the stored block.
 
-**Pictures of one view** have most coefficients in common but for a factor, so what was rounded to
-0, or lost with the resolution of chroma, is lost in all of them alike (`SHARED_ZERO`,
-`SHARED_LOSS`). What rounding left of other coefficients is independent.
+**Pictures of one view** have most coefficients in common but for a factor, so they lose alike what
+is rounded to 0, or lost with the resolution of chroma. Other rounding errors are independent.
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ SIDE = 8
 
 SHARED_ZERO, SHARED_LOSS = 0.4, 0.6
 """Correlation, between two pictures of one view, of the errors of coefficients that are 0, and of
-what chroma lost: by six rooms, qualities 50 to 98, where that of coefficients themselves is 0.8. In
-others the correlation that follows from them is off by up to a third."""
+what chroma lost: by six rooms, qualities 50 to 98. In others it is off by up to a third."""
 
 SAMPLED = 32
 """Blocks of the coarsest component, along each side of a picture, that are looked at."""
@@ -96,10 +94,10 @@ def read_tables(data: bytes, channels: int) -> Tables | None:
 def jpeg_variance(
     codes: NDArray[np.uint8], tables: Tables, size: tuple[int, int]
 ) -> tuple[Array, float]:
-    """(3,): variances of red, green and blue, in codes², of a decoded picture (H, W, C).
+    """(3,): variances of R, G and B, in codes², of a decoded picture (H, W, C) averaged to `size`.
 
-    They are those of means where it is averaged down to `size`, without the last rounding to codes.
-    Beside them what their mean has in common with another picture of the view.
+    The last rounding to codes is not in them. Beside them what their mean has in common with
+    another picture of the view.
     """
     places, kept = [], []
     for length, small, times in zip(codes.shape[:2], size, tables.sampling.T, strict=True):
@@ -120,7 +118,7 @@ def jpeg_variance(
 def _errors(
     plane: NDArray[Any], q: Array, sampling: NDArray[np.intp], down: Array, across: Array
 ) -> Array:
-    """Variances, (3,), of a component, `down` and `across` of those of its frequencies.
+    """Variances, (3,), of a component, of whose frequencies `down` and `across` are kept.
 
     Of coefficients that are not 0, of those that are, and of what was lost with the resolution.
     """

@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import secrets
 import shutil
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -96,18 +95,6 @@ def undisturbed() -> Iterator[None]:
         yield
     finally:
         _core.allow_end()
-
-
-@contextmanager
-def scratch_folder() -> Iterator[Path]:
-    """Give a folder where the system keeps temporary ones, for the length of the block."""
-    folder = Path(tempfile.gettempdir()).resolve() / f"pbrfit-{secrets.token_hex(6)}"
-    with unfinished(folder):
-        folder.mkdir(mode=0o700)
-        try:
-            yield folder
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

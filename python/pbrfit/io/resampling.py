@@ -15,8 +15,7 @@ def reduced_size(shape: tuple[int, ...], side: int) -> tuple[int, int]:
     """(height, width) with a longer side of at most `side` pixels, in the same proportion."""
     height, width = shape[:2]
     longer = max(height, width)
-    if longer <= side:
-        return height, width
+    side = min(side, longer)
     return max(1, round(height * side / longer)), max(1, round(width * side / longer))
 
 
