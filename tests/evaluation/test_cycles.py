@@ -6,7 +6,6 @@ without.
 
 from __future__ import annotations
 
-import pickle
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,7 +37,6 @@ from pbrfit_evaluation.cycles.scene import inner_pixels, random_point_lights
 from pbrfit_evaluation.cycles.spheres import FOV, relative_rmse, render_sphere, under, where_met
 from pbrfit_evaluation.depth_errors import normals_off
 from pbrfit_evaluation.gap import spheres
-from pbrfit_evaluation.rooms.frustum import Frustum
 
 SIZE = 24
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -87,14 +85,6 @@ def test_triangles_are_wound_by_their_normals() -> None:
 def area(mesh: Mesh) -> float:
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2)
-
-
-def test_frustums_have_their_area() -> None:
-    of = world("furnished")
-    cone = Frustum(centre=np.array([0.0, 0.0, -3.0]), bottom=0.5, top=0.0, half=0.6)
-    stage = export(replace(of, primitives=(*of.primitives[:-1], cone)), SIZE, 60.0)
-    exact = np.pi * 0.5 * (0.5 + np.hypot(0.5, 1.2))
-    assert area(stage.meshes[-1]) == pytest.approx(exact, rel=1e-3)
 
 
 def test_the_shell_ends_where_its_walls_meet() -> None:
@@ -315,11 +305,6 @@ def test_without_bpy_there_is_a_reason(monkeypatch: pytest.MonkeyPatch, tmp_path
 def test_arguments_out_of_range(options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         render_scene(world(), **options)  # type: ignore[arg-type]
-
-
-def test_a_call_can_be_sent_to_another_process() -> None:
-    call = partial(render_scene, size=8, light="points", transport="shadows", cache=Path("x"))
-    assert pickle.loads(pickle.dumps(call)).keywords == call.keywords
 
 
 # With bpy

@@ -372,21 +372,6 @@ def test_recipes(scene: Scene) -> None:
 # ------------------------------------------------------------------------------- the truth stays
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["room", "spheres", "textured", "furnished"])
-@pytest.mark.parametrize("seed", [2, 3])
-def test_a_fit_that_starts_at_the_truth_stays_there(kind: str, seed: int) -> None:
-    scene = make_scene(kind, size=48, held_out=1, seed=seed)
-    truth = scene.truth
-    assert truth is not None
-    result = at_the_truth(scene, 500)
-    rms = np.sqrt(np.mean(np.square(scene.images)))
-    assert result.metrics["recon_rmse"] <= 1e-7 * rms
-    for name in ("albedo", "roughness", "metallic"):
-        error = np.abs(getattr(result, name) - getattr(truth.materials, name)).max()
-        assert error <= 1e-6, name
-
-
 # ----------------------------------------------------------------------------------- the command
 
 

@@ -19,7 +19,7 @@ from pbrfit.model.geometry import view_directions
 from pbrfit_evaluation.gap import measure, principled, spheres
 from pbrfit_evaluation.gap.brute_force import respond, view
 from pbrfit_evaluation.gap.measure import Case, Model, integrated, response
-from pbrfit_evaluation.gap.principled import BRDF, Choices, fresnel, mean_albedo
+from pbrfit_evaluation.gap.principled import BRDF, Choices
 from scene_files import run
 
 Array = NDArray[np.float64]
@@ -126,22 +126,6 @@ def test_white_furnace_of_the_principled_integral(r: float, n_dot_v: float) -> N
     for metallic in (0.0, 0.4, 1.0):
         assert furnace(metallic, BRDF) == pytest.approx(1, abs=1e-12)
     assert furnace(1.0, Choices(multiple=False)) < 1 + 1e-6
-
-
-def test_mean_albedo_of_the_roughest_lobe() -> None:
-    # α = 1: E = ∫₀¹ y/(x + y) dy = 1 − x ln(1 + 1/x).
-    x = (np.arange(200000) + 0.5) / 200000
-    exact = float(np.mean(2 * x * (1 - x * np.log1p(1 / x))))
-    assert mean_albedo(1.0) == pytest.approx(exact, abs=1e-8)
-    assert principled.respond(1.0, 0.3).albedo == pytest.approx(1 - 0.3 * math.log1p(1 / 0.3))
-
-
-def test_fresnels_equations_at_known_angles() -> None:
-    polarising = 1 / math.sqrt(1 + 1.5**2)  # Brewster: only the part across is reflected
-    across = (1.5**2 - 1) / (1.5**2 + 1)
-    np.testing.assert_allclose(
-        fresnel(np.array([1.0, 0.0, polarising])), [0.04, 1.0, across**2 / 2], atol=1e-15
-    )
 
 
 def test_a_scaled_fit_has_the_albedo_of_the_equations() -> None:

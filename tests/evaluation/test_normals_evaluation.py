@@ -29,7 +29,7 @@ from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import normals
-from pbrfit_evaluation.normal_errors import LOWEST_COSINE, facing, smooth, turned, unit
+from pbrfit_evaluation.normal_errors import LOWEST_COSINE, turned, unit
 from pbrfit_evaluation.normals import SUITE, figures, measure
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
 from pbrfit_evaluation.normals.measure import Case
@@ -92,23 +92,6 @@ def test_disturbed_normals_are_unit_face_the_camera_and_keep_the_mask(kind: Any)
     np.testing.assert_array_equal(found, disturbed(masked, kind, 25.0, 1))
     assert np.nanmax(np.abs(found - disturbed(masked, kind, 25.0, 2))) > 0.1
     np.testing.assert_array_equal(disturbed(masked, kind, 0.0, 1), masked.normals)
-
-
-def test_fields_have_variance_1_and_the_stated_correlation() -> None:
-    rng = np.random.default_rng(3)
-    fields = np.array([smooth((8, 100), 0.06, rng) for _ in range(400)])
-    assert fields.var() == pytest.approx(1, rel=0.05)
-    there = float(np.mean(fields[:, :, 0] * fields[:, :, 6]))
-    assert there == pytest.approx(math.exp(-0.5), abs=0.05)
-
-
-def test_turns_and_bending_by_hand() -> None:
-    z, x = np.array([[[0.0, 0.0, 1.0]]]), np.array([[[1.0, 0.0, 0.0]]])
-    np.testing.assert_allclose(turned(z, np.array([[[0.0, 90.0, 0.0]]])), x, atol=1e-12)
-    np.testing.assert_array_equal(facing(z, z), z)
-    bent = facing(-z + 0.5 * x, z)
-    assert bent[0, 0, 2] > 0
-    np.testing.assert_allclose(np.linalg.norm(bent, axis=-1), 1)
 
 
 # ------------------------------------------------------------------------------------- the tasks

@@ -24,7 +24,6 @@ from pbrfit_evaluation.stability import SUITE, bands, figures, stiff_fits
 from pbrfit_evaluation.stability.double_precision import Case, evaluate
 from pbrfit_evaluation.stability.exact_bands import closed_form, errors_of, exact_bands
 from pbrfit_evaluation.stability.extreme_pixels import KINDS, random_case
-from pbrfit_evaluation.stability.measure import ratio, worst, worst_entry
 from pbrfit_evaluation.stability.sections import SECTIONS, Task, worst_of
 from pbrfit_evaluation.stability.sections import run as run_section
 from pbrfit_evaluation.stability.stiff_scenes import stiff_scenes
@@ -73,17 +72,6 @@ def test_double_precision_path_against_independent_objective() -> None:
     assert np.abs(found.gradient - gradient).max() <= 1e-12 * np.abs(gradient).max()
 
 
-def test_pieces_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = case_of(100, 3)
-    whole = evaluate(case)
-    monkeypatch.setattr("pbrfit_evaluation.stability.double_precision.PIECE", 7)
-    pieces = evaluate(case)
-    assert pieces.loss == pytest.approx(whole.loss, rel=1e-14)
-    for name in ("gradient", "gradient_scale", "lights_terms"):
-        found, stated = getattr(pieces, name), getattr(whole, name)
-        assert np.allclose(found, stated, rtol=1e-12, atol=1e-15)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_scales_are_no_smaller_than_the_gradient(kind: str) -> None:
     case = KINDS[kind](np.random.default_rng(0), case_of(64, 4))
@@ -113,31 +101,6 @@ def test_scale_is_tight_where_nothing_cancels() -> None:
         a[blocks["lights"]].reshape(2, 16, 3)[:, [0, 2, 6]] for a in (entries, scale)
     )
     assert np.allclose(of_lights, lights, rtol=1e-12)
-
-
-def test_extreme_pixels_are_what_they_say() -> None:
-    rng = np.random.default_rng(3)
-    made = {name: change(rng, case_of(4000, 8)) for name, change in KINDS.items()}
-    assert made["r near 0"].pixels.roughness.max() <= 1e-8
-    near_one = made["r near 1"].pixels.roughness
-    assert (near_one == 1).any()
-    assert near_one.min() >= 1 - 1.1e-8
-    across = made["r across 0.4"].pixels.roughness
-    assert set(np.sign(across - 0.4)) == {-1, 0, 1}
-    grazing = made["n·v from 1 to 10⁻⁷, or negative"].pixels
-    cosine = np.sum(grazing.normals * grazing.views, axis=-1)
-    assert cosine.min() < 0
-    assert 0 < np.abs(cosine).min() < 1e-6
-    assert cosine.max() > 0.9
-    assert np.allclose(np.linalg.norm(grazing.normals, axis=-1), 1, atol=1e-14)
-    bounds = made["ρ, r, m exactly 0 or 1"].pixels
-    assert set(np.unique([*bounds.albedo.T, bounds.roughness, bounds.metallic])) == {0.0, 1.0}
-    mixed = np.abs(made["lights × 10⁻⁶ … 10⁶ in one problem"].lighting[:, 0]).max(axis=-1)
-    assert mixed.max() / mixed.min() > 1e11
-    dark = made["blue dark"]
-    assert not dark.images[..., 2].any()
-    assert not dark.lighting[:4, :, 2].any()
-    assert dark.lighting[4:, 0, 2].all()
 
 
 # Verdicts
@@ -246,16 +209,6 @@ def test_wrong_objective_fails(
 ) -> None:
     monkeypatch.setattr(Case, "problem", lambda case, threads=0: Distorted(case, threads, how))
     assert key in failures(section)
-
-
-def test_worst_figures() -> None:
-    assert worst({"a": 1.0, "b": 3.0, "c": 2.0}) == (3.0, "b")
-    assert worst({"a": 1.0, "b": math.nan, "c": 2.0})[1] == "b"
-    assert (ratio(0, 0), ratio(1, 4), ratio(1, 0)) == (0, 0.25, math.inf)
-    zero = np.zeros(1)
-    assert worst_entry(zero, zero) == 0
-    assert worst_entry(zero + 1e-300, zero) == math.inf
-    assert worst_entry(np.array([1.0, -3.0]), np.array([2.0, 4.0])) == 0.75
 
 
 # Stiff fits

@@ -56,11 +56,6 @@ def test_simulated_normals_err_as_published_estimators_do() -> None:
     assert 0.8 <= np.mean(off < 30) <= 0.9
 
 
-def test_simulated_normals_are_alike_at_any_size() -> None:
-    coarse, fine = (errors_of(size, 201).mean() for size in (48, 96))
-    assert fine == pytest.approx(coarse, rel=0.15)
-
-
 def test_neighbours_err_alike() -> None:
     scene = make_scene("room", size=64, lights=2, held_out=1, seed=203)
     assert scene.segments is not None
@@ -276,30 +271,6 @@ def test_what_has_less_error_than_ours_is_named() -> None:
     assert list(not_the_best(rows).rows) == [
         ["shadows", "", "0.250, guess 0.200", "", "", "0.400, recipe 0.375"]
     ]
-
-
-@pytest.mark.slow
-def test_command_goes_on_and_reports_failures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out, normals = tmp_path / "out", tmp_path / "normals"
-    normals.mkdir()
-    scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
-    given = {name: scene.normals[..., i] for i, name in enumerate("XYZ")}
-    images.write_exr(normals / "1000.exr", given)
-    command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 2, *TINY,
-               *PAPER, "--predicted-normals", normals)  # fmt: skip
-    assert run(*command) == 1
-    error = capsys.readouterr().err
-    assert "normals_paper_1001: InputError" in error
-    assert "1 of 2 failed: normals_paper_1001" in error
-    assert "found neither" in (out / "report.html").read_text("utf-8")
-    assert run(*command) == 2  # there is something already
-    images.write_exr(normals / "1001.exr", given)
-    whole = out / "records" / "normals_paper_1000.json"
-    before = whole.stat().st_mtime_ns
-    assert run(*command, "--resume", "--quiet") == 0
-    assert whole.stat().st_mtime_ns == before
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import reference
-from among import ROWS, Among, Surroundings
+from among import Among, Surroundings
 from finite_differences import ridders
 from pbrfit import _core
-from pbrfit._core import InputError
 from pbrfit.model.reflection import MODELS
 from random_pixels import Array
 from shared_system import Seen, System, accuracy, close, dense
@@ -373,37 +372,3 @@ def test_the_rows_of_the_open_sky_change_rounding_alone() -> None:
             among.value_and_grad(example.x()), without.value_and_grad(example.x()), strict=True
         ):
             close(np.asarray(a), np.asarray(b), 1e-6)
-
-
-TABLE = np.zeros((PIXELS, 5, 16), np.float32)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"free_normals": True, "bounced": None}, "transfer: expected given normals"),
-        ({"transfer": TABLE[:-1]}, "transfer: expected"),
-        ({"transfer": TABLE[:, :4]}, "transfer: expected"),
-        ({"transfer": TABLE[..., :9]}, "transfer: expected"),
-        ({"transfer": TABLE[0]}, "transfer: expected"),
-        ({"transfer": TABLE.astype(float)}, "transfer: expected"),
-        ({"transfer": np.full_like(TABLE, np.nan)}, "transfer: expected"),
-        ({"transfer": np.full_like(TABLE, 1e20)}, "transfer: expected"),
-        ({"model": "principled"}, "transfer: expected"),
-        ({"bounced": np.zeros((PIXELS, 5, 17), np.float32)}, "bounced: expected"),
-        ({"bounced": np.zeros((PIXELS, 4, 18), np.float32)}, "bounced: expected"),
-        ({"bounced": np.zeros((PIXELS, 5, 6, 3), np.float32)}, "bounced: expected"),
-        ({"bounced": np.full((PIXELS, 5, 18), np.inf, np.float32)}, "bounced: expected"),
-        ({"transfer": None}, "transfer: expected"),
-    ],
-)
-def test_unusable_tables_are_refused_in_one_line(changes: dict[str, Any], message: str) -> None:
-    example = example_of(KINDS[0])
-    with pytest.raises(InputError, match=f"^{message}") as caught:
-        example.problem(**changes)
-    assert "\n" not in str(caught.value)
-
-
-def test_tables_have_as_many_rows_as_the_model() -> None:
-    for model, rows in ROWS.items():
-        assert example_of(Surroundings(model=model)).rows.shape == (PIXELS, rows, 16)

@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene, decompose
-from pbrfit.fit.light_modes import light_modes
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
@@ -130,16 +129,3 @@ def test_tiles_find_what_the_whole_does(monkeypatch: pytest.MonkeyPatch) -> None
     assert "tiles" in tiled.stages[-1].name
     for name in ("albedo", "roughness", "metallic"):
         np.testing.assert_allclose(getattr(tiled, name), getattr(whole, name), atol=1e-4)
-
-
-@both_models
-def test_light_modes_are_those_of_the_model(model: Model) -> None:
-    """Of the other model they would be others."""
-    objective = Objective(room(model, noise=0.01))
-    x = objective.start()
-    [other] = set(MODELS) - {model}
-    elsewhere = Objective(room(model, noise=0.01), model=other)
-    found = light_modes(objective, x)
-    assert np.isfinite(found).all()
-    of_other = light_modes(elsewhere, x)
-    assert found.shape != of_other.shape or not np.allclose(found, of_other, rtol=1e-3)

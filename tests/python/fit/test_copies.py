@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from pbrfit import Result, Scene, decompose
-from pbrfit.fit.objective import Objective
 from pbrfit.result.verdict import levels
 from pbrfit.synthetic import make_scene
 
@@ -20,12 +19,6 @@ def twice(scene: Scene) -> Scene:
 
 def fitted(scene: Scene) -> Result:
     return decompose(scene, priors=None, refine_normals="off", light="sh", threads=1)
-
-
-def test_copies_are_counted() -> None:
-    scene = make_scene("room", size=8, lights=3, held_out=1, noise=0.01, seed=1)
-    assert Objective(scene).copies == 1.0
-    assert Objective(twice(scene)).copies == 2.0
 
 
 @pytest.mark.parametrize("pictures", [2, 8])

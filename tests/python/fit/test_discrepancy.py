@@ -49,29 +49,12 @@ def test_what_the_model_has_not_is_shared() -> None:
     assert shadowed.pooling.tempering > 3 * clean.pooling.tempering
 
 
-def test_more_than_half_the_light_is_not_doubted() -> None:
-    lights = np.zeros((0, 1, 16, 1))
-    found = Discrepancy(1e-4, 1.0, lights, 0.0)
-    assert found.misfit == settings.MISFIT_SHARE_MAX * settings.MEAN_RADIANCE
-
-
 def test_known_lights_share_nothing_and_others_do() -> None:
     scene = room(0.01)
     assert at_truth(scene).light_share > 0
     known = at_truth(dataclasses.replace(scene, lighting=truth_of(scene).lighting))
     assert known.light_share == 0
     assert len(known.modes) == 0
-
-
-def test_neighbours_are_apart_and_of_one_segment() -> None:
-    scene = room(0.0)
-    layout = Objective(scene).layout
-    here, there = discrepancy.neighbours(layout).astype(int)
-    rows, columns = np.nonzero(layout.valid)
-    far = np.abs(rows[here] - rows[there]) + np.abs(columns[here] - columns[there])
-    assert set(far.tolist()) == {round(24 / settings.MISFIT_STEPS)}
-    assert layout.segments is not None
-    np.testing.assert_array_equal(layout.segments[here], layout.segments[there])
 
 
 def test_a_picture_too_small_for_neighbours_has_a_discrepancy() -> None:

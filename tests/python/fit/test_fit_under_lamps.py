@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import reference
-from pbrfit import InputError, _core
+from pbrfit import _core
 from pbrfit.model.reflection import MODELS
 from reference import unit
 
@@ -279,49 +279,3 @@ def test_pixels_do_not_know_of_each_other_or_of_threads(model: str) -> None:
     }
     for a, b in zip(one, _core.fit_under_lamps(**(given | own)), strict=True):
         np.testing.assert_array_equal(a[some], b)
-
-
-REFUSALS: list[tuple[str, Any, str]] = [
-    ("pictures", lambda a: a[:, :-1], r"shape \[6, 12, 3\], found shape \[6, 11, 3\]"),
-    ("pictures", lambda a: a * np.nan, "finite numbers, found NaN at 0"),
-    ("pictures", lambda a: a.astype(np.float32), "an array of float64 in 3 dim"),
-    ("weights", lambda a: a[:-1], r"shape \[6, 12, 3\], found shape \[5, 12, 3\]"),
-    ("weights", lambda a: -a, "numbers from 0, found -1 at 0"),
-    ("limits", lambda _: np.full((6, 12, 3), 3, np.uint8), "0, 1 or 2, found 3 at 0"),
-    ("limits", lambda _: np.zeros((6, 12), np.uint8), "an array of uint8 in 3 dim"),
-    ("views", lambda a: a[:-1], r"shape \[6, 3\], found shape \[5, 3\]"),
-    ("directions", lambda a: a * 2, "unit vectors, found "),
-    ("directions", lambda a: a[:-1], r"shape \[6, 18, 3\], found shape \[5, 18, 3\]"),
-    ("intensities", lambda a: a[:, 1:], r"shape \[6, 18, 3\], found shape \[6, 17, 3\]"),
-    ("intensities", lambda a: a * 1e20, r"numbers up to 1e16 in size, found "),
-    ("picture_of", lambda a: a[1:], r"shape \[18\], found shape \[17\]"),
-    ("picture_of", lambda a: a[::-1].copy(), "numbers in rising order, found "),
-    ("picture_of", lambda a: a + np.uint64(9), "indices below 12, found 12"),
-    ("ambient", lambda a: a[:, :1], r"shape \[12, 3\], found shape \[12, 1\]"),
-    ("base_normals", lambda a: a[:-1], r"shape \[6, 3\], found shape \[5, 3\]"),
-    ("start_normals", lambda a: -a, "normals less than 90 degrees from base_normals, found 180"),
-    ("albedo", lambda a: a + 1, r"numbers in \[0, 1\], found "),
-    ("roughness", lambda a: a[:-1], r"shape \[6\], found shape \[5\]"),
-    ("prior_mean", lambda a: a[:, 1:], r"shape \[6, 7\], found shape \[6, 6\]"),
-    ("prior_precision", lambda a: a - 1, "numbers from 0, found -1 at 0"),
-    ("model", lambda _: "phong", "paper or principled, found phong"),
-]
-
-
-@pytest.mark.parametrize(("name", "change", "refusal"), REFUSALS)
-def test_bad_arguments_are_refused_by_name(name: str, change: Any, refusal: str) -> None:
-    given, _ = example(6, 11, "paper")
-    with pytest.raises(InputError, match=f"^{name}: expected {refusal}"):
-        _core.fit_under_lamps(**(given | {name: change(given[name])}))
-
-
-def test_nothing_gives_nothing() -> None:
-    given, _ = example(3, 12, "paper")
-    none = {
-        name: value[:0]
-        for name, value in given.items()
-        if isinstance(value, np.ndarray) and name not in ("picture_of", "ambient")
-    }
-    normals, *_, information = _core.fit_under_lamps(**(given | none))
-    assert normals.shape == (0, 3)
-    assert information.shape == (0, UNKNOWNS, UNKNOWNS)

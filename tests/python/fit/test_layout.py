@@ -27,42 +27,6 @@ def scene_of(kind: str) -> tuple[Scene, dict[str, Any]]:
     return of_kind(made(2 if kind == "known lights" else 3), kind)
 
 
-@pytest.mark.parametrize("free_normals", [False, True])
-@every_kind
-def test_x_has_what_is_unknown(kind: str, free_normals: bool) -> None:
-    scene, options = scene_of(kind)
-    objective = Objective(scene, **options, free_normals=free_normals)
-    channels = 1 if "grey" in kind else 3
-    light_channels = 1 if "mono" in kind else channels
-    # The known lights alone have none of band 3.
-    coefficients = 9 if "order 2" in kind or kind == "known lights" else 16
-    lights = 0 if "known lights" in kind else PICTURES * coefficients * light_channels
-    materials = (channels + 1 + ("metallic" not in options)) * PIXELS
-    assert (objective.channels, objective.coefficients) == (channels, coefficients)
-    assert objective.layout.materials == slice(0, materials)
-    assert objective.layout.maps.stop == materials + 2 * PIXELS * free_normals
-    assert objective.size == objective.layout.maps.stop + lights
-    parts = {
-        "albedo": objective.albedo,
-        "roughness": objective.roughness,
-        "metallic": objective.metallic,
-        "tangent offsets": objective.tangent_offsets,
-        "lights": objective.lighting,
-    }
-    known = {"metallic": "metallic" in options, "tangent offsets": not free_normals}
-    known["lights"] = "known lights" in kind
-    slices = []
-    for name, part in parts.items():
-        assert (part is None) == known.get(name, False), name
-        slices += [part] if part is not None else []
-    assert [part.start for part in slices] == [0, *(part.stop for part in slices[:-1])]
-    assert slices[-1].stop == objective.size
-    np.testing.assert_array_equal(
-        np.isinf(objective.bounds[:, 0]), np.arange(objective.size) >= materials
-    )
-    assert (objective.bounds[:materials] == (0, 1)).all()
-
-
 @every_kind
 def test_pack_and_unpack_are_inverse(kind: str) -> None:
     scene, options = scene_of(kind)

@@ -6,11 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene, decompose
-from pbrfit.fit.light_prior import BAND_SIGMA, DIM_SHARE, SCALE_SIGMA, LightPrior, as_in_core
-from pbrfit.fit.normal_equations import as_in_x
+from pbrfit.fit.light_prior import BAND_SIGMA, DIM_SHARE, SCALE_SIGMA, LightPrior
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
@@ -104,14 +102,6 @@ def test_pixels_outweigh_noise_and_nothing_else(room: Scene) -> None:
             of_noise = replace(one, shared=0.0, grey=0.0)
             grown = many / few * (one.product(v) - of_noise.product(v)) + of_noise.product(v)
             np.testing.assert_allclose(more.product(v), grown, rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", FREE_LIGHTS)
-def test_the_order_of_the_core_is_undone(room: Scene, kind: str) -> None:
-    objective = objective_of(room, kind)
-    lights = np.arange(objective.start()[objective.layout.lighting].size, dtype=float)
-    in_core: NDArray[np.float64] = as_in_core(lights, objective)
-    np.testing.assert_array_equal(as_in_x(in_core.ravel(), objective.layout), lights)
 
 
 def test_a_fit_may_start_in_the_dark(room: Scene) -> None:

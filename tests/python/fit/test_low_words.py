@@ -159,19 +159,6 @@ def test_bad_series_are_refused(images: Any, message: str) -> None:
         example_of().problem(images=images)
 
 
-def test_an_error_of_a_series_is_its_own() -> None:
-    def images() -> Iterator[Array]:
-        yield pictures()[0]
-        raise OSError("no more")
-
-    class Broken(Told):
-        def __iter__(self) -> Iterator[Array]:
-            return images()
-
-    with pytest.raises(OSError, match="no more"):
-        example_of().problem(images=Broken([], 4))
-
-
 def test_pictures_beyond_float32_are_no_warning() -> None:
     """Divided by the scene scale they are as good as any."""
     scene = make_scene("spheres", size=8, lights=3, seed=1, held_out=1)

@@ -1,16 +1,15 @@
 """The mixture prior on materials, and what it is made of: grid, best albedo, EM, offsets."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.optimize import fmin_l_bfgs_b, minimize_scalar
+from scipy.optimize import fmin_l_bfgs_b
 
 import pbrfit
-from pbrfit import Objective, Priors, Result, Scene, shade
+from pbrfit import Objective, Priors, Result, Scene
 from pbrfit.fit.coarse import Lights, judged
 from pbrfit.fit.joint import minimize
 from pbrfit.fit.pixels import fit_all
@@ -38,140 +37,6 @@ def some_point(objective: Objective, rng: np.random.Generator) -> Array:
     maps = objective.layout.maps
     x[maps] = np.clip(x[maps] + rng.normal(0, 0.1, maps.stop), 0.02, 0.98)
     return x
-
-
-def squares_of(
-    objective: Objective,
-    scene: Scene,
-    x: Array,
-    p: int,
-    albedo: Array,
-    roughness: float,
-    metallic: float,
-) -> Array:
-    """Σ ω (I − T)² of one pixel and channel-wise albedo (M, C), by the reference path: (M, C)."""
-    layout = objective.layout
-    valid = layout.valid
-    c = layout.channels
-    lighting = scene.lighting
-    if lighting is None:
-        k = objective.coefficients
-        lighting = np.zeros((layout.pictures, 16, 3))
-        lighting[:, :k] = x[layout.lighting].reshape(layout.pictures, k, -1)
-    else:
-        lighting = lighting / objective.scale
-    colour = np.broadcast_to(albedo, (len(albedo), 3)) if c == 1 else albedo
-    weights = shade(
-        np.broadcast_to(scene.normals[valid][p], (len(albedo), 3)),
-        np.broadcast_to(scene.views[valid][p], (len(albedo), 3)),
-        colour,
-        np.full(len(albedo), roughness),
-        np.full(len(albedo), metallic),
-    )
-    radiance = np.einsum("mck,nkc->mnc", weights, lighting)[..., :c]
-    targets = scene.images[:, valid][:, p, :c] / objective.scale
-    omega = np.ones((layout.pictures, 1))
-    if scene.weights is not None:
-        all_weights = scene.weights[:, valid]
-        omega = all_weights[:, p, :c] / all_weights.max()
-    return np.asarray((omega * (radiance - targets) ** 2).sum(axis=1))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_grid_is_the_least_over_albedo(room: Scene, kind: str) -> None:
-    scene, options = of_kind(room, kind)
-    objective = Objective(scene, **options)
-    rng = np.random.default_rng(1)
-    x = some_point(objective, rng)
-    roughness, metallic = np.array([0.0, 0.2, 0.55, 1.0]), np.array([0.0, 0.4, 0.9, 1.0])
-    if objective.known_metallic is not None:
-        metallic = np.array([objective.known_metallic])
-    pixels = rng.integers(0, objective.pixels, 5).astype(np.uint64)
-    grid = objective.problem.material_grid(objective.for_core(x), pixels, roughness, metallic)
-    assert grid.shape == (5, len(roughness), len(metallic))
-    albedo = np.repeat(np.linspace(0, 1, 2001)[:, None], objective.channels, axis=1)
-    for i, p in enumerate(pixels):
-        for j, r in enumerate(roughness):
-            for k, m in enumerate(metallic):
-                dense = squares_of(objective, scene, x, p, albedo, r, m)
-                least = dense.min(axis=0).sum()
-                # The grid may find a little less between the dense points, and never more.
-                assert grid[i, j, k] == pytest.approx(least, rel=2e-4, abs=2e-6)
-                assert grid[i, j, k] <= least * (1 + 1e-5) + 1e-9
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_best_albedo_is_best(room: Scene, kind: str) -> None:
-    scene, options = of_kind(room, kind)
-    objective = Objective(scene, **options)
-    rng = np.random.default_rng(2)
-    x = some_point(objective, rng)
-    pixels = rng.integers(0, objective.pixels, 3).astype(np.uint64)
-    albedo, squares = objective.problem.best_albedo(objective.for_core(x), pixels)
-    assert albedo.shape == (3, objective.channels)
-    for i, p in enumerate(pixels):
-        r = x[objective.roughness][p]
-        m = objective.known_metallic
-        m = x[objective.metallic][p] if m is None else m
-        total = 0.0
-        for c in range(objective.channels):
-
-            def of_albedo(
-                rho: float, c: int = c, p: int = int(p), r: float = r, m: float = float(m)
-            ) -> float:
-                row = np.full((1, objective.channels), rho)
-                return float(squares_of(objective, scene, x, p, row, r, m)[0, c])
-
-            # Minima between a few starts: the polynomial may have two.
-            found = min(
-                (
-                    minimize_scalar(
-                        of_albedo, bounds=(a, a + 0.25), method="bounded", options={"xatol": 1e-10}
-                    )
-                    for a in (0.0, 0.25, 0.5, 0.75)
-                ),
-                key=lambda result: result.fun,
-            )
-            assert of_albedo(albedo[i, c]) <= found.fun * (1 + 1e-7) + 1e-12
-            total += of_albedo(albedo[i, c])
-        assert squares[i] == pytest.approx(total, rel=1e-6, abs=1e-10)
-
-
-def test_metal_and_darkness_have_a_best_albedo(room: Scene) -> None:
-    """Where radiance does not depend on albedo, or nothing is lit, it stays finite."""
-    objective = Objective(room)
-    x = objective.start()
-    x[objective.metallic] = 1.0
-    x[objective.lighting] = 0.0
-    pixels = np.arange(objective.pixels, dtype=np.uint64)
-    albedo, squares = objective.problem.best_albedo(x, pixels)
-    assert np.isfinite(albedo).all()
-    assert ((albedo >= 0) & (albedo <= 1)).all()
-    assert np.isfinite(squares).all()
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda a: a.update(pixels=np.array([10**6], np.uint64)), "pixels: expected indices below"),
-        (lambda a: a.update(roughness=np.array([1.5])), "roughness: expected numbers in"),
-        (lambda a: a.update(metallic=np.array([np.nan])), "metallic: expected numbers in"),
-        (lambda a: a.update(x=np.zeros(3)), "x: expected shape"),
-    ],
-)
-def test_the_grid_refuses_what_it_cannot_use(
-    room: Scene, change: Callable[[dict[str, Any]], None], message: str
-) -> None:
-    objective = Objective(room)
-    arguments = {
-        "x": objective.start(),
-        "pixels": np.arange(3, dtype=np.uint64),
-        "roughness": np.array([0.5]),
-        "metallic": np.array([0.0]),
-    }
-    change(arguments)
-    with pytest.raises(pbrfit.InputError, match=message):
-        objective.problem.material_grid(*arguments.values())
 
 
 def some_prior(

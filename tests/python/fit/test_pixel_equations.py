@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 import reference
-from pbrfit import InputError
 from random_pixels import Array, Example, Kind
 
 CLAMP = reference.CLAMP
@@ -83,15 +82,6 @@ def test_pixels_move_with_the_lights(kind: Kind) -> None:
     assert_close(found, np.square(effects @ covariances).sum(axis=1), 1e-11)
 
 
-def test_the_gradient_of_normal_equations_is_that_of_the_loss() -> None:
-    example = Example(Kind(weights=3), 150, 4, noise=0.3)
-    loss, gradient = example.problem().value_and_grad(example.x())
-    _, half, squares = example.problem().normal_equations(example.x(), example.everything)
-    total = example.omega.sum()
-    assert squares.sum() / total == pytest.approx(loss, rel=1e-5)
-    assert_close(2 * half.T.ravel() / total, gradient[: half.size], 1e-5)
-
-
 def test_slopes_at_the_clamp_are_those_of_one_side() -> None:
     """The clamped cosine does not move below the clamp, and moves above; the mirror always does."""
     example = Example(Kind(free_normals=True), 2, degrees=0.0)
@@ -108,18 +98,3 @@ def test_slopes_at_the_clamp_are_those_of_one_side() -> None:
 
         slope = (moved(step) - moved(-step)) / (2 * step)
         assert_close(by_unknowns[..., 3 + axis], slope, 1e-5)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"pixels": np.array([150], np.uint64)}, "pixels: expected indices below 150, found 150"),
-        ({"x": np.zeros(3)}, "x: expected"),
-        ({"x": np.full(150 * 5 + 6 * 48, 1.5)}, "x .albedo, roughness, metallic.: expected"),
-    ],
-)
-def test_unusable_arguments_are_named(change: dict[str, Any], message: str) -> None:
-    example = example_of(Kind())
-    given: dict[str, Any] = {"x": example.x(), "pixels": PIXELS[:3]}
-    with pytest.raises(InputError, match=f"^{message}"):
-        example.problem().normal_equations(**(given | change))

@@ -12,7 +12,6 @@ import pytest
 from scipy.optimize import least_squares
 
 import reference
-from pbrfit._core import InputError
 from random_pixels import Array, Example, Kind, Pixels
 
 ROUGHNESS = np.linspace(0.05, 1, 12)
@@ -189,16 +188,6 @@ def test_roughness_0_is_left() -> None:
     assert np.mean(np.abs(found - example.truth).max(axis=1) < 1e-9) > 0.9
 
 
-def test_roughness_0_stays_where_it_is_best() -> None:
-    def change(truth: Array) -> None:
-        truth[:, 3] = 0
-
-    example = Example(known(), 60, 16, change=change)
-    found, squares = fit(example, example.x(), nodes=NONE)
-    assert squares.max() < 1e-27
-    assert np.abs(found - example.truth).max() < 2e-3
-
-
 def dark(example: Example) -> None:
     example.targets[:] = 0
 
@@ -248,13 +237,6 @@ def test_whatever_the_pictures_show_it_ends_no_worse(
     assert (squares <= before + 1e-13 * scale + 1e-13 * before).all()
     ends = explicit(example, example.x(found))
     np.testing.assert_allclose(squares, ends, atol=1e-13 * scale.max())
-
-
-def test_the_best_is_left_alone() -> None:
-    example = Example(known(), 60, 16)
-    found, squares = fit(example, example.x())
-    assert squares.max() < 1e-28
-    assert np.abs(found - example.truth).max() < 1e-12
 
 
 def test_more_starts_never_end_higher() -> None:
@@ -364,44 +346,3 @@ def test_a_stiff_prior_draws_tangent_offsets_to_its_mean() -> None:
 
 
 # --- Arguments ---
-
-
-def test_no_pixels_give_no_materials() -> None:
-    found, squares = fit(noisy(KINDS[0]), pixels=np.empty(0, np.uint64))
-    assert found.shape == (0, 5)
-    assert squares.shape == (0,)
-
-
-TWO = np.full((3, 2), 0.5)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"pixels": np.array([8], np.uint64)}, "pixels: expected indices below 8, found 8"),
-        ({"roughness": np.array([0.5, 1.5])}, r"roughness: expected numbers in \[0, 1\]"),
-        ({"metallic": np.array([np.nan])}, r"metallic: expected numbers in \[0, 1\]"),
-        ({"x": np.full(3, 0.5)}, "x: expected shape"),
-        ({"x": np.full(40, 1.5)}, "x .*: expected numbers in"),
-        ({"mean": TWO}, "precision: expected an array beside mean, found None"),
-        ({"precision": TWO}, "mean: expected an array beside precision, found None"),
-        ({"mean": TWO[:2], "precision": TWO}, r"mean: expected shape \[3, 2\]"),
-        ({"mean": TWO, "precision": TWO[:, :1]}, r"precision: expected shape \[3, 2\]"),
-        ({"mean": TWO, "precision": -TWO}, "precision: expected numbers from 0, found -0.5 at 0"),
-        ({"mean": TWO * np.nan, "precision": TWO}, "mean: expected finite numbers"),
-        ({"mean": TWO, "precision": TWO * np.inf}, "precision: expected finite numbers"),
-    ],
-)
-def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
-    example = noisy(KINDS[0])
-    arguments: dict[str, Any] = {"x": grey(example), "pixels": np.arange(3, dtype=np.uint64)}
-    arguments |= {"roughness": ROUGHNESS, "metallic": METALLIC} | change
-    with pytest.raises(InputError, match=message):
-        example.problem().fit_materials(**arguments)
-
-
-def test_a_prior_without_tangent_offsets_is_refused() -> None:
-    example = Example(free(), 3)
-    message = r"^mean: expected shape \[3, 4\], found shape \[3, 2\]$"
-    with pytest.raises(InputError, match=message):
-        fit(example, mean=TWO, precision=TWO)

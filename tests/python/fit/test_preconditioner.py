@@ -68,37 +68,6 @@ def test_of_all_pixels_it_is_the_inverse(scene: Scene, kind: str) -> None:
         assert off @ matrix @ off < 1e-6 * (v @ matrix @ v)
 
 
-def test_it_is_symmetric_and_positive_with_any_prior(scene: Scene) -> None:
-    objective = objective_of(scene, "colour")
-    x = fitted(objective)
-    lights = LightPrior.around(objective, x).weighing(0.3, 0.1, objective.pixels)
-    lights = lights.of_pixels(objective.pixels)
-    found = Preconditioner.of(objective, x, 1.0, lights, np.empty(0), {})
-    rng = np.random.default_rng(2)
-    directions = rng.normal(size=(20, x[objective.layout.lighting].size))
-    products = np.array([[u @ found(v) for v in directions] for u in directions])
-    np.testing.assert_allclose(products, products.T, atol=1e-9 * np.abs(products).max())
-    assert np.linalg.eigvalsh((products + products.T) / 2).min() > 0
-
-
-@each_kind
-def test_the_prior_in_sums_is_that_of_the_lights(scene: Scene, kind: str) -> None:
-    objective = objective_of(scene, kind)
-    prior = LightPrior.around(objective, objective.start()).weighing(0.5, 0.2, 10)
-    basis = objective.light_basis(objective.start())
-    assert basis is not None
-    channels, _, rank = basis.shape
-    whole = prior.matrix().reshape(2 * (channels, PICTURES, 9))
-    expected = np.einsum("cni,cnkdml,dmj->cikdjl", basis, whole, basis, optimize=True)
-    size = channels * rank * 9
-    np.testing.assert_allclose(
-        prior.matrix(basis),
-        expected.reshape(size, size),
-        rtol=1e-9,
-        atol=1e-9 * np.abs(expected).max(),
-    )
-
-
 def spread(objective: Objective, x: Array) -> Array:
     """Variances of all unknowns of pixels."""
     found = uncertainty.spread(objective, x, discrepancy.find(objective, x), None)

@@ -155,21 +155,6 @@ def test_the_gradient_is_added_and_x_left_alone(name: str) -> None:
     np.testing.assert_array_equal(x, before)
 
 
-@every_layout
-def test_only_what_has_something_to_act_on_is_there(name: str) -> None:
-    of = LAYOUTS[name]
-    expected = ["cohesion", "smoothness", "sparsity", "monochrome"]
-    if name in ("no segments", "all unclassified"):
-        expected.remove("cohesion")
-    if name in ("1 × 1", "nothing adjoins", "single-pixel segments"):
-        expected.remove("smoothness")
-    if name == "known metallic":
-        expected.remove("sparsity")
-    if name in ("grey", "one light for all channels", "known lights"):
-        expected.remove("monochrome")
-    assert [penalty.name for penalty in penalties(of, ALL)] == expected
-
-
 def test_long_runs_are_cut_and_overlap() -> None:
     """Runs of pairs are handled by 512: one row of 1500 has three, and each overlaps itself."""
     for shape in ((1, 1500), (1500, 1), (40, 40)):
@@ -188,20 +173,6 @@ def test_long_runs_are_cut_and_overlap() -> None:
             np.add.at(expected[block], first, -2e-4 * changes)
         assert value == pytest.approx(total, rel=1e-12)
         np.testing.assert_allclose(gradient, expected, rtol=1e-12, atol=1e-17)
-
-
-def test_a_weight_of_zero_is_not_evaluated() -> None:
-    of = LAYOUTS["all"]
-    assert penalties(of, Priors.none()) == []
-    for name in ("cohesion", "smoothness", "sparsity", "monochrome"):
-        only = dataclasses.replace(Priors.none(), **{name: 1.0})
-        assert [penalty.name for penalty in penalties(of, only)] == [name]
-
-
-def test_neighbours_are_tied_unless_in_two_segments() -> None:
-    pairs = tied_neighbours(layout([[1, 1, 1], [0, 1, 1]], [[1, 2, 0], [1, 2, 2]]))
-    # In row order: 0 1 2 / (masked) 3 4. First below one another, then side by side.
-    assert pairs.T.tolist() == [[1, 3], [2, 4], [1, 2], [3, 4]]
 
 
 # --- Weights mean the same for every scene ---
@@ -273,12 +244,6 @@ def test_any_whole_numbers_are_ids(ids: Any) -> None:
     assert (labels.tolist(), count) == ([0, 1, 2, 2, 1], 2)
 
 
-def test_labels_keep_the_shape_and_need_no_unclassified() -> None:
-    labels, count = consecutive_labels(np.array([[4, -4], [4, 4]]))
-    assert (labels.tolist(), count) == ([[2, 1], [2, 2]], 2)
-    assert consecutive_labels(np.zeros((2, 1), int))[1] == 0
-
-
 def test_more_segments_than_16_bits_hold() -> None:
     size = 300
     ids = np.arange(size * size).reshape(size, size) // 2
@@ -336,28 +301,6 @@ def test_the_loss_is_data_and_penalties() -> None:
     assert objective.data_value_and_grad(x)[0] == data
 
 
-class Offset:
-    """A penalty of a solver."""
-
-    name = "offset"
-
-    def value_and_grad(self, x: Array, gradient: Array) -> float:
-        gradient += 1.0
-        return float(x.sum())
-
-
-def test_penalties_may_change_between_evaluations() -> None:
-    objective = Objective(scene_of())
-    x = objective.start()
-    loss, gradient = objective.value_and_grad(x)
-    objective.penalties.append(Offset())
-    assert objective.value_and_grad(x)[0] == pytest.approx(loss + x.sum(), rel=1e-14)
-    objective.penalties = []
-    after = objective.value_and_grad(x)
-    assert after[0] == loss
-    np.testing.assert_array_equal(after[1], gradient)
-
-
 # --- One light for all channels ---
 
 
@@ -372,10 +315,3 @@ def test_known_lights_in_colour_are_refused_by_mono_light() -> None:
     x = objective.start()
     assert objective.value_and_grad(x)[0] == plain.value_and_grad(x)[0]
     np.testing.assert_array_equal(objective.value_and_grad(x)[1], plain.value_and_grad(x)[1])
-
-
-@pytest.mark.parametrize("shift", [-1, 1])
-def test_an_x_of_another_length_is_refused(shift: int) -> None:
-    objective = Objective(scene_of(), mono_light=True)
-    with pytest.raises(InputError, match=r"^x: expected shape"):
-        objective.value_and_grad(np.full(objective.size + shift, 0.5))

@@ -199,12 +199,3 @@ def test_some_pixels_of_reweighted_squares_keep_their_weights(weighted: bool) ->
     twice = whole.restricted(few, shares).restricted(np.array([2, 5], np.uint64))
     own = twice.problem.normal_equations(whole.part_of(x, few[[2, 5]]), everything[:2])[2]
     np.testing.assert_allclose(own, (shares * sums[few])[[2, 5]], rtol=1e-5)
-
-
-def test_irls_weights() -> None:
-    sizes = np.array([0, 1e-6, -0.02, 1e30, -3e38], dtype=np.float32)
-    found = irls_weights(0.005, sizes)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found[:3], [1, 1, 1 / 17], rtol=1e-6)
-    assert (found[3:] < 1e-18).all()
-    assert np.isfinite(found).all()

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import reference
-from pbrfit import InputError
 from pbrfit.fit.robust import CAUCHY_SCALE, noise_sigma, weighted_median
 
 
@@ -28,10 +25,6 @@ def noise(outliers: float = 0.0, seed: int = 0) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
     e = rng.normal(0, 0.02, (8, 2_000, 3))
     return e + 0.5 * (rng.random(e.shape) < outliers)
-
-
-def test_sigma_of_gaussian_noise() -> None:
-    assert noise_sigma(noise()) == pytest.approx(0.02, rel=0.02)
 
 
 def test_sigma_of_noise_with_outliers() -> None:
@@ -72,21 +65,3 @@ def test_weighted_median_counts_like_copies() -> None:
     repeated = np.sort(np.repeat(values, copies))
     expected = repeated[(len(repeated) - 1) // 2]
     assert weighted_median(values, copies.astype(np.float64)) == expected
-
-
-def test_sigma_of_nothing_is_zero() -> None:
-    assert noise_sigma(np.zeros((2, 3, 1))) == 0
-
-
-@pytest.mark.parametrize(
-    ("residuals", "weights", "unknowns", "message"),
-    [
-        (np.zeros((2, 3)), None, 0, "residuals: expected shape"),
-        (np.zeros((2, 3, 1)), np.ones((3, 2)), 0, "weights: expected shape"),
-        (np.zeros((2, 3, 1)), np.zeros((2, 3, 1)), 0, "residuals: expected samples of some weight"),
-        (np.zeros((2, 0, 1)), None, 0, "residuals: expected samples of some weight"),
-    ],
-)
-def test_sigma_refuses(residuals: Any, weights: Any, unknowns: float, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        noise_sigma(residuals, weights, unknowns=unknowns)

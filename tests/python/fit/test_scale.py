@@ -10,7 +10,6 @@ from scipy.ndimage import maximum_filter, uniform_filter
 
 from pbrfit import FitOptions, InputError, Priors, Scene, decompose
 from pbrfit.fit import scale, settings
-from pbrfit.fit.objective import Objective
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.result.result import Result
@@ -197,27 +196,3 @@ def test_known_lights_need_no_reference() -> None:
     known = replace(scene, lighting=scene.truth.lighting)
     with pytest.raises(InputError, match=r"^white: expected unknown lights"):
         decompose(known, white=(1, 1, 0.5))
-
-
-def test_lights_along_their_scale_move_by_it() -> None:
-    scene = room(303)
-    objective = Objective(scene)
-    x = objective.start()
-    a = scale.measures(objective, x)
-    lights = x[objective.lighting].reshape(16, 16, 3).transpose(2, 0, 1).reshape(3, -1)
-    for channel in range(3):
-        only = np.zeros_like(lights)
-        only[channel] = lights[channel]
-        expected = np.eye(3)[channel]
-        np.testing.assert_allclose(a @ only.ravel(), expected, atol=1e-12)
-
-
-def test_groups_are_patches_and_segments() -> None:
-    scene = room(303)
-    layout = Objective(scene).layout
-    pixels = np.arange(layout.pixels, dtype=np.uint64)
-    patches, segments = scale.groupings(layout, pixels)
-    assert len(np.unique(patches)) == settings.SCALE_PATCHES**2
-    np.testing.assert_array_equal(segments, layout.segments)
-    alone = Objective(replace(scene, segments=None)).layout
-    assert len(scale.groupings(alone, pixels)) == 1

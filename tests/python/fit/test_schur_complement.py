@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 
-from pbrfit._core import InputError
 from shared_system import (
-    PICTURES,
     PIXELS,
     REACH,
     Dense,
@@ -91,17 +88,6 @@ def test_products_are_those_of_the_whole_system(kind: str) -> None:
     np.testing.assert_array_equal(kept.product(0 * moves), 0 * moves)
 
 
-def test_a_kept_system_is_symmetric_and_of_its_size() -> None:
-    example = Seen(KINDS["weights of samples"])
-    kept = example.ask("kept_system")
-    one, other = (np.random.default_rng(seed).normal(size=example.size) for seed in (1, 2))
-    there, back = other @ kept.product(one), one @ kept.product(other)
-    assert abs(there - back) < 1e-5 * np.linalg.norm(one) * np.linalg.norm(kept.product(other))
-    for v in (one[1:], np.append(one, 1.0), np.full_like(one, np.nan)):
-        with pytest.raises(InputError, match="v"):
-            kept.product(v)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_pixels_follow_the_lights_as_the_whole_system_says(kind: str) -> None:
     example, expected = expected_of(kind)
@@ -141,18 +127,6 @@ def test_offsets_grow_no_longer_than_tan_60_degrees() -> None:
     assert np.linalg.norm(found - example.offsets, axis=1).max() < REACH * (1 + 1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_order_of_pixels_changes_rounding_alone(kind: str) -> None:
-    example = Seen(KINDS[kind])
-    order = np.random.default_rng(6).permutation(len(example.chosen))
-    other, moves = example.chosen[order], example.moves()
-    one, two = (example.ask("schur_complement", pixels=of) for of in (example.chosen, other))
-    for a, b in zip(one, two, strict=True):
-        close(a, b, 1e-12)
-    shuffled = example.ask("back_substitute", moves, pixels=other)
-    np.testing.assert_array_equal(example.ask("back_substitute", moves)[order], shuffled)
-
-
 def test_pixels_that_nothing_is_known_about_stay() -> None:
     """Black ones, dark lights, a material without a slope, a pixel without weight: no NaN."""
     example = Seen(System(weights=2))
@@ -182,56 +156,3 @@ def test_pixels_that_nothing_is_known_about_stay() -> None:
     np.testing.assert_array_equal(
         problem.back_substitute(example.x(), pixels, np.zeros(example.size)), example.truth[:8]
     )
-
-
-def test_no_pixels_know_nothing() -> None:
-    example = Seen()
-    none = np.empty(0, dtype=np.uint64)
-    matrix, gradient = example.problem().schur_complement(example.x(), none)
-    assert not matrix.any()
-    assert not gradient.any()
-    assert example.problem().back_substitute(example.x(), none, example.moves()).shape == (0, 5)
-
-
-PRIOR = {"precision": np.ones((150, 2)), "deviation": np.ones((150, 2))}
-NAN = np.full(PICTURES * 16 * 3, np.nan)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"damping": -1e-3}, r"^damping: expected a share, 0 or more, found -0.001$"),
-        ({"damping": np.nan}, r"^damping: expected a share, 0 or more"),
-        ({"damping": np.inf}, r"^damping: expected a share, 0 or more"),
-        ({"pixels": np.array([0, PIXELS], dtype=np.uint64)}, r"^pixels: expected .* found 170"),
-        ({"x": np.zeros(3)}, r"^x: expected"),
-        ({"x": np.full(PIXELS * 5 + PICTURES * 48, 1.5)}, r"^x .*expected"),
-        ({"precision": np.ones((150, 2))}, r"^deviation: expected"),
-        ({"deviation": np.ones((150, 2))}, r"^precision: expected"),
-        ({"precision": np.ones((150, 1)), "deviation": np.ones((150, 2))}, r"^precision: expected"),
-        ({"precision": np.ones((150, 2)), "deviation": np.ones((149, 2))}, r"^deviation: expected"),
-        ({"precision": np.full((150, 2), np.nan), "deviation": np.ones((150, 2))}, r"^precision:"),
-        ({"precision": np.full((150, 2), -1.0), "deviation": np.ones((150, 2))}, r"^precision:"),
-        ({"precision": np.ones((150, 2)), "deviation": np.full((150, 2), np.inf)}, r"^deviation:"),
-        ({"cluster": (np.zeros(150, np.uint64), 1)}, r"^precision: expected .* cluster"),
-        (PRIOR | {"cluster": (np.zeros(149, np.uint64), 1)}, r"^cluster: expected 150 numbers"),
-        (PRIOR | {"cluster": (np.full(150, 2, np.uint64), 2)}, r"^cluster: expected .* below 2"),
-        (PRIOR | {"cluster": (np.zeros(150, np.uint64), 1)}, r"^v: expected"),
-        ({"v": np.zeros(7)}, r"^v: expected"),
-        ({"v": NAN}, r"^v: expected"),
-        ({"mono": True, "v": np.zeros(PICTURES * 48)}, r"^v: expected"),
-    ],
-)
-def test_unusable_input_is_refused_in_one_line(changes: dict[str, Any], message: str) -> None:
-    example = Seen()
-    given: dict[str, Any] = {"x": example.x(), "pixels": example.chosen, "v": example.moves()}
-    given |= changes
-    of_moves = "v" in changes or message == r"^v: expected"
-    calls = ["back_substitute"] + ([] if of_moves else ["schur_complement", "kept_system"])
-    for name in calls:
-        options = {
-            key: value for key, value in given.items() if key != "v" or name == "back_substitute"
-        }
-        with pytest.raises(InputError, match=message) as caught:
-            getattr(example.problem(), name)(**options)
-        assert "\n" not in str(caught.value)

@@ -150,15 +150,6 @@ def test_noise_has_its_degrees_of_freedom() -> None:
     assert estimated(objective, x).noise == pytest.approx(0.01, rel=0.05)
 
 
-def test_samples_of_no_weight_are_no_samples() -> None:
-    scene, _, _ = scene_and_x()
-    weights = np.ones((6, 12, 12), dtype=np.float32)
-    weights[4:] = 0
-    weights[4, 6] = weights[5, :8] = 1e-6  # every picture needs some weight
-    objective = Objective(dataclasses.replace(scene, weights=weights))
-    assert objective.samples == 3 * (PIXELS * 4 + 12 + 2 * 12)
-
-
 def test_a_value_on_a_bound_may_be_off_on_the_other_side() -> None:
     _, objective, x = scene_and_x()
     metallic = objective.layout.metallic

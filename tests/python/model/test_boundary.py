@@ -11,7 +11,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -137,6 +137,24 @@ def problem_of(kind: Kind, rng: np.random.Generator) -> Arguments:
     return arguments
 
 
+def among_of(kind: Kind, rng: np.random.Generator) -> Arguments:
+    """With tables of what surroundings block and bring; their normals are given."""
+    return problem_of(replace(kind, free_normals=False), rng) | {
+        "transfer": rng.random((kind.pixels, 5, 16), dtype=np.float32),
+        "bounced": rng.random((kind.pixels, 5, kind.pictures * kind.channels), dtype=np.float32),
+    }
+
+
+def solved_of(kind: Kind, rng: np.random.Generator) -> Arguments:
+    """What methods are given that solve for pixels, with a prior on what clusters share."""
+    count = 1 + (kind.metallic is None) + 2 * kind.free_normals
+    return {
+        "x": x_of(kind, rng),
+        "pixels": rng.permutation(kind.pixels).astype(np.uint64),
+        "precision": rng.random((kind.pixels, count)),
+    }
+
+
 def maps_of(kind: Kind, rng: np.random.Generator) -> Array:
     planes = kind.channels + 1 + (kind.metallic is None) + 2 * kind.free_normals
     return rng.random(planes * kind.pixels)
@@ -192,6 +210,34 @@ FUNCTIONS = {
         under_lamps, lambda _, __, arguments: _core.fit_under_lamps(**arguments)
     ),
     "Problem": Function(problem_of, evaluate),
+    "Problem among surroundings": Function(
+        among_of,
+        lambda kind, rng, arguments: evaluate(replace(kind, free_normals=False), rng, arguments),
+    ),
+    "fit_materials": Function(
+        lambda kind, rng: (
+            solved_of(kind, rng)
+            | {
+                "mean": rng.random(solved_of(kind, rng)["precision"].shape),
+                "roughness": rng.random(3),
+                "metallic": rng.random(2),
+            }
+        ),
+        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).fit_materials(
+            **arguments
+        ),
+    ),
+    "schur_complement": Function(
+        lambda kind, rng: (
+            solved_of(kind, rng)
+            | {
+                "deviation": rng.normal(size=solved_of(kind, rng)["precision"].shape),
+            }
+        ),
+        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).schur_complement(
+            **arguments, damping=0.1
+        ),
+    ),
     "value_and_grad": Function(
         lambda kind, rng: {"x": x_of(kind, rng)},
         lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).value_and_grad(

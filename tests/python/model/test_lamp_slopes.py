@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import reference
 from finite_differences import ridders
-from pbrfit import InputError, _core
+from pbrfit import _core
 from pbrfit.model.reflection import MODELS
 from reference import unit
 
@@ -105,31 +105,3 @@ def test_below_the_horizon_all_is_zero(model: str) -> None:
     given = pixels(40, 2, 3)
     given["directions"] = np.tile(-given["normals"][:, None], (1, 2, 1))
     assert (_core.lamp_slopes(**given, threads=1, model=model) == 0).all()
-
-
-@pytest.mark.parametrize(("count", "lamps"), [(0, 3), (5, 0), (0, 0)])
-def test_nothing_gives_nothing(count: int, lamps: int) -> None:
-    given = pixels(count, lamps, 4)
-    assert _core.lamp_radiance(**given, threads=1).shape == (count, lamps, 3)
-    assert _core.lamp_slopes(**given, threads=1).shape == (count, lamps, 3, 10)
-
-
-@pytest.mark.parametrize("function", [_core.lamp_radiance, _core.lamp_slopes])
-@pytest.mark.parametrize(
-    ("name", "change", "refusal"),
-    [
-        ("directions", lambda a: a[:-1], r"directions: expected shape \[5, 2, 3\], found shape "),
-        ("directions", lambda a: a[:, 0], r"directions: expected an array of float64 in 3 dim"),
-        ("directions", lambda a: 2 * a, r"directions: expected unit vectors, found "),
-        ("normals", lambda a: a[:-1], r"normals: expected shape \[5, 3\], found shape \[4, 3\]"),
-        ("views", lambda a: a * np.nan, r"views: expected unit vectors, found "),
-        ("roughness", lambda a: a + 1, r"roughness: expected numbers in \[0, 1\], found "),
-        ("albedo", lambda a: a.astype(np.float32), r"albedo: expected an array of float64 in 2 "),
-    ],
-)
-def test_bad_arrays_are_refused_by_name(
-    function: Any, name: str, change: Any, refusal: str
-) -> None:
-    given = pixels(5, 2, 5)
-    with pytest.raises(InputError, match=f"^{refusal}"):
-        function(**(given | {name: change(given[name])}), threads=1)
