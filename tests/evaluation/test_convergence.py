@@ -231,12 +231,6 @@ def options(*cases: str, seeds: int = 1, iterations: int = 12) -> argparse.Names
     return argparse.Namespace(model="paper", cases=cases, seeds=seeds, real=None, **budget)
 
 
-def test_plans_have_unique_names_and_reported_seeds() -> None:
-    tasks = convergence.tasks(options(*CASES, seeds=10))
-    assert len({task.key for task in tasks}) == len(tasks)
-    assert {task.seed for task in tasks} == set(range(100, 110))
-
-
 # Peers
 
 
@@ -366,9 +360,3 @@ def test_command(
     assert content["rows"][0]["metrics"]["albedo"] == pytest.approx(float(last["albedo"]))
     assert "lbfgsb-paper" in (out / "report.html").read_text(encoding="utf-8")
     assert all((out / f"{quantity}.png").exists() for quantity in (*figures.PLOTTED, "race"))
-
-
-def test_too_many_seeds_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("evaluate", "convergence", "--out", tmp_path / "out", "--seeds", 101) == 2
-    assert "--seeds: expected at most 100, found 101" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

@@ -134,14 +134,6 @@ def test_the_suite_runs_and_is_written(tmp_path: Path) -> None:
     assert "nothing handled" in (out / "generated.md").read_text()
 
 
-@pytest.mark.parametrize(("option", "least"), [("--pictures", 6), ("--size", 64)])
-def test_too_little_is_refused(
-    option: str, least: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    assert run("evaluate", "generated", "--out", tmp_path / "o", option, least - 1) == 2
-    assert f"{option}: expected at least {least}" in capsys.readouterr().err
-
-
 @pytest.mark.skipif(bool(cycles.why_not()), reason=str(cycles.why_not()))
 def test_an_export_opened_in_blender_is_lit_from_where_pbrfit_lights_it(tmp_path: Path) -> None:
     result = relief(48, 48)

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation_tasks import recorded
+from evaluation_tasks import own_room, recorded
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import draw, make_scene
-from pbrfit.synthetic.geometry import trace
+from pbrfit.synthetic import draw
 from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.lamps import SETUPS, SUITE, figures, measure
@@ -34,16 +33,10 @@ SIZE = 16
 LIGHTS = 4
 
 
-def own_room(case: Case, _: int) -> tuple[Scene, Lamps]:
-    """Stand in for `measure.room`: a room of our renderer, with its depth, and some lamps."""
-    [stream] = np.random.SeedSequence(case.seed).spawn(1)
-    of = draw("furnished", np.random.default_rng(stream))
-    made = make_scene("furnished", size=case.size, lights=case.lights, held_out=1, seed=case.seed)
-    rays = -made.views.reshape(-1, 3)
-    distance = trace(of.primitives, of.eye, rays @ of.turn.T).distance.reshape(made.valid.shape)
+def with_lamps(case: Case, _: int) -> tuple[Scene, Lamps]:
+    """Stand in for `measure.room`: a room of our renderer, and some lamps."""
     places = np.random.default_rng(case.seed).normal((0, 1, -1), 0.5, (case.lights, 3))
-    lamps = Lamps(np.arange(case.lights), places, np.ones(case.lights, bool))
-    return replace(made, depth=distance * made.views[..., 2]), lamps
+    return own_room(case, 1), Lamps(np.arange(case.lights), places, np.ones(case.lights, bool))
 
 
 CASE = Case("points-shadows", NEAR, 2003, SIZE, LIGHTS, picture=True)
@@ -51,7 +44,7 @@ CASE = Case("points-shadows", NEAR, 2003, SIZE, LIGHTS, picture=True)
 
 @pytest.fixture(scope="module")
 def room() -> tuple[Scene, Lamps]:
-    return own_room(CASE, 1)
+    return with_lamps(CASE, 1)
 
 
 # Rooms
@@ -127,7 +120,7 @@ def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> Non
         told[key], light[key] = scene, options.get("light")
         return recipes.explain(scene, "start", model="principled", threads=1)
 
-    monkeypatch.setattr(measure, "room", own_room)
+    monkeypatch.setattr(measure, "room", with_lamps)
     monkeypatch.setattr(measure, "fit", explain)
     monkeypatch.setattr(measure, "explain", explain)
     for key in BY_KEY:
@@ -182,7 +175,7 @@ def test_auto_spoils_nothing() -> None:
 def test_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(measure, "room", own_room)
+    monkeypatch.setattr(measure, "room", with_lamps)
     monkeypatch.setattr(cycles, "why_not", lambda: None)
     short = SimpleNamespace(fit=recipes.fit)
     monkeypatch.setattr(

@@ -10,7 +10,6 @@ import ast
 import csv
 import json
 import math
-from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -125,26 +124,6 @@ def half_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measure, "make_scene", known(make_scene))
 
 
-def asked(*, quick: bool = False, **changes: Any) -> Namespace:
-    """Options as on the command line."""
-    effort = {name: both[quick] for name, both in SUITE.effort.items()}
-    return Namespace(**{**effort, "first_seed": measure.FIRST_SEED, **changes})
-
-
-@pytest.mark.parametrize("quick", [False, True])
-def test_cases_have_names_of_their_own_and_seeds_that_nothing_was_tuned_on(
-    quick: bool,
-) -> None:
-    cases = [case for part in SUITE.parts for case in part.cases(asked(quick=quick))]
-    assert len({case.key for case in cases}) == len(cases)
-    assert min(case.seed for case in cases) == 7000
-    of_rooms = [case for case in cases if getattr(case, "part", "") == "rooms"]
-    assert {case.degrees for case in of_rooms} == {0, *SUITE.effort["degrees"][quick]}
-    true = [case.scene for case in of_rooms if case.disturbance == "true"]
-    assert len(true) == SUITE.effort["scenes"][quick]
-    assert true.count("detailed") == len(true) // 4
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("half_way")
 def test_rooms_are_told_wrong_normals_and_measured_at_the_true_ones() -> None:
@@ -161,15 +140,6 @@ def test_rooms_are_told_wrong_normals_and_measured_at_the_true_ones() -> None:
     right = measure.run(Case("rooms", "furnished", 2003, 16, "true", 0.0, 2), 1)
     assert right["given"]["mean"] == right["on"]["angle"]["mean"] == 0
     assert right["on"]["scores"]["albedo"] == right["off"]["scores"]["albedo"]
-
-
-@pytest.mark.usefixtures("half_way")
-def test_a_scene_that_does_not_come_back_is_told() -> None:
-    found = measure.run(Case("exact", "furnished", 2003, 16, "biased", 10.0, 2), 1)
-    assert not found["came_back"]
-    # What is left of a common turn is a common turn.
-    assert found["on"]["angle"]["mean"] > 2
-    assert found["on"]["angle"]["aligned"] < 0.2
 
 
 def test_a_scene_comes_back_if_every_map_and_the_normals_do() -> None:
@@ -316,16 +286,6 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -
     assert any(line["value"] == "more than noise is left" for line in lines)
     monkeypatch.setattr(measure, "decompose", None)  # once more, from the records
     assert main([*arguments, "--resume", "--quiet"]) == code
-
-
-@pytest.mark.parametrize("theta", ["0", "-3", "46", "nan"])
-def test_command_refuses_angles_that_make_no_sense(
-    theta: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["evaluate", "normals", "--out", str(tmp_path / "out"), f"--degrees={theta}"])
-    assert "--degrees: expected more than 0 and at most 45, found" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_every_suite_says_whether_normals_are_refined() -> None:

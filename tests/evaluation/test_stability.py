@@ -103,6 +103,31 @@ def test_scale_is_tight_where_nothing_cancels() -> None:
     assert np.allclose(of_lights, lights, rtol=1e-12)
 
 
+def test_extreme_pixels_are_what_they_say() -> None:
+    rng = np.random.default_rng(3)
+    made = {name: change(rng, case_of(4000, 8)) for name, change in KINDS.items()}
+    assert made["r near 0"].pixels.roughness.max() <= 1e-8
+    near_one = made["r near 1"].pixels.roughness
+    assert (near_one == 1).any()
+    assert near_one.min() >= 1 - 1.1e-8
+    across = made["r across 0.4"].pixels.roughness
+    assert set(np.sign(across - 0.4)) == {-1, 0, 1}
+    grazing = made["n·v from 1 to 10⁻⁷, or negative"].pixels
+    cosine = np.sum(grazing.normals * grazing.views, axis=-1)
+    assert cosine.min() < 0
+    assert 0 < np.abs(cosine).min() < 1e-6
+    assert cosine.max() > 0.9
+    assert np.allclose(np.linalg.norm(grazing.normals, axis=-1), 1, atol=1e-14)
+    bounds = made["ρ, r, m exactly 0 or 1"].pixels
+    assert set(np.unique([*bounds.albedo.T, bounds.roughness, bounds.metallic])) == {0.0, 1.0}
+    mixed = np.abs(made["lights × 10⁻⁶ … 10⁶ in one problem"].lighting[:, 0]).max(axis=-1)
+    assert mixed.max() / mixed.min() > 1e11
+    dark = made["blue dark"]
+    assert not dark.images[..., 2].any()
+    assert not dark.lighting[:4, :, 2].any()
+    assert dark.lighting[4:, 0, 2].all()
+
+
 # Verdicts
 
 

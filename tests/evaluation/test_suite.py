@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
+import scene_files
 from evaluation_tasks import Task, work
 from page_reader import Page
 from pbrfit.commands.arguments import add_threads
@@ -257,6 +258,67 @@ def test_help_of_all_suites_imports_none() -> None:
         assert " ".join(said.split()[:3]) in " ".join(told.split())
     for name in ("suite", "report"):
         assert f"'pbrfit_evaluation.{name}'" not in told
+
+
+# ---------------------------------------------------------------------------- suites that there are
+
+FIRST_SEEDS = {
+    "ablation": 3000, "convergence": 100, "everyday": 2000, "generated": 9700, "lamps": 8200,
+    "normals": 7000, "peers": 6000, "review": 6000, "solvers": 1000, "table1": 1000,
+    "transport": 8100, "uncertainty": 9300,
+}  # fmt: skip
+"""Where scenes begin that the documentation reports; others were those of development."""
+
+
+@pytest.mark.parametrize("quick", [False, True])
+@pytest.mark.parametrize("name", FIRST_SEEDS)
+def test_cases_have_names_of_their_own_and_the_seeds_that_are_reported(
+    name: str, quick: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pbrfit_evaluation.cycles.why_not", lambda: None)
+    parser = argparse.ArgumentParser()
+    commands._complete(name, parser)
+    suite = commands.import_module(f"pbrfit_evaluation.{name}").SUITE
+    asked = parser.parse_args(["--out", "x", *["--quick"] * quick])
+    asked.effort = "quick" if quick else "full"
+    for option, of_effort in suite.effort.items():
+        if getattr(asked, option, None) is None:
+            setattr(asked, option, of_effort[quick])
+    cases = [case for part in suite.parts for case in part.cases(asked)]
+    assert len({case.key for case in cases}) == len(cases)
+    assert min(case.seed for case in cases) == FIRST_SEEDS[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("table1", ("--rows", "base", "nonsense"), "argument --rows: invalid choice: 'nonsense'"),
+        ("table1", ("--scenes", "0"), "expected 1 or more, found 0"),
+        ("table1", ("--scenes", "101"), "--scenes: expected at most 100, found 101"),
+        ("table1", ("--lights", "1"), "--lights: expected at least 2, found 1"),
+        ("table1", ("--textures", "nowhere"), "nowhere: expected a folder, found none"),
+        ("convergence", ("--seeds", "101"), "--seeds: expected at most 100, found 101"),
+        ("generated", ("--pictures", "5"), "--pictures: expected at least 6"),
+        ("generated", ("--size", "63"), "--size: expected at least 64"),
+        ("transport", ("--lights", "1"), "--lights: expected at least 2, found 1"),
+        *(
+            ("normals", (f"--degrees={theta}",), "--degrees: expected more than 0 and at most 45")
+            for theta in ("0", "-3", "46", "nan")
+        ),
+    ],
+)
+def test_options_out_of_range_are_refused_before_anything_is_written(
+    name: str,
+    arguments: tuple[str, ...],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert scene_files.run("evaluate", name, "--out", tmp_path / "out", *arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 # -------------------------------------------------------------------------------- rows and tables

@@ -271,23 +271,3 @@ def test_what_has_less_error_than_ours_is_named() -> None:
     assert list(not_the_best(rows).rows) == [
         ["shadows", "", "0.250, guess 0.200", "", "", "0.400, recipe 0.375"]
     ]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--rows", "base", "nonsense"), "argument --rows: invalid choice: 'nonsense'"),
-        (("--scenes", "0"), "expected 1 or more, found 0"),
-        (("--scenes", "101"), "--scenes: expected at most 100, found 101"),
-        (("--lights", "1"), "--lights: expected at least 2, found 1"),
-        (("--textures", "nowhere"), "nowhere: expected a folder, found none"),
-    ],
-)
-def test_command_with_bad_arguments(
-    arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("evaluate", "table1", "--out", tmp_path / "out", *arguments) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []

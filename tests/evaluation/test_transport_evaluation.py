@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import json
 from argparse import Namespace
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from evaluation_tasks import recorded
+from evaluation_tasks import own_room, recorded
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import draw, make_scene
-from pbrfit.synthetic.geometry import trace
 from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.suite import Verdict
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
@@ -29,18 +26,6 @@ from pbrfit_evaluation.transport.measure import NAMES, ROWS, Case, told
 from pbrfit_evaluation.transport.variants import BY_KEY, VARIANTS
 
 SIZE = 24
-
-
-def own_room(case: Case, _: int) -> Scene:
-    """Stand in for `measure.room`: a room of our renderer, with its depth."""
-    [stream] = np.random.SeedSequence(case.seed).spawn(1)
-    of = draw("furnished", np.random.default_rng(stream))
-    made = make_scene(
-        "furnished", size=case.size, lights=case.lights, held_out=case.lights, seed=case.seed
-    )
-    rays = -made.views.reshape(-1, 3)
-    distance = trace(of.primitives, of.eye, rays @ of.turn.T).distance.reshape(made.valid.shape)
-    return replace(made, depth=distance * made.views[..., 2])
 
 
 @pytest.fixture(scope="module")
@@ -211,21 +196,6 @@ def test_rows_say_what_was_chosen_and_why_some_were_not_run(
 # ---------------------------------------------------------------------------------------- command
 
 
-@pytest.mark.parametrize("quick", [False, True])
-def test_cases_have_names_of_their_own_and_untuned_seeds(
-    quick: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cycles, "why_not", lambda: None)
-    [part] = SUITE.parts
-    cases = part.cases(asked(quick=quick))
-    assert len({case.key for case in cases}) == len(cases)
-    assert len(cases) == (6 if quick else 4 * 10 * 10)
-    assert min(case.seed for case in cases) == 8100
-    assert {case.variant for case in cases if case.picture} == {"without", "true"}
-    monkeypatch.setattr(cycles, "why_not", lambda: "no bpy")
-    assert not part.cases(asked(quick=quick))
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("stand_ins")
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -254,9 +224,3 @@ def test_command_without_cycles_says_so(
     assert main(["evaluate", "transport", "--out", str(out), "--quick", "--jobs", "1"]) == 0
     assert "no bpy" in (out / "report.html").read_text(encoding="utf-8")
     capsys.readouterr()
-
-
-def test_command_refuses_one_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["evaluate", "transport", "--out", str(tmp_path / "out"), "--lights", "1"]
-    assert main(arguments) == 2
-    assert "--lights: expected at least 2, found 1" in capsys.readouterr().err

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from evaluation_tasks import recorded
+from pbrfit.io.color import encode_srgb
 from pbrfit.model.geometry import angles_between, positions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render
@@ -88,6 +89,13 @@ def test_what_is_told_wrong(clean: Scene) -> None:
     assert (clean.model, other.model) == ("paper", "principled")
     assert np.abs(other.images - clean.images).max() > 0.01
     assert len(scene("three").images) == 3
+
+
+def test_files_are_of_8_bits() -> None:
+    names: tuple[Name, ...] = ("png", "jpeg")
+    for name in names:
+        codes = 255 * encode_srgb(scene(name).images)
+        np.testing.assert_allclose(codes, np.round(codes), atol=1e-3)
 
 
 def test_surfaces_block_light_and_reflect_it(clean: Scene) -> None:

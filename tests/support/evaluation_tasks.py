@@ -6,10 +6,15 @@ import os
 import time
 from argparse import Namespace
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from pbrfit.scene.scene import Scene
+from pbrfit.synthetic import draw, make_scene
+from pbrfit.synthetic.geometry import trace
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.suite import Results
 
@@ -62,3 +67,14 @@ def recorded(*pairs: tuple[Any, Mapping[str, Any] | str], **options: Any) -> Res
     ]
     cases = [case for case, _ in pairs]
     return Results(Namespace(**options), list(zip(cases, records, strict=True)))
+
+
+def own_room(case: Any, _: int) -> Scene:
+    """Stand in for a room of Cycles: one of our renderer, with its depth."""
+    [stream] = np.random.SeedSequence(case.seed).spawn(1)
+    of = draw("furnished", np.random.default_rng(stream))
+    count = case.lights
+    made = make_scene("furnished", size=case.size, lights=count, held_out=count, seed=case.seed)
+    rays = -made.views.reshape(-1, 3)
+    distance = trace(of.primitives, of.eye, rays @ of.turn.T).distance.reshape(made.valid.shape)
+    return replace(made, depth=distance * made.views[..., 2])

@@ -161,3 +161,57 @@ def close(found: NDArray[Any], expected: NDArray[Any], share: float) -> None:
 def accuracy(kind: System) -> float:
     """Of pixels that are nearly singular the core's ridge shows: 1e-12 of their diagonal."""
     return 1e-10 if kind.damping > 0 or kind.prior else 1e-8
+
+
+def check_equations(example: Example, pixels: Pixels) -> None:
+    """Derivatives of pixels, and what is made of them, are those of the slow model."""
+    j, by_light = (part[pixels] for part in example.jacobian())
+    omega = example.omega[pixels]
+    residual = (example.radiance(example.truth) - example.targets)[pixels]
+    problem = example.problem()
+    by_unknowns, of_light, weights = problem.derivatives(example.x(), pixels)
+    expected = example.slopes()[0][pixels]
+    # Of each pixel on its own, unless it is dark beside the others.
+    scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
+    scale = np.maximum(scale, 1e-4 * scale.max(axis=0))
+    assert (np.abs(by_unknowns - expected) <= 1e-12 * scale).all()
+    close(of_light, by_light, 1e-12)
+    np.testing.assert_array_equal(weights, omega)
+    matrices, gradient, squares = problem.normal_equations(example.x(), pixels)
+    close(matrices, np.einsum("pnci,pnc,pncj->pij", j, omega, j), 1e-12)
+    close(gradient, np.einsum("pnci,pnc->pi", j, omega * residual), 1e-12)
+    close(squares, (omega * residual**2).sum(axis=(1, 2)), 1e-12)
+    rng = np.random.default_rng(3)
+    roots = rng.normal(size=(len(pixels), example.kind.unknowns, example.kind.unknowns))
+    covariances = roots @ roots.transpose(0, 2, 1)
+    modes = rng.normal(size=(6, *example.lights.shape))
+    effects = np.einsum("pnci,pnc,pck,mnkc->pmi", j, omega, by_light, modes)
+    moves = problem.moves_with_lights(example.x(), pixels, covariances, modes)
+    close(moves, np.square(effects @ covariances).sum(axis=1), 1e-11)
+
+
+def check_best_albedo(example: Example) -> None:
+    """No other albedo leaves less, wherever it lies, and the grid has these sums at its nodes."""
+    c, metallic = example.kind.channels, [0.0, 0.4, 1.0]
+    roughness = np.array([0.0, 0.35, 1.0])
+    if example.kind.metallic is not None:
+        metallic = [example.kind.metallic]
+    nodes = roughness, np.array(metallic)
+    grid = example.problem().material_grid(example.x(), example.everything, *nodes)
+    for i, j in np.ndindex(grid.shape[1:]):
+        values = example.truth.copy()
+        values[:, c], values[:, c + 1] = nodes[0][i], nodes[1][j]
+        albedo, least = example.problem().best_albedo(example.x(values), example.everything)
+        assert ((albedo >= 0) & (albedo <= 1)).all()
+
+        def squares(of: Array, values: Array = values) -> Array:
+            return example.squares(example.unknowns(np.hstack([of, values[:, c:]])))
+
+        np.testing.assert_allclose(least, squares(albedo), 1e-9)
+        np.testing.assert_allclose(grid[:, i, j], least, rtol=2e-4)
+        for channel in range(c):
+            near = [albedo[:, channel] + step for step in (-1e-3, 1e-3)]
+            for other in (*near, *np.linspace(0, 1, 9)):
+                changed = albedo.copy()
+                changed[:, channel] = np.clip(other, 0, 1)
+                assert (squares(changed) >= least * (1 - 1e-7)).all()

@@ -15,10 +15,11 @@ from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model.reflection import MODELS
 from random_pixels import Array
-from shared_system import Seen, System, accuracy, close, dense
+from shared_system import Seen, System, accuracy, check_best_albedo, check_equations, close, dense
 
 PIXELS = 150
 """More than are worked on side by side."""
+SOME = np.random.default_rng(2).permutation(PIXELS)[:140].astype(np.uint64)
 
 KINDS = (
     Surroundings(),
@@ -117,9 +118,8 @@ def test_loss_and_gradient_are_those_of_the_slow_model(kind: Surroundings, pictu
 @every_kind
 def test_residuals_are_those_of_the_slow_model(kind: Surroundings) -> None:
     example = example_of(kind)
-    pixels = np.random.default_rng(1).permutation(PIXELS)[:140].astype(np.uint64)
-    found = example.problem().residuals(example.x(), pixels)
-    expected = (example.radiance(example.truth) - example.targets)[pixels].swapaxes(0, 1)
+    found = example.problem().residuals(example.x(), SOME)
+    expected = (example.radiance(example.truth) - example.targets)[SOME].swapaxes(0, 1)
     close(found, expected, 1e-7)
 
 
@@ -163,28 +163,7 @@ def test_slopes_are_those_of_differences(kind: Surroundings, pictures: int) -> N
 
 @every_kind
 def test_normal_equations_are_products_of_derivatives(kind: Surroundings) -> None:
-    example = example_of(kind)
-    pixels = np.random.default_rng(2).permutation(PIXELS)[:140].astype(np.uint64)
-    j, by_light = (part[pixels] for part in example.jacobian())
-    slopes, _ = example.slopes()
-    omega = example.omega[pixels]
-    residual = (example.radiance(example.truth) - example.targets)[pixels]
-    problem = example.problem()
-    by_unknowns, of_light, weights = problem.derivatives(example.x(), pixels)
-    close(by_unknowns, slopes[pixels], 1e-12)
-    close(of_light, by_light, 1e-12)
-    np.testing.assert_array_equal(weights, omega)
-    matrices, gradient, squares = problem.normal_equations(example.x(), pixels)
-    close(matrices, np.einsum("pnci,pnc,pncj->pij", j, omega, j), 1e-12)
-    close(gradient, np.einsum("pnci,pnc->pi", j, omega * residual), 1e-12)
-    close(squares, (omega * residual**2).sum(axis=(1, 2)), 1e-12)
-    rng = np.random.default_rng(3)
-    roots = rng.normal(size=(len(pixels), kind.unknowns, kind.unknowns))
-    covariances = roots @ roots.transpose(0, 2, 1)
-    modes = rng.normal(size=(6, *example.lights.shape))
-    effects = np.einsum("pnci,pnc,pck,mnkc->pmi", j, omega, by_light, modes)
-    moves = problem.moves_with_lights(example.x(), pixels, covariances, modes)
-    close(moves, np.square(effects @ covariances).sum(axis=1), 1e-11)
+    check_equations(example_of(kind), SOME)
 
 
 @every_kind
@@ -204,30 +183,7 @@ def test_light_equations_are_those_of_the_slow_model(kind: Surroundings) -> None
 
 @every_kind
 def test_best_albedo_is_that_of_least_squares(kind: Surroundings) -> None:
-    """And the grid has its sums at its nodes."""
-    example = example_of(kind)
-    nodes = np.array([0.1, 0.35, 0.8, 1.0]), np.array([0.0, 0.4, 1.0])
-    if kind.metallic is not None:
-        nodes = nodes[0], np.array([kind.metallic])
-    grid = example.problem().material_grid(example.x(), example.everything, *nodes)
-    c = kind.channels
-    for i, r in enumerate(nodes[0]):
-        for j, m in enumerate(nodes[1]):
-            values = example.truth.copy()
-            values[:, c], values[:, c + 1] = r, m
-            albedo, squares = example.problem().best_albedo(example.x(values), example.everything)
-            assert ((albedo >= 0) & (albedo <= 1)).all()
-            np.testing.assert_allclose(
-                squares, example.squares(example.unknowns(np.hstack([albedo, values[:, c:]]))), 1e-9
-            )
-            np.testing.assert_allclose(grid[:, i, j], squares, rtol=2e-4)
-            # Nothing beside it is better.
-            for step in (-1e-3, 1e-3):
-                for channel in range(c):
-                    near = albedo.copy()
-                    near[:, channel] = np.clip(near[:, channel] + step, 0, 1)
-                    unknowns = example.unknowns(np.hstack([near, values[:, c:]]))
-                    assert (example.squares(unknowns) >= squares * (1 - 1e-7)).all()
+    check_best_albedo(example_of(kind))
 
 
 @every_kind

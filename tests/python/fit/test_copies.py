@@ -12,11 +12,6 @@ from pbrfit.result.verdict import levels
 from pbrfit.synthetic import make_scene
 
 
-def twice(scene: Scene) -> Scene:
-    images = np.concatenate([scene.images, scene.images])
-    return replace(scene, images=images, names=(), truth=None, lighting=None)
-
-
 def fitted(scene: Scene) -> Result:
     return decompose(scene, priors=None, refine_normals="off", light="sh", threads=1)
 

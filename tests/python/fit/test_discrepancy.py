@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import scene_kinds
 from pbrfit.fit import discrepancy, settings
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
@@ -20,10 +21,8 @@ from scene_files import truth_of
 
 def at_truth(scene: Scene) -> Discrepancy:
     """Under the true lights of a scene."""
-    objective, truth = Objective(scene), truth_of(scene)
-    maps = truth.materials
-    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, truth.lighting)
-    return discrepancy.find(objective, x)
+    objective = Objective(scene)
+    return discrepancy.find(objective, scene_kinds.at_truth(objective, scene))
 
 
 def room(noise: float) -> Scene:

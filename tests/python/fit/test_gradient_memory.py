@@ -41,18 +41,13 @@ def test_a_gradient_goes_where_it_is_asked_to(options: dict[str, Any]) -> None:
 def test_memory_that_cannot_take_a_gradient_is_refused(mono_light: bool) -> None:
     scene = make_scene("room", size=8, lights=3, held_out=1, seed=2)
     objective = Objective(scene, mono_light=mono_light)
-    x = objective.start()
-    for out in (np.empty(objective.size - 1), np.empty(objective.size, np.float32), "here"):
+    x, size = objective.start(), objective.size
+    for out in (np.empty(size - 1), np.empty(size, np.float32), "here"):
         with pytest.raises(InputError, match="out: expected"):
             objective.value_and_grad(x, out=out)  # type: ignore[arg-type]
-
-
-def test_memory_in_pieces_or_for_reading_alone_is_refused() -> None:
-    objective = Objective(make_scene("room", size=8, lights=3, held_out=1, seed=2))
-    x = objective.start()
-    with pytest.raises(InputError, match="out: expected numbers in one piece, found steps"):
-        objective.value_and_grad(x, out=np.empty(2 * objective.size)[::2])
-    fixed = np.empty(objective.size)
+    fixed, pieces = np.empty(size), np.empty(2 * size)[::2]
     fixed.setflags(write=False)
-    with pytest.raises(InputError, match="out: expected an array that may be written"):
-        objective.value_and_grad(x, out=fixed)
+    for out, expected in ((pieces, "numbers in one piece"), (fixed, "an array that may be")):
+        if not mono_light:
+            with pytest.raises(InputError, match=f"out: expected {expected}"):
+                objective.value_and_grad(x, out=out)

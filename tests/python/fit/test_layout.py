@@ -13,7 +13,6 @@ from pbrfit.synthetic import make_scene
 from scene_kinds import ALL_KINDS, of_kind
 
 SIZE, PICTURES = 12, 5
-PIXELS = SIZE**2
 
 every_kind = pytest.mark.parametrize("kind", ALL_KINDS)
 

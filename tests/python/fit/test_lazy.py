@@ -36,11 +36,6 @@ def test_a_value_is_computed_once_for_each_instance() -> None:
     assert other.value == 7
 
 
-def test_the_class_has_the_attribute_and_its_description() -> None:
-    assert isinstance(Slow.value, lazy)
-    assert Slow.value.__doc__ == "What it is."
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # from 3.12 on, of forks with threads
 def test_a_fork_while_a_thread_computes_a_value_can_compute_its_own() -> None:

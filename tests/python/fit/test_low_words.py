@@ -16,6 +16,7 @@ from pbrfit.model import reflection as model
 from pbrfit.synthetic import make_scene
 from random_pixels import Array, Example, Kind
 from scene_files import lights_of, truth_of
+from scene_kinds import at_truth, sum_sq_at
 
 
 @pytest.fixture(scope="module")
@@ -28,13 +29,7 @@ def room() -> Scene:
 
 def squares_at_truth(scene: Scene) -> float:
     objective = Objective(scene)
-    materials = truth_of(scene).materials
-    x = objective.pack(
-        materials.albedo, materials.roughness, materials.metallic, truth_of(scene).lighting
-    )
-    pixels = np.arange(objective.pixels, dtype=np.uint64)
-    _, _, squares = objective.problem.normal_equations(objective.for_core(x), pixels)
-    return float(squares.sum() / objective.samples)
+    return float(sum_sq_at(objective, at_truth(objective, scene)).sum() / objective.samples)
 
 
 def test_pictures_in_float64_are_explained_to_the_last_digit(room: Scene) -> None:
@@ -157,6 +152,19 @@ def changed(picture: Any) -> list[Any]:
 def test_bad_series_are_refused(images: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^images: {message}"):
         example_of().problem(images=images)
+
+
+def test_an_error_of_a_series_is_its_own() -> None:
+    def images() -> Iterator[Array]:
+        yield pictures()[0]
+        raise OSError("no more")
+
+    class Broken(Told):
+        def __iter__(self) -> Iterator[Array]:
+            return images()
+
+    with pytest.raises(OSError, match="no more"):
+        example_of().problem(images=Broken([], 4))
 
 
 def test_pictures_beyond_float32_are_no_warning() -> None:

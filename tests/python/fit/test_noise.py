@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import scene_kinds
 from pbrfit import Priors, Scene, decompose
 from pbrfit.fit import settings
 from pbrfit.fit.misfit import Misfit
@@ -34,10 +35,7 @@ def noisy(sigma: float | np.ndarray = SIGMA, seed: int = 3, size: int = 24) -> S
 def at_truth(scene: Scene) -> tuple[Objective, np.ndarray]:
     """The objective with all pixels, and x of the truth."""
     objective = Objective(scene)
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    of = scene.truth.materials
-    return objective, objective.pack(of.albedo, of.roughness, of.metallic, scene.truth.lighting)
+    return objective, scene_kinds.at_truth(objective, scene)
 
 
 def test_noise_of_one_kind_is_even_and_normal() -> None:

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 import reference
 from random_pixels import Array, Example, Kind, Pixels
+from shared_system import check_best_albedo
 
 ROUGHNESS = np.linspace(0.05, 1, 12)
 METALLIC = np.linspace(0, 1, 6)
@@ -125,6 +126,11 @@ def test_a_prior_is_minimised_with_the_squares(kind: Kind) -> None:
         assert total[p] <= best_of_scipy(example, p, **prior) * (1 + 1e-7)
     stiff, _ = fit(example, mean=prior["mean"], precision=np.full(shape, 1e12))
     np.testing.assert_allclose(stiff[:, kind.channels :], prior["mean"], atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+def test_the_best_albedo_is_best_and_the_grid_has_what_it_leaves(kind: Kind) -> None:
+    check_best_albedo(Example(kind, 20, 6, noise=0.3))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=str)

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -92,16 +93,18 @@ def test_results_do_not_depend_on_threads_or_processors(
     assert comparable(tmp_path / "restricted") == expected
 
 
+@cache
+def exposed(factor: float, solver: Solver) -> Result:
+    """A fit of pictures that are so many times as bright."""
+    images = room().images * np.float32(factor)
+    return decompose(Scene(images, room().normals), solver=solver, iterations=40)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("exponent", [-10, 10])
 def test_materials_do_not_depend_on_exposure_by_a_power_of_2(exponent: int, solver: Solver) -> None:
-    def fit(factor: float) -> Result:
-        images = room().images * np.float32(factor)
-        scene = Scene(images=images, normals=room().normals)
-        return decompose(scene, solver=solver, iterations=40)
-
     factor = 2.0**exponent
-    result, reference = fit(factor), fit(1.0)
+    result, reference = exposed(factor, solver), exposed(1.0, solver)
     for name in ("albedo", "roughness", "metallic"):
         np.testing.assert_array_equal(getattr(result, name), getattr(reference, name))
     np.testing.assert_array_equal(result.lighting, reference.lighting * factor)

@@ -26,11 +26,9 @@ from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.result.verdict import PARAMETERS, deserved
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
+from scene_kinds import at_truth
 
 Array = NDArray[np.float64]
-
-PIXELS = 6 * 12
-"""Of the small scene, in its lower half."""
 
 
 def scene_and_x(**options: Any) -> tuple[pbrfit.Scene, Objective, Array]:
@@ -144,10 +142,7 @@ def test_noise_has_its_degrees_of_freedom() -> None:
     """Of many pictures of a true scene under true lights what is left is the noise."""
     scene = make_scene("room", size=24, lights=12, held_out=1, noise=0.01, seed=2003)
     objective = Objective(scene)
-    truth = truth_of(scene)
-    maps = truth.materials
-    x = objective.pack(maps.albedo, maps.roughness, maps.metallic, truth.lighting)
-    assert estimated(objective, x).noise == pytest.approx(0.01, rel=0.05)
+    assert estimated(objective, at_truth(objective, scene)).noise == pytest.approx(0.01, rel=0.05)
 
 
 def test_a_value_on_a_bound_may_be_off_on_the_other_side() -> None:

@@ -10,7 +10,6 @@ from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.integrability import equations
 from pbrfit.fit.lamps.outline import outline
 from pbrfit.fit.lamps.photometric import DARK, brightness, pseudo_normals, weights_of
-from pbrfit.fit.lamps.surface import strengths_along
 
 
 def sine_between(first: np.ndarray, second: np.ndarray) -> float:
@@ -50,14 +49,6 @@ def test_samples_just_below_dark_say_nothing_and_just_above_do() -> None:
         samples[0, 0] = share
         weights = weights_of(samples, np.ones((1, 6), bool), samples, 1.0)
         assert (weights[0, 0] > 0) == counts
-
-
-def test_clipped_samples_are_not_used() -> None:
-    lamps = around(6, 40, 15)
-    truth = np.array([[0.1, 0.1, 0.5]])
-    samples, usable = truth @ lamps.T, np.ones((1, 6), bool)
-    samples[0, 2], usable[0, 2] = 0.2, False
-    np.testing.assert_allclose(pseudo_normals(samples, usable, lamps).vectors, truth, atol=1e-6)
 
 
 def test_the_factors_span_the_space_of_the_lamps_beside_gloss_and_shadows() -> None:
@@ -112,13 +103,3 @@ def test_the_outline_of_a_ball_points_outwards_and_the_border_of_a_picture_is_no
     assert cut.rows.max() < 40
     assert (across(cut.normals)[cut.rows == 39, 0] ** 2 > 0.8).all()
     assert len(outline(np.ones((20, 20), bool), scene.views[:20, :20])) == 0
-
-
-def test_strengths_follow_from_directions_and_any_factors() -> None:
-    directions = around(8, 40, 15)
-    strengths = np.linspace(0.5, 1.5, 8)
-    mixed = directions * strengths[:, None] @ np.random.default_rng(0).normal(size=(3, 3))
-    found = strengths_along(mixed, directions)
-    assert found is not None
-    np.testing.assert_allclose(found, strengths / strengths.mean(), rtol=1e-6)
-    assert strengths_along(mixed[:3], directions[:3]) is None

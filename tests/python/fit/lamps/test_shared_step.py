@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pbrfit.fit.lamps.shared_step import Directions, null_space_of, step_of
+from pbrfit.fit.lamps.shared_step import Directions, step_of
 
 System = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -88,11 +88,3 @@ def test_a_singular_system_is_told() -> None:
     shared, gradient, own, mixed, gradients = system(np.random.default_rng(3))
     along = Directions(PICTURES * EACH)
     assert step_of(shared, gradient, 0 * own, mixed, gradients, along, 0.0) is None
-
-
-def test_the_null_space_leaves_free_columns_alone() -> None:
-    constraints = np.array([[1.0, 0, 2, 0], [0, 0, 1, 0]])
-    found = null_space_of(constraints)
-    assert found.shape == (4, 2)
-    np.testing.assert_allclose(constraints @ found, 0, atol=1e-12)
-    np.testing.assert_allclose(found.T @ found, np.eye(2), atol=1e-12)

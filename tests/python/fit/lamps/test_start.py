@@ -142,12 +142,6 @@ def test_a_clipped_red_leaves_green_and_blue() -> None:
     assert np.abs(np.log(off / np.median(off, axis=0))).mean() < 0.02
 
 
-@pytest.mark.slow
-def test_the_same_pictures_give_the_same_bits() -> None:
-    scene = ball(around(6, 40, 10), size=40)
-    assert found(scene).normals.tobytes() == found(scene).normals.tobytes()
-
-
 def test_two_pictures_are_refused() -> None:
     scene = ball(around(3, 40), size=24)
     with pytest.raises(InputError, match="three or more"):
