@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -278,7 +279,7 @@ def test_cases_have_names_of_their_own_and_the_seeds_that_are_reported(
     monkeypatch.setattr("pbrfit_evaluation.cycles.why_not", lambda: None)
     parser = argparse.ArgumentParser()
     commands._complete(name, parser)
-    suite = commands.import_module(f"pbrfit_evaluation.{name}").SUITE
+    suite = import_module(f"pbrfit_evaluation.{name}").SUITE
     asked = parser.parse_args(["--out", "x", *["--quick"] * quick])
     asked.effort = "quick" if quick else "full"
     for option, of_effort in suite.effort.items():

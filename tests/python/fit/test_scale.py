@@ -110,7 +110,7 @@ def test_pictures_without_noise_leave_no_doubt() -> None:
 def test_a_grey_scene_has_one_scale() -> None:
     scene = room(303, size=16)
     grey = replace(scene, images=np.repeat(scene.images[..., :1], 3, axis=-1), truth=None)
-    result = decompose(grey, refine_normals="off", light="sh")
+    result = decompose(grey)
     assert result.uncertainty is not None
     assert len(set(result.uncertainty.albedo_scale)) == 1
 
