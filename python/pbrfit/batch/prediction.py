@@ -25,8 +25,7 @@ from pbrfit.result.refinement import PICTURES_MIN
 from pbrfit.scene import folder as scene_folder
 
 DECODING_BYTES = 64
-"""Bytes a pixel of a file, at most, while it is read and averaged: its content, samples, float32,
-and a channel in float64."""
+"""Bytes a pixel of a file, at most, while it is read and averaged."""
 
 _HEAD = 1 << 20
 """Bytes of an EXR or HDR file in which its size is sought."""
@@ -64,18 +63,15 @@ def of_scene(
     of_maps = 4 * sum((folder / name).exists() for name in ("normals.exr", *DEPTH_FILES))
     held = pixels * (pictures * of_samples + 24 + of_maps)
     refining = options.refine_normals != "off" and pictures >= PICTURES_MIN
-    optional = options.refine_normals == "auto"
     depth = any((folder / name).exists() for name in DEPTH_FILES)
-    # The dearer model where only the scene's description says which it is.
-    model = options.model or "principled"
     found = memory.plan(
         layout,
         options.solver,
         held=held,
         refine_normals=refining,
-        optional=optional,
+        optional=options.refine_normals == "auto",
         transport=options.transport if depth else "none",
-        model=model,
+        model=options.model or "principled",  # the dearer one
         threads=threads,
     ).needed
     reading_takes = held + DECODING_BYTES * full[0] * full[1]

@@ -52,8 +52,7 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
 def expected_seconds(layout: ParameterLayout) -> float:
     """Processor time of a fit with defaults, without surroundings; rarely off by more than twice.
 
-    By fits of textured rooms with 1 % noise, 32² to 512² with 4 to 200 pictures, on an AMD EPYC
-    (Zen 4): 3.5 to 30 s. Some pixels and the prior take the first two terms.
+    By fits of textured rooms with 1 % noise, 32² to 512², 4 to 200 pictures, on an EPYC (Zen 4).
     """
     samples = layout.pixels * layout.pictures * layout.channels
     return 3.0 + 0.08 * layout.pictures + 30e-6 * layout.pixels + 0.4e-6 * samples
@@ -92,8 +91,7 @@ def _depth(scene: Scene) -> str:
         return "none"
     low, high = np.nanmin(scene.depth), np.nanmax(scene.depth)
     unknown = 100 * np.isnan(scene.depth[scene.valid]).mean()
-    found = [name for name in DEPTH_FILES if name in scene.inputs]
-    said = f"{found[0]}, " if found else ""
+    said = "".join(f"{name}, " for name in DEPTH_FILES if name in scene.inputs)
     said += f"{low:.3g} to {high:.3g}, unknown in {unknown:.1f} % of the mask"
     if not scene.normals_known:
         return said
@@ -110,8 +108,7 @@ def _surroundings(scene: Scene) -> str:
     if not scene.normals_known:
         return "unknown: no normals are given"
     try:
-        given = scene.depth, scene.normals, scene.valid, scene.segments, scene.fov
-        walls = Scenery(*given).walls
+        walls = Scenery(scene.depth, scene.normals, scene.valid, scene.segments, scene.fov).walls
     except InputError as error:
         return f"none: {error}"
     return counted([name_of(wall, walls) for wall in walls]) or "no wall, no floor"
@@ -119,8 +116,7 @@ def _surroundings(scene: Scene) -> str:
 
 def _lamps(scene: Scene) -> str:
     """How many lamps are known, and how far apart far ones are."""
-    lamps = scene.lamps
-    if lamps is None:
+    if (lamps := scene.lamps) is None:
         return "unknown"
     said, far = known_lamps.in_words(lamps), lamps.places[~lamps.near]
     if len(far) < 2:
@@ -175,11 +171,11 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("unknowns", f"{layout.size}"),
     ]
     free = memory.available()
-    seconds = time_in_words(expected_seconds(layout))
     found += [
         (
             "time needed",
-            f"about {seconds} of processor time (half to twice that; more among surroundings)",
+            f"about {time_in_words(expected_seconds(layout))} of processor time (half to twice "
+            "that; more among surroundings)",
         ),
         ("memory needed", _needed(scene, layout)),
         ("memory free", "unknown" if free is None else memory.size(free)),

@@ -31,10 +31,9 @@ TICKS = {0.001: "0.001", 0.003: "", 0.01: "0.01", 0.03: "", 0.1: "0.1", 0.3: "",
 DEGREE_TICKS = {0.1: "0.1°", 0.3: "", 1.0: "1°", 3.0: "", 10.0: "10°", 30.0: "30°"}
 """Labels by angle in degrees."""
 
-# Colours lie on a straight line in Oklab, from dark blue to light yellow: equal steps look equally
-# large, lightness rises all along, so it survives grey printing, and people with red or green
-# blindness see blue and yellow like everybody else. Source: B. Ottosson, "A perceptual color space
-# for image processing", 2020.
+# Colours lie on a straight line in Oklab (B. Ottosson, "A perceptual color space for image
+# processing", 2020), from dark blue to light yellow: equal steps look equally large, also in grey
+# and to people with red or green blindness.
 
 FIRST = (0.22, -0.010, -0.085)
 LAST = (0.95, -0.040, 0.130)

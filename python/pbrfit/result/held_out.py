@@ -26,10 +26,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What left-out pictures say of explanations.
-
-    Materials of some pixels were fitted to the other pictures, and then the light of these alone.
-    """
+    """What pictures say of explanations that were fitted to the others, but for their light."""
 
     error: float
     """Of what was chosen, as of a candidate."""

@@ -69,8 +69,7 @@ def scaled_per_channel(
 ) -> NDArray[np.float64]:
     """`found` times the factor per channel (last axis) that brings it closest to `true`.
 
-    Pictures alone fix albedo and light only up to such a factor once there is noise; comparing
-    after the best factor shows what remains.
+    Pictures with noise hardly tell that factor of albedo and light.
     """
     found, true = reals("found", found), reals("true", true)
     if found.shape != true.shape or not found.ndim:

@@ -44,8 +44,7 @@ MODELS_IN_WORDS = (
 
 WHITE_ALBEDO = 0.9
 """Albedo of a white reference of which none is given: the white patch of a ColorChecker has a
-density of 0.05, that is 0.89 (C. McCamy, H. Marcus and J. Davidson, J. Appl. Photogr. Eng. 2,
-1976). Grey cards have 0.18."""
+density of 0.05 (C. McCamy, H. Marcus and J. Davidson, J. Appl. Photogr. Eng. 2, 1976)."""
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,9 @@ from pbrfit.scene.arrays import SceneArrays
 def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.uint8]:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
-    The first row shows a picture (with `scene`), its reconstruction and what is between them, the
-    second the maps; with ground truth there is a row of it and one of the errors; where the
-    result has an uncertainty, verdicts below the maps and a row of the deviations; where normals
-    were refined, a row of the given ones, the refined ones and the angle between them. Residuals,
-    errors and deviations share one scale, and angles have the same by radians.
+    Rows: a picture (with `scene`), its reconstruction and residuals; maps, with verdicts; ground
+    truth and errors; deviations; given and refined normals and the angle between them. Each where
+    it is known. All differences share one scale, angles by radians.
     """
     rows: list[Row] = [_pictures(result, scene)]
     labels = ["", "recovered"]

@@ -27,9 +27,8 @@ LEVELS: tuple[Level, ...] = get_args(Level)
 """From the best to the worst."""
 
 MARGIN = 1.2
-"""Factor between expected and true errors that verdicts leave room for. Of 108 maps of rooms that
-were disturbed in eleven ways (seeds 7100 to 7103) a tenth was off by more than 1.2 times what was
-expected."""
+"""Factor between expected and true errors that verdicts leave room for: of 108 maps of rooms that
+were disturbed in eleven ways a tenth was off by more."""
 
 USABLE_ERROR: Mapping[str, float] = dict.fromkeys(PARAMETERS, 0.1)
 """Error up to which a map is usable: a tenth of its range. Of a middle grey of albedo 0.2 it is
@@ -50,8 +49,7 @@ ROUGH_MAX: Mapping[str, float] = {name: of * MARGIN for name, of in ROUGH_ERROR.
 FOV_CONTRADICTED = "the pictures contradict the field of view"
 UNEXPLAINED = "the fit explains pictures that were left out worse than the nearest picture does"
 MORE_TOLD = "a mask, better normals or more pictures would help"
-"""Causes, and the remedy of the second, for which no map is usable, however small its expected
-error."""
+"""Causes for which no map is usable, and the remedy of the second."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +63,7 @@ class Mark:
     sign: str
     """The disc as a letter, for text."""
     ink: tuple[int, int, int]
-    """Much the same colour for letters: 8-bit sRGB with a contrast of 3 or more both on black and
-    on white, and one of the 216 that terminals have."""
+    """The colour of letters, one of terminals' 216, with a contrast of 3 or more on black and white."""
 
 
 MARKS: Mapping[Level, Mark] = {
@@ -87,7 +84,7 @@ class Verdict:
     cause: str = ""
     """Why the map is no better, in words without a full stop; empty where it is usable."""
     remedy: str = ""
-    """What would help, likewise and with its verb: "pictures from other sides would help"."""
+    """What would help, likewise and with its verb."""
 
     @property
     def error_in_words(self) -> str:
@@ -158,10 +155,8 @@ def capped(verdicts: Mapping[str, Verdict], held_out: HeldOut | None) -> dict[st
     """Verdicts of which none is *usable* where left-out pictures are explained too badly."""
     if held_out is None or held_out.explains:
         return dict(verdicts)
-    doubtful = doubted(verdicts, UNEXPLAINED, MORE_TOLD)
-    return {
-        name: doubtful[name] if one.level == "usable" else one for name, one in verdicts.items()
-    }
+    usable = {name: one for name, one in verdicts.items() if one.level == "usable"}
+    return {**verdicts, **doubted(usable, UNEXPLAINED, MORE_TOLD)}
 
 
 def doubted(verdicts: Mapping[str, Verdict], cause: str, remedy: str) -> dict[str, Verdict]:
@@ -169,15 +164,11 @@ def doubted(verdicts: Mapping[str, Verdict], cause: str, remedy: str) -> dict[st
 
     They follow from the model that was fitted and from what was given, as if both were right.
     """
-    return {
-        name: replace(
-            one,
-            level="rough guide" if one.level == "usable" else one.level,
-            cause=cause,
-            remedy=remedy,
-        )
-        for name, one in verdicts.items()
-    }
+    found = {}
+    for name, one in verdicts.items():
+        level: Level = "rough guide" if one.level == "usable" else one.level
+        found[name] = replace(one, level=level, cause=cause, remedy=remedy)
+    return found
 
 
 def levels(deviation: Materials) -> dict[str, NDArray[np.uint8]]:

@@ -49,8 +49,7 @@ def estimate(
 ) -> Depth:
     """Find depth for a picture.
 
-    Raises InputError or OSError in one line that names the file or option, what was expected and
-    what was found.
+    Raises InputError or OSError.
 
     Parameters
     ----------

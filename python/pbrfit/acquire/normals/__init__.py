@@ -33,8 +33,7 @@ class Normals:
     record: dict[str, Any] = field(default_factory=dict)
     """As JSON: ``source``, and what decided about the answer."""
     known: NDArray[np.bool_] | None = None
-    """(H, W), where the source has a normal at all; elsewhere it faces the viewer. None =
-    everywhere."""
+    """(H, W), where the source has a normal; elsewhere it faces the viewer. None = everywhere."""
     remarks: tuple[str, ...] = ()
     """How a file was read, where that is not as its kind suggests."""
 
