@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import settings
-from pbrfit.fit.given import Contradiction, contradictions
+from pbrfit.fit.given import Contradiction, contradiction
 from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.problem import LampPixels
@@ -88,7 +88,7 @@ class Choice:
     """What blocks light, and why; None where nothing does."""
     why_normals: str = NOT_COMPARED
     """Why normals are refined, or not."""
-    contradictions: tuple[Contradiction, ...] = ()
+    contradiction: Contradiction | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
     """
     told = start_given or setup.options.solver != "gauss-newton"
     found = _Comparison(scene, setup, told=told).best()
-    return replace(found, contradictions=contradictions(scene))
+    return replace(found, contradiction=contradiction(scene))
 
 
 class _Comparison:

@@ -257,7 +257,7 @@ def _result(
         verdicts = capped(verdicts, chosen.held_out)
         if camera.contradicted:
             verdicts = doubted(verdicts, FOV_CONTRADICTED, "the true field of view would help")
-        for one in chosen.contradictions:
+        if (one := chosen.contradiction) is not None:
             verdicts = doubted(verdicts, one.why, f"{one.remedy} would help")
         uncertainty = replace(uncertainty, verdicts=verdicts)
     result = Result(
@@ -414,7 +414,7 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) 
         given = assumed.get("fov", camera.in_words())
         assumed["fov"] = f"{given}; {camera.contradiction()}"
         log.warning("field of view: %s", assumed["fov"])
-    for one in chosen.contradictions:
+    if (one := chosen.contradiction) is not None:
         log.warning("%s", one.in_words())
         assumed[one.what] = "; ".join(filter(None, (assumed.get(one.what), one.in_words())))
     if camera.correction is not None:

@@ -29,8 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
+from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.outline import outline
-from pbrfit.fit.lamps.photometric import DARK, brightness, solved
+from pbrfit.fit.lamps.photometric import DARK, ROUNDS, brightness, solved
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.fit.left_out import patches_of
@@ -49,10 +50,7 @@ ERRORS_MIN = 3.0
 tells nothing, one of them is in one scene of 120, by chance."""
 
 GAIN_MIN = 0.05
-"""Share by which an alternative has to lower what lamps leave. Robust fits of `ROUNDS` rounds are
-known to a hundredth."""
-
-ROUNDS = 15
+"""Share by which an alternative has to lower what lamps leave: fits end within a hundredth."""
 
 PIXELS = 4000
 """At which lamps beside given normals are looked at: 60 in each patch."""
@@ -66,8 +64,6 @@ OF_A_SURFACE = "they are those of a surface"
 FLIPS = {"Y": (1.0, -1.0, 1.0), "X": (-1.0, 1.0, 1.0), "X and Y": (-1.0, -1.0, 1.0)}
 """Signs of the axes where some are flipped. Flipped Y, which is DirectX's, is named where slopes do
 not tell it from flipped X."""
-
-TINY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -86,8 +82,8 @@ class Contradiction:
         return f"{self.why}; try {self.remedy}"
 
 
-def contradictions(scene: Scene) -> tuple[Contradiction, ...]:
-    """What is contradicted of a scene's normals and lamps: nothing, or one of them.
+def contradiction(scene: Scene) -> Contradiction | None:
+    """What is contradicted of a scene's normals and lamps: one of them, or nothing.
 
     Lamps are looked at where there is one in each picture; without normals, where there are four or
     more, far away: three fit any normal.
@@ -100,11 +96,11 @@ def contradictions(scene: Scene) -> tuple[Contradiction, ...]:
     if lamps is not None and np.array_equal(lamps.pictures, np.arange(count)):
         if not scene.normals_known:
             told = count > 3 and not lamps.near.any()
-            return _of_lamps(_Matt(without_shape(scene, settings.COMPARE_SIDE))) if told else ()
+            return _of_lamps(_Matt(without_shape(scene, settings.COMPARE_SIDE))) if told else None
         matt = _Matt(cut(scene, strided_window(scene.valid, PIXELS)))
         if matt.pixels.points is not None or not lamps.near.any():
             return _of_lamps_and_normals(matt, flipped)
-    return () if flipped is None else (_turned(flipped, OF_A_SURFACE, "normals"),)
+    return None if flipped is None else _turned(flipped, OF_A_SURFACE, "normals")
 
 
 def _turned(axes: str, why: str, what: str = "lamps") -> Contradiction:
@@ -121,7 +117,7 @@ def _of_others(which: str, why: str) -> Contradiction:
     return Contradiction("lamps", said, which)
 
 
-def _of_lamps_and_normals(matt: _Matt, flipped: str | None) -> tuple[Contradiction, ...]:
+def _of_lamps_and_normals(matt: _Matt, flipped: str | None) -> Contradiction | None:
     """Of lamps beside given normals, some of whose axes look flipped by their slopes, or none."""
     given, _ = matt.left(matt.lamps)
     others = {
@@ -130,17 +126,17 @@ def _of_lamps_and_normals(matt: _Matt, flipped: str | None) -> tuple[Contradicti
     } | {which: matt.left(lamps)[0] for which, lamps in matt.paired_otherwise()}
     lower = {what: left for what, left in others.items() if _is_lower(left, given)}
     if not lower:
-        return () if flipped is None else (_turned(flipped, OF_A_SURFACE, "normals"),)
+        return None if flipped is None else _turned(flipped, OF_A_SURFACE, "normals")
     best = min(lower, key=lambda what: lower[what].mean())
     why = _times(given, lower[best])
     if best not in FLIPS:
-        return (_of_others(best, why),)
+        return _of_others(best, why)
     if flipped is not None:
-        return (_turned(best, f"{OF_A_SURFACE}, and {why}", "normals"),)
-    return (_turned(best, why),)
+        return _turned(best, f"{OF_A_SURFACE}, and {why}", "normals")
+    return _turned(best, why)
 
 
-def _of_lamps(matt: _Matt) -> tuple[Contradiction, ...]:
+def _of_lamps(matt: _Matt) -> Contradiction | None:
     """Of lamps alone: the normals that they tell have to be those of a surface."""
     given, normals = matt.left(matt.lamps)
     valid, fov = matt.scene.valid, matt.scene.fov
@@ -148,14 +144,14 @@ def _of_lamps(matt: _Matt) -> tuple[Contradiction, ...]:
     for which, lamps in matt.paired_otherwise():
         left, of_these = matt.left(lamps)
         if _is_lower(left, given):
-            return (_of_others(which, _times(given, left)),)
+            return _of_others(which, _times(given, left))
         if not _is_lower(given, left):
             others[which] = _votes(of_these, valid, fov)
     best = _surely_best(_votes(normals, valid, fov), others)
     if best is None:
-        return ()
+        return None
     tell = _turned if best in FLIPS else _of_others
-    return (tell(best, "they tell normals of a surface"),)
+    return tell(best, "they tell normals of a surface")
 
 
 def _times(given: Array, other: Array) -> str:
@@ -196,7 +192,7 @@ class _Matt:
         if known:
             directions, near = lamps.at(self.pixels.points, len(self.pixels))
             shading = np.maximum(np.einsum("pkx,px->pk", directions, vectors), 0.0) * near
-        for _ in range(ROUNDS):
+        for _ in range(2 * ROUNDS):
             if known:
                 shown = shading * strengths
                 albedo = (weights * relative * shown).sum(axis=1)

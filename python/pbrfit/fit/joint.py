@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.conjugate_gradients import conjugate_gradients
 from pbrfit.fit.light_prior import LightPrior, as_in_core
 from pbrfit.fit.misfit import variance
 from pbrfit.fit.normal_equations import as_in_x
@@ -44,7 +43,7 @@ from pbrfit.fit.pixels import (
     taken,
     try_from,
 )
-from pbrfit.fit.preconditioner import Preconditioner
+from pbrfit.fit.preconditioner import Preconditioner, conjugate_gradients
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over
 

@@ -67,83 +67,44 @@ class Objective:
     """Mean squared error of the pictures as a function of x, with its gradient, plus penalties.
 
     x = [albedo (a plane of P valid pixels for each of C channels) | roughness | metallic | tangent
-    offsets | lighting (N, K, C)], float64, without what is known: metallic where it is fixed, known
-    lights, and normals unless they are free. What a scene does not need is not computed: grey
-    pictures have C = 1, lights of order 2 have K = 9 coefficients instead of 16, lights that are
-    the same in all channels are there once, (N, K). Samples count as much as `scene.weights` says.
-    Inside, pictures are divided by one scene scale that makes their mean valid radiance 0.4, and
-    where exposures are far apart each by its own (`pbrfit.scene.exposure`); `pack` and `unpack`
-    convert between x and maps and lights of three channels in the scene's own units.
-
-    The tilt (a, b) of a pixel turns its given normal n₀ to n = (n₀ + a t₁ + b t₂)/√(1 + a² + b²),
-    with tangents t₁ and t₂ at n₀ (docs/model.md has them).
+    offsets | lighting (N, K, C)], float64, without what is known. Grey pictures have C = 1, lights
+    of order 2 have K = 9 coefficients instead of 16, lights that are the same in all channels are
+    there once, (N, K). Inside, pictures are divided by one scene scale that makes their mean valid
+    radiance 0.4, and where exposures are far apart each by its own (`pbrfit.scene.exposure`);
+    `pack` and `unpack` convert between x and maps and lights of three channels in picture units.
+    Tangent offsets (a, b) turn a given normal n₀ to n = (n₀ + a t₁ + b t₂)/√(1 + a² + b²), with
+    tangents t₁ and t₂ at n₀ (docs/model.md).
 
     Parameters
     ----------
-    scene
-        The pictures.
-    threads
-        0 = one for each processor. Results do not depend on it, to the last bit.
-    sh_order
-        Highest band of the lights: 3, or 2 to leave out band 3.
-    metallic
-        A number in [0, 1] that all pixels have, then it is no unknown; None = free.
-    mono_light
-        Whether lights are the same in all channels.
-    priors
-        Weights of the penalties; None = no penalties. The prior learnt while a fit runs
-        (`Priors.material`) is left to the solver, and `Priors.monochrome` is 0 if not given.
-    equal_exposures
-        Whether pictures are divided by their exposures; None = where these are far apart.
+    scene, threads, sh_order, metallic, mono_light, priors, equal_exposures, model
+        As of `decompose`. No `priors` are no penalties; `Priors.material` is left to the solver.
     free_normals
         Whether the scene's normals are where unknown ones start, instead of what is known.
-    model
-        "paper" or "principled": how surfaces reflect light; None = what the scene says that its
-        pictures were rendered with, else the default.
     units
-        What to divide pictures by, then `equal_exposures` is not asked; None = found from them. A
-        part of a scene has the units of the whole.
+        What to divide pictures by, in place of `equal_exposures`: a part of a scene has those of
+        the whole.
 
     Attributes
     ----------
-    layout
-        Where the unknowns lie in x.
-    problem
-        The pictures in the core; `for_core` gives x as it takes it.
-    samples
-        Number of samples (of one pixel, picture and channel) of some weight.
-    total_weight
-        Sum of their weights, of which the largest is 1. The data term is the weighted sum of
-        squares divided by this.
+    layout, problem
+        Where the unknowns lie in x; the pictures in the core (`for_core` gives x as it takes it).
+    albedo, roughness, metallic, tangent_offsets, lighting
+        Slices of x, or None where they are known.
+    size, pixels, channels, coefficients
+        Length of x; P, C and K.
+    samples, total_weight
+        Number of samples (of one pixel, picture and channel) of some weight, and the sum of their
+        weights, of which the largest is 1: the data term is divided by it.
     weights
-        (N, P, 1 or C) float32 weights of the samples, at most 1, where channels are alike once;
-        None where all are the same.
-    known_metallic
-        `metallic`.
-    model
-        That was decided for.
-    robust
-        Loss that takes the place of the squares, "cauchy", and its scale in units of the divided
-        pictures; None = squares. A solver may change it between evaluations.
-    penalties
-        List of the terms beside the data. A solver may change it between evaluations.
-    size
-        Length of x.
-    pixels
-        P, the number of valid pixels.
-    channels
-        C: 1 where the pictures (and the lights, if they are known) are grey, that is, all three
-        channels are exactly equal in all valid samples; else 3.
-    coefficients
-        K, of one light in one channel: 9 or 16.
-    albedo, roughness
-        Slices of x: where they lie.
-    metallic, tilts, lighting
-        Slices of x, or None where they are known; `tilts` are a plane of a and one of b.
-    scale
-        The scene scale, in picture units.
-    exposures
-        (N,): what pictures are divided by beside the scene scale; None = nothing.
+        (N, P, 1 or C) float32 weights of the samples, at most 1; None where all are the same.
+    known_metallic, model
+        That were decided for.
+    robust, penalties
+        Loss in place of the squares, "cauchy", with its scale in units of the divided pictures, or
+        None; terms beside the data. A solver may change both between evaluations.
+    scale, exposures
+        In picture units; and (N,): what pictures are divided by beside it, or None.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The preconditioner of joint steps: the system of the lights, made of few pixels and sums.
+"""Conjugate gradients of joint steps, and their preconditioner, made of few pixels and sums.
 
 A channel's radiance in N pictures is L w, with its lights L (N, K) and the weights w of a pixel. So
 is what materials do to it, for they change w alone: it lies in the span of the K columns of L. With
@@ -101,3 +101,42 @@ def _solver(matrix: Array) -> Solve:
     except np.linalg.LinAlgError:
         # Rounding decides where next to nothing is known of the lights.
         return partial(np.multiply, 1 / diagonal)
+
+
+def conjugate_gradients(
+    right: Array,
+    product: Callable[[Array], Array],
+    solved: Callable[[Array], Array],
+    *,
+    ratio: float,
+    iterations: int,
+    enough: float,
+    stop: Callable[[], bool],
+) -> tuple[Array, int]:
+    """S⁻¹ `right` (M,), and the number of products with S, which is positive definite.
+
+    `product` gives S v, `solved` M⁻¹ v of the preconditioner M. It ends at `ratio` of the first
+    error, in the norm of M; after `iterations`; by `stop`; or where a share of `enough`, r·M⁻¹r, is
+    left to gain (`settings.CG_GAIN_SHARE`). Where less than `enough` is to gain, nothing is done.
+    """
+    residual, found = right.copy(), np.zeros_like(right)
+    direction = preconditioned = solved(residual)
+    first = size_now = float(residual @ preconditioned)
+    if not first >= enough:
+        return found, 0
+    number = 0
+    while number < iterations and not stop():
+        number += 1
+        along = product(direction)
+        curvature = float(direction @ along)
+        if not curvature > 0:
+            break
+        length = size_now / curvature
+        found += length * direction
+        residual -= length * along
+        preconditioned = solved(residual)
+        size_before, size_now = size_now, float(residual @ preconditioned)
+        if size_now <= max(ratio**2 * first, settings.CG_GAIN_SHARE * enough):
+            break
+        direction = preconditioned + size_now / size_before * direction
+    return found, number

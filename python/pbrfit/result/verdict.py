@@ -63,7 +63,7 @@ class Mark:
     sign: str
     """The disc as a letter, for text."""
     ink: tuple[int, int, int]
-    """The colour of letters, one of terminals' 216, with a contrast of 3 or more on black and white."""
+    """The colour of letters, of terminals' 216, with a contrast of 3 or more on black and white."""
 
 
 MARKS: Mapping[Level, Mark] = {

@@ -79,20 +79,11 @@ def equations(
     views: Array,
     blocks: NDArray[np.intp],
 ) -> Integrability:
-    """Equations of integrability at the pixels of a mask.
+    """Equations of integrability at the pixels of a mask (H, W).
 
-    Parameters
-    ----------
-    vectors
-        (H, W, 3) b, divided by the pixels' brightness; 0 outside the mask.
-    covariances
-        (H, W, 3, 3) of b, up to a factor.
-    mask
-        (H, W): pixels with a b.
-    views
-        (H, W, 3) unit vectors to the camera.
-    blocks
-        (H, W): the block of each pixel, from 0; a negative number outside.
+    By b (H, W, 3), divided by the pixels' brightness, 0 outside the mask; covariances
+    (H, W, 3, 3) of it, up to a factor; unit vectors to the camera (H, W, 3); and the block of each
+    pixel, negative outside.
     """
     weight = gaussian_filter(mask.astype(np.float64), SMOOTHING)
     weight = np.maximum(weight, np.finfo(np.float64).tiny)

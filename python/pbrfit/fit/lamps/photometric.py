@@ -89,14 +89,8 @@ def brightness(samples: Array, usable: Mask) -> Array:
 def pseudo_normals(relative: Array, usable: Mask, lamps: Array) -> PseudoNormals:
     """The pseudo-normal of each pixel, divided by its brightness, under known lamps.
 
-    Parameters
-    ----------
-    relative
-        (P, N) radiance, divided by the pixel's brightness.
-    usable
-        (P, N): samples to be used.
-    lamps
-        (N, 3): direction times strength.
+    By radiance (P, N), divided by the pixel's brightness, of samples of which some are usable;
+    lamps (N, 3) are direction times strength.
     """
     found = _best_of_triples(relative, usable, lamps)
     sigma = SCALE_START

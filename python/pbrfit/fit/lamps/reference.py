@@ -25,9 +25,6 @@ SURROUNDINGS = 8
 """Rows and columns on each side of a reference that are fitted with it: what judges shadows and
 metals by their neighbours sees some pixels."""
 
-WHOLE_STEPS_MAX = 4
-"""Steps with all pixels; those before have left per cents for them, and each a tenth of that."""
-
 Surfaces = Callable[[NDArray[np.bool_]], list[Band]]
 """Fits the pixels of a mask (H, W) under the lights of a joint fit as it stands."""
 
@@ -76,10 +73,10 @@ def refer(
         mean = np.maximum(albedo.mean(axis=0), settings.WHITE_ALBEDO_MIN)
         return np.log(mean / value), variance.mean(axis=0) / len(albedo)
 
-    for mask, most in ((window & valid, settings.WHITE_STEPS_MAX), (valid, WHOLE_STEPS_MAX)):
+    for mask in (window & valid, valid):
         bands = surfaces(mask)
         left, variance = wanted(bands, mask)
-        for _ in range(most):
+        for _ in range(settings.WHITE_STEPS_MAX):
             if np.abs(left).max() < settings.WHITE_ERROR:
                 break
             moved += _brightened(fit, left)

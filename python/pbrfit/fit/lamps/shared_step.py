@@ -91,22 +91,11 @@ def step_of(
     directions: Directions,
     damping: float,
 ) -> tuple[Array, Array] | None:
-    """The changes of what is shared, (M,), and of the pixels' unknowns, (P, U).
+    """The changes of what is shared, (M,), and of the pixels' unknowns, (P, U); None if singular.
 
-    Parameters
-    ----------
-    shared, gradient
-        Matrix (M, M) and gradient of what is shared.
-    own, mixed, gradients
-        A (P, U, U), B (P, U, M) and gradients (P, U) of the pixels.
-    directions
-        In which what is shared may move.
-    damping
-        Share of the diagonals that is added to them.
-
-    Returns
-    -------
-    None if there is no such step.
+    By the matrix (M, M) and gradient of what is shared, A (P, U, U), B (P, U, M) and gradients
+    (P, U) of the pixels, and the `directions` in which what is shared may move. `damping` is the
+    share of the diagonals that is added to them.
     """
     own = own.copy()
     np.einsum("puu->pu", own)[:] *= 1 + damping

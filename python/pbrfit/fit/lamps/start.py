@@ -52,27 +52,12 @@ def start_of_known_lamps(
     directions: Array,
     strengths: Array | None = None,
 ) -> FirstShape:
-    """Start with lamps whose directions are known.
+    """Start with lamps whose `directions`, (N, 3) unit vectors, are known.
 
-    Parameters
-    ----------
-    samples
-        (N, H, W) or (N, H, W, 3) linear radiance.
-    usable
-        Of that shape: values that are not clipped and belong to the mask.
-    mask
-        (H, W).
-    views
-        (H, W, 3) unit vectors to the camera.
-    directions
-        (N, 3) unit vectors.
-    strengths
-        (N,) or (N, 3); None = unknown, found up to a common factor.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than three pictures or shapes do not fit.
+    Of `samples` (N, H, W) or (N, H, W, 3), linear radiance, some are `usable`: not clipped, and in
+    the mask (H, W). `views` (H, W, 3) are unit vectors to the camera; `strengths` (N,) or (N, 3);
+    None = found up to a common factor. Raises InputError for fewer than three pictures, or shapes
+    that do not fit.
     """
     data = Samples.of(samples, usable, mask)
     lamps = np.asarray(directions, np.float64)
@@ -94,17 +79,7 @@ def start_of_unknown_lamps(
 ) -> FirstShape:
     """Start with lamps of which nothing is known but that there is a far one in each picture.
 
-    Parameters
-    ----------
-    samples, usable, mask, views
-        As in `start_of_known_lamps`.
-    fov
-        Horizontal field of view in degrees; 0 = orthographic or unknown.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than three pictures or shapes do not fit.
+    `fov` is horizontal, in degrees; 0 = orthographic or unknown. All else as of known lamps.
     """
     data = Samples.of(samples, usable, mask)
     least = min(3, len(data.grey))

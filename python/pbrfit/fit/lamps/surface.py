@@ -81,16 +81,9 @@ def finished(
 
 
 def strengths_of_channels(colors: Array, shading: Array, weights: Array, strengths: Array) -> Array:
-    """Strengths (N, C) of lamps in each channel.
+    """Strengths (N, C) of lamps in each channel, from those of grey samples (N,).
 
-    Parameters
-    ----------
-    colors, weights
-        (P, N, C) samples of 1 or 3 channels, and in [0, 1] how much each counts.
-    shading
-        (P, N) max(n·l, 0).
-    strengths
-        (N,) of grey samples, to begin with.
+    By `colors` (P, N, C) with weights in [0, 1], and `shading` (P, N), max(n·l, 0).
     """
     tiny = np.finfo(np.float64).tiny
     found = np.repeat(strengths[:, None], colors.shape[2], axis=1)

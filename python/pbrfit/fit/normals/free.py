@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import variance
-from pbrfit.fit.normals.noise import offset_variances, pixel_sums
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import taken
+from pbrfit.fit.pixels import chunks, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import prior_at
 
@@ -100,3 +99,38 @@ class FreeNormals:
 def offsets_of(objective: Objective, x: Array) -> Array:
     """Tangent offsets (P, 2)."""
     return taken(objective, x, slice(None))[:, -2:]
+
+
+def noise_variance(objective: Objective, sum_sq_residuals: Array) -> float:
+    """s² of samples of weight 1, as the better half of the pixels has it, from their sums (P,)."""
+    samples = objective.samples / objective.pixels
+    left = samples - objective.layout.maps.stop / objective.pixels
+    left = max(left, settings.DEGREES_OF_FREEDOM_SHARE_MIN * samples)
+    return float(max(np.median(sum_sq_residuals) / left, settings.NOISE_VARIANCE_MIN))
+
+
+def pixel_sums(objective: Objective, x: Array) -> Array:
+    """Summed squared residuals Σ ω (I − T)² of each pixel, (P,)."""
+    found = np.empty(objective.pixels)
+    for chunk in chunks(objective.pixels):
+        found[chunk] = objective.problem.normal_equations(objective.for_core(x), chunk)[2]
+    return found
+
+
+def offset_variances(objective: Objective, x: Array, precision: Array, variance: float) -> Array:
+    """Tr V of each pixel's tangent offset, its other unknowns free and its neighbours held, (P,).
+
+    `precision` (P, F + 2) is that of the priors on roughness, metallic and the tangent offset, for
+    noise of this `variance`.
+    """
+    found = np.empty(objective.pixels)
+    channels = objective.channels
+    for chunk in chunks(objective.pixels):
+        matrices, _, _ = objective.problem.normal_equations(objective.for_core(x), chunk)
+        diagonal = np.einsum("pii->pi", matrices)
+        diagonal[:, channels:] += precision[chunk]
+        diagonal *= 1 + 1e-9
+        diagonal += np.finfo(np.float64).tiny + 1e-12 * diagonal.max()
+        covariance = np.linalg.inv(matrices)
+        found[chunk] = variance * np.einsum("pii->p", covariance[:, -2:, -2:])
+    return found
