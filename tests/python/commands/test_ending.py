@@ -26,7 +26,7 @@ import sys, time
 from pathlib import Path
 from pbrfit import _core, ending
 from pbrfit.batch.place import of_batch
-from pbrfit.io.output import new_file, new_folder, scratch_folder, undisturbed, unfinished
+from pbrfit.io.output import new_file, new_folder, undisturbed, unfinished
 ending.watch()
 here = Path(sys.argv[1])
 def ready(): print("ready", flush=True)
