@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use self::exr::{Exr, ExrChannel, decode_exr, write_exr};
 pub use self::icc::{IccProfile, decode_icc};
-pub use self::raster::{PngSamples, PngTag, Raster, Samples, decode_raster, encode_png, write_png};
+pub use self::raster::{PngTag, Raster, Samples, decode_raster, encode_png};
 
 use crate::runtime::ending::{self, Unfinished};
 use crate::runtime::{Error, Result};
@@ -180,9 +180,12 @@ fn quiet_guarded_panics() {
     });
 }
 
-/// The file appears under its name only when all of it is there: the bytes go
+/// Writes a file, which appears under its name only when all of it is there: the bytes go
 /// to a new file in the same folder, which is then renamed.
-fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+///
+/// # Errors
+/// [`Error::Io`] if the file cannot be written.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
     let name = OsString::from(format!(".pbrfit-{}-{unique}.tmp", std::process::id()));

@@ -9,12 +9,11 @@ use image::codecs::jpeg::JpegDecoder;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder};
 use png::{BitDepth, Transformations};
+use tiff::decoder::ifd::Entry;
 use tiff::decoder::{ChunkType, DecodingResult};
-use tiff::tags::Tag;
+use tiff::tags::{ByteOrder, IfdPointer, Tag, Type};
 
-use super::{
-    Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded, write_atomically,
-};
+use super::{Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded};
 use crate::runtime::{Error, Result};
 
 /// Most bytes that one byte of deflated data stands for: runs of 258 in two bits.
@@ -164,14 +163,10 @@ fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
     reader.finish().map_err(error)?;
 
     let samples = match output.bit_depth {
-        BitDepth::Sixteen => Samples::U16(
-            buffer
-                .as_chunks()
-                .0
-                .iter()
-                .map(|&pair| u16::from_be_bytes(pair))
-                .collect(),
-        ),
+        BitDepth::Sixteen => {
+            let pairs = buffer.as_chunks().0.iter();
+            Samples::U16(pairs.map(|&pair| u16::from_be_bytes(pair)).collect())
+        }
         BitDepth::Eight => Samples::U8(buffer),
         few => Samples::U8(unpack(&buffer, width, height, few as usize)),
     };
@@ -191,10 +186,9 @@ fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
             .filter(|_| untold)
             .map(|gamma| gamma.into_value()),
         chromaticities: info.chrm_chunk.filter(|_| untold).map(|chrm| {
-            let [red, green, blue, white] = [chrm.red, chrm.green, chrm.blue, chrm.white];
-            let [rx, ry, gx, gy] = [red.0, red.1, green.0, green.1].map(|v| v.into_value());
-            let [bx, by, wx, wy] = [blue.0, blue.1, white.0, white.1].map(|v| v.into_value());
-            [rx, ry, gx, gy, bx, by, wx, wy]
+            let points = [chrm.red, chrm.green, chrm.blue, chrm.white];
+            let points = points.map(|(x, y)| [x.into_value(), y.into_value()]);
+            std::array::from_fn(|i| points[i / 2][i % 2])
         }),
         ..Raster::plain(Format::Png, shape, samples)
     })
@@ -290,95 +284,71 @@ fn jpeg_components(bytes: &[u8]) -> std::result::Result<u8, &'static str> {
 }
 
 fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
-    use tiff::ColorType;
+    use tiff::ColorType::{CMYK, Lab, Palette, YCbCr};
     let error = |error: tiff::TiffError| match error {
         tiff::TiffError::UnsupportedError(what) => {
             content(path, format!("expected a grey or RGB TIFF, found: {what}"))
         }
         error => broken(path, Format::Tiff, error),
     };
-    let (page, passed_over) = full_page(bytes, path)?;
-    let mut bytes = Cow::Borrowed(bytes);
-    if let Some(page) = page {
-        let file = TiffBytes(&bytes);
-        if file.longest_text(page) > bytes.len() as u64 {
-            return Err(broken(path, Format::Tiff, "a text longer than the file"));
-        }
-        if file.first_page() != Some(page) {
-            check_memory(path, bytes.len() as u64)?;
-            let at = file.word();
-            put(bytes.to_mut(), at, page, at);
-        }
-    }
-    let open = |bytes| {
-        let mut limits = tiff::decoder::Limits::default();
-        limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
-        limits.intermediate_buffer_size = limits.decoding_buffer_size;
-        limits.ifd_value_size = 1 << 26; // large profiles, long lists of strips
-        tiff::decoder::Decoder::new(Cursor::new(bytes)).map(|decoder| decoder.with_limits(limits))
-    };
-    let mut decoder = open(&bytes[..]).map_err(error)?;
-    let (width, height) = decoder.dimensions().map_err(error)?;
+    let open = |bytes| tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(error);
     let file_size = bytes.len() as u64;
+    let mut decoder: TiffDecoder<'_> = open(Cow::Borrowed(bytes))?;
+    let (page, passed_over) = full_page(&mut decoder, path)?;
+    if decoder.ifd_pointer() != Some(page) {
+        check_memory(path, file_size)?;
+        // The decoder finds a directory below a page only if the file begins with it.
+        let word = if bytes[2..4].contains(&43) { 8 } else { 4 }; // bytes of BigTIFF's offsets
+        let offset = match decoder.byte_order() {
+            ByteOrder::LittleEndian => page.0.to_le_bytes()[..word].to_vec(),
+            ByteOrder::BigEndian => page.0.to_be_bytes()[8 - word..].to_vec(),
+        };
+        let patched = [&bytes[..word], &offset, &bytes[2 * word..]].concat();
+        decoder = open(Cow::Owned(patched))?;
+    }
+    // `tiff` 0.11 takes memory for texts of up to the limit below before it reads them.
+    let too_long = |entry: &Entry| entry.field_type() == Type::ASCII && entry.count() > file_size;
+    let tags = decoder.image_ifd();
+    if tags.directory().iter().any(|(_, entry)| too_long(entry)) {
+        return Err(broken(path, Format::Tiff, "a text longer than the file"));
+    }
+    let mut limits = tiff::decoder::Limits::default();
+    limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
+    limits.intermediate_buffer_size = limits.decoding_buffer_size;
+    limits.ifd_value_size = 1 << 26; // large profiles, long lists of strips
+    decoder = decoder.with_limits(limits);
+    let (width, height) = decoder.dimensions().map_err(error)?;
     let most = TIFF_PIXELS * file_size;
     check_size(path, width.into(), height.into(), most, file_size)?;
-    let (channels, bits) = match decoder.colortype().map_err(error)? {
-        ColorType::Gray(bits) => (1, bits),
-        ColorType::GrayA(bits) => (2, bits),
-        ColorType::RGB(bits) => (3, bits),
-        ColorType::RGBA(bits) => (4, bits),
-        ColorType::Multiband {
-            bit_depth,
-            num_samples: channels @ 2..=4,
-        } => (usize::from(channels), bit_depth),
-        other => {
-            return Err(content(
-                path,
-                format!("expected a grey or RGB TIFF, found {other:?}"),
-            ));
-        }
-    };
+    let color = decoder.colortype().map_err(error)?;
+    let (channels, bits) = (usize::from(color.num_samples()), color.bit_depth());
+    if !(1..=4).contains(&channels) || matches!(color, Palette(_) | CMYK(_) | YCbCr(_) | Lab(_)) {
+        let found = format!("expected a grey or RGB TIFF, found {color:?}");
+        return Err(content(path, found));
+    }
     if bits < 8 {
-        return Err(content(
-            path,
-            format!("expected 8 bits or more a sample, found {bits}"),
-        ));
+        let found = format!("expected 8 bits or more a sample, found {bits}");
+        return Err(content(path, found));
     }
     let samples = u64::from(width) * u64::from(height) * channels as u64;
     check_memory(path, 2 * samples * u64::from(bits).div_ceil(8))?;
     let orientation = decoder.find_tag_unsigned(Tag::Orientation).map_err(error)?;
-    let profile = decoder.find_tag(Tag::IccProfile).map_err(error)?;
-    let pixels = width as usize * height as usize;
-    let (mut planes, mut plane) = (0, pixels);
-    let planar: Option<u16> = decoder
-        .find_tag_unsigned(Tag::PlanarConfiguration)
-        .map_err(error)?;
-    let tall;
-    if planar == Some(2) && decoder.get_chunk_type() == ChunkType::Tile {
-        let (_, side) = decoder.chunk_dimensions();
-        let rows = height.div_ceil(side) * side;
-        (planes, plane) = (channels, width as usize * rows as usize);
-        check_size(path, width.into(), rows.into(), most, file_size)?;
-        let values = 2 * u64::from(bits.div_ceil(8)) * (planes * plane) as u64;
-        check_memory(path, file_size + values)?;
-        tall = stacked_planes(&bytes, u64::from(rows) * channels as u64);
-        decoder = open(&tall[..]).map_err(error)?;
+    let profile = decoder.find_tag_unsigned_vec(Tag::IccProfile);
+    let layout = decoder.image_buffer_layout().map_err(error)?;
+    let planes = layout.planes;
+    if planes > 1 && decoder.get_chunk_type() == ChunkType::Tile {
+        let expected = "expected chunky tiles or strips, found tiles with separate planes";
+        let advice = "which are not supported: save it without tiles";
+        return Err(content(path, format!("{expected}, {advice}")));
     }
     let mut decoded = DecodingResult::U8(Vec::new());
-    let layout = decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
-    planes = planes.max(layout.planes);
+    decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
     let samples = match decoded {
-        DecodingResult::U8(values) => Samples::U8(interleave(values, planes, plane, pixels)),
-        DecodingResult::U16(values) => Samples::U16(interleave(values, planes, plane, pixels)),
-        DecodingResult::F32(values) => Samples::F32(interleave(values, planes, plane, pixels)),
-        DecodingResult::F16(values) => {
-            let values = values.into_iter().map(|value| value.to_f32()).collect();
-            Samples::F32(interleave(values, planes, plane, pixels))
-        }
-        DecodingResult::F64(values) => {
-            let values = values.into_iter().map(|value| value as f32).collect();
-            Samples::F32(interleave(values, planes, plane, pixels))
-        }
+        DecodingResult::U8(values) => Samples::U8(interleave(values, planes, |value| value)),
+        DecodingResult::U16(values) => Samples::U16(interleave(values, planes, |value| value)),
+        DecodingResult::F16(values) => Samples::F32(interleave(values, planes, |v| v.to_f32())),
+        DecodingResult::F32(values) => Samples::F32(interleave(values, planes, |value| value)),
+        DecodingResult::F64(values) => Samples::F32(interleave(values, planes, |v| v as f32)),
         _ => {
             let expected = "expected 8 or 16-bit unsigned integers or floats";
             let found = format!("{bits}-bit {:?} samples", layout.sample_format);
@@ -387,10 +357,7 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     };
     let shape = [width as usize, height as usize, channels];
     Ok(Raster {
-        icc_profile: profile
-            .map(|value| value.into_u8_vec())
-            .transpose()
-            .map_err(error)?,
+        icc_profile: profile.map_err(error)?,
         orientation: orientation
             .filter(|value| (1..=8).contains(value))
             .unwrap_or(1),
@@ -399,16 +366,58 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     })
 }
 
+type TiffDecoder<'a> = tiff::decoder::Decoder<Cursor<Cow<'a, [u8]>>>;
+
+/// Most directories of a TIFF that are looked at.
+const MOST_PAGES: usize = 1024;
+
+/// A page of a TIFF.
+struct Page {
+    /// Where its directory begins.
+    at: IfdPointer,
+    width: u64,
+    height: u64,
+    /// Whether it says that it is a smaller version, or a mask, of another.
+    reduced: bool,
+}
+
+/// Reads a page and adds to `places` the directory of the next one and, beside a thumbnail,
+/// those below it. `None` where its directory is not whole or without a size.
+fn page(
+    decoder: &mut TiffDecoder<'_>,
+    at: IfdPointer,
+    places: &mut Vec<IfdPointer>,
+) -> Option<Page> {
+    let directory = decoder.read_directory(at).ok()?;
+    places.extend(directory.next());
+    let few = |list: &Entry| list.count() <= MOST_PAGES as u64;
+    let mut tags = decoder.read_directory_tags(&directory);
+    let mut value = |tag| tags.find_tag_unsigned::<u64>(tag).ok().flatten();
+    let kinds = value(Tag::NewSubfileType).unwrap_or(0); // bits: smaller version, page, mask
+    let reduced = kinds & 0b101 != 0 || value(Tag::SubfileType) == Some(2);
+    let (width, height) = (value(Tag::ImageWidth)?, value(Tag::ImageLength)?);
+    if reduced && directory.get(Tag::SubIfd).is_some_and(few) {
+        let below = tags.find_tag_unsigned_vec(Tag::SubIfd).ok().flatten();
+        places.extend(below.unwrap_or_default().into_iter().map(IfdPointer));
+    }
+    Some(Page {
+        at,
+        width,
+        height,
+        reduced,
+    })
+}
+
 /// Where the directory of the one picture in a TIFF is, and how many smaller pages there
-/// are beside: thumbnails, the levels of a pyramid. `None` where no directory is whole,
-/// which is the decoder's to refuse.
-fn full_page(bytes: &[u8], path: &Path) -> Result<(Option<u64>, usize)> {
-    let file = TiffBytes(bytes);
-    let mut pages = file.pages();
-    if pages.iter().all(|page| page.reduced) {
-        // Beside thumbnails alone the picture lies in a directory below.
-        let below: Vec<_> = pages.iter().flat_map(|page| file.below(page.at)).collect();
-        pages.extend(below);
+/// are beside: thumbnails, the levels of a pyramid.
+fn full_page(decoder: &mut TiffDecoder<'_>, path: &Path) -> Result<(IfdPointer, usize)> {
+    let mut pages: Vec<Page> = Vec::new();
+    let mut places = Vec::from_iter(decoder.ifd_pointer());
+    for _ in 0..MOST_PAGES {
+        let Some(at) = places.pop() else { break };
+        if pages.iter().all(|page| page.at != at) {
+            pages.extend(page(decoder, at, &mut places));
+        }
     }
     let total = pages.len();
     if pages.iter().any(|page| !page.reduced) {
@@ -416,7 +425,7 @@ fn full_page(bytes: &[u8], path: &Path) -> Result<(Option<u64>, usize)> {
     }
     let area = |page: &&Page| page.width.saturating_mul(page.height);
     let Some(largest) = pages.iter().max_by_key(area) else {
-        return Ok((None, 0));
+        return Err(broken(path, Format::Tiff, "no page"));
     };
     // The next level of a pyramid has half the sides, rounded up.
     let [width, height] = [largest.width, largest.height].map(|side| side.div_ceil(2));
@@ -426,190 +435,18 @@ fn full_page(bytes: &[u8], path: &Path) -> Result<(Option<u64>, usize)> {
         let found = format!("expected one picture, found {count} pages: save each as a file");
         return Err(content(path, found));
     }
-    Ok((Some(largest.at), total - 1))
+    Ok((largest.at, total - 1))
 }
 
-/// A page of a TIFF.
-struct Page {
-    /// Where its directory begins.
-    at: u64,
-    width: u64,
-    height: u64,
-    /// Whether it says that it is a smaller version, or a mask, of another.
-    reduced: bool,
-}
-
-/// Most pages of a TIFF that are looked at.
-const MOST_PAGES: usize = 1024;
-
-/// The directories of a TIFF (TIFF 6.0, section 2; BigTIFF has 8 bytes where TIFF has 4).
-struct TiffBytes<'a>(&'a [u8]);
-
-/// One tag in a directory.
-struct Entry {
-    tag: u64,
-    kind: u64,
-    count: u64,
-    /// Where it begins.
-    at: u64,
-}
-
-impl TiffBytes<'_> {
-    /// Bytes of an offset; the first directory's stands behind as many.
-    fn word(&self) -> u64 {
-        let big = matches!(self.0.get(2..4), Some([0x2b, 0] | [0, 0x2b]));
-        if big { 8 } else { 4 }
+/// Planes stored one after another become interleaved samples of another type.
+fn interleave<T: Copy, U>(values: Vec<T>, planes: usize, sample: impl Fn(T) -> U) -> Vec<U> {
+    if planes == 1 {
+        return values.into_iter().map(sample).collect(); // in place if the type stays
     }
-
-    fn number(&self, at: u64, size: u64) -> Option<u64> {
-        let range = usize::try_from(at).ok()?..usize::try_from(at.checked_add(size)?).ok()?;
-        let digits = self.0.get(range)?.iter();
-        let join = |number: u64, &digit: &u8| number << 8 | u64::from(digit);
-        Some(match self.0.starts_with(b"II") {
-            true => digits.rev().fold(0, join),
-            false => digits.fold(0, join),
-        })
-    }
-
-    fn first_page(&self) -> Option<u64> {
-        self.number(self.word(), self.word())
-    }
-
-    /// The tags of a directory, as far as it is whole, and where the next one begins.
-    fn directory(&self, at: u64) -> (Vec<Entry>, u64) {
-        let (count_size, entry_size) = if self.word() == 8 { (8, 20) } else { (2, 12) };
-        let count = self.number(at, count_size).unwrap_or(0);
-        let count = count.min(self.0.len() as u64 / entry_size);
-        let start = at.saturating_add(count_size);
-        let entries = (0..count).map_while(|k| {
-            let at = start + k * entry_size;
-            Some(Entry {
-                tag: self.number(at, 2)?,
-                kind: self.number(at + 2, 2)?,
-                count: self.number(at + 4, self.word())?,
-                at,
-            })
-        });
-        let next = self.number(start + count * entry_size, self.word());
-        (entries.collect(), next.unwrap_or(0))
-    }
-
-    /// Bytes that an entry's values take, and where they are: in it, if they fit.
-    fn values(&self, entry: &Entry) -> (u64, u64) {
-        let size = [1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 8, 8, 8, 8, 8];
-        let kind = usize::try_from(entry.kind).unwrap_or(0).wrapping_sub(1);
-        let size = size.get(kind).copied().unwrap_or(1);
-        let inside = entry.at + 4 + self.word();
-        let fits = entry.count.saturating_mul(size) <= self.word();
-        let outside = || self.number(inside, self.word()).unwrap_or(u64::MAX);
-        (size, if fits { inside } else { outside() })
-    }
-
-    /// Longest text that a directory tells of. The decoder of `tiff` 0.11 takes memory for
-    /// texts of up to 4 GiB before it reads them, and prints a line about longer ones.
-    fn longest_text(&self, at: u64) -> u64 {
-        const ASCII: u64 = 2;
-        let entries = self.directory(at).0.into_iter();
-        let texts = entries.filter(|entry| entry.kind == ASCII);
-        texts.map(|entry| entry.count).max().unwrap_or(0)
-    }
-
-    fn page(&self, at: u64) -> (Page, u64) {
-        let (entries, next) = self.directory(at);
-        let value = |tag| {
-            let entry = entries.iter().find(|entry| entry.tag == tag)?;
-            let (size, at) = self.values(entry);
-            self.number(at, size)
-        };
-        let kinds = value(254).unwrap_or(0); // bits: smaller version, page, mask
-        let page = Page {
-            at,
-            width: value(256).unwrap_or(0),
-            height: value(257).unwrap_or(0),
-            reduced: kinds & 0b101 != 0 || value(255) == Some(2),
-        };
-        (page, next)
-    }
-
-    /// All pages, in the order of the file.
-    fn pages(&self) -> Vec<Page> {
-        let mut pages: Vec<Page> = Vec::new();
-        let mut next = self.first_page().unwrap_or(0);
-        for _ in 0..MOST_PAGES {
-            if next == 0 || pages.iter().any(|page| page.at == next) {
-                break;
-            }
-            let (page, after) = self.page(next);
-            if page.width > 0 || pages.is_empty() {
-                pages.push(page);
-            }
-            next = after;
-        }
-        pages
-    }
-
-    /// Pages below one, by its tag SubIFDs.
-    fn below(&self, at: u64) -> Vec<Page> {
-        let (entries, _) = self.directory(at);
-        let Some(entry) = entries.iter().find(|entry| entry.tag == 330) else {
-            return Vec::new();
-        };
-        let (size, at) = self.values(entry);
-        let places = (0..entry.count.min(MOST_PAGES as u64))
-            .map_while(|k| self.number(at.checked_add(k * size)?, size));
-        places.map(|place| self.page(place).0).collect()
-    }
-}
-
-/// Writes a number of some bytes in a TIFF's byte order.
-fn put(bytes: &mut [u8], at: u64, value: u64, size: u64) {
-    let (at, size) = (at as usize, size as usize);
-    match bytes.starts_with(b"II") {
-        true => bytes[at..at + size].copy_from_slice(&value.to_le_bytes()[..size]),
-        false => bytes[at..at + size].copy_from_slice(&value.to_be_bytes()[8 - size..]),
-    }
-}
-
-/// A TIFF of tiles in separate planes as one in grey, whose planes lie one below the
-/// other: it has the same tiles in the same order. The decoder of `tiff` 0.11 takes the
-/// lowest tiles of all planes but the first for whole ones.
-fn stacked_planes(bytes: &[u8], rows: u64) -> Vec<u8> {
-    let mut tall = bytes.to_vec();
-    let file = TiffBytes(bytes);
-    let (entries, _) = file.directory(file.first_page().unwrap_or(0));
-    for entry in entries {
-        let first = || {
-            let (size, at) = file.values(&entry);
-            file.number(at, size).unwrap_or(0)
-        };
-        let value = match entry.tag {
-            257 => rows,
-            258 | 339 => first(), // bits, sample format: of one sample
-            262 => u64::from(first() != 0), // white is zero, else black
-            277 | 284 => 1,       // one sample, no planes
-            338 => {
-                put(&mut tall, entry.at, 65000, 2); // no alpha: a tag that nobody reads
-                continue;
-            }
-            _ => continue,
-        };
-        let word = file.word();
-        put(&mut tall, entry.at + 2, 4, 2); // LONG
-        put(&mut tall, entry.at + 4, 1, word);
-        put(&mut tall, entry.at + 4 + word, value, 4);
-    }
-    tall
-}
-
-/// Planes stored one after another, each beginning `plane` values behind the other, become
-/// interleaved samples.
-fn interleave<T: Copy>(values: Vec<T>, planes: usize, plane: usize, pixels: usize) -> Vec<T> {
-    if planes <= 1 && plane == pixels || values.len() != planes * plane {
-        return values; // a wrong length is found by the caller
-    }
-    (0..pixels)
-        .flat_map(|pixel| (0..planes).map(move |k| k * plane + pixel))
-        .map(|i| values[i])
+    let pixels = values.len() / planes;
+    let place = |i| i % planes * pixels + i / planes;
+    (0..values.len())
+        .map(|i| sample(values[place(i)]))
         .collect()
 }
 
@@ -628,15 +465,6 @@ fn decode_hdr(bytes: &[u8], path: &Path) -> Result<Raster> {
     Ok(Raster::plain(Format::Hdr, shape, samples))
 }
 
-/// Samples of a PNG to be written.
-#[derive(Clone, Copy, Debug)]
-pub enum PngSamples<'a> {
-    /// 8 bits.
-    U8(&'a [u8]),
-    /// 16 bits.
-    U16(&'a [u16]),
-}
-
 /// What a PNG says about the encoding of its samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PngTag {
@@ -648,34 +476,25 @@ pub enum PngTag {
     Untagged,
 }
 
-/// Writes what [`encode_png`] makes. The file is there as a whole or not at
-/// all.
-///
-/// # Errors
-/// As [`encode_png`]; [`Error::Io`] if the file cannot be written.
-pub fn write_png(
-    path: &Path,
-    samples: PngSamples<'_>,
-    shape: [usize; 3],
-    tag: PngTag,
-) -> Result<()> {
-    write_atomically(path, &encode_png(samples, shape, tag)?)
-}
-
 /// The bytes of a PNG of 1 grey, 2 grey and alpha, 3 RGB or 4 RGBA channels.
 /// Equal input gives equal bytes.
 ///
 /// # Errors
-/// [`Error::Argument`] if the samples are not `height * width * channels`.
+/// [`Error::Argument`] if the samples are not `height * width * channels` integers.
 pub fn encode_png(
-    samples: PngSamples<'_>,
+    samples: &Samples,
     [height, width, channels]: [usize; 3],
     tag: PngTag,
 ) -> Result<Vec<u8>> {
-    let (count, depth) = match samples {
-        PngSamples::U8(samples) => (samples.len(), BitDepth::Eight),
-        PngSamples::U16(samples) => (samples.len(), BitDepth::Sixteen),
+    let (depth, data) = match samples {
+        Samples::U8(samples) => (BitDepth::Eight, Cow::Borrowed(&samples[..])),
+        Samples::U16(samples) => {
+            let big_endian = samples.iter().flat_map(|value| value.to_be_bytes());
+            (BitDepth::Sixteen, big_endian.collect())
+        }
+        Samples::F32(_) => return Err(Error::argument("image", "integers", "floats")),
     };
+    let count = samples.len();
     let pixels = (width as u64).saturating_mul(height as u64);
     let color = match channels {
         1 => png::ColorType::Grayscale,
@@ -706,13 +525,7 @@ pub fn encode_png(
     }
     let encode = || -> std::result::Result<(), png::EncodingError> {
         let mut writer = encoder.write_header()?;
-        match samples {
-            PngSamples::U8(samples) => writer.write_image_data(samples)?,
-            PngSamples::U16(samples) => {
-                let big_endian: Vec<u8> = samples.iter().flat_map(|v| v.to_be_bytes()).collect();
-                writer.write_image_data(&big_endian)?;
-            }
-        }
+        writer.write_image_data(&data)?;
         writer.finish()
     };
     encode().map_err(|error| Error::argument("image", "samples for a PNG", error.to_string()))?;

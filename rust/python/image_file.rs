@@ -11,7 +11,7 @@ use pyo3::types::{PyBytes, PyDict};
 
 use super::InputError;
 use super::arrays::copied;
-use crate::image_file::{self, ExrChannel, Format, PngSamples, PngTag, Samples};
+use crate::image_file::{self, ExrChannel, Format, PngTag, Samples};
 use crate::runtime::Result;
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -149,8 +149,8 @@ fn write_png(
     image: Bound<'_, PyAny>,
     tag: Option<&str>,
 ) -> PyResult<()> {
-    let (image, tag) = (Integers::of(&image)?, png_tag(tag)?);
-    py.detach(|| image_file::write_png(&path, image.samples(), image.shape, tag))?;
+    let bytes = png(py, &image, tag)?;
+    py.detach(|| image_file::write_atomically(&path, &bytes))?;
     Ok(())
 }
 
@@ -161,63 +161,37 @@ fn encode_png<'py>(
     image: Bound<'_, PyAny>,
     tag: Option<&str>,
 ) -> PyResult<Bound<'py, PyBytes>> {
-    let (image, tag) = (Integers::of(&image)?, png_tag(tag)?);
-    let bytes = py.detach(|| image_file::encode_png(image.samples(), image.shape, tag))?;
-    Ok(PyBytes::new(py, &bytes))
+    Ok(PyBytes::new(py, &png(py, &image, tag)?))
 }
 
-/// A copy of an integer array, height, width and channels beside.
-struct Integers {
-    values: Samples,
-    shape: [usize; 3],
-}
-
-impl Integers {
-    fn of(image: &Bound<'_, PyAny>) -> PyResult<Self> {
-        if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u8>>() {
-            let shape = png_shape(image.shape())?;
-            let values = Samples::U8(copied("image", &image)?);
-            Ok(Self { values, shape })
-        } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u16>>() {
-            let shape = png_shape(image.shape())?;
-            let values = Samples::U16(copied("image", &image)?);
-            Ok(Self { values, shape })
-        } else {
-            let kind = image
-                .getattr("dtype")
-                .map_or_else(|_| image.get_type().to_string(), |d| d.to_string());
-            Err(InputError::new_err(format!(
-                "image: expected uint8 or uint16, found {kind}"
-            )))
+fn png(py: Python<'_>, image: &Bound<'_, PyAny>, tag: Option<&str>) -> PyResult<Vec<u8>> {
+    let samples = if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u8>>() {
+        Samples::U8(copied("image", &image)?)
+    } else if let Ok(image) = image.extract::<PyReadonlyArrayDyn<'_, u16>>() {
+        Samples::U16(copied("image", &image)?)
+    } else {
+        let kind = image.getattr("dtype");
+        let kind = kind.unwrap_or_else(|_| image.get_type().into_any());
+        let reason = format!("image: expected uint8 or uint16, found {kind}");
+        return Err(InputError::new_err(reason));
+    };
+    let shape: Vec<usize> = image.getattr("shape")?.extract()?;
+    let shape = match shape[..] {
+        [height, width] => [height, width, 1],
+        [height, width, channels] => [height, width, channels],
+        _ => {
+            let reason = format!("image: expected (H, W) or (H, W, C), found {shape:?}");
+            return Err(InputError::new_err(reason));
         }
-    }
-
-    fn samples(&self) -> PngSamples<'_> {
-        match &self.values {
-            Samples::U8(values) => PngSamples::U8(values),
-            Samples::U16(values) => PngSamples::U16(values),
-            Samples::F32(_) => unreachable!("only integers are taken"),
+    };
+    let tag = match tag {
+        Some("srgb") => PngTag::Srgb,
+        Some("linear") => PngTag::Linear,
+        None => PngTag::Untagged,
+        Some(other) => {
+            let reason = format!("tag: expected srgb, linear or None, found {other:?}");
+            return Err(InputError::new_err(reason));
         }
-    }
-}
-
-fn png_tag(name: Option<&str>) -> PyResult<PngTag> {
-    match name {
-        Some("srgb") => Ok(PngTag::Srgb),
-        Some("linear") => Ok(PngTag::Linear),
-        None => Ok(PngTag::Untagged),
-        Some(other) => Err(InputError::new_err(format!(
-            "tag: expected srgb, linear or None, found {other:?}"
-        ))),
-    }
-}
-
-fn png_shape(shape: &[usize]) -> PyResult<[usize; 3]> {
-    match *shape {
-        [height, width] => Ok([height, width, 1]),
-        [height, width, channels] => Ok([height, width, channels]),
-        _ => Err(InputError::new_err(format!(
-            "image: expected (H, W) or (H, W, C), found {shape:?}"
-        ))),
-    }
+    };
+    Ok(py.detach(|| image_file::encode_png(&samples, shape, tag))?)
 }
