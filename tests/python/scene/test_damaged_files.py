@@ -118,7 +118,8 @@ def test_channels_that_a_few_bytes_cannot_hold_are_refused(tmp_path: Path) -> No
 @pytest.mark.parametrize("big", [False, True])
 def test_a_text_longer_than_its_file_is_refused(tmp_path: Path, big: bool) -> None:
     path = tmp_path / "a.tif"
-    tifffile.imwrite(path, np.zeros((4, 4), np.uint8), bigtiff=big, description="words " * 9)
+    how: dict[str, Any] = {"bigtiff": big, "metadata": None}  # one description, not two
+    tifffile.imwrite(path, np.zeros((4, 4), np.uint8), description="words " * 9, **how)
     assert images.read_data(path).shape == (4, 4, 1)
     data = bytearray(path.read_bytes())
     at = data.index(struct.pack("<2H", 270, 2)) + 4
