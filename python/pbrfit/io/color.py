@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from pbrfit._core import InputError
 
 ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
 """How stored values are to be read.
@@ -25,8 +27,7 @@ Curve = Literal["srgb", "linear"]
 """Transfer curves that files without a profile may have."""
 
 
-@dataclass(frozen=True)
-class Primaries:
+class Primaries(NamedTuple):
     """CIE xy chromaticities of the three primaries and of the white point."""
 
     red: tuple[float, float]
@@ -87,11 +88,10 @@ def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
 def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
     """Matrix (3, 3) from linear RGB to CIE XYZ, white with Y = 1.
 
-    The columns are the primaries, (x, y, 1-x-y), each scaled so that equal amounts of the three
-    give the white point. Raises ValueError if the y of white is not above 0, or if the primaries,
-    or two of them and white, lie on one line.
+    The columns are the primaries, (x, y, 1-x-y), scaled so that they add up to the white point.
+    Raises ValueError if the y of white is not above 0, or three of the four lie on one line.
     """
-    points = np.array([primaries.red, primaries.green, primaries.blue, primaries.white])
+    points = np.array(primaries)
     x, y = points.T
     if not np.isfinite(points).all() or y[3] < 1e-6:
         raise ValueError(
@@ -117,18 +117,17 @@ def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
 
     Raises ValueError as `rgb_to_xyz`.
     """
-    to_xyz, rec709 = rgb_to_xyz(primaries), rgb_to_xyz(REC709)
-    adapt = bradford(to_xyz.sum(axis=1), rec709.sum(axis=1))
-    return np.asarray(np.linalg.solve(rec709, adapt @ to_xyz))
+    to_xyz = rgb_to_xyz(primaries)
+    return colorants_to_rec709(to_xyz, to_xyz.sum(axis=1))
 
 
-def icc_to_rec709(to_xyz: ArrayLike) -> NDArray[np.float64]:
-    """Matrix (3, 3) from linear RGB of an ICC profile to linear Rec.709.
+def colorants_to_rec709(to_xyz: ArrayLike, white: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix (3, 3) from linear RGB, whose colorants in XYZ are columns, to linear Rec.709.
 
-    `to_xyz` (3, 3) has the colorants of the profile as columns, XYZ under D50.
+    `white` (3,) is the white, in XYZ, under which the colorants are given.
     """
     rec709 = rgb_to_xyz(REC709)
-    adapt = bradford(ICC_D50, rec709.sum(axis=1))
+    adapt = bradford(white, rec709.sum(axis=1))
     return np.asarray(np.linalg.solve(rec709, adapt @ np.asarray(to_xyz, dtype=np.float64)))
 
 
@@ -158,24 +157,20 @@ class Conversion:
         return linear
 
     def slopes(self, linear: NDArray[np.floating[Any]], levels: int) -> NDArray[np.float32]:
-        """Radiance a code, before the matrix, at linear Rec.709 (..., 3) of an integer file.
-
-        `levels` is how many codes there are.
-        """
+        """Radiance a code, of `levels`, before the matrix, at linear Rec.709 (..., 3)."""
         if self.matrix is not None:
             linear = linear @ np.linalg.inv(self.matrix).T.astype(np.float32)
-        found = np.empty(linear.shape, dtype=np.float32)
         if isinstance(self.curve, str):
-            found[:] = 1.0
+            slope = np.ones_like(linear, dtype=np.float32)
             if self.curve == "srgb":
                 # IEC 61966-2-1 by its derivative: of value 1 a code, 2.4/1.055 y^(1.4/2.4).
                 power = (2.4 / 1.055) * np.maximum(linear, 0.0031308) ** np.float32(1.4 / 2.4)
-                found = np.where(linear <= 0.0031308, np.float32(1 / 12.92), power)
-            found /= np.float32(levels - 1)
-            return found
-        curves = self._sampled(levels)
+                slope = np.where(linear <= 0.0031308, np.float32(1 / 12.92), power)
+            return slope / np.float32(levels - 1)
+        found = np.empty(linear.shape, dtype=np.float32)
+        curves = self._sampled(levels).astype(np.float64)
         for k in range(3):
-            curve = curves[k % len(curves)].astype(np.float64)
+            curve = curves[k % len(curves)]
             found[..., k] = np.interp(linear[..., k], curve, np.gradient(curve))
         return found
 
@@ -186,13 +181,10 @@ class Conversion:
         table = self._sampled(int(np.iinfo(samples.dtype).max) + 1)
         linear = np.empty(samples.shape, dtype=np.float32)
         # Row by row: an index is widened to 8 bytes a sample on the way.
-        if len(table) == 1:
-            for row, out in zip(samples, linear, strict=True):
-                np.take(table[0], row, out=out, mode="clip")
-        else:
-            for row, out in zip(samples, linear, strict=True):
-                for k in range(3):
-                    out[:, k] = table[k][row[:, k]]
+        for row, out in zip(samples, linear, strict=True):
+            for k, curve in enumerate(table):  # one curve is of every channel, three of one each
+                of_curve = np.s_[:, k :: len(table)]
+                out[of_curve] = np.take(curve, row[of_curve], mode="clip")
         return linear
 
 
@@ -214,12 +206,9 @@ def _table(curve: Curve | float, levels: int) -> NDArray[np.float32]:
 
 
 def conversion(space: ColorSpace) -> Conversion:
-    """Conversion from a named colour space.
-
-    Raises ValueError if the name is not one of `ColorSpace`.
-    """
+    """Conversion from a named colour space; InputError if it is not one of `ColorSpace`."""
     if space not in _SPACES:
-        raise ValueError(f"color_space: expected one of {', '.join(_SPACES)}, found {space!r}")
+        raise InputError(f"color_space: expected one of {', '.join(_SPACES)}, found {space!r}")
     return from_primaries(*_SPACES[space])
 
 
@@ -240,18 +229,16 @@ def nearest_name(convert: Conversion, dtype: np.dtype[Any]) -> str | None:
 
 def near_rec709(primaries: Primaries) -> bool:
     """Whether chromaticities are those of Rec.709 to within rounding (5e-4)."""
-    ours, theirs = (np.array([p.red, p.green, p.blue, p.white]) for p in (REC709, primaries))
-    return bool(np.abs(ours - theirs).max() <= 5e-4)
+    return bool(np.abs(np.subtract(REC709, primaries)).max() <= 5e-4)
 
 
 def from_icc(curves: list[NDArray[np.float32]], to_xyz: ArrayLike | None) -> Conversion:
-    """Conversion from the curves and the colorants of an ICC profile.
+    """Conversion from an ICC profile: 1 or 3 curves (levels,), linear light per code; colorants.
 
-    Colorants of Rec.709 to within the rounding that profiles have (1e-3 in the matrix) count as
-    Rec.709. There is one curve of a grey profile or three, each (levels,), linear light per code;
-    `to_xyz` (3, 3) has the colorants as columns, XYZ under D50, None of a grey profile.
+    `to_xyz` (3, 3) has the colorants as columns, XYZ under D50; None = a grey profile. Those of
+    Rec.709 to within the rounding that profiles have (1e-3 in the matrix) count as Rec.709.
     """
-    matrix = None if to_xyz is None else icc_to_rec709(to_xyz)
+    matrix = None if to_xyz is None else colorants_to_rec709(to_xyz, ICC_D50)
     if matrix is not None and np.abs(matrix - np.eye(3)).max() <= 1e-3:
         matrix = None
     same = all(np.array_equal(curve, curves[0]) for curve in curves[1:])

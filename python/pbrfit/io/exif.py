@@ -25,13 +25,17 @@ class Exif:
     """ "adobe-rgb", "uncalibrated" (neither sRGB nor Adobe RGB), or None where nothing else than
     sRGB is said."""
     settings: Mapping[str, str] = field(default_factory=dict)
-    """Camera, focal length and exposure in words, where they are known."""
+    """Camera, focal length, exposure and orientation in words, where they are known."""
 
 
-def read(exif: bytes | None) -> Exif:
-    """Read a block that begins with a TIFF header, or a TIFF file; what is damaged is not used."""
+def read(exif: bytes | None, orientation: int) -> Exif:
+    """Read a block that begins with a TIFF header, or a TIFF file; what is damaged is not used.
+
+    The orientation is the one that the reader of the format found.
+    """
+    unknown = Exif(settings={"orientation": str(orientation)})
     if exif is None:
-        return Exif()
+        return unknown
     from PIL import Image  # here: it takes longer to import than most of this package
 
     tags = Image.Exif()
@@ -42,7 +46,7 @@ def read(exif: bytes | None) -> Exif:
             more = tags.get_ifd(_EXIF_IFD)
             index = str(tags.get_ifd(_INTEROPERABILITY_IFD).get(1, ""))
         except Exception:  # whatever a damaged block leads to
-            return Exif()
+            return unknown
 
     def number(tag: int) -> float | None:
         try:
@@ -67,4 +71,4 @@ def read(exif: bytes | None) -> Exif:
     # 2 is not of the standard: some cameras write it. R03 is the DCF's option file, Adobe RGB.
     if stated == 2 or (stated == _UNCALIBRATED and index.startswith("R03")):
         color_space = "adobe-rgb"
-    return Exif(equivalent, color_space, settings)
+    return Exif(equivalent, color_space, {**settings, **unknown.settings})

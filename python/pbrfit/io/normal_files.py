@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
 from pbrfit.io.quoting import listed
-from pbrfit.io.samples import read_stored
 
 NORMAL_FILES = ("normals.exr", "normals.png")
 

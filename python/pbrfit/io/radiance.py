@@ -59,7 +59,5 @@ def read(data: bytes) -> Header | None:
     xyz = b"FORMAT=32-bit_rle_xyze\n"
     if xyz in lines:
         lines, primaries = lines.replace(xyz, b"FORMAT=32-bit_rle_rgbe\n"), CIE_XYZ
-    elif orientation == 1:
-        return Header(data, orientation, primaries, tuple(factors))
     plain = b"%s\n-Y %s +X %s\n%s" % (lines, head[3], head[5], data[head.end() :])
     return Header(plain, orientation, primaries, tuple(factors))

@@ -11,7 +11,6 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +21,14 @@ from pbrfit._core import InputError
 from pbrfit.io import exif
 from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
-from pbrfit.io.limits import AT_LEAST, Limits, converted, of_codes
+from pbrfit.io.limits import AT_LEAST, Limits, converted
 from pbrfit.io.quoting import shown
 
-# fmt: off
 RAW_SUFFIXES = frozenset({
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos",
     ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw",
     ".x3f",
-})
-# fmt: on
+})  # fmt: skip
 
 SATURATED = 0.99
 """Share of the way from a sensor's black level to its white level from which on a sample counts as
@@ -39,21 +36,6 @@ clipped: sensors reach their white level with some spread."""
 
 REACH = 2
 """Pixels around a sensor's sample that its value gets to where colours are interpolated."""
-
-
-@dataclass(frozen=True, eq=False)
-class Developed:
-    """A raw file as linear light."""
-
-    samples: NDArray[np.uint16]
-    """(H, W, 3), linear Rec.709 times 65535, as the sensor has them or as the camera was held."""
-    limits: Limits | None
-    """(H, W, 3): where `samples` bound the radiance; None = nowhere."""
-    color: str
-    """One sentence on its colour."""
-    exif: exif.Exif
-    orientation: str
-    """EXIF's number for how the camera was held."""
 
 
 def is_raw(path: Path, head: bytes, kind: str | None) -> bool:
@@ -73,11 +55,14 @@ def how_to_develop(path: Path) -> str:
     )
 
 
-def develop(path: Path, data: bytes, codes: tuple[int, int], turned: bool = True) -> Developed:
+def develop(
+    path: Path, data: bytes, turned: bool = True
+) -> tuple[NDArray[np.uint16], Limits | None, str, exif.Exif]:
     """Develop the content of a raw file, `turned` as the camera was held.
 
-    `codes` are the lowest and the highest of 65536 that are data. Raises InputError if rawpy is not
-    there, or LibRaw cannot read the file.
+    Returns linear Rec.709 times 65535, (H, W, 3); where clipped samples of the sensor bound it, or
+    None; a sentence on its colour; and how it was taken. Raises InputError if rawpy is not there,
+    or LibRaw cannot read the file.
     """
     with _opened(path, data) as (rawpy, raw):
         flip = int(raw.sizes.flip)
@@ -94,23 +79,20 @@ def develop(path: Path, data: bytes, codes: tuple[int, int], turned: bool = True
             raise InputError(
                 f"{path}: expected three channels of 16 bits, found {samples.shape} {samples.dtype}"
             )
-        limits = of_codes(samples, *codes)
-        clipped = _clipped(raw, samples.shape, flip if turned else 0)
-        if clipped is not None and clipped.any():
-            found = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
-            # Where the developed value is at its end, that is nearer the truth.
-            limits = found if limits is None else np.where(limits != 0, limits, found)
-        factors = np.array(raw.camera_whitebalance[:3], np.float64)
-        taken = exif.read(_as_tiff(data))
+        clipped, limits = _clipped(raw, flip if turned else 0), None
+        if clipped.shape == samples.shape and clipped.any():
+            limits = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
+        red, green, blue = raw.camera_whitebalance[:3]
+        orientation = {3: 3, 5: 8, 6: 6}.get(flip, 1)
+        taken = exif.read(_as_tiff(data), orientation)
         if taken.focal_length_35mm is None:
-            of_thumb = exif.read(_exif_of_thumb(raw))
-            taken = of_thumb if of_thumb.settings else taken
+            of_thumb = exif.read(_exif_of_thumb(raw), orientation)
+            taken = of_thumb if len(of_thumb.settings) > 1 else taken  # beside the orientation
     balance = "camera white balance"
-    if factors[1] > 0:
-        balance += " {:.3g}, 1, {:.3g}".format(*(factors[[0, 2]] / factors[1]))
+    if green > 0:
+        balance += f" {red / green:.3g}, 1, {blue / green:.3g}"
     color = f"linear Rec.709, {balance} (raw file, LibRaw)"
-    orientation = {3: "3", 5: "8", 6: "6"}.get(flip, "1")
-    return Developed(np.ascontiguousarray(samples), limits, color, taken, orientation)
+    return np.ascontiguousarray(samples), limits, color, taken
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -140,11 +122,8 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
         ) from None
 
 
-def _clipped(raw: Any, shape: tuple[int, ...], flip: int) -> NDArray[np.bool_] | None:
-    """(H, W, 3): where a sensor's sample of a channel was clipped, turned as the picture is.
-
-    None where the sensor's samples do not lie under those of the picture.
-    """
+def _clipped(raw: Any, flip: int) -> NDArray[np.bool_]:
+    """(H, W, 3): where a sensor's sample of a channel was clipped, turned as the picture is."""
     from scipy.ndimage import maximum_filter
 
     sensor = raw.raw_image_visible
@@ -167,9 +146,7 @@ def _clipped(raw: Any, shape: tuple[int, ...], flip: int) -> NDArray[np.bool_] |
         clipped = clipped[::-1]
     if flip & 1:
         clipped = clipped[:, ::-1]
-    if flip & 4:
-        clipped = clipped.swapaxes(0, 1)
-    return clipped if clipped.shape == shape else None
+    return clipped.swapaxes(0, 1) if flip & 4 else clipped
 
 
 def _matrix(raw: Any) -> NDArray[np.float64] | None:
@@ -188,12 +165,9 @@ def _matrix(raw: Any) -> NDArray[np.float64] | None:
     return matrix
 
 
-def _as_tiff(data: bytes) -> bytes | None:
-    """The file as one of TIFF, where it is built like one: some makers have other first bytes."""
-    for order, mark in ((b"II", b"II*\0"), (b"MM", b"MM\0*")):
-        if data[:2] == order:
-            return mark + data[4:]
-    return None
+def _as_tiff(data: bytes) -> bytes:
+    """The file with the first bytes of TIFF: some makers of files built like one have others."""
+    return {b"II": b"II*\0", b"MM": b"MM\0*"}.get(data[:2], data[:4]) + data[4:]
 
 
 def _exif_of_thumb(raw: Any) -> bytes | None:

@@ -140,6 +140,8 @@ def test_an_srgb_profile_agrees_with_the_exact_curve(levels: int) -> None:
     for curve in curves:
         np.testing.assert_allclose(curve, exact, rtol=2e-4, atol=5e-6)
     assert to_xyz is not None
-    np.testing.assert_allclose(color.icc_to_rec709(to_xyz), np.eye(3), atol=5e-5)
+    np.testing.assert_allclose(
+        color.colorants_to_rec709(to_xyz, color.ICC_D50), np.eye(3), atol=5e-5
+    )
     convert = color.from_icc(curves, to_xyz)
     assert convert.matrix is None

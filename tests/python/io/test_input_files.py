@@ -17,9 +17,9 @@ from pbrfit.acquire.prompts import read_prompts
 from pbrfit.batch.prediction import picture_size
 from pbrfit.commands.messages import message_of
 from pbrfit.io import images, input_files
+from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, read_bytes, read_text
 from pbrfit.io.json_files import read_json
-from pbrfit.io.samples import read_stored
 from pbrfit.model.panorama import read as read_panorama
 from pbrfit.result.history import History
 from pbrfit.scene.folder import find_pictures, read_settings

@@ -24,8 +24,8 @@ from pbrfit import InputError, Result, Scene, decompose
 from pbrfit.acquire import journal
 from pbrfit.acquire.prompts import read_prompts
 from pbrfit.io import images
+from pbrfit.io.images import read_stored
 from pbrfit.io.quoting import listed, quoted, shown
-from pbrfit.io.samples import read_stored
 from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.lighting import BASIS, Lighting
 from pbrfit.model.materials import read_materials
