@@ -93,17 +93,16 @@ def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
     """
     points = np.array(primaries)
     x, y = points.T
+    found = points.tolist()
     if not np.isfinite(points).all() or y[3] < 1e-6:
-        raise ValueError(
-            f"chromaticities: expected finite xy, of white y > 0, found {points.tolist()}"
-        )
+        raise ValueError(f"chromaticities: expected finite xy, of white y > 0, found {found}")
     xyz = np.stack([x, y, 1 - x - y])
     columns, white = xyz[:, :3], xyz[:, 3] / y[3]
     if np.linalg.cond(columns) <= 1e6:
         scaled = np.asarray(columns * np.linalg.solve(columns, white))
         if np.linalg.cond(scaled) <= 1e6:
             return scaled
-    raise ValueError(f"chromaticities: expected a triangle around white, found {points.tolist()}")
+    raise ValueError(f"chromaticities: expected a triangle around white, found {found}")
 
 
 def bradford(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -113,10 +112,7 @@ def bradford(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArra
 
 
 def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
-    """Matrix (3, 3) from linear RGB of some primaries to linear Rec.709; rows sum to 1.
-
-    Raises ValueError as `rgb_to_xyz`.
-    """
+    """Matrix (3, 3) from linear RGB to Rec.709, whose rows sum to 1; raises as `rgb_to_xyz`."""
     to_xyz = rgb_to_xyz(primaries)
     return colorants_to_rec709(to_xyz, to_xyz.sum(axis=1))
 
@@ -144,7 +140,13 @@ class Conversion:
     def __call__(self, samples: NDArray[Any]) -> NDArray[np.float32]:
         """Samples (H, W, 3), uint8, uint16 or floating, as linear Rec.709 float32, a new array."""
         if samples.dtype.kind == "u":
-            linear = self._look_up(samples)
+            table = self._sampled(int(np.iinfo(samples.dtype).max) + 1)
+            linear = np.empty(samples.shape, dtype=np.float32)
+            # Row by row: an index is widened to 8 bytes a sample on the way.
+            for row, out in zip(samples, linear, strict=True):
+                for k, curve in enumerate(table):  # one is of every channel, three of one each
+                    of_curve = np.s_[:, k :: len(table)]
+                    out[of_curve] = np.take(curve, row[of_curve], mode="clip")
         else:
             assert not isinstance(self.curve, np.ndarray), "curves are sampled for integers"
             linear = np.array(_decoded(samples, self.curve), dtype=np.float32, order="C")
@@ -176,16 +178,6 @@ class Conversion:
 
     def _sampled(self, levels: int) -> NDArray[np.float32]:
         return self.curve if isinstance(self.curve, np.ndarray) else _table(self.curve, levels)
-
-    def _look_up(self, samples: NDArray[Any]) -> NDArray[np.float32]:
-        table = self._sampled(int(np.iinfo(samples.dtype).max) + 1)
-        linear = np.empty(samples.shape, dtype=np.float32)
-        # Row by row: an index is widened to 8 bytes a sample on the way.
-        for row, out in zip(samples, linear, strict=True):
-            for k, curve in enumerate(table):  # one curve is of every channel, three of one each
-                of_curve = np.s_[:, k :: len(table)]
-                out[of_curve] = np.take(curve, row[of_curve], mode="clip")
-        return linear
 
 
 def _decoded(values: NDArray[Any], curve: Curve | float) -> NDArray[Any]:
@@ -241,5 +233,4 @@ def from_icc(curves: list[NDArray[np.float32]], to_xyz: ArrayLike | None) -> Con
     matrix = None if to_xyz is None else colorants_to_rec709(to_xyz, ICC_D50)
     if matrix is not None and np.abs(matrix - np.eye(3)).max() <= 1e-3:
         matrix = None
-    same = all(np.array_equal(curve, curves[0]) for curve in curves[1:])
-    return Conversion(np.stack(curves[:1] if same else curves), matrix)
+    return Conversion(np.stack(curves), matrix)

@@ -22,8 +22,7 @@ class Exif:
     focal_length_35mm: float | None = None
     """Millimetres; None = unknown."""
     color_space: str | None = None
-    """ "adobe-rgb", "uncalibrated" (neither sRGB nor Adobe RGB), or None where nothing else than
-    sRGB is said."""
+    """ "adobe-rgb", or "uncalibrated" (neither that nor sRGB); None = sRGB, or nothing is said."""
     settings: Mapping[str, str] = field(default_factory=dict)
     """Camera, focal length, exposure and orientation in words, where they are known."""
 
@@ -55,20 +54,19 @@ def read(exif: bytes | None, orientation: int) -> Exif:
             return None
         return value if 0 < value < float("inf") else None
 
-    settings = {}
-    camera = " ".join(shown(tags[tag]).strip("\0 ") for tag in (_MAKE, _MODEL) if tag in tags)
-    if camera:
-        settings["camera"] = camera
     equivalent = number(_FOCAL_LENGTH_35MM)
-    if length := number(_FOCAL_LENGTH) or equivalent:
-        settings["focal length"] = f"{length:g} mm"
+    length = number(_FOCAL_LENGTH) or equivalent
     forms = {_EXPOSURE_TIME: "{:.3g} s", _F_NUMBER: "f/{:g}", _SENSITIVITY: "ISO {:g}"}
     exposure = [form.format(value) for tag, form in forms.items() if (value := number(tag))]
-    if exposure:
-        settings["exposure"] = " ".join(exposure)
+    settings = {
+        "camera": " ".join(shown(tags[i]).strip("\0 ") for i in (_MAKE, _MODEL) if i in tags),
+        "focal length": f"{length:g} mm" if length else "",
+        "exposure": " ".join(exposure),
+        **unknown.settings,
+    }
     stated = number(_COLOR_SPACE)
     color_space = "uncalibrated" if stated == _UNCALIBRATED else None
     # 2 is not of the standard: some cameras write it. R03 is the DCF's option file, Adobe RGB.
     if stated == 2 or (stated == _UNCALIBRATED and index.startswith("R03")):
         color_space = "adobe-rgb"
-    return Exif(equivalent, color_space, {**settings, **unknown.settings})
+    return Exif(equivalent, color_space, {what: said for what, said in settings.items() if said})

@@ -11,6 +11,7 @@ import hashlib
 import logging
 import operator
 import os
+import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -68,7 +69,14 @@ smears clipped areas: of samples that were clipped before a JPEG of quality 75 t
 colour, 15 to 22 % come back with all channels below 254, and 5 to 9 % with all below 251, which
 takes 2 % of the sound samples of bright photographs for clipped."""
 
-_HEIF_BRANDS = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif"})
+_OTHERS = {
+    rb"....ftyp(hei[cxms]|hevc|m[is]f1|avif)": "HEIC or AVIF: convert it first, for example with "
+    "`heif-convert {0.name} {0.stem}.png`",
+    rb"RIFF....WEBP": "WebP",
+    rb"GIF8": "GIF",
+    rb"BM": "BMP",
+}
+"""What files that begin so are called, where they are not read."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +184,6 @@ def read_picture(
         if not alpha.any():
             alpha = None
             notes = (*notes, "alpha is 0 in all pixels and ignored")
-    negative = np.zeros(samples.shape[:2], dtype=np.bool_)
     stored, limits, maximum = None, found.limits, 1
     if samples.dtype.kind == "u":
         maximum = int(np.iinfo(samples.dtype).max)
@@ -189,8 +196,6 @@ def read_picture(
         plain = found.samples[..., : colors.shape[2]]
         tables = read_tables(data, plain.shape[2]) if form == "JPEG" else None
         stored = Stored(plain, found.turn >= 5, convert, form, tables)
-    else:
-        np.any(colors < 0, axis=-1, out=negative)
     pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
     if limits is not None:
         limits = converted(np.broadcast_to(limits, pixels.shape), convert.matrix)
@@ -198,7 +203,7 @@ def read_picture(
         pixels=pixels,
         alpha=None if alpha is None else np.divide(alpha, maximum, dtype=np.float32),
         limits=limits,
-        negative=negative,
+        negative=np.any(colors < 0, axis=-1),
         color=found.color if chosen is None else f"{color_space} (as asked for)",
         focal_length_35mm=found.taken.focal_length_35mm,
         sha256=hashlib.sha256(data).hexdigest(),
@@ -276,19 +281,14 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
     """
     with open_file(path) as file:
         of_numpy = file.read(len(MAGIC_PREFIX)) == MAGIC_PREFIX
-    if of_numpy or path.suffix.lower() == ".npy":
-        return _read_npy(path)
-    path, data, kind = _load(path)
-    return _core.decode_exr(data, path)[0] if kind == "EXR" else _upright(path, data)
-
-
-def _read_npy(path: Path) -> NDArray[np.float64]:
-    """Read an array of numpy's own format, without anything that could be code."""
+    if not of_numpy and path.suffix.lower() != ".npy":
+        path, data, kind = _load(path)
+        return _core.decode_exr(data, path)[0] if kind == "EXR" else _upright(path, data)
     expected = "expected an array of real numbers in .npy"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about headers of long ago
-            # Mapped instead of read: no memory is taken for more than the file holds.
+            # Mapped: it runs no code of the file, and takes no memory for more than that holds.
             array = open_memmap(path, mode="r")
     except (OSError, MemoryError):
         raise
@@ -351,7 +351,7 @@ def _load(
     """Read path, content and format of a file that can be read; raw files where they may be."""
     path = Path(path)
     with open_file(path) as file:
-        head = file.read(_HEAD)  # what is no picture is not read, however large it is
+        head = file.read(64)  # tells formats; what is no picture is not read, however large it is
         kind = _core.image_format(head)
         is_raw = raw_files.is_raw(path, head, kind)
         if is_raw:
@@ -365,24 +365,16 @@ def _load(
     return path, data, kind
 
 
-_HEAD = 64
-"""Bytes by which a format is known."""
-
-
 def _guess(path: Path, head: bytes, is_raw: bool) -> str:
     """Say what a file that is not read seems to be."""
     if not head:
         return "an empty file"
     if is_raw:
         return f"a raw file: {raw_files.how_to_develop(path)}"
-    if head[4:8] == b"ftyp" and head[8:12] in _HEIF_BRANDS:
-        by = f"`heif-convert {path.name} {path.stem}.png`"
-        return f"HEIC or AVIF: convert it first, for example with {by}"
-    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
-        return "WebP"
-    known = {b"GIF8": "GIF", b"BM": "BMP"}
-    told = (name for start, name in known.items() if head.startswith(start))
-    return next(told, f"a file that starts with {head[:8]!r}")
+    for start, name in _OTHERS.items():
+        if re.match(start, head, re.DOTALL):
+            return name.format(path)
+    return f"a file that starts with {head[:8]!r}"
 
 
 def _article(kind: str) -> str:
@@ -428,7 +420,7 @@ def _of_raster(path: Path, data: bytes, orientation: Orientation, decide: bool) 
             samples = samples / np.array(header.factors, dtype=np.float32)
             factors = " ".join(map("{:g}".format, header.factors))
             notes.append(f"EXPOSURE and COLORCORR undone: {factors}")
-        convert = _stated(path, "linear", header.primaries or REC709)
+        convert = _stated(path, "linear", header.primaries)
         if convert.matrix is not None:
             color = "linear, converted from the HDR's primaries"
     elif samples.dtype.kind == "u" and decide:

@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from pbrfit.io.color import CIE_XYZ, Primaries
+from pbrfit.io.color import CIE_XYZ, REC709, Primaries
 
 # The first axis is the slower one; EXIF 2.32 numbers the same eight ways to scan a picture.
 _ORIENTATIONS = {
@@ -25,8 +25,7 @@ class Header:
     """The file as RGBE from top to bottom, whatever it is."""
     orientation: int
     """As EXIF numbers it."""
-    primaries: Primaries | None
-    """None = it does not say."""
+    primaries: Primaries
     factors: tuple[float, ...]
     """What the values of red, green and blue were multiplied by: EXPOSURE times COLORCORR."""
 
@@ -34,15 +33,12 @@ class Header:
 def read(data: bytes) -> Header | None:
     """Read the header of a file; None = not one that is understood.
 
-    Lines of EXPOSURE and COLORCORR count all, of PRIMARIES the last; numbers that are none are
-    passed over.
+    All lines of EXPOSURE and COLORCORR count, and the last of PRIMARIES; damaged ones do not.
     """
     head = _HEAD.match(data)
-    orientation = _ORIENTATIONS.get((head[2], head[4])) if head else None
-    if head is None or orientation is None:
+    if head is None or (head[2], head[4]) not in _ORIENTATIONS:
         return None
-    lines, factors = head[1], [1.0, 1.0, 1.0]
-    primaries = None
+    lines, factors, primaries = head[1], [1.0, 1.0, 1.0], REC709
     for line in lines.splitlines():
         name, _, values = line.partition(b"=")
         try:
@@ -60,4 +56,4 @@ def read(data: bytes) -> Header | None:
     if xyz in lines:
         lines, primaries = lines.replace(xyz, b"FORMAT=32-bit_rle_rgbe\n"), CIE_XYZ
     plain = b"%s\n-Y %s +X %s\n%s" % (lines, head[3], head[5], data[head.end() :])
-    return Header(plain, orientation, primaries, tuple(factors))
+    return Header(plain, _ORIENTATIONS[head[2], head[4]], primaries, tuple(factors))

@@ -75,10 +75,8 @@ def develop(
             output_color=rawpy.ColorSpace.sRGB,
             **({} if turned else {"user_flip": 0}),
         )
-        if samples.ndim != 3 or samples.shape[2] != 3 or samples.dtype != np.uint16:
-            raise InputError(
-                f"{path}: expected three channels of 16 bits, found {samples.shape} {samples.dtype}"
-            )
+        if samples.shape[2:] != (3,):
+            raise InputError(f"{path}: expected three channels of 16 bits, found {samples.shape}")
         clipped, limits = _clipped(raw, flip if turned else 0), None
         if clipped.shape == samples.shape and clipped.any():
             limits = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
@@ -115,11 +113,9 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
         with rawpy.imread(io.BytesIO(data)) as raw:
             yield rawpy, raw
     except rawpy.LibRawError as error:
-        words = error.args[0] if error.args else error
-        said = words.decode("utf-8", "replace") if isinstance(words, bytes) else str(words)
-        raise InputError(
-            f"{path}: expected a raw file that LibRaw reads, found {shown(said)}"
-        ) from None
+        [words] = error.args or [error]
+        said = shown(words.decode("utf-8", "replace") if isinstance(words, bytes) else words)
+        raise InputError(f"{path}: expected a raw file that LibRaw reads, found {said}") from None
 
 
 def _clipped(raw: Any, flip: int) -> NDArray[np.bool_]:
@@ -137,10 +133,8 @@ def _clipped(raw: Any, flip: int) -> NDArray[np.bool_]:
         colors = raw.raw_colors_visible
         over = sensor >= limit[np.minimum(colors, 3)]
         channels = np.where(colors == 3, 1, colors)  # the second green
-        around = 2 * REACH + 1
-        clipped = np.stack(
-            [maximum_filter(over & (channels == c), around) for c in range(3)], axis=-1
-        )
+        planes = [maximum_filter(over & (channels == c), 2 * REACH + 1) for c in range(3)]
+        clipped = np.stack(planes, axis=-1)
     # dcraw's flip: 4 swaps rows and columns, after 2 and 1 have turned them round.
     if flip & 2:
         clipped = clipped[::-1]
@@ -176,5 +170,5 @@ def _exif_of_thumb(raw: Any) -> bytes | None:
         thumb = raw.extract_thumb()
     except Exception:  # none, or of a form that rawpy does not know
         return None
-    found = re.search(rb"Exif\0\0(?=II\*\0|MM\0\*)", bytes(thumb.data[: 1 << 16]))
-    return None if found is None else bytes(thumb.data[found.start() : found.start() + (1 << 16)])
+    found = re.search(rb"Exif\0\0(II\*\0|MM\0\*).*", bytes(thumb.data[: 1 << 17]), re.DOTALL)
+    return found[0] if found else None
