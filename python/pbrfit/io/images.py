@@ -40,9 +40,8 @@ from pbrfit.io.color import (
     nearest_name,
     rgb_to_xyz,
 )
-from pbrfit.io.file_noise import Stored
+from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
-from pbrfit.io.jpeg_noise import read_tables
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits, converted, of_codes
 from pbrfit.io.quoting import listed, shown
 

@@ -10,9 +10,10 @@ import errno
 import secrets
 import shutil
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from glob import escape
 from pathlib import Path
 
@@ -124,24 +125,20 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 @contextmanager
-def new_folder(
-    path: Path,
-    *,
-    overwrite: bool = False,
-    form: FolderForm = EMPTY,
-    temporaries: Path | None = None,
+def _new(
+    path: Path, what: str, check: Callable[[], None], temporaries: Path | None = None
 ) -> Iterator[Path]:
-    """Give a temporary folder beside `path` that takes its name when the block ends well.
+    """Give a temporary file or folder that takes the name `path` when the block ends well.
 
-    When the block raises, also by Ctrl-C, everything is as before: no temporary folder, no new
-    parent folders, and a folder that was to be replaced still there. `temporaries` is a folder
-    beside `path` in which to work instead. A folder that is replaced lies for an instant in
-    `*-old/NAME`. Raises FileExistsError, see `check_free`; OSError if no folder can be made there.
+    When the block raises, also by Ctrl-C, everything is as before: nothing temporary, no new parent
+    folders, and what was to be replaced still there. A folder that is replaced lies for an instant
+    in `*-old/NAME`.
     """
-    check_free(path, overwrite=overwrite, form=form)
-    target = _place(path)
-    token = secrets.token_hex(TOKEN_BYTES)
-    temporary = target.with_name(f".pbrfit-{token}")
+    check()
+    # No link is followed but in the folders above.
+    target = path.parent.resolve() / path.name if path.name not in ("", "..") else path.resolve()
+    token, folder = secrets.token_hex(TOKEN_BYTES), what == "folder"
+    temporary = target.with_name(f".pbrfit-{token}{'' if folder else target.suffix}")
     if temporaries is not None and temporaries.resolve().parent == target.parent:
         temporary = temporaries / token
     aside = temporary.with_name(f"{temporary.name}{ASIDE}")
@@ -149,56 +146,52 @@ def new_folder(
     parents = [aside, *(parent for parent in target.parents if not parent.exists())]
     with unfinished(temporary, aside=(old, target), parents=parents):
         try:
-            with making(path, "folder"):
+            with making(path, what):
                 target.parent.mkdir(parents=True, exist_ok=True)
-                temporary.mkdir()
+                # No right to write shows before the work, not after it.
+                (temporary.mkdir if folder else temporary.touch)(exist_ok=False)
             with naming(path, temporary):
                 yield temporary
-            # Another process may have been here meanwhile.
-            check_free(path, overwrite=overwrite, form=form)
+            check()  # Another process may have been here meanwhile.
             with undisturbed():
-                if there(target):
+                if folder and there(target):
                     # Two renames: the old folder is gone for an instant, but never half replaced.
                     aside.mkdir()
                     target.rename(old)
-                temporary.rename(target)
+                (temporary.rename if folder else temporary.replace)(target)
         except BaseException:
             if there(old) and not there(target):
                 old.rename(target)
             raise
         finally:
+            with suppress(OSError):
+                temporary.unlink()
             for leftover in (temporary, aside):
                 shutil.rmtree(leftover, ignore_errors=True)
 
 
-@contextmanager
-def new_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Give a temporary path beside `path`, for a file that takes its name when the block ends well.
+def new_folder(
+    path: Path,
+    *,
+    overwrite: bool = False,
+    form: FolderForm = EMPTY,
+    temporaries: Path | None = None,
+) -> AbstractContextManager[Path]:
+    """A new folder at `path`, whole or not there (`_new`); `temporaries` is where to work instead.
 
-    When the block raises, everything is as before. Raises FileExistsError, see `check_free_file`;
-    OSError if no file can be made there.
+    That is a folder beside `path`. Raises FileExistsError, see `check_free`; OSError if no folder
+    can be made there.
     """
-    check_free_file(path, overwrite=overwrite)
-    target = _place(path)
-    temporary = target.with_name(f".pbrfit-{secrets.token_hex(TOKEN_BYTES)}{target.suffix}")
-    with unfinished(temporary, parents=[one for one in target.parents if not one.exists()]):
-        try:
-            with making(path, "file"):
-                target.parent.mkdir(parents=True, exist_ok=True)
-                # No right to write shows before the work, not after it.
-                temporary.touch(exist_ok=False)
-            with naming(path, temporary):
-                yield temporary
-            check_free_file(path, overwrite=overwrite)  # as above
-            temporary.replace(target)
-        finally:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+    check = partial(check_free, path, overwrite=overwrite, form=form)
+    return _new(path, "folder", check, temporaries)
 
 
-def _place(path: Path) -> Path:
-    """Where an output lies: no link but in the folders above it."""
-    return path.parent.resolve() / path.name if path.name not in ("", "..") else path.resolve()
+def new_file(path: Path, *, overwrite: bool = False) -> AbstractContextManager[Path]:
+    """A new file at `path`, whole or not there (`_new`).
+
+    Raises FileExistsError, see `check_free_file`; OSError if no file can be made there.
+    """
+    return _new(path, "file", partial(check_free_file, path, overwrite=overwrite))
 
 
 def check_free_file(path: Path, *, overwrite: bool, kind: str = FILE) -> None:
@@ -210,10 +203,8 @@ def check_free_file(path: Path, *, overwrite: bool, kind: str = FILE) -> None:
     if found not in (None, kind):
         raise FileExistsError(f"{path}: expected {kind} or nothing, found {found}")
     if found and not overwrite:
-        remedy = "overwrite=True replaces it"
-        raise FileExistsError(
-            f"{path}: expected {kind} that does not exist yet, found one; {remedy}"
-        )
+        expected = f"{kind} that does not exist yet, found one"
+        raise FileExistsError(f"{path}: expected {expected}; overwrite=True replaces it")
 
 
 def check_free(path: Path, *, overwrite: bool, form: FolderForm = EMPTY) -> None:

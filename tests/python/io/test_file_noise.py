@@ -13,7 +13,7 @@ from PIL import Image
 from scipy.fft import idctn
 
 from pbrfit import Scene
-from pbrfit.io import color, images, jpeg_noise
+from pbrfit.io import color, file_noise, images
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.resampling import averaged_channels
@@ -169,7 +169,7 @@ def test_errors_of_planted_coefficients_are_found(scale: float, off: float) -> N
     rounded = np.rint(true / q) * q
     plane = idctn(rounded, axes=(2, 3), norm="ortho").swapaxes(1, 2).reshape(256, 256) + 128
     whole = np.full(8, 1 / 8)
-    found = jpeg_noise._errors(plane, q, np.array([1, 1]), whole, whole).sum() - 2 / 12
+    found = file_noise._errors(plane, q, np.array([1, 1]), whole, whole).sum() - 2 / 12
     errors = np.square(true - rounded)
     errors[..., 0, 0] = q[0, 0] ** 2 / 12
     assert np.sqrt(found / errors.mean()) == pytest.approx(1, abs=off)
@@ -179,11 +179,11 @@ def test_errors_of_planted_coefficients_are_found(scale: float, off: float) -> N
 def test_other_components_than_three(tmp_path: Path, mode: str) -> None:
     Image.new(mode, (16, 16), 60 if mode == "L" else (60, 20, 10, 9)).save(tmp_path / "a.jpg")
     data = (tmp_path / "a.jpg").read_bytes()
-    tables = jpeg_noise.read_tables(data, 3)
+    tables = file_noise.read_tables(data, 3)
     assert tables is None
-    assert (jpeg_noise.read_tables(data, 1) is not None) == (mode == "L")
-    assert jpeg_noise.read_tables(data[:200], 1) is None
-    assert jpeg_noise.read_tables(b"", 3) is None
+    assert (file_noise.read_tables(data, 1) is not None) == (mode == "L")
+    assert file_noise.read_tables(data[:200], 1) is None
+    assert file_noise.read_tables(b"", 3) is None
 
 
 # In scenes
