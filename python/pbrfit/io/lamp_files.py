@@ -11,14 +11,14 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, read_text
-from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, whole, write_json
+from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, write_json
 from pbrfit.io.quoting import listed, quoted, shown
 
 LAMP_FILES = ("lights.json", "lights.csv", "light_directions.txt")
@@ -99,12 +99,6 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
         raise unfit(path, "lamps", error) from None
     if not rows:
         raise InputError(f"{path}: expected lamps, found none")
-    for i, row in enumerate(rows):
-        where = f"{path}: lamp {i + 1}"
-        if not all(map(math.isfinite, row.place)):
-            raise InputError(f"{where}: expected finite numbers, found NaN or infinity")
-        if not row.near and not any(row.place):
-            raise InputError(f"{where}: expected a direction, found (0, 0, 0)")
     far = [row.place for row in rows if not row.near]
     behind = sum(z < 0 for _, _, z in far)
     if behind > BEHIND_MAX * len(far):
@@ -228,31 +222,21 @@ def _of_rows(path: Path, columns: Sequence[str], table: Sequence[Sequence[str]])
     if commas and (thousands or any("." in cell for cell in numbers)):
         found = quoted(commas[0])
         raise InputError(f"{path}: expected numbers as 0.5 or all as 0,5, found {found}")
-    return [_of_row(f"{path}: lamp {i + 1}", row) for i, row in enumerate(rows)]
+    return rows_of_json(path, rows, _as_json)
 
 
-def _of_row(where: str, row: dict[str, str]) -> LampRow:
-    """A line of a table by its columns."""
+def _as_json(row: dict[str, str]) -> dict[str, Any]:
+    """A row of a table as an entry of `lights.json`."""
     kind = row.get("kind", "").lower()
     if kind not in ("far", "near", ""):
-        raise InputError(f"{where}: expected kind far or near, found {quoted(kind)}")
-    color = _color(where, _vector(where, [row.get(name, "") or "nan" for name in "rgb"]))
-    place = _vector(where, [row[name] for name in "xyz"])
-    return LampRow(row.get("picture", ""), place, kind == "near", color)
-
-
-def _vector(where: str, cells: Sequence[str]) -> Vector:
-    try:
-        x, y, z = (float(cell.replace(",", ".").replace("−", "-")) for cell in cells)
-    except ValueError:
-        raise InputError(f"{where}: expected numbers, found {quoted(' '.join(cells))}") from None
-    return x, y, z
-
-
-def _color(where: str, color: Vector) -> Vector:
-    if any(value < 0 or math.isinf(value) for value in color):
-        raise InputError(f"{where}: expected a color of 0 or more, found {quoted(color)}")
-    return color
+        raise ValueError(f"kind {quoted(kind)} in place of far or near")
+    known = {key: cell for key, cell in row.items() if cell.lower() not in ("", "nan")}
+    x, y, z, r, g, b = (
+        float(known[key].replace(",", ".").replace("−", "-")) if key in known else None
+        for key in COLUMNS[1:7]
+    )
+    place = "position" if kind == "near" else "direction"
+    return {"picture": row.get("picture", ""), place: [x, y, z], "color": [r, g, b]}
 
 
 def _of_json(path: Path) -> list[LampRow]:
@@ -260,27 +244,28 @@ def _of_json(path: Path) -> list[LampRow]:
     content = read_json(path, expected)
     try:
         content = table(content)
-        version, lamps = whole(content["version"]), content["lamps"]
+        version, lamps = content["version"], list(content["lamps"])
         if version != VERSION:
-            raise ValueError(f"version {version} in place of {VERSION}")
-        if not isinstance(lamps, list):
-            raise ValueError(f"{quoted(lamps)} in place of a list of lamps")
+            raise ValueError(f"version {quoted(version)} in place of {VERSION}")
     except UNFIT as error:
         raise unfit(path, expected, error) from None
     return rows_of_json(path, lamps)
 
 
-def rows_of_json(path: Path, lamps: Sequence[Any]) -> list[LampRow]:
-    """Lamps of a list in a JSON file; InputError names the file and which of them is none."""
+def rows_of_json(
+    path: Path, lamps: Iterable[Any], entry: Callable[[Any], Any] = table
+) -> list[LampRow]:
+    """Lamps of a list in a JSON file, or of what `entry` makes to such.
+
+    InputError names the file and which of them is none.
+    """
     rows = []
     for i, lamp in enumerate(lamps):
-        where = f"{path}: lamp {i + 1}"
         try:
-            row = _from_json(table(lamp))
+            rows.append(_from_json(entry(lamp)))
         except UNFIT as error:
+            where = f"{path}: lamp {i + 1}"
             raise unfit(where, "picture and direction or position", error) from None
-        _color(where, row.color)
-        rows.append(row)
     return rows
 
 
@@ -299,11 +284,13 @@ def _from_json(lamp: dict[str, Any]) -> LampRow:
     place = _numbers(lamp["position" if near else "direction"])
     color = UNKNOWN if lamp.get("color") is None else _numbers(lamp["color"], known=False)
     axis = _numbers(lamp["axis"]) if "axis" in lamp else LampRow.axis
-    if not any(axis):
-        raise ValueError("axis (0, 0, 0)")
     exponent = number(lamp.get("exponent", 0.0))
-    if exponent < 0:
-        raise ValueError(f"exponent {exponent:g} in place of 0 or more")
+    for name, vector in (("direction", place), ("axis", axis)):
+        if not any(vector) and name in lamp:
+            raise ValueError(f"{name} (0, 0, 0)")
+    for name, values in (("color", color), ("exponent", (exponent,))):
+        if any(value < 0 for value in values):
+            raise ValueError(f"{name} {quoted(lamp[name])} in place of 0 or more")
     return LampRow(text(lamp["picture"]), place, near, color, unit(axis), exponent)
 
 

@@ -214,10 +214,10 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "another count": ("d.lp", "3\na 0 0 1\n", "expected 3 lamps, as it says, found 1"),
     "no lamps": ("d.lp", "0\n", "d.lp: expected lamps, found none"),
     "a short line": ("d.lp", "1\n0 0 1\n", "lamp 1: expected file name, x, y, z, found '0 0 1'"),
-    "words": ("d.lp", "1\na up 0 1\n", "lamp 1: expected numbers, found 'up 0 1'"),
-    "NaN": ("d.lp", "1\na nan 0 1\n", "lamp 1: expected finite numbers, found NaN"),
-    "infinity": ("d.lp", "1\na 0 0 inf\n", "lamp 1: expected finite numbers, found NaN or inf"),
-    "a zero vector": ("d.lp", "2\na 0 0 1\nb 0 0 0\n", r"lamp 2: .*direction, found \(0, 0, 0\)"),
+    "words": ("d.lp", "1\na up 0 1\n", "lamp 1: expected .* 'up'"),
+    "NaN": ("d.lp", "1\na nan 0 1\n", "lamp 1: expected .* number"),
+    "infinity": ("d.lp", "1\na 0 0 inf\n", "lamp 1: expected .* finite number"),
+    "a zero vector": ("d.lp", "2\na 0 0 1\nb 0 0 0\n", r"lamp 2: .*direction \(0, 0, 0\)"),
     "another Z": (
         "d.lp",
         "3\na 0 0 -1\nb 0.6 0 -0.8\nc 1 0 0\n",
@@ -230,12 +230,12 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "another kind": (
         "lights.csv",
         "a,0,0,1,1,1,1,spot\n",
-        "lamp 1: expected kind far or near, found",
+        "lamp 1: expected .*'spot' in place of far or near",
     ),
     "a negative color": (
         "lights.csv",
         "a,0,0,1,1,-.5,1\n",
-        "lamp 1: expected a color of 0 or more",
+        "lamp 1: expected .*color",
     ),
     "split numbers": ("lights.csv", "a,0,6,0,0,0,8\n", "header; numbers with decimal commas need"),
     "decimal commas under a header": (
@@ -265,7 +265,11 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "a text": ("lights.json", as_json(lamp(direction=[0, 0, "1"])), "in place of a number"),
     "another key": ("lights.json", as_json(lamp(colour=[1, 1, 1])), "key 'colour' in place of"),
     "a far axis": ("lights.json", as_json(lamp(axis=[0, 0, 1])), "lamp without position"),
-    "a negative colour": ("lights.json", as_json(lamp(color=[0, 0, -1])), "color of 0 or more"),
+    "a negative colour": (
+        "lights.json",
+        as_json(lamp(color=[0, 0, -1])),
+        "lamp 1: expected .*color",
+    ),
     "a zero axis": (
         "lights.json",
         as_json({"picture": "a", "position": [0, 0, 1], "axis": [0, 0, 0]}),
