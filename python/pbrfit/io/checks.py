@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -44,15 +45,13 @@ def real_array(name: str, values: Any) -> NDArray[np.float64]:
 
 def real_number(name: str, value: Any, expected: str = "a number") -> float:
     """As a float, which may be NaN or infinite."""
-    if isinstance(value, (bool, str, bytes)):
-        raise InputError(f"{name}: expected {expected}, found {value!r}")
-    of_numpy = isinstance(value, (np.ndarray, np.generic))
-    if of_numpy and (value.ndim or value.dtype.kind not in REAL):
-        raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
-    try:
-        return float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name}: expected {expected}, found {of_what(value)}") from None
+    other = isinstance(value, (bool, str, bytes))
+    if isinstance(value, (np.ndarray, np.generic)):
+        other = value.ndim > 0 or value.dtype.kind not in REAL
+    with suppress(TypeError, ValueError, OverflowError):
+        if not other:
+            return float(value)
+    raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
 
 
 def of_what(value: Any) -> str:

@@ -79,20 +79,31 @@ def open_file(path: Path) -> BufferedReader:
     return file
 
 
-def content_of(file: BufferedReader, path: Path, most: int) -> bytes:
-    """All bytes of an open file.
+def names_file(read: Callable[P, R]) -> Callable[P, R]:
+    """Let a MemoryError of a function that reads a file, its first argument, name it."""
 
-    Raises InputError if there are more than `most`; MemoryError, with the name, if they do not fit.
-    """
+    @functools.wraps(read)
+    def named(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return read(*args, **kwargs)
+        except MemoryError as error:
+            words, expected = str(error), f"{args[0]}: expected memory for what it holds"
+            if words.startswith(expected):
+                raise
+            found = f"too little: {words}" if words else "too little"
+            raise MemoryError(f"{expected}, found {found}") from None
+
+    return named
+
+
+def content_of(file: BufferedReader, path: Path, most: int) -> bytes:
+    """All bytes of an open file; InputError if there are more than `most`."""
     size = _bounded(file, path, most)
     file.seek(0)
-    try:
-        return file.read(size)
-    except MemoryError:
-        expected = f"{size >> 20} MiB of memory to read it"
-        raise MemoryError(f"{path}: expected {expected}, found less") from None
+    return file.read(size)
 
 
+@names_file
 def read_bytes(path: Path, most: int) -> bytes:
     """Content of a file; raises as `open_file` and `content_of`."""
     with open_file(path) as file:
@@ -121,23 +132,6 @@ def digest(path: Path) -> str:
     with open_file(path) as file:
         _bounded(file, path, PICTURE_BYTES)
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def names_file(read: Callable[P, R]) -> Callable[P, R]:
-    """Let a MemoryError of a function that reads a file, its argument `path`, name it."""
-
-    @functools.wraps(read)
-    def named(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return read(*args, **kwargs)
-        except MemoryError as error:
-            path, words = args[0] if args else kwargs["path"], str(error)
-            if words.startswith(str(path)):
-                raise
-            found = f"too little: {words}" if words else "too little"
-            raise MemoryError(f"{path}: expected memory for what it holds, found {found}") from None
-
-    return named
 
 
 def _bounded(file: BufferedReader, path: Path, most: int) -> int:

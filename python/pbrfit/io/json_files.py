@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, names_file, read_text
@@ -24,15 +24,15 @@ MOST = 2**53
 
 
 @names_file
-def read_json(path: Path, expected: str, *, finite: bool = True) -> Any:
-    """Content of a JSON file.
+def read_json(path: Path, expected: str) -> Any:
+    """Content of a JSON file; `expected` says for the message what it should hold.
 
-    `expected` says for the message what it should hold. `finite` refuses NaN and infinities, which
-    are no JSON but often written. Raises InputError if it is no text or not JSON, or nested beyond
-    reason, or no regular file; OSError if it cannot be read.
+    Raises InputError if it is no text or not JSON, as NaN is not, or nested beyond reason, or no
+    regular file; OSError if it cannot be read.
     """
     try:
-        return json.loads(read_text(path, TEXT_BYTES), parse_constant=_refuse if finite else None)
+        content = read_text(path, TEXT_BYTES)
+        return json.loads(content, parse_constant=lambda name: number(float(name)))
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
@@ -116,7 +116,3 @@ def write_json(path: Path, content: object, errors: str = "strict") -> None:
 def json_text(content: object) -> str:
     """JSON as `write_json` writes it."""
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} in place of a finite number")

@@ -69,7 +69,7 @@ class Lighting:
         Raises InputError if the file is not what `save` writes; the message names the file.
         """
         parts = "JSON with basis, order, pictures and coefficients"
-        content = read_json(path, parts, finite=False)  # told of below
+        content = read_json(path, parts)
         try:
             content = table(content)
             basis, order = content["basis"], content["order"]

@@ -178,7 +178,7 @@ LIGHT: dict[str, Any] = {
         ({"basis": "x" * 10_000}, "expected basis"),
         ({"order": 2}, "expected basis .* of order 3, found .* of order 2"),
         ({"coefficients": [[[1]]]}, r"coefficients of shape \(1, 16, 3\).* found shape"),
-        ({"coefficients": np.full((1, 16, 3), np.nan).tolist()}, "finite coefficients, found NaN"),
+        ({"coefficients": np.full((1, 16, 3), np.nan).tolist()}, "nan in place of a finite number"),
         ("{", "expected JSON with basis"),
         ("[]", "expected JSON with basis"),
         (DEEP, "RecursionError"),
@@ -244,7 +244,7 @@ def result(saved: Path, tmp_path: Path) -> Path:
     ("key", "value", "message"),
     [
         ("fov", 200, "fov"),
-        ("fov", float("nan"), "NaN in place of a finite number"),
+        ("fov", float("nan"), "nan in place of a finite number"),
         ("seconds", "1", "'1' in place of a number"),
         ("evaluations", -1, "whole number from 0 on"),
         ("metrics", "x", "'x' in place of an object"),
