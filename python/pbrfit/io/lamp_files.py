@@ -1,18 +1,21 @@
-"""Files that say where the lamps of pictures are: found in a scene folder, read, written.
+"""Files that say where the lamps of pictures are: found in a scene folder, read, paired, written.
 
 `.lp` is the form of reflectance transformation imaging: a count, then a line a picture with its
 file name and a direction. `lights.csv` is a table, `lights.json` this project's own form. All have
-X right, Y up, Z towards the viewer. What is read is rows as they stand in the file; `lamp_names`
-tells which picture each is of.
+X right, Y up, Z towards the viewer. Which picture a lamp is of is told by names, else by numbers in
+them, else by order: if nothing speaks against it, and never without a warning that lists pairs.
 """
 
 from __future__ import annotations
 
 import csv
+import logging
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,8 @@ from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, read_text
 from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, write_json
 from pbrfit.io.quoting import listed, quoted, shown
+
+log = logging.getLogger("pbrfit")
 
 LAMP_FILES = ("lights.json", "lights.csv", "light_directions.txt")
 """Names in a scene folder, beside any `*.lp`; the last is that of DiLiGenT (Shi et al. 2016)."""
@@ -41,6 +46,12 @@ SYNONYMS = dict.fromkeys(("file", "filename", "image", "imagename", "name"), "pi
     f"{before}{axis}": axis for before in ("l", "d", "light", "dir") for axis in "xyz"
 }
 """What other tools call columns."""
+
+QUOTES = "\"'`´“”„‟‘’‚‛«»‹›"
+"""Marks that writers of names with spaces put around them."""
+
+_EXTENSION = r"\.(?=\w*[^\W\d])\w{1,5}"
+"""Up to five letters and digits, not digits alone: those of `scan.001` tell scans apart."""
 
 Vector = tuple[float, float, float]
 
@@ -166,7 +177,7 @@ def _of_csv(path: Path) -> list[LampRow]:
     expected = f"a table with the columns {', '.join(COLUMNS[:4])}, and maybe r, g, b and kind"
     lines = _lines(path)
     told = re.fullmatch(r'"?sep=([;,|\t ])"?\s*', lines[0], re.IGNORECASE) if lines else None
-    lines = lines[1:] if told else lines
+    lines = lines[bool(told) :]
     first = next((i for i, line in enumerate(lines) if _is_row(line)), None)
     if first is None:
         raise InputError(f"{path}: expected {expected}, found an empty file")
@@ -177,12 +188,12 @@ def _of_csv(path: Path) -> list[LampRow]:
     # A header may have the sign of a comment.
     heads = [_columns(_cells(line.lstrip("# \t"), separator)) for line in lines[: first + 1]]
     header = next((head for head in heads if {"x", "y", "z"} <= set(head)), ())
-    hint, wide = "", max(map(len, rows))
+    found, hint, wide = "", "", max(map(len, rows))
     if separator == "," and not any("." in cell for row in rows for cell in row[1:]):
         hint = "; numbers with decimal commas need semicolons or tabs between columns"
     if header:
         if not set(header) <= set(COLUMNS) or len(set(header)) < len(header):
-            raise InputError(f"{path}: expected {expected}, found {listed(header)}")
+            found = listed(header)
         rows = rows[1:] if header is heads[-1] else rows
     else:
         header = {3: COLUMNS[1:4], 4: COLUMNS[:4], 7: COLUMNS[:7], 8: COLUMNS}.get(wide, ())
@@ -190,7 +201,8 @@ def _of_csv(path: Path) -> list[LampRow]:
         split = (all(re.fullmatch(r"[-+−]?\d+", cell) for cell in row[-6:]) for row in rows)
         if not header or (hint and wide == 7 and any(split)):
             found = f"{wide} columns without a header{hint}"
-            raise InputError(f"{path}: expected {expected}, found {found}")
+    if found:
+        raise InputError(f"{path}: expected {expected}, found {found}")
     for i, row in enumerate(rows):
         while len(row) > len(header) and not row[-1]:  # spreadsheets' empty columns
             row.pop()
@@ -311,3 +323,99 @@ def row_as_json(row: LampRow) -> dict[str, Any]:
     if row.near and (row.exponent or row.axis != LampRow.axis):
         made |= {"axis": list(row.axis), "exponent": row.exponent}
     return made
+
+
+def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:
+    """Index of the picture of each lamp of a file, -1 where there is none, and what was assumed.
+
+    `given` are names in the file, empty where it has none; `names` are those of the pictures. They
+    are compared without folder, quotes and surrounding spaces, with or without extension; then
+    without case and forms of Unicode; then without up to two extensions. The way counts by which
+    most pictures have a lamp. Where no name is a picture's, numbers in names tell, if both sides
+    have the same; else order, if alphabet and numbers agree on it on both sides.
+
+    Raises InputError if some picture has no lamp, or lamps of several names, or nothing tells which
+    lamp is whose.
+    """
+    ways = [[-1] * len(given)]
+    for way in range(3):
+        places = {_forms(name)[way][0]: i for i, name in enumerate(names)}
+        if len(places) == len(names):  # else names differ in what is left out
+            forms = (_forms(one)[way] for one in given)
+            ways.append([next((places[f] for f in of if f in places), -1) for of in forms])
+    best = max(ways, key=lambda found: len(set(found) - {-1}))
+    if max(best) < 0:
+        return _by_sequence(path, given, names)
+    spare = [one for one, i in zip(given, best, strict=True) if i < 0]
+    others = f"no picture is called {quoted(spare[0])}{_more(spare)}" if spare else ""
+    first: dict[int, str] = {}
+    for one, i in zip(given, best, strict=True):
+        if first.setdefault(i, one) != one and i >= 0:  # a name may come again: several lamps
+            found = f"{shown(first[i])} and {shown(one)}"
+            raise InputError(
+                f"{path}: expected one name for picture {shown(names[i])}, found {found}"
+            )
+    without = [name for i, name in enumerate(names) if i not in first]
+    if without:
+        found = f"none for {shown(without[0])}{_more(without)}" + f"; {others}" * bool(others)
+        raise InputError(f"{path}: expected a lamp for every picture, found {found}")
+    return best, f"some left out: {others}" * bool(others)
+
+
+def _forms(name: str) -> tuple[tuple[str, ...], ...]:
+    """What a name is compared by, strictest first: as written, folded, and without extensions."""
+    last = re.split(r"[/\\]", name)[-1].strip(QUOTES + " \t\u00a0")
+    written = last, re.sub(f"{_EXTENSION}$", "", last)
+    folded = tuple(unicodedata.normalize("NFKC", one).casefold().strip() for one in written)
+    return written, folded, (re.sub(f"({_EXTENSION}){{1,2}}$", "", folded[0]),)
+
+
+def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:
+    """As `matched`, where no name is that of a picture; a warning lists the pairs."""
+    if len(given) != len(names):
+        found = f"{len(given)}, none with a picture's name"
+        found += f" (such as {shown(given[0])})" if given[0] else ""
+        raise InputError(
+            f"{path}: expected a lamp for each of the {len(names)} pictures, found {found}"
+        )
+    numbers, captured = _by_number(names), _by_number(given)
+    # Copies of captures keep their numbers. A set of names that differ in one number alone, each
+    # with the same numbers as the pictures, is named by them as it would be by words.
+    if numbers and numbers.keys() == captured.keys():
+        pictures, how = [numbers[one] for one in captured], "the numbers in names"
+    else:
+        for of in (names, [_forms(one)[0][0] for one in given]):
+            # A program that sorts img10 before img2 may have made either sequence.
+            for a, b in (*pairwise(of), *pairwise(sorted(of))):
+                if _natural(b) < _natural(a):
+                    raise InputError(
+                        f"{path}: expected names of pictures, found {shown(given[0]) or 'none'}"
+                        f"{_more(given)}; by order they cannot be paired, as {shown(a)} comes "
+                        f"before {shown(b)}: rename or pad"
+                    )
+        pictures, how = list(range(len(names))), "order"
+    how = f"matched to the pictures by {how}, as no name in it is that of a picture"
+    pairs = enumerate(zip(given[:3], pictures, strict=False), 1)
+    some = ", ".join(f"{shown(one) or f'lamp {k}'} with {shown(names[i])}" for k, (one, i) in pairs)
+    log.warning("%s: lamps are %s: %s%s", path, how, some, _more(given[2:]))
+    return pictures, how
+
+
+def _by_number(names: Sequence[str]) -> dict[str, int]:
+    """Indices of names by number, in order; empty unless names differ in one number alone."""
+    plain = [_forms(name)[2][0] for name in names]
+    if len({re.sub(r"\d+", "0", name) for name in plain}) > 1:
+        return {}
+    columns = zip(*(re.findall(r"\d+", name) for name in plain), strict=True)
+    varied = [column for column in columns if len(set(column)) > 1]
+    found = {number.lstrip("0"): i for i, number in enumerate(varied[0])} if varied else {}
+    return found if len(varied) == 1 and len(found) == len(names) else {}
+
+
+def _natural(name: str) -> tuple[str, str]:
+    """By what names are in the order of their numbers, which have at most 20 digits."""
+    return re.sub(r"\d+", lambda digits: digits[0].zfill(20), name), name
+
+
+def _more(names: Sequence[str]) -> str:
+    return f" and {len(names) - 1} more" if len(names) > 1 else ""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -149,30 +150,28 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
     some = stored[::step, ::step].astype(np.float64)
     some = some[np.isfinite(some).all(axis=-1)]
     low, high = some.min(initial=0.0), some.max(initial=0.0)
-    # Largest code, and whether codes have a sign, by words for it.
-    readings = {"": (1, True)}
-    if stored.dtype.kind == "u":
-        readings[""] = int(np.iinfo(stored.dtype).max), False
-    elif low >= -ROUNDING and high <= 1 + ROUNDING:
-        readings["0 to 1 read as 2v − 1"] = 1, False
+    whole = stored.dtype.kind == "u"
+    plain = partial(_of_codes, np.iinfo(stored.dtype).max if whole else 1, not whole)
+    readings: dict[str, Callable[[NDArray[Any]], NDArray[np.float64]]] = {"": plain}
+    if not whole and low >= -ROUNDING and high <= 1 + ROUNDING:
+        readings["0 to 1 read as 2v − 1"] = partial(_of_codes, 1, False)
     if stored.shape[-1] == 2:  # lengths tell nothing, but numbers below 0 tell components
-        *_, (how, reading) = readings.items()
-        return _with_z(_of_codes(stored, *reading)), ["z = √(1 − x² − y²)", *filter(None, [how])]
+        *_, (how, read) = readings.items()
+        return _with_z(read(stored)), ["z = √(1 − x² − y²)", *filter(None, [how])]
     for largest in (127, 32767) if low < 0 else (255, 65535):
         if 1 + ROUNDING < max(high, -low) <= largest + 1:
-            readings[f"codes up to {largest}"] = largest, bool(low < 0)
+            readings[f"codes up to {largest}"] = partial(_of_codes, largest, bool(low < 0))
     spans = np.ptp(some, axis=0) if len(some) else np.ones(3)
     some = some[np.ptp(some, axis=-1) > 0]
     if not len(some):
-        return _of_codes(stored, *readings[""]), []
-    vectors = {how: _of_codes(some, *reading) for how, reading in readings.items()}
+        return plain(stored), []
     flat = "z = √(1 − x² − y²), as the third channel is the same everywhere"
     if spans[2] == 0 < spans[:2].min():
-        vectors[flat] = _with_z(vectors[""])
-    lengths = {how: np.linalg.norm(of, axis=-1) for how, of in vectors.items()}
+        readings[flat] = lambda values: _with_z(plain(values))
+    lengths = {how: np.linalg.norm(read(some), axis=-1) for how, read in readings.items()}
     off = {how: float(np.median(np.abs(of - 1))) for how, of in lengths.items()}
     best = min(off, key=lambda how: off[how])
-    behind = best == flat and (vectors[""][:, 2] <= 0).all()
+    behind = best == flat and plain(some[0])[2] <= 0
     if off[""] <= max(2 * off[best], ROUNDING) and not behind:
         best = ""
     if off[best] > MEDIAN_TOLERANCE:
@@ -181,11 +180,10 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
             f"{path}: expected normals, vectors of length 1 or codes of such, found lengths of "
             f"{few:.2g} to {many:.2g} (5 to 95 % of the pixels)"
         )
-    found = _of_codes(stored, *readings.get(best, readings[""]))
-    return _with_z(found) if best == flat else found, [best] if best else []
+    return readings[best](stored), [best] if best else []
 
 
-def _of_codes(values: NDArray[Any], largest: int, signed: bool) -> NDArray[np.float64]:
+def _of_codes(largest: int, signed: bool, values: NDArray[Any]) -> NDArray[np.float64]:
     shares: NDArray[np.float64] = values / np.float64(largest)
     return shares if signed else 2.0 * shares - 1.0
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.lamp_files import read_lamps, write_lamps
-from pbrfit.io.lamp_names import matched
+from pbrfit.io.lamp_files import matched, read_lamps, write_lamps
 from pbrfit.model.lamps import Lamps, lamps_of_rows, rows_of_lamps
 
 

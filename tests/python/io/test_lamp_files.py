@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError
-from pbrfit.io.lamp_files import LampRow, find_lamps, read_lamps, write_lamps
-from pbrfit.io.lamp_names import matched
+from pbrfit.io.lamp_files import LampRow, find_lamps, matched, read_lamps, write_lamps
 
 NAMES = ("a", "b", "c")
 THIRD = 1 / math.sqrt(3)
