@@ -35,18 +35,11 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     own = []
     for name in names:
         every = [f"{name}.{kind}" for kind in (ALL, *COLORS)]
-        found = [channel for channel in every if channel in channels]
-        if found and ALL in channels:
-            raise InputError(f"{path}: expected channel Y or those of {name}, found both")
-        if found not in ([], every[:1], every[1:]):
+        found = [channel for channel in (ALL, *every) if channel in channels]
+        if found not in ([ALL], every[:1], every[1:]):
             raise InputError(
-                f"{path}: expected {name}.Y, or {name}.R, {name}.G and {name}.B, found "
-                f"{listed(found)}"
-            )
-        if not found and ALL not in channels:
-            raise InputError(
-                f"{path}: expected channel Y, or NAME.Y, or NAME.R, NAME.G and NAME.B, for each "
-                f"picture, found none of {name} among {listed(channels)}"
+                f"{path}: expected channel Y, or {name}.Y, or {name}.R, {name}.G and {name}.B, "
+                f"found {listed(found) or f'none of them among {listed(channels)}'}"
             )
         own.append([channels[channel] for channel in found])
     if ALL in channels:

@@ -452,10 +452,12 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
 
     weights = channels.pop(f"{names[1]}.Y")
     images.write_exr(folder / "weights.exr", channels)
-    with pytest.raises(InputError, match=rf"weights.exr: expected channel Y.* none of {names[1]}"):
+    with pytest.raises(
+        InputError, match=rf"weights.exr: expected channel Y, or {names[1]}.Y.* none"
+    ):
         Scene.load(folder)
     images.write_exr(folder / "weights.exr", {**channels, "Y": some_weights()})
-    with pytest.raises(InputError, match=rf"expected channel Y or those of {names[0]}, found both"):
+    with pytest.raises(InputError, match=rf"expected channel Y, or .* found Y, {names[0]}.Y"):
         Scene.load(folder)
 
     colors = {f"{names[1]}.{color}": i * weights for i, color in enumerate("BGR", start=1)}
@@ -468,7 +470,7 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
     assert scene.assumed["weights"].startswith("weights.exr, for each channel of each picture: ")
     for wrong in ({f"{names[1]}.R": weights}, {**colors, f"{names[1]}.Y": weights}):
         images.write_exr(folder / "weights.exr", {**channels, **wrong})
-        message = rf"expected {names[1]}.Y, or {names[1]}.R, {names[1]}.G and {names[1]}.B, found"
+        message = rf"expected channel Y, or {names[1]}.Y, or .*, found {names[1]}"
         with pytest.raises(InputError, match=message):
             Scene.load(folder)
 
