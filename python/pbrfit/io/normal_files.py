@@ -101,11 +101,11 @@ class StoredNormals:
     """What was read otherwise than the kind of file suggests, in words."""
 
 
-def read_normals(path: Path) -> StoredNormals:
+def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNormals:
     """Read a normal map: an EXR file, another picture, or .npy of shape (H, W, 3) or (3, H, W).
 
     Integers of a picture are codes, n = 2v - 1 with v from 0 to 1, and floats are components,
-    unless lengths say otherwise (`_decoded`). Two channels are x and y. A pixel has no normal where
+    unless lengths say otherwise, inside the `mask` (H, W). Two channels are x and y. A pixel has no normal where
     its vector is NaN, shorter than `MIN_NORMAL_LENGTH`, or too long, as that of black codes is.
     Raises InputError if the file has other channels, or vectors that are no normals however they
     are read; OSError if it cannot be read.
@@ -126,7 +126,7 @@ def read_normals(path: Path) -> StoredNormals:
             raise InputError(f"{path}: expected normals (H, W, 3), found shape {values.shape}")
         values = values[..., :3]
     with np.errstate(all="ignore"):  # too long to have a length: no normal
-        vectors, how = _decoded(path, values)
+        vectors, how = _decoded(path, values, mask)
         length = np.linalg.norm(vectors, axis=-1)
         long = ~(length <= 1 + LENGTH_TOLERANCE)
         none = long | (length < MIN_NORMAL_LENGTH)
@@ -140,7 +140,9 @@ def read_normals(path: Path) -> StoredNormals:
     return StoredNormals(vectors, uncertainty, (*said, *how))
 
 
-def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], list[str]]:
+def _decoded(
+    path: Path, stored: NDArray[Any], mask: NDArray[np.bool_] | None
+) -> tuple[NDArray[np.float64], list[str]]:
     """Vectors (H, W, 3) of what is stored, (H, W, 2 or 3), and how they were read, if otherwise.
 
     The reading is the one in which lengths are nearest to 1, in the median: that of the number type
@@ -148,7 +150,10 @@ def _decoded(path: Path, stored: NDArray[Any]) -> tuple[NDArray[np.float64], lis
     """
     step = math.ceil(math.sqrt(stored.shape[0] * stored.shape[1] / JUDGED_MAX))
     some = stored[::step, ::step].astype(np.float64)
-    some = some[np.isfinite(some).all(axis=-1)]
+    judged = np.isfinite(some).all(axis=-1)
+    if mask is not None and mask.shape == stored.shape[:2]:
+        judged &= mask[::step, ::step]
+    some = some[judged]
     low, high = some.min(initial=0.0), some.max(initial=0.0)
     whole = stored.dtype.kind == "u"
     plain = partial(_of_codes, np.iinfo(stored.dtype).max if whole else 1, not whole)

@@ -709,7 +709,7 @@ def _read_normals(
         raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
     [path] = found
     notes.has(path.name)
-    read = read_normals(path)
+    read = read_normals(path, mask)
     _expect_size(path, read.vectors.shape[:2], mask.shape)
     try:
         normals = settings.convention.to_camera(read.vectors)
