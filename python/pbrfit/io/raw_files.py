@@ -113,7 +113,7 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
         with rawpy.imread(io.BytesIO(data)) as raw:
             yield rawpy, raw
     except rawpy.LibRawError as error:
-        [words] = error.args or [error]
+        words = (error.args or [error])[0]
         said = shown(words.decode("utf-8", "replace") if isinstance(words, bytes) else words)
         raise InputError(f"{path}: expected a raw file that LibRaw reads, found {said}") from None
 
