@@ -67,10 +67,7 @@ _BRADFORD = np.array(
 
 
 def decode_srgb(encoded: ArrayLike) -> NDArray[np.float64]:
-    """Decode sRGB values of any shape, 1 = white, to linear light (IEC 61966-2-1), float64.
-
-    Negative values are decoded by odd symmetry, values above 1 by the same power law.
-    """
+    """Linear light of sRGB values (IEC 61966-2-1), 1 = white; of negative ones by symmetry."""
     value = np.asarray(encoded, dtype=np.float64)
     size = np.abs(value)
     linear = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
@@ -118,10 +115,7 @@ def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
 
 
 def colorants_to_rec709(to_xyz: ArrayLike, white: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrix (3, 3) from linear RGB, whose colorants in XYZ are columns, to linear Rec.709.
-
-    `white` (3,) is the white, in XYZ, under which the colorants are given.
-    """
+    """Matrix (3, 3) to linear Rec.709 of colorants (columns) in XYZ under a white (3,) in XYZ."""
     rec709 = rgb_to_xyz(REC709)
     adapt = bradford(white, rec709.sum(axis=1))
     return np.asarray(np.linalg.solve(rec709, adapt @ np.asarray(to_xyz, dtype=np.float64)))
@@ -132,8 +126,7 @@ class Conversion:
     """The way from stored samples to linear Rec.709."""
 
     curve: Curve | float | NDArray[np.float32]
-    """``"srgb"``, ``"linear"``, an exponent, or sampled curves of an integer file, (1 or 3, levels)
-    float32."""
+    """``"srgb"``, ``"linear"``, an exponent, or sampled curves (1 or 3, levels), float32."""
     matrix: NDArray[np.float64] | None = None
     """(3, 3) from linear RGB to linear Rec.709, or None for the identity."""
 

@@ -90,8 +90,7 @@ class Picture:
     """(H, W, 3), uint8: `AT_LEAST` or `AT_MOST` where `pixels` bound the radiance, as a code is
     outside the code range, or an EXR file's layer says so; 0 elsewhere. None = nowhere."""
     negative: NDArray[np.bool_]
-    """(H, W), bool: some channel is below 0 in the file's own primaries; in `pixels` those of
-    colours outside of Rec.709 are, too."""
+    """(H, W), bool: some channel is below 0 in the file's own primaries."""
     color: str
     """One sentence on how the colour was decided."""
     focal_length_35mm: float | None
@@ -142,22 +141,13 @@ def read_picture(
     the colour chunks of a PNG, or EXIF data that says Adobe RGB, and are sRGB without; float files
     (EXR, HDR, float TIFF) are linear Rec.709, or linear in the chromaticities that an EXR or HDR
     file states; raw files are developed to linear Rec.709 (`pbrfit.io.raw_files`). Grey is repeated
-    to three channels. Alpha of 0 everywhere is none. Raises InputError if the content or an
-    argument cannot be used; OSError if the file cannot be read.
+    to three channels. Alpha of 0 everywhere is none.
 
-    Parameters
-    ----------
-    path
-        EXR, HDR, PNG, JPEG, TIFF or raw file.
-    color_space
-        How to read the stored values, whatever the file says.
-    layer
-        Of an EXR file: read ``layer.R``, ``layer.G`` and so on instead of ``R``, ``G``.
-    code_range
-        Lowest and highest code of 255 that is data; others are marked in `limits`, channel by
-        channel. None = `CODE_RANGE` of a JPEG file, of others all but 0 and the maximum.
-    orientation
-        Whether the EXIF orientation is applied.
+    Of an EXR file with a `layer`, ``layer.R``, ``layer.G`` and so on are read instead of ``R``,
+    ``G``. `code_range` is the lowest and the highest code of 255 that is data; others are marked in
+    `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
+    maximum. Raises InputError if the content or an argument cannot be used; OSError if the file
+    cannot be read.
     """
     asked = None if code_range is None else _checked(code_range)
     if orientation not in get_args(Orientation):

@@ -19,8 +19,7 @@ from typing import ParamSpec, TypeVar
 from pbrfit._core import InputError
 
 PICTURE_BYTES = 2**34
-"""Largest picture file, in bytes: a result of the most pixels, with all its layers, is of that
-order."""
+"""Largest picture file, in bytes: that of a result of the most pixels."""
 
 TEXT_BYTES = 2**26
 """Largest JSON, CSV or LP file, in bytes: lights of 40,000 pictures."""

@@ -20,8 +20,7 @@ ORDINARY, AT_LEAST, AT_MOST = 0, 1, 2
 Limits = NDArray[np.uint8]
 
 _NO_PART = 1e-3
-"""Share of a file's channel in a converted one up to which it has no part: the rounding that the
-matrices of profiles have."""
+"""Share of a file's channel in a converted one up to which it has no part: rounding of profiles."""
 
 
 def of_codes(codes: NDArray[Any], low: int, high: int) -> Limits | None:

@@ -105,10 +105,10 @@ def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNor
     """Read a normal map: an EXR file, another picture, or .npy of shape (H, W, 3) or (3, H, W).
 
     Integers of a picture are codes, n = 2v - 1 with v from 0 to 1, and floats are components,
-    unless lengths say otherwise, inside the `mask` (H, W). Two channels are x and y. A pixel has no normal where
-    its vector is NaN, shorter than `MIN_NORMAL_LENGTH`, or too long, as that of black codes is.
-    Raises InputError if the file has other channels, or vectors that are no normals however they
-    are read; OSError if it cannot be read.
+    unless lengths inside the `mask` (H, W) say otherwise. Two channels are x and y. A pixel has no
+    normal where its vector is NaN, shorter than `MIN_NORMAL_LENGTH`, or too long, as that of black
+    codes is. Raises InputError if the file has other channels, or vectors that are no normals
+    however they are read; OSError if it cannot be read.
     """
     stored = read_stored(path)
     uncertainty, said = None, []

@@ -28,8 +28,7 @@ ASIDE = "-old"
 """Ending of a folder in which something lies that is being replaced, by its name."""
 
 PASSED_OVER = (".DS_Store", "._*", ".nfs*", "Thumbs.db", "desktop.ini", ".pbrfit-*")
-"""Patterns of names of files that systems, and pbrfit when it is killed, leave in any folder; they
-go with it."""
+"""Patterns of names of files that systems, and pbrfit when it is killed, leave in any folder."""
 
 
 @dataclass(frozen=True)
