@@ -6,7 +6,6 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.fit import memory
-from pbrfit.fit.given import contradiction
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.plan import left_out
 from pbrfit.io.depth_files import DEPTH_FILES
@@ -136,7 +135,8 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
     if scene.normals_known:
         facing = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
         away = f"{100 * facing.mean():.1f} % of the normals"
-    contradicted = contradiction(scene)
+    from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
+
     found = [
         ("pictures", f"{len(scene.images)} of {scene.width} × {scene.height} pixels"),
         ("", f"{scene.names[0]} ... {scene.names[-1]}"),
@@ -159,7 +159,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
         ("lamps", _lamps(scene)),
         *_aligned(scene),
-        ("contradictions", contradicted.in_words() if contradicted else "none found"),
+        ("contradictions", one.in_words() if (one := contradiction(scene)) else "none found"),
         ("ground truth", "none" if scene.truth is None else "yes, errors will be reported"),
     ]
     found += [(f"assumed {topic}", fact) for topic, fact in scene.assumed.items()]
