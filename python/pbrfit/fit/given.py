@@ -224,7 +224,11 @@ def _reduced(normals: Array, valid: Mask) -> tuple[Array, Mask]:
 
 def _flips(normals: Array, valid: Mask, fov: float) -> dict[str, Array]:
     """Votes of normals some of whose axes are flipped, by their names."""
-    return {axes: _votes(normals * signs, valid, fov) for axes, signs in FLIPS.items()}
+    found = {axes: _votes(normals * signs, valid, fov) for axes, signs in FLIPS.items()}
+    # Both together leave slopes as they are, but for a perspective that may be told wrong.
+    of_slopes = found["X and Y"].size // 2
+    found["X and Y"][:of_slopes] = _votes(normals, valid, fov)[:of_slopes]
+    return found
 
 
 def _surely_best(given: Array, others: dict[str, Array]) -> str | None:

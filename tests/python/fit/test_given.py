@@ -99,6 +99,12 @@ def test_normals_that_tell_nothing_are_not_contradicted() -> None:
     assert said(replace(scene, normals=noise)) is None
 
 
+@pytest.mark.parametrize(("true", "told"), [(0.0, 40.0), (40.0, 0.0), (60.0, 30.0)])
+def test_a_wrong_field_of_view_flips_no_normals(true: float, told: float) -> None:
+    scene = planted(far(4), shape=relief(48, true), size=48, fov=true).scene
+    assert said(replace(scene, fov=told)) is None
+
+
 def test_near_lamps_that_are_flipped_are_named() -> None:
     truth = far(6)
     lamps = Lamps(truth.pictures, 1.5 * truth.places + np.array((0, 0, -2)), near=np.ones(6, bool))
