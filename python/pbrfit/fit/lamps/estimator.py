@@ -293,8 +293,11 @@ class LampFit:
             lamps = replace(self.begin.lamps, colors=self.begin.lamps.colors / few.scale)
             return few, [("lamps as compared", lamps, albedo_under(few, lamps))]
         if self.start is not None and (known is None or not known.near.any()):
-            lamps = Lamps(np.arange(few.pictures), self.start.directions)
-            return few, [(self.start.note, *colored(few, lamps))]
+            lamps = Lamps(
+                np.arange(few.pictures), self.start.directions, colors=self.start.strengths
+            )
+            albedo = self.start.albedo.reshape(-1, 3)[places]
+            return few, [(self.start.note, *balanced(few, lamps, albedo))]
         if known is not None:
             return few, [("known lamps", *colored(few, known))]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
@@ -737,6 +740,26 @@ class LampFit:
             albedo_scale=(red, green, blue),
             verdicts=by_deviations(deviation),
         )
+
+
+def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Array]:
+    """Lamps and albedos (P, 3) that are known up to a factor a channel, in the pictures' units.
+
+    On the whole lamps are grey, as in pictures whose white was balanced, and the mean albedo is
+    `ALBEDO_MEAN`.
+    """
+    cosines = np.maximum(pixels.normals @ lamps.places.T, 0)
+    shown = cosines[..., None] * lamps.colors[None] * albedo[:, None]
+    lit = (cosines > 0.3)[..., None] & pixels.told
+    ratio = np.where(lit & (shown > 0), pixels.samples / np.maximum(shown, 1e-12), 1)
+    factor = np.array(
+        [np.median(ratio[..., c][lit[..., c]]) if lit[..., c].any() else 1.0 for c in range(3)]
+    )
+    albedo = np.maximum(albedo * factor, 1e-9)
+    tint = np.exp(np.log(np.maximum(lamps.colors, 1e-9)).mean(axis=0))
+    colors, albedo = lamps.colors / tint, albedo * tint
+    mean = max(float(albedo.mean()), 1e-9) / ALBEDO_MEAN
+    return replace(lamps, colors=colors * mean), np.clip(albedo / mean, 0.01, 0.95)
 
 
 def albedo_under(pixels: LampPixels, lamps: Lamps) -> Array:
