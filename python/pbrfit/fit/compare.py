@@ -199,8 +199,10 @@ class _Comparison:
             best = self._simplest()
         full = replace(best.explanation, material=strength, robust=loss)
         for kind in (full, replace(full, material=plain.material)):
-            if kind.light == "sh":
-                self._try_all(kind, best)
+            # Priors and weights may do what other normals did.
+            held = replace(kind, free_normals=False)
+            for one in dict.fromkeys((held, kind)) if kind.light == "sh" else ():
+                self._try_all(one, best)
         best = self._simplest()
         return self._choice(best, best.explanation, None if other_fov is None else other_fov.fov)
 

@@ -48,9 +48,9 @@ def read(data: bytes) -> Header | None:
         wanted = {b"EXPOSURE": 1, b"COLORCORR": 3, b"PRIMARIES": 8}.get(name.strip())
         if wanted != len(numbers) or not all(map(math.isfinite, numbers)):
             continue
-        if wanted == 8:
+        if wanted == 8 and numbers[7] > 0:  # eight zeros are in files that know none
             primaries = Primaries(*zip(numbers[::2], numbers[1::2], strict=True))
-        elif min(numbers) > 0:
+        elif wanted != 8 and min(numbers) > 0:
             factors = [old * new for old, new in zip(factors, 3 * numbers, strict=False)]
     xyz = b"FORMAT=32-bit_rle_xyze\n"
     if xyz in lines:

@@ -164,6 +164,12 @@ P3 = "0.68 0.32 0.265 0.69 0.15 0.06 0.3127 0.329"
         ("EXPOSURE= 2\nEXPOSURE=0.25\n", "rgbe", None, (0.5, 0.5, 0.5)),
         ("EXPOSURE=2\nCOLORCORR=1 0.5 2\n", "rgbe", None, (2, 1, 4)),
         ("EXPOSURE=much\nEXPOSURE=0\nEXPOSURE=inf\nVIEW=x\n", "rgbe", None, (1, 1, 1)),
+        (
+            f"PRIMARIES={' '.join('0' * 8)}\n",
+            "rgbe",
+            np.eye(3),
+            (1, 1, 1),
+        ),  # of files that know none
         (f"PRIMARIES={P3}\n", "rgbe", color.to_rec709(color.DISPLAY_P3), (1, 1, 1)),
         ("", "xyze", color.to_rec709(color.CIE_XYZ), (1, 1, 1)),
         ("EXPOSURE=4\n", "xyze", color.to_rec709(color.CIE_XYZ), (4, 4, 4)),

@@ -34,7 +34,7 @@ async function readPanorama(bytes) {
     const codes = reader.next();
     for (let j = 0; j < width; j++) {
       const scale = SCALES[codes[4 * j + 3]];
-      for (let c = 0; c < 3; c++) row[3 * j + c] = codes[4 * j + c] * scale;
+      for (let c = 0; c < 3; c++) row[3 * j + c] = codes[4 * j + c] * scale / header.factors[c];
     }
     rows.push(narrowedRow(row, width, across));
     const now = performance.now();
@@ -65,7 +65,14 @@ function readHeader(bytes) {
   if (bytes[0] !== 35 || bytes[1] !== 63) { // "#?"
     throw new Error("expected a Radiance .hdr file, found something else");
   }
+  const factors = [1, 1, 1]; // what values were multiplied by
   for (let text = line(); text !== ""; text = line()) {
+    const told = /^(EXPOSURE|COLORCORR)\s*=(.*)$/.exec(text);
+    const numbers = told ? told[2].trim().split(/\s+/).map(Number) : [];
+    if (told && numbers.length === (told[1] === "EXPOSURE" ? 1 : 3)
+      && numbers.every((number) => number > 0 && Number.isFinite(number))) {
+      for (let c = 0; c < 3; c++) factors[c] *= numbers[c % numbers.length];
+    }
     if (text.startsWith("FORMAT=") && text !== "FORMAT=32-bit_rle_rgbe") {
       throw new Error(`expected FORMAT=32-bit_rle_rgbe, found ${text}`);
     }
@@ -75,7 +82,7 @@ function readHeader(bytes) {
   if (!found || +found[1] < 1 || +found[2] < 1 || found[1].length + found[2].length > 12) {
     throw new Error(`expected a resolution as -Y 512 +X 1024, found ${resolution.slice(0, 80)}`);
   }
-  return { height: +found[1], width: +found[2], start: position };
+  return { height: +found[1], width: +found[2], start: position, factors };
 }
 
 /** Rows of RGBE pixels, one after the other: run lengths of each channel, of pixels, or none. */
