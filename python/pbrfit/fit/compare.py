@@ -31,7 +31,6 @@ from pbrfit.fit import settings
 from pbrfit.fit.given import Contradiction, contradiction
 from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
-from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import first_shape
 from pbrfit.fit.left_out import (
@@ -100,7 +99,6 @@ class _Fitted:
     normals: Array
     views: Array
     """(P, 3) each."""
-    pixels: LampPixels | None = None
     found: Found | None = None
     """Of a fit under lamps."""
     fov: tuple[float, float] | None = None
@@ -614,8 +612,7 @@ class _Comparison:
             (state.albedo, state.roughness, state.metallic),
             state.normals,
             pixels.views,
-            pixels,
-            found,
+            found=found,
         )
 
     def _of_all(self, found: Found, out: Sequence[Lamps], fold: int) -> Found | None:
@@ -662,7 +659,7 @@ def _explained(
     samples = scene.samples(picture).astype(np.float64)
     told = _weights(scene, picture)
     slope = _slope(scene, samples)
-    if fit.pixels is None:
+    if fit.found is None:
         rows = shade(fit.normals, fit.views, *fit.materials, model=model)
         if scene.lighting is not None:
             return np.einsum("pck,kc->pc", rows, scene.lighting[picture]), None

@@ -91,8 +91,9 @@ def contradiction(scene: Scene) -> Contradiction | None:
     lamps, count = scene.lamps, len(scene.images)
     flipped = None
     if scene.normals_known:
-        shape = *_reduced(np.asarray(scene.normals, np.float64), scene.valid), scene.fov
-        flipped = _surely_best(_votes(*shape), _flips(*shape))
+        normals, mask = _reduced(np.asarray(scene.normals, np.float64), scene.valid)
+        surface = _Surface(mask, scene.fov)
+        flipped = _surely_best(surface.votes(normals), surface.flips(normals))
     if lamps is not None and np.array_equal(lamps.pictures, np.arange(count)):
         if not scene.normals_known:
             told = count > 3 and not lamps.near.any()
@@ -139,19 +140,18 @@ def _of_lamps_and_normals(matt: _Matt, flipped: str | None) -> Contradiction | N
 def _of_lamps(matt: _Matt) -> Contradiction | None:
     """Of lamps alone: the normals that they tell have to be those of a surface."""
     given, normals = matt.left(matt.lamps)
-    valid, fov = matt.scene.valid, matt.scene.fov
-    others = _flips(normals, valid, fov)
+    surface = _Surface(matt.scene.valid, matt.scene.fov)
+    others = surface.flips(normals)
     for which, lamps in matt.paired_otherwise():
         left, of_these = matt.left(lamps)
         if _is_lower(left, given):
             return _of_others(which, _times(given, left))
         if not _is_lower(given, left):
-            others[which] = _votes(of_these, valid, fov)
-    best = _surely_best(_votes(normals, valid, fov), others)
+            others[which] = surface.votes(of_these)
+    best = _surely_best(surface.votes(normals), others)
     if best is None:
         return None
-    tell = _turned if best in FLIPS else _of_others
-    return tell(best, "they tell normals of a surface")
+    return (_turned if best in FLIPS else _of_others)(best, "they tell normals of a surface")
 
 
 def _times(given: Array, other: Array) -> str:
@@ -177,10 +177,8 @@ class _Matt:
             ("those of the pictures before", np.roll(self.lamps.pictures, 1)),
             ("those in reverse order", self.lamps.pictures[::-1]),
         ):
-            yield (
-                which,
-                replace(self.lamps.of_pictures(order.tolist()), pictures=self.lamps.pictures),
-            )
+            of_others = self.lamps.of_pictures(order.tolist())
+            yield which, replace(of_others, pictures=self.lamps.pictures)
 
     def left(self, lamps: Lamps) -> tuple[Array, Array]:
         """Mean |residual| in each patch, of pixels' brightness; and normals (H, W, 3) if fitted."""
@@ -222,13 +220,41 @@ def _reduced(normals: Array, valid: Mask) -> tuple[Array, Mask]:
     return averaged_channels(np.where(valid[..., None], normals, 0.0), size), mask
 
 
-def _flips(normals: Array, valid: Mask, fov: float) -> dict[str, Array]:
-    """Votes of normals some of whose axes are flipped, by their names."""
-    found = {axes: _votes(normals * signs, valid, fov) for axes, signs in FLIPS.items()}
-    # Both together leave slopes as they are, but for a perspective that may be told wrong.
-    of_slopes = found["X and Y"].size // 2
-    found["X and Y"][:of_slopes] = _votes(normals, valid, fov)[:of_slopes]
-    return found
+class _Surface:
+    """What normals inside a mask (H, W) have to be like, seen with a field of view in degrees."""
+
+    def __init__(self, valid: Mask, fov: float) -> None:
+        self._valid, self._views = valid, view_directions(valid.shape[0], valid.shape[1], fov)
+        self._patches = np.zeros(valid.shape, np.intp)
+        self._patches[valid] = patches_of(valid)
+        self._edge = outline(valid, self._views)
+
+    def flips(self, normals: Array) -> dict[str, Array]:
+        """Votes of normals some of whose axes are flipped, by their names."""
+        found = {axes: self.votes(normals * signs) for axes, signs in FLIPS.items()}
+        # Both together leave slopes as they are, but for a perspective that may be told wrong.
+        of_slopes = found["X and Y"].size // 2
+        found["X and Y"][:of_slopes] = self.votes(normals)[:of_slopes]
+        return found
+
+    def votes(self, normals: Array) -> Array:
+        """In [-1, 1], of each patch: whether normals (H, W, 3) are a surface's; NaN = no vote."""
+        x, y = (-self._views[..., i] / self._views[..., 2] for i in (0, 1))
+        n = np.where(self._valid[..., None], normals, np.nan)
+        a, b = np.full((2, *self._valid.shape), np.nan)
+        across = np.cross(n[1:-1], n[:-2] - n[2:])
+        a[1:-1] = across[..., 1] + y[1:-1] * across[..., 2]
+        across = np.cross(n[:, 1:-1], n[:, 2:] - n[:, :-2])
+        b[:, 1:-1] = -across[..., 0] - x[:, 1:-1] * across[..., 2]
+        known = np.isfinite(a) & np.isfinite(b)
+        edge, patches, last = self._edge, self._patches, int(self._patches.max())
+        at, ahead = (edge.rows, edge.columns), self._views[edge.rows, edge.columns]
+        found, true = (
+            of - np.einsum("ei,ei->e", of, ahead)[:, None] * ahead
+            for of in (normals[at], edge.normals)
+        )
+        of_slopes = _agreement(a[known][:, None], b[known][:, None], patches[known], last)
+        return np.append(of_slopes, _agreement(found, true, patches[at], last))
 
 
 def _surely_best(given: Array, others: dict[str, Array]) -> str | None:
@@ -239,29 +265,6 @@ def _surely_best(given: Array, others: dict[str, Array]) -> str | None:
         if _is_surely_positive(votes - given) and _is_surely_positive(votes - beaten):
             best = name
     return best
-
-
-def _votes(normals: Array, valid: Mask, fov: float) -> Array:
-    """In [-1, 1], of each patch: whether normals (H, W, 3) are a surface's; NaN = no vote."""
-    height, width = valid.shape
-    views = view_directions(height, width, fov)
-    x, y = (-views[..., i] / views[..., 2] for i in (0, 1))
-    n = np.where(valid[..., None], normals, np.nan)
-    a, b = np.full((2, height, width), np.nan)
-    across = np.cross(n[1:-1], n[:-2] - n[2:])
-    a[1:-1] = across[..., 1] + y[1:-1] * across[..., 2]
-    across = np.cross(n[:, 1:-1], n[:, 2:] - n[:, :-2])
-    b[:, 1:-1] = -across[..., 0] - x[:, 1:-1] * across[..., 2]
-    patches = np.zeros(valid.shape, np.intp)
-    patches[valid] = patches_of(valid)
-    known = np.isfinite(a) & np.isfinite(b)
-    edge, last = outline(valid, views), int(patches.max())
-    at, ahead = (edge.rows, edge.columns), views[edge.rows, edge.columns]
-    found, true = (
-        of - np.einsum("ei,ei->e", of, ahead)[:, None] * ahead for of in (normals[at], edge.normals)
-    )
-    of_slopes = _agreement(a[known][:, None], b[known][:, None], patches[known], last)
-    return np.append(of_slopes, _agreement(found, true, patches[at], last))
 
 
 def _agreement(a: Array, b: Array, patches: NDArray[np.intp], last: int) -> Array:

@@ -327,7 +327,7 @@ def _read_pictures(
                 searched=[],
                 said=False,
                 noise=[],
-                bad=[],
+                bad=[None] * len(paths),
                 mask=np.ones(full_size, dtype=bool),
             )
         if full_size != read.mask.shape:
@@ -338,12 +338,12 @@ def _read_pictures(
             )
         whole = size == full_size
         read.pixels[i] = picture.pixels if whole else averaged_channels(picture.pixels, size)
-        bad = ~np.isfinite(read.pixels[i])
-        read.bad.append(bad if bad.any() else None)
-        read.pixels[i][bad] = 0
+        is_float = picture.bit_depth == 32
+        if is_float and not np.isfinite(read.pixels[i]).all():
+            read.bad[i] = bad = ~np.isfinite(read.pixels[i])
+            read.pixels[i][bad] = 0
         if picture.limits is not None:
             read.limits[i] = picture.limits if whole else file_limits.averaged(picture.limits, size)
-        is_float = picture.bit_depth == 32
         stored = picture.stored
         sharp = stored is not None and stored.tables is None and code_range is None
         read.searched.append(sharp or (is_float and picture.limits is None))
@@ -449,7 +449,7 @@ def _compare_settings(
         "focal length": "pictures of one view have one, and one field of view is used",
         "colour profile": "each is decoded by its own; option color_space decodes all alike",
     }
-    for what in consequences.keys() & differing.keys():
+    for what in filter(differing.__contains__, consequences):
         log.warning(
             "%s: expected one %s of all pictures, found %s: %s",
             *(notes.folder, what, differing[what], consequences[what]),
