@@ -70,7 +70,7 @@ test:
 	$(PYTEST) -m "not slow"
 
 test-rust: lint-rust
-	cargo test
+	cargo test --profile editable
 
 test-slow: $(VENV)/tools
 	$(PYTEST) -m slow
@@ -118,7 +118,7 @@ lint: lint-rust lint-python
 
 lint-rust:
 	cargo fmt --check
-	cargo clippy --all-targets --features python -- -D warnings
+	cargo clippy --profile editable --all-targets --features python -- -D warnings
 
 lint-python: $(VENV)/tools
 	$(BIN)/ruff format --check .
