@@ -17,6 +17,7 @@ from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
 from pbrfit.result.metrics import display, white_of
 from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.options import ReadOptions
 
 LEAST_SIDE = 64
 """Fewest pixels of a side: below, FLUX.2 refuses, and a picture shows nothing to imagine from."""
@@ -170,21 +171,20 @@ def shown_to_network(
     A `color_space` of None is as `scene.toml` says, else the files. Raises InputError or OSError if
     there is no such picture, or one cannot be read, or all are black.
     """
-    paths = scene_folder.find_pictures(folder)
-    settings = scene_folder.read_settings(folder / "scene.toml")
-    color_space = color_space or settings.color_space
+    files = scene_folder.locate(folder)
+    paths, names = files.pictures, files.names
+    options = ReadOptions(color_space=color_space).or_else(files.settings())
     if picture is not None:
-        names = [path.stem for path in paths]
         if picture not in names:
             raise InputError(
                 f"picture: expected one of {', '.join(names[:12])}"
                 f"{', ...' if len(names) > 12 else ''}, found {picture!r}"
             )
-        paths = [paths[names.index(picture)]]
+        paths = (paths[names.index(picture)],)
     total: NDArray[np.float64] | None = None
     for path in paths:
-        read = images.read_picture(path, color_space, orientation=settings.orientation or "exif")
-        pixels = np.where(np.isfinite(read.pixels), read.pixels, 0.0).astype(np.float64)
+        read = options.picture(path).pixels
+        pixels = np.where(np.isfinite(read), read, 0.0).astype(np.float64)
         mean = float(pixels.mean())
         if total is None:
             total = np.zeros_like(pixels)

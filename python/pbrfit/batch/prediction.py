@@ -12,7 +12,6 @@ import numpy as np
 from PIL import Image, ImageSequence
 
 from pbrfit._core import image_format
-from pbrfit.batch.settings import Reading
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.io import images, raw_files
@@ -22,7 +21,8 @@ from pbrfit.io.resampling import reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import PICTURES_MIN
-from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.folder import ScenePath, locate
+from pbrfit.scene.options import ReadOptions
 
 DECODING_BYTES = 64
 """Bytes a pixel of a file, at most, while it is read and averaged."""
@@ -32,7 +32,7 @@ _HEAD = 1 << 20
 
 
 def of_scene(
-    folder: Path, reading: Reading, options: FitOptions, threads: int = 0
+    scene: ScenePath, reading: ReadOptions, options: FitOptions, threads: int = 0
 ) -> memory.FitMemory:
     """What reading and fitting a scene needs at most, beside the interpreter and its libraries.
 
@@ -40,8 +40,11 @@ def of_scene(
     pictures have clipped samples. Raises InputError or OSError if there is no scene, or its first
     picture cannot be read.
     """
-    paths = scene_folder.find_pictures(folder)
+    files = locate(scene)
+    folder, paths = files.folder, files.pictures
     full = picture_size(paths[0])
+    if reading.crop is not None:
+        full = min(full[0], reading.crop[3]), min(full[1], reading.crop[2])
     height, width = full if reading.max_size is None else reduced_size(full, reading.max_size)
     pixels, pictures = height * width, len(paths)
     integers = any(path.suffix.lower() not in (".exr", ".hdr") for path in paths)

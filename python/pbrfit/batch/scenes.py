@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Literal
 from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
-from pbrfit.batch.settings import Reading
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
 from pbrfit.result.verdict import Verdict, verdicts_of
@@ -21,6 +20,7 @@ from pbrfit.result.verdict import Verdict, verdicts_of
 if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
     from pbrfit.result.result import Result
+    from pbrfit.scene.options import ReadOptions
     from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
@@ -40,9 +40,11 @@ class SceneTask:
     scene: Path
     output: Path
     """Folders."""
-    reading: Reading
+    reading: ReadOptions
     options: FitOptions
     """How."""
+    pictures: tuple[Path, ...] = ()
+    """Files that were named one by one; none = those of the scene folder."""
     threads: int = 0
     """As asked for; 0 = what there are for a task."""
     resume: bool = False
@@ -52,6 +54,11 @@ class SceneTask:
     temporaries: Path | None = None
     """Folder for what is unfinished; None = beside the output. Whoever waits for the task removes
     it to say that the task is no longer wanted."""
+
+    @property
+    def source(self) -> Path | tuple[Path, ...]:
+        """What `Scene.load` takes."""
+        return self.pictures or self.scene
 
     @property
     def name(self) -> str:
@@ -99,13 +106,14 @@ def decompose_scene(
     from pbrfit.result.data import Status
     from pbrfit.result.result import RESULT_FOLDER
     from pbrfit.scene.registration import aligned
+    from pbrfit.scene.scene import Scene
 
     address_space.reserve_blas()
     wanted = _Wanted(task, show)
     wanted.check()
     if not task.overwrite and task.output.is_dir():
-        check_model(task.output, task.scene, task.options)
-        content = kept(task.output, task.scene, task.reading, task.options)
+        check_model(task.output, task.source, task.options)
+        content = kept(task.output, task.source, task.reading, task.options)
         if content is not None:
             # Without `resume` the place was free: the result is of an attempt at this very task,
             # whose process died before it could tell.
@@ -128,7 +136,7 @@ def decompose_scene(
         form=RESULT_FOLDER,
         temporaries=task.temporaries,
     ) as folder:
-        scene = task.reading.load(task.scene)
+        scene = Scene.load(task.source, task.reading)
         heartbeat.step()
         if task.options.align == "auto":
             scene = aligned(scene)
@@ -163,7 +171,7 @@ def memory_of(task: SceneTask, threads: int) -> int:
     try:
         return (
             LIBRARIES_BYTES
-            + of_scene(task.scene, task.reading, task.options, task.threads or threads).peak
+            + of_scene(task.source, task.reading, task.options, task.threads or threads).peak
         )
     except (InputError, OSError):
         return 0

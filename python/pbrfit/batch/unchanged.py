@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.batch.settings import Reading
 from pbrfit.io.input_files import TEXT_BYTES, digest, read_text
 from pbrfit.io.json_files import UNFIT, table
 from pbrfit.model.reflection import chosen_model
@@ -18,10 +17,12 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.result import files_of, model_of
 from pbrfit.result.verdict import verdicts_of
 from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.folder import ScenePath
+from pbrfit.scene.options import ReadOptions
 
 
 def kept(
-    output: Path, scene: Path, reading: Reading, options: FitOptions
+    output: Path, scene: ScenePath, reading: ReadOptions, options: FitOptions
 ) -> Mapping[str, Any] | None:
     """Give what `result.json` holds if a result may stay as it is, else None.
 
@@ -35,7 +36,7 @@ def kept(
         same = (
             content["version"] == version("pbrfit")
             and content["options"] == options.to_json()
-            and {**content["scene"], "path": ""} == {**reading.as_json(), "path": ""}
+            and ReadOptions.from_json(content["scene"]) == reading
             and bool(verdicts_of(content["uncertainty"])) == options.uncertainty
             and content["files"] == {name: digest(output / name) for name in files_of(output)}
             and content["inputs"] == scene_folder.digests(scene)
@@ -45,7 +46,7 @@ def kept(
     return content if same else None
 
 
-def check_model(output: Path, scene: Path, options: FitOptions) -> None:
+def check_model(output: Path, scene: ScenePath, options: FitOptions) -> None:
     """See that a result, if there is one, is of the model that a scene would be fitted with now.
 
     Materials of one model are worth nothing in another, so a result of another model is no earlier
@@ -57,7 +58,7 @@ def check_model(output: Path, scene: Path, options: FitOptions) -> None:
         content = table(json.loads(read_text(file, TEXT_BYTES)))
     except (OSError, ValueError, RecursionError):
         return
-    of_pictures = scene_folder.read_settings(scene / "scene.toml").model
+    of_pictures = scene_folder.locate(scene).settings().model
     found, wanted = model_of(content, file), chosen_model(options.model, of_pictures)
     if found != wanted:
         raise InputError(

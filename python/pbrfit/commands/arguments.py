@@ -47,9 +47,20 @@ def add_flags(parser: Any, **flags: Flag) -> None:
         parser.add_argument(f"--{name.replace('_', '-')}", **arguments)
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Add the scene folder that a command reads."""
-    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
+def add_scene(parser: argparse.ArgumentParser, *, pictures: bool = False) -> None:
+    """Add the scene folder that a command reads, or where it reads `pictures` alone those."""
+    if not pictures:
+        parser.add_argument("scene", metavar="SCENE", type=Path, help="scene folder")
+        return
+    said = "scene folder, or the pictures of a scene"
+    parser.add_argument("scene", metavar="SCENE", nargs="+", type=Path, help=said)
+
+
+def scene_named(paths: Sequence[Path]) -> Path | tuple[Path, ...]:
+    """What `Scene.load` takes of a folder, or of files that were named one by one."""
+    if len(paths) == 1 and not paths[0].is_file():
+        return paths[0]
+    return tuple(paths)
 
 
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
@@ -112,12 +123,16 @@ def positive(text: str) -> int:
     return value
 
 
-def code_range(text: str) -> tuple[int, int]:
-    """Read LOW,HIGH for `argparse`."""
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise argparse.ArgumentTypeError(f"expected LOW,HIGH, found {text}")
-    return whole_number(parts[0]), whole_number(parts[1])
+def whole_numbers(form: str) -> Callable[[str], tuple[int, ...]]:
+    """Reader for `argparse` of as many whole numbers with commas between them as `form` has."""
+
+    def read(text: str) -> tuple[int, ...]:
+        parts = text.split(",")
+        if len(parts) != len(form.split(",")):
+            raise argparse.ArgumentTypeError(f"expected {form}, found {text}")
+        return tuple(map(whole_number, parts))
+
+    return read
 
 
 SIGNED = ("--light", "--lamp", "--rotate", "--exposure", "--color")

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import argparse
 
-from pbrfit.commands.arguments import DONE, SOME_FAILED, add_flags, add_scene, value, whole_number
+from pbrfit.commands.arguments import (
+    DONE,
+    SOME_FAILED,
+    add_flags,
+    add_scene,
+    scene_named,
+    value,
+    whole_number,
+)
 from pbrfit.commands.fit_options import UNKNOWNS, add_option, add_priors, given, given_priors
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit.gradient_check import check_gradients
 from pbrfit.fit.objective import Objective
+from pbrfit.scene.scene import Scene
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    add_scene(parser)
+    add_scene(parser, pictures=True)
     add_input(parser)
     for name in ("model", *UNKNOWNS):
         add_option(parser, name)
@@ -24,7 +33,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print both gradients, function by function."""
-    scene = reading(options).load(options.scene)
+    scene = Scene.load(scene_named(options.scene), reading(options))
     objective = Objective(
         scene,
         sh_order=options.sh_order,

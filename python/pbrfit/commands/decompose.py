@@ -23,13 +23,17 @@ from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit import memory
 from pbrfit.io.output import check_is_output
 from pbrfit.result.result import RESULT_FOLDER
-from pbrfit.scene.folder import is_scene
+from pbrfit.scene.folder import locate, scenes_in
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument(
-        "scenes", metavar="SCENE", nargs="+", type=Path, help="scene folder, or a folder of them"
+        "scenes",
+        metavar="SCENE",
+        nargs="+",
+        type=Path,
+        help="scene folder, or a folder of them; or the pictures of one scene",
     )
     cli.add_out(parser, "result folder; with several scenes it holds one result folder a scene")
     cli.add_flags(
@@ -64,7 +68,11 @@ def run(options: argparse.Namespace) -> int:
     """Decompose the scenes, here or by workers."""
     if options.resume and options.overwrite:
         raise InputError("expected --resume or --overwrite, found both")
-    scenes, one = _find_scenes(options.scenes)
+    options.pictures = tuple(options.scenes) if all(map(Path.is_file, options.scenes)) else ()
+    if options.pictures:
+        scenes, one = [locate(options.pictures).folder], True
+    else:
+        scenes, one = _find_scenes(options.scenes)
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
     # Where address space is limited a process may find none in the midst of a step, and ends: then
@@ -94,6 +102,7 @@ def _task(
     return SceneTask(
         scene=scene.absolute() if far else scene,
         output=output.absolute() if far else output,
+        pictures=tuple(map(Path.absolute, options.pictures)) if far else options.pictures,
         reading=reading(options),
         options=fit_options(options),
         threads=options.threads,
@@ -174,28 +183,9 @@ def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:
     """All scene folders that were named, directly or by a folder of them; and whether just one."""
     scenes: list[Path] = []
     for path in paths:
-        if path.is_dir() and not _may_be_scene(path):
-            below = sorted(
-                below
-                for below in path.iterdir()
-                if below.is_dir()
-                and not below.name.startswith(".")
-                and below.name != "lost+found"  # of the file system, and nobody may look into it
-                and _may_be_scene(below)
-            )
-            scenes += below or [path]
-        else:
-            scenes.append(path)
+        scenes += (scenes_in(path) if path.is_dir() else []) or [path]
     names = Counter(path.resolve().name for path in scenes)
     twice = sorted(name for name, count in names.items() if count > 1)
     if twice:
         raise InputError(f"SCENE: expected different names, found {twice[0]} twice")
     return scenes, len(paths) == 1 and scenes == list(paths)
-
-
-def _may_be_scene(path: Path) -> bool:
-    """Whether it is a scene folder; one that nobody may look into will fail and say why."""
-    try:
-        return is_scene(path)
-    except PermissionError:
-        return True

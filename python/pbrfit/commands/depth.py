@@ -25,6 +25,7 @@ from pbrfit.commands.network_options import (
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.scene import completion
 from pbrfit.scene.depth import checked_depth, in_words
+from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import read_surface
 
 MARIGOLD: Flags = {
@@ -83,7 +84,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write depth, and say what it is like."""
     completion.check_no_depth(options.scene, overwrite=options.overwrite)
-    surface = read_surface(options.scene, options.fov)
+    surface = read_surface(options.scene, ReadOptions(fov=options.fov))
     kind = options.source if options.source in FLAGS else "file"
     given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
     shown: NDArray[np.uint8] = np.zeros((*surface.size, 3), np.uint8)  # only its size matters

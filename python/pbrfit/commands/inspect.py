@@ -5,18 +5,19 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import DONE, add_flags, add_scene, value
+from pbrfit.commands.arguments import DONE, add_flags, add_scene, scene_named, value
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
 from pbrfit.io.output import new_file
 from pbrfit.io.quoting import visible
 from pbrfit.report import inspection
 from pbrfit.result import preview
+from pbrfit.scene.scene import Scene
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    add_scene(parser)
+    add_scene(parser, pictures=True)
     said = (
         "write a PNG with a picture, the normals, which of them face the camera, and how far off "
         "they may be, where the scene says it"
@@ -27,7 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
-    scene = reading(options).load(options.scene)
+    scene = Scene.load(scene_named(options.scene), reading(options))
     for topic, fact in inspection.facts(scene):
         print(visible(f"{topic:<17} {fact}"))
     if options.preview is not None:

@@ -20,7 +20,8 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene import ball as balls
 from pbrfit.scene import completion, known_lamps
-from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.folder import locate
+from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import read_pictures
 
 FLAGS: dict[str, Flags] = {
@@ -82,8 +83,9 @@ def run(options: argparse.Namespace) -> int:
     kind = "ball" if options.source == "ball" else "file"
     given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
     if kind == "file":
-        names = tuple(path.stem for path in scene_folder.find_pictures(options.scene))
-        lamps, said = known_lamps.load(Path(options.source), names)
+        files = locate(options.scene)
+        names = files.names
+        lamps, said = known_lamps.load(Path(options.source), names, listed=files.listed)
         lines, shown = [said, *_table(names, lamps)], None
     else:
         names, lamps, lines, shown = _of_ball(options, given)
@@ -110,7 +112,7 @@ def _of_ball(
     albedo = given.get("albedo")
     if albedo is not None and not 0 < albedo <= 1:
         raise InputError(f"albedo: expected a number above 0, 1 at most, found {albedo:g}")
-    pictures = read_pictures(options.scene, given.get("fov"))
+    pictures = read_pictures(options.scene, ReadOptions(fov=given.get("fov")))
     _, height, width, _ = pictures.images.shape
     try:
         circles = [

@@ -34,6 +34,7 @@ from pbrfit.result.options import FitOptions
 from pbrfit.scene import completion, known_lamps, reading
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
+from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.scene import Scene
 
 FLAGS: dict[str, Flags] = {
@@ -157,7 +158,7 @@ def _run_pictures(options: argparse.Namespace) -> int:
             f"{folder}: expected {SHAPE_PICTURES_MIN} or more pictures under different lamps, "
             f"found {count}"
         )
-    scene = reading.load(folder, Scene, pictures_alone=True, **given)
+    scene = reading.load(folder, Scene, ReadOptions(**given), pictures_alone=True)
     try:
         with fit_bar(FitOptions().iterations, folder.name, quiet=options.quiet) as show:
             found = normals_from_pictures(scene, threads=threads, progress=show)
@@ -222,7 +223,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
         return estimate(kind, blank, fov=0.0), "every surface faces the camera"
     path = options.source.removeprefix("depth:")
     if kind == "depth":
-        fov = scene_folder.field_of_view(options.scene, given.pop("fov", None))
+        fov = reading.field_of_view(options.scene, ReadOptions(fov=given.pop("fov", None)))
         found = estimate(options.source, blank, fov=fov, **given)
         return found, f"from the depth in {path}, field of view {fov:g} degrees"
     convention = scene_folder.read_settings(options.scene / "scene.toml").convention

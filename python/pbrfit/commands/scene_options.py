@@ -6,11 +6,11 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 
-from pbrfit.batch.settings import Reading
-from pbrfit.commands.arguments import Flag, add_flags, choice, code_range, value
+from pbrfit.commands.arguments import Flag, add_flags, choice, value, whole_numbers
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import Orientation
 from pbrfit.model.depth_normals import DepthKind
+from pbrfit.scene.options import Alpha, ReadOptions
 
 COLOR_SPACE = choice(
     ColorSpace,
@@ -45,16 +45,28 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         ),
         code_range=value(
             "LOW,HIGH",
-            code_range,
+            whole_numbers("LOW,HIGH"),
             "values of integer pictures above HIGH or below LOW, in 8-bit codes, only bound the "
             "radiance (default: 1,250 for JPEG, else all but 0 and the maximum; 0,255: none)",
+        ),
+        layer=value("NAME", str, "of EXR pictures (default: scene.toml, else that without a name)"),
+        alpha=choice(
+            Alpha,
+            "leave out pixels of less than half in any picture, or none (default: scene.toml, else "
+            "mask)",
+        ),
+        crop=value(
+            "X,Y,W,H",
+            whole_numbers("X,Y,W,H"),
+            "use this part of the upright pictures and maps, in pixels (default: scene.toml, else "
+            "all)",
         ),
     )
 
 
-def reading(options: argparse.Namespace) -> Reading:
-    """How a scene folder is to be read."""
+def reading(options: argparse.Namespace) -> ReadOptions:
+    """How a scene is to be read."""
     response = getattr(options, "response", None)
     decoded: ColorSpace | None = response if response in ("srgb", "linear") else None
-    given = {one.name: getattr(options, one.name) for one in fields(Reading)}
-    return Reading(**{**given, "color_space": options.color_space or decoded})
+    given = {one.name: getattr(options, one.name) for one in fields(ReadOptions)}
+    return ReadOptions(**{**given, "color_space": options.color_space or decoded})

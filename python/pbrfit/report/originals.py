@@ -10,7 +10,7 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.result.result import Result
-from pbrfit.scene.arrays import Source
+from pbrfit.scene.options import Source
 from pbrfit.scene.scene import Scene
 
 log = logging.getLogger("pbrfit")
@@ -61,15 +61,11 @@ def _may_be(path: Path) -> bool:
 
 
 def _read(result: Result, path: Path) -> Scene:
-    how = result.source or Source(path)
-    scene = Scene.load(
-        path,
-        fov=result.fov,
-        color_space=how.color_space,
-        max_size=how.max_size,
-        code_range=how.code_range,
-        orientation=how.orientation,
-    )
+    source = result.source or Source(path)
+    named = [path / name for name in source.files]
+    # A field of view is that of whole pictures; a result's is that of what was cropped.
+    fov = source.options.fov if source.options.crop else result.fov
+    scene = Scene.load(named or path, source.options, fov=fov).through(result.fov)
     scene = result.as_fitted(scene)
     _check(result, scene, str(path))
     return scene

@@ -22,7 +22,7 @@ from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.scene.arrays import Source
+from pbrfit.scene.options import Source
 from pbrfit.transport.decision import NOT_TRIED, Transport
 
 if TYPE_CHECKING:

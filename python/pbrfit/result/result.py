@@ -6,14 +6,13 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.color import ColorSpace
 from pbrfit.io.input_files import digest
 from pbrfit.io.json_files import (
     UNFIT,
@@ -42,9 +41,9 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.relighting import Light, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
-from pbrfit.scene.arrays import Source
 from pbrfit.scene.folder import is_scene
 from pbrfit.scene.height import HEIGHT_FILE, write_height
+from pbrfit.scene.options import ReadOptions, Source
 from pbrfit.scene.registration import IN_LINE, aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
@@ -343,32 +342,16 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
         return None
     return {
         "path": path,
-        "color_space": source.color_space,
-        "max_size": None if source.max_size is None else int(source.max_size),
-        "code_range": None if source.code_range is None else [*map(int, source.code_range)],
-        "fov": None if source.fov is None else float(source.fov),
-        "orientation": source.orientation,
+        "files": list(source.files),
+        **source.options.as_json(),
     }
 
 
 def _source(content: Mapping[str, Any], folder: Path) -> Source:
-    code_range = content["code_range"]
-    if code_range is not None:
-        low, high = map(whole, code_range)
-        code_range = low, high
-    fov = content.get("fov")  # earlier versions did not write it
-    orientation = content.get("orientation")  # nor this
-    max_size, color_space = content["max_size"], content["color_space"]
-    known = (None, *get_args(ColorSpace)), (None, *get_args(images.Orientation))
-    if color_space not in known[0] or orientation not in known[1]:
-        raise ValueError(f"color_space {quoted(color_space)}, orientation {quoted(orientation)}")
     return Source(
         path=(folder / path_text(content["path"])).resolve(),
-        color_space=color_space,
-        max_size=None if max_size is None else whole(max_size, least=1),
-        code_range=code_range,
-        fov=None if fov is None else number(fov),
-        orientation=orientation,
+        options=ReadOptions.from_json(content),
+        files=tuple(map(text, content.get("files", ()))),  # earlier versions did not write them
     )
 
 

@@ -6,7 +6,6 @@ import copy
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -24,12 +23,11 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
 from pbrfit.scene.correction import Correction, radius_squared
 from pbrfit.scene.depth import checked_depth
+from pbrfit.scene.options import Source
 from pbrfit.scene.plateaus import plateaus
 
 if TYPE_CHECKING:
-    from pbrfit.io.color import ColorSpace
     from pbrfit.io.file_noise import FileNoise
-    from pbrfit.io.images import Orientation
 
 log = logging.getLogger("pbrfit")
 
@@ -71,22 +69,6 @@ class Truth:
     lighting: NDArray[np.float64] | None = None
     relight_images: NDArray[np.floating[Any]] | None = None
     relight_lighting: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where a scene was read from, and how its pictures were to be read."""
-
-    path: Path
-    """The scene folder, absolute."""
-    color_space: ColorSpace | None = None
-    max_size: int | None = None
-    code_range: tuple[int, int] | None = None
-    fov: float | None = None
-    orientation: Orientation | None = None
-    """As given to `Scene.load`."""
-    size: tuple[int, int] | None = field(default=None, compare=False)
-    """(height, width) of the pictures before `max_size`; None = not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,7 +417,9 @@ class SceneArrays:
         if noise is not None:
             of = Conversion(curve)
             noise = tuple(None if one is None else replace(one, conversion=of) for one in noise)
-        source = None if self.source is None else replace(self.source, color_space=curve)
+        source = self.source
+        if source is not None:
+            source = replace(source, options=replace(source.options, color_space=curve))
         told = f"{curve}: pictures that were left out are explained better than by {self.response}"
         return replace(
             self,

@@ -27,7 +27,8 @@ def picture_size(folder: Path) -> tuple[int, int]:
 
     Raises InputError or OSError if there is no picture that can be read.
     """
-    height, width = images.read_picture(scene_folder.find_pictures(folder)[0]).pixels.shape[:2]
+    files = scene_folder.locate(folder)
+    height, width = files.settings().picture(files.pictures[0]).pixels.shape[:2]
     return height, width
 
 
@@ -144,7 +145,7 @@ def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
     there.
     """
     check_no_lamps(folder, overwrite=overwrite)
-    names = [path.stem for path in scene_folder.find_pictures(folder)]
+    names = scene_folder.locate(folder).names
     lamps.check_pictures(len(names))
     path = folder / LAMP_FILES[0]
     with new_file(path, overwrite=overwrite) as temporary:

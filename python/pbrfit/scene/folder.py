@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import tomllib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, get_args
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TypeVar
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import DEPTH_FILES, find_depth
-from pbrfit.io.input_files import FILE, SETTINGS_BYTES, digest, kind_of, read_text, there
+from pbrfit.io.input_files import (
+    FILE,
+    SETTINGS_BYTES,
+    TEXT_BYTES,
+    digest,
+    kind_of,
+    read_text,
+    there,
+)
+from pbrfit.io.json_files import UNFIT, unfit
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
-from pbrfit.io.normal_files import NORMAL_FILES, Convention, find_normals
+from pbrfit.io.normal_files import NORMAL_FILES, find_normals
 from pbrfit.io.output import FolderForm
-from pbrfit.io.quoting import listed, quoted, shown
+from pbrfit.io.quoting import listed, shown
+from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.weight_files import WEIGHT_FILE
 from pbrfit.model import geometry
-from pbrfit.model.reflection import MODELS, Model
 from pbrfit.scene.arrays import FIRST_FOV
 from pbrfit.scene.height import HEIGHT_FILE
+from pbrfit.scene.options import ReadOptions, Settings
 
 log = logging.getLogger("pbrfit")
 
@@ -37,8 +45,15 @@ MAX_ID = 65535
 
 SEGMENT_FILE = "segments.png"
 
-DARK_FRAME = "dark"
-"""Name, without its suffix, of a picture of no light, which is subtracted from all pictures."""
+DARK_FRAME, FLAT_FIELD = "dark", "flat"
+"""Names, without suffix, of a picture of no light, which is subtracted from all pictures, and of
+one of an even white surface, by which they are divided; the latter may be a folder of such."""
+
+LISTING = "filenames.txt"
+"""A file, such as DiLiGenT has, that names the pictures beside it, one a line."""
+
+PICTURES_MIN = 2
+"""Photographs that lie beside each other in a folder from which on it may be a scene."""
 
 RELATIVE, STRENGTHS = "light_intensities", "strengths of lamps are fitted, or in lights.csv"
 """Stem of DiLiGenT's file of the strengths of lamps, whose unit nobody tells, and what to say."""
@@ -56,87 +71,179 @@ SCENE_FOLDER = FolderForm(
 )
 """Form of a scene folder that may be replaced: ground truth tells it from somebody's pictures."""
 
+OUTPUTS = ("result.json", "summary.json")
+"""Files of folders whose pictures are results."""
+
+_NO_PICTURES = {Path(part).stem for part in (*NORMAL_FILES, *DEPTH_FILES, *PARTS)} | {
+    *("normal", "normal_gt", "normals_gt", "depth_gt", "segment", "weight", "height", "materials"),
+    *(DARK_FRAME, FLAT_FIELD, "preview", "normals_preview", "review"),
+}
+"""Names, without suffix and case, of files beside pictures that are none: parts, true maps, and
+what commands write."""
+
+_NO_SCENES = (FLAT_FIELD, "truth", "lost+found")
+"""Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
+
+_LOOSE_SUFFIXES = {*images.PICTURE_SUFFIXES, *RAW_SUFFIXES} | {
+    *(".avif", ".bmp", ".gif", ".heic", ".heif", ".webp")
+}
+"""In lower case, of files that are taken for pictures where these lie beside other files."""
+
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Keys of `scene.toml`."""
+ScenePath = str | Path | Sequence[str | Path]
+"""A scene folder, or the files of pictures that are named one by one."""
 
-    fov: float | None = None
-    """Horizontal field of view in degrees, 0 = orthographic."""
-    color_space: ColorSpace | None = None
-    """Of all pictures."""
-    orientation: images.Orientation | None = None
-    """Of all pictures."""
-    normals: str = "opengl"
-    """Either "opengl" (Y up) or "directx" (Y down)."""
-    normals_frame: str = "camera"
-    """Either "camera" or "world"."""
-    world_to_camera: NDArray[np.float64] | None = None
-    """(3, 3) rotation, needed when the frame is "world"."""
-    model: Model | None = None
-    """The reflection model that the pictures were rendered with, "paper" or "principled"; None
-    where neither was, or nobody knows."""
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class SceneFiles:
+    """The pictures of a scene, and whose other files are its parts."""
+
+    folder: Path
+    pictures: tuple[Path, ...]
+    said: str = ""
+    """Which files were taken for pictures, where that is not plain; else empty."""
+    named: bool = False
+    """Whether the pictures were named one by one."""
+    listed: bool = False
+    """Whether they are in the order of a listing."""
+    parts: bool = True
+    """Whether other files of the folder belong to the pictures."""
 
     @property
-    def convention(self) -> Convention:
-        """How the folder's normals are written down."""
-        return Convention(self.normals, self.normals_frame, self.world_to_camera)
+    def names(self) -> tuple[str, ...]:
+        """Of the pictures: those of their files, without suffix."""
+        return tuple(path.stem for path in self.pictures)
+
+    def find(self, finder: Callable[[Path], Found]) -> Found | None:
+        """What a function finds in the folder; None where no other file belongs to the pictures."""
+        return finder(self.folder) if self.parts else None
+
+    def relative(self, path: Path) -> str:
+        """A file as seen from the folder."""
+        return path.relative_to(self.folder).as_posix()
+
+    def settings(self) -> Settings:
+        """What `scene.toml` says; raises InputError or OSError as `read_settings`."""
+        return read_settings(self.folder / "scene.toml") if self.parts else Settings()
 
 
-def field_of_view(folder: Path, fov: float | None) -> float:
-    """Decide about the field of view as `load` does, of the pictures reading only the first.
+def find_pictures(scene: ScenePath) -> list[Path]:
+    """Pictures of a scene; raises InputError or OSError as `locate`."""
+    return list(locate(scene).pictures)
 
-    Raises InputError or OSError as `load`.
+
+def locate(scene: ScenePath) -> SceneFiles:
+    """Find the pictures of a scene.
+
+    In a folder they lie under `images/`, or beside each other: those that `filenames.txt` lists (as
+    in DiLiGenT), else `dir_*_mip*.exr|jpg` (the multi-illumination data of MIT; of these the finest
+    mip level, EXR before JPEG), else all with the suffix of a picture and the name of no part. They
+    are in the order of the listing, else of their names.
+
+    Raises InputError or FileNotFoundError if there is no such folder or no picture in it, or
+    something under `images/` that is no file; what is hidden, such as `.DS_Store`, is passed over.
     """
-    if fov is not None:
-        geometry.check_fov(fov)
-    settings = read_settings(folder / "scene.toml")
-    first = images.read_picture(
-        find_pictures(folder)[0], orientation=settings.orientation or "exif"
-    )
-    size = first.pixels.shape[:2]
-    decided, _ = decided_fov(folder, fov, settings, first.focal_length_35mm, size)
-    return FIRST_FOV if decided is None else decided
-
-
-def find_pictures(folder: Path) -> list[Path]:
-    """Pictures of a scene folder, in name order.
-
-    They lie under `images/`, or beside each other as `dir_*_mip*.exr|jpg` (the layout of the MIT
-    multi-illumination data; the finest mip level that is there is taken, EXR before JPEG). Raises
-    InputError or FileNotFoundError if there is no such folder or no picture in it, or something
-    under `images/` that is no file; what is hidden, such as `.DS_Store`, is passed over.
-    """
+    if not isinstance(scene, (str, Path)):
+        return _named(tuple(map(Path, scene)))
+    folder = Path(scene)
     if not folder.is_dir():
-        there = "a file" if folder.exists() else "nothing of that name"
-        raise FileNotFoundError(f"{folder}: expected a scene folder, found {there}")
+        found = "a file" if folder.exists() else "nothing of that name"
+        raise FileNotFoundError(f"{folder}: expected a scene folder, found {found}")
     below = folder / "images"
-    if below.is_dir():
-        # A format that cannot be read must not be passed over in silence, so all that is not
-        # known to be something else counts as a picture.
-        seen = [path for path in below.iterdir() if not path.name.startswith(".")]
-        for path in seen:
-            _check_is_file(path)
-        paths = sorted(
-            (path for path in seen if path.suffix.lower() not in NOT_PICTURES),
-            key=lambda path: path.name,
-        )
-        if not paths:
-            raise InputError(
-                f"{below}: expected pictures ({' '.join(images.PICTURE_SUFFIXES)}), found none"
-            )
-        return paths
-    found = [(m, p) for p in folder.iterdir() if (m := _MULTI_ILLUMINATION.fullmatch(p.name))]
-    if not found:
+    below = below if below.is_dir() else folder
+    if there(below / LISTING):
+        return _listed(folder, below)
+    if below != folder:
+        return SceneFiles(folder, tuple(_all_in(below)))
+    rooms = [(m, p) for p in folder.iterdir() if (m := _MULTI_ILLUMINATION.fullmatch(p.name))]
+    if rooms:
+        best = min((m[3] != "exr", int(m[2])) for m, _ in rooms)
+        chosen = [(int(m[1]), p) for m, p in rooms if (m[3] != "exr", int(m[2])) == best]
+        said = f"{len(chosen)} of {len(rooms)} files dir_*_mip*.exr|jpg: the finest level"
+        return SceneFiles(folder, tuple(path for _, path in sorted(chosen)), said)
+    loose = loose_pictures(folder)
+    if not loose:
         raise InputError(
-            f"{folder}: expected pictures under {below.name}/ or files dir_*_mip*.exr|jpg, "
-            "found neither"
+            f"{folder}: expected pictures under images/ or beside each other, found neither"
         )
-    best = min((m[3] != "exr", int(m[2])) for m, _ in found)
-    chosen = [(int(m[1]), p) for m, p in found if (m[3] != "exr", int(m[2])) == best]
-    return [path for _, path in sorted(chosen)]
+    return SceneFiles(folder, tuple(loose), f"those of the folder itself, {_ends(loose)}")
+
+
+def _named(pictures: tuple[Path, ...]) -> SceneFiles:
+    """Pictures that are named one by one."""
+    for path in pictures:
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{path}: expected a picture, found {'a folder' if path.is_dir() else 'no file'}"
+            )
+    folders = {path.absolute().parent for path in pictures}
+    if len(folders) != 1:
+        above = Path(os.path.commonpath(folders)) if folders else Path()
+        said = f"{len(pictures)} files of {len(folders)} folders, without other parts of a scene"
+        return SceneFiles(above, tuple(map(Path.absolute, pictures)), said, named=True, parts=False)
+    below = pictures[0].parent
+    folder = below.parent if below.name == "images" else below
+    taken = tuple(below / path.name for path in pictures)
+    return SceneFiles(folder, taken, f"{len(taken)} files that were named", named=True)
+
+
+def _listed(folder: Path, below: Path) -> SceneFiles:
+    """Pictures that a listing names, in its order."""
+    listing = below / LISTING
+    names = [line.strip() for line in read_text(listing, TEXT_BYTES, "cp1252").splitlines()]
+    pictures = tuple(below / name for name in names if name)
+    missing = [path.name for path in pictures if path.parent != below or not path.is_file()]
+    if missing or not pictures:
+        found = f"{shown(missing[0])}, which is none" if missing else "none"
+        raise InputError(f"{listing}: expected names of pictures beside it, found {found}")
+    others = len(set(loose_pictures(below)) - set(pictures))
+    said = f"the {len(pictures)} that {LISTING} lists" + f", and not {others} others" * bool(others)
+    return SceneFiles(folder, pictures, said, listed=True)
+
+
+def _all_in(below: Path) -> list[Path]:
+    """The pictures under `images/`.
+
+    A format that cannot be read must not be passed over in silence, so all that is not known to be
+    something else counts as a picture.
+    """
+    seen = [path for path in below.iterdir() if not path.name.startswith(".")]
+    for path in seen:
+        _check_is_file(path)
+    paths = sorted(path for path in seen if path.suffix.lower() not in NOT_PICTURES)
+    if not paths:
+        suffixes = " ".join(images.PICTURE_SUFFIXES)
+        raise InputError(f"{below}: expected pictures ({suffixes}), found none")
+    return paths
+
+
+def loose_pictures(folder: Path) -> list[Path]:
+    """Files of a folder that look like photographs of a scene, in name order.
+
+    Parts of a scene are none, nor is anything in a result. Formats that are not read count, so that
+    reading says what to do about them.
+    """
+    if any((folder / name).exists() for name in OUTPUTS):
+        return []
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in _LOOSE_SUFFIXES
+        and path.stem.lower() not in _NO_PICTURES
+        and not path.name.startswith(".")
+        and not path.is_dir()
+    )
+
+
+def _ends(paths: Sequence[Path]) -> str:
+    """The first and the last of some files in words, and how many there are."""
+    return (
+        f"{paths[0].name} to {paths[-1].name} ({len(paths)})" if len(paths) > 1 else paths[0].name
+    )
 
 
 def _check_is_file(path: Path) -> None:
@@ -151,50 +258,96 @@ def _check_is_file(path: Path) -> None:
         raise InputError(f"{path}: expected only pictures in {path.parent.name}/, found {found}")
 
 
-def find_dark_frame(folder: Path) -> Path | None:
-    """The picture of no light that lies beside `images/` as `dark.*`, whatever its format.
+def find_frame(folder: Path, name: str) -> Path | None:
+    """The picture that lies in a folder under a name, whatever its format.
 
     Raises InputError if there are several.
     """
     found = sorted(
         path
         for path in folder.iterdir()
-        if path.stem.lower() == DARK_FRAME
+        if path.stem.lower() == name
         and path.suffix.lower() not in NOT_PICTURES
         and not path.is_dir()
     )
     if len(found) > 1:
-        raise InputError(
-            f"{folder}: expected one dark frame, found {listed(path.name for path in found)}"
-        )
+        every = listed(path.name for path in found)
+        raise InputError(f"{folder}: expected one picture {name}.*, found {every}")
     return found[0] if found else None
 
 
-def input_files(folder: Path) -> list[Path]:
-    """All files of a scene folder that `load` reads, and so those that its result depends on.
+def find_flats(folder: Path) -> list[Path]:
+    """The flat-field frames of a folder: `flat.*` alone, or those under `flat/`.
 
-    Raises InputError or FileNotFoundError as `find_pictures`, or if there are two with depth, or
-    with lamps, or two dark frames.
+    Raises InputError if there are both, or several `flat.*`.
     """
-    found = [*find_pictures(folder), *find_normals(folder), *(folder / part for part in PARTS)]
-    single = (find_depth(folder), find_lamps(folder), find_dark_frame(folder))
-    found += [path for path in single if path is not None]
-    return [*filter(there, found), *truth_files(folder)]
+    one, below = find_frame(folder, FLAT_FIELD), folder / FLAT_FIELD
+    if not below.is_dir():
+        return [] if one is None else [one]
+    if one is not None:
+        raise InputError(f"{folder}: expected {one.name} or {FLAT_FIELD}/, found both")
+    return _all_in(below)
 
 
-def digests(folder: Path) -> dict[str, str]:
+def input_files(files: SceneFiles) -> list[Path]:
+    """All files of a scene that `load` reads, and so those that its result depends on.
+
+    Raises InputError if there are two with depth, or with lamps, or two dark frames.
+    """
+    found = list(files.pictures)
+    if files.parts:
+        folder = files.folder
+        found += [*find_normals(folder), *(folder / part for part in PARTS), *find_flats(folder)]
+        single = (find_depth(folder), find_lamps(folder), find_frame(folder, DARK_FRAME))
+        found += [path for path in single if path is not None] + truth_files(folder)
+    return [*filter(there, found)]
+
+
+def digests(scene: ScenePath) -> dict[str, str]:
     """What `load` would put into `Scene.inputs`, without decoding anything.
 
-    Raises InputError or OSError as `input_files`, or if a file cannot be read.
+    Raises InputError or OSError as `locate` and `input_files`, or if a file cannot be read.
     """
-    return {path.relative_to(folder).as_posix(): digest(path) for path in input_files(folder)}
+    files = locate(scene)
+    return {files.relative(path): digest(path) for path in input_files(files)}
 
 
 def is_scene(folder: Path) -> bool:
-    """Whether a folder looks like one scene (rather than a folder of scenes)."""
+    """Whether a folder says that it is one scene, by the places or the names of its pictures."""
     return (folder / "images").is_dir() or any(
-        _MULTI_ILLUMINATION.fullmatch(p.name) for p in folder.iterdir()
+        _MULTI_ILLUMINATION.fullmatch(p.name) or p.name == LISTING for p in folder.iterdir()
     )
+
+
+def scenes_in(folder: Path) -> list[Path]:
+    """The scene folders that a folder holds; itself where it is one.
+
+    Photographs that lie beside each other in it are a scene where no folder below says that it is
+    one. None if there is nothing of all that.
+    """
+    if _may_be_scene(folder):
+        return [folder]
+    below = [
+        path
+        for path in sorted(folder.iterdir())
+        if path.is_dir() and not path.name.startswith(".") and path.name not in _NO_SCENES
+    ]
+    scenes = [path for path in below if _may_be_scene(path)]
+    loose = loose_pictures(folder)
+    if len(loose) >= PICTURES_MIN and not scenes:
+        return [folder]
+    scenes = [path for path in below if path in scenes or len(loose_pictures(path)) >= PICTURES_MIN]
+    if scenes and loose:
+        log.warning("%s: %s not read, as folders in it are scenes", folder, _ends(loose))
+    return scenes
+
+
+def _may_be_scene(path: Path) -> bool:
+    """Whether it is a scene folder; one that nobody may look into will fail and say why."""
+    try:
+        return is_scene(path)
+    except PermissionError:
+        return True
 
 
 def warn_of_near_misses(folder: Path) -> None:
@@ -225,27 +378,24 @@ def read_settings(path: Path) -> Settings:
     unknown = sorted(set(content) - set(known))
     if unknown:
         raise InputError(f"{path}: expected keys {', '.join(known)}, found {shown(unknown[0])}")
-    return Settings(
-        fov=_fov(path, content),
-        color_space=_choice(path, content, "color_space", get_args(ColorSpace), None),
-        orientation=_choice(path, content, "orientation", get_args(images.Orientation), None),
-        normals=_choice(path, content, "normals", ("opengl", "directx"), "opengl"),
-        normals_frame=_choice(path, content, "normals_frame", ("camera", "world"), "camera"),
-        world_to_camera=_rotation(path, content),
-        model=_choice(path, content, "model", MODELS, None),
-    )
+    try:
+        return Settings.from_json(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except UNFIT as error:
+        raise unfit(path, "settings of a scene", error) from None
 
 
 def decided_fov(
-    folder: Path,
-    fov: float | None,
+    files: SceneFiles,
+    options: ReadOptions,
     settings: Settings,
     focal_length: float | None,
     size: tuple[int, ...],
 ) -> tuple[float | None, str]:
-    """In degrees, None where nothing says it, and in words."""
-    if fov is not None:
-        return fov, f"{fov:g} degrees, asked for"
+    """Of whole pictures of a size, in degrees, None where nothing says it; and in words."""
+    if options.fov is not None:
+        return options.fov, f"{options.fov:g} degrees, asked for"
     if settings.fov is not None:
         return settings.fov, f"{settings.fov:g} degrees, from scene.toml"
     if focal_length is not None:
@@ -253,54 +403,10 @@ def decided_fov(
         return fov, f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
     log.warning(
         "%s: field of view unknown, fitted from %g degrees on (option fov sets it)",
-        folder,
+        files.folder,
         FIRST_FOV,
     )
     return None, f"{FIRST_FOV:g} degrees: neither fov, scene.toml nor EXIF says"
-
-
-def _fov(path: Path, content: dict[str, Any]) -> float | None:
-    value = content.get("fov")
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{path}: fov: expected a number, found {quoted(value)}")
-    try:
-        geometry.check_fov(value)
-    except (InputError, OverflowError) as error:
-        raise InputError(f"{path}: {error}") from None
-    return float(value)
-
-
-def _choice(
-    path: Path, content: dict[str, Any], key: str, choices: tuple[str, ...], default: Any
-) -> Any:
-    value = content.get(key, default)
-    if value is not default and value not in choices:
-        raise InputError(
-            f"{path}: {key}: expected one of {', '.join(choices)}, found {quoted(value)}"
-        )
-    return value
-
-
-def _rotation(path: Path, content: dict[str, Any]) -> NDArray[np.float64] | None:
-    rows = content.get("world_to_camera")
-    if rows is None:
-        return None
-    try:
-        rotation = np.array(rows, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        rotation = np.zeros(0)
-    if (
-        rotation.shape != (3, 3)
-        or not (np.abs(rotation) <= 1.01).all()  # beyond, squares may overflow
-        or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
-        or np.linalg.det(rotation) < 0
-    ):
-        raise InputError(
-            f"{path}: world_to_camera: expected a 3 × 3 rotation, found {quoted(rows)}"
-        )
-    return rotation
 
 
 def truth_files(folder: Path) -> list[Path]:

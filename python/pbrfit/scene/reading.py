@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,10 +17,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io import limits as file_limits
-from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
-from pbrfit.io.images import Orientation
 from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
@@ -24,32 +26,34 @@ from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
-from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
+from pbrfit.scene import alignment, known_lamps
 from pbrfit.scene import depth as scene_depth
-from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import (
     FIRST_FOV,
     SHAPE_PICTURES_MIN,
     SceneArrays,
-    Source,
     Truth,
     every_channel,
     limits_in_words,
     unit_normals,
 )
 from pbrfit.scene.folder import (
+    DARK_FRAME,
+    FLAT_FIELD,
     SEGMENT_FILE,
-    Settings,
+    SceneFiles,
+    ScenePath,
     decided_fov,
-    find_dark_frame,
-    find_pictures,
-    read_settings,
+    find_flats,
+    find_frame,
+    locate,
     truth_files,
     warn_of_near_misses,
 )
+from pbrfit.scene.options import AS_STATED, ReadOptions, Settings, Source
 from pbrfit.scene.plateaus import plateaus
 
 log = logging.getLogger("pbrfit")
@@ -64,76 +68,135 @@ HOW_TO_GET_NORMALS = (
 
 FROM_PICTURES = "none given: found from the pictures"
 
+PERSPECTIVE_OFF = 1.0
+"""Degrees between the optical axis and the middle of what is cropped from which on a warning is
+due: about what good normals are off by."""
+
 LONGEST_NAME = 250
 """Bytes of a picture's name without its suffix; file systems take 255 with it."""
 
 
-@dataclass(frozen=True)
-class _Notes:
-    """What reading a folder tells beside arrays: `Scene.inputs` and `Scene.assumed`."""
+Weights = NDArray[np.float32]
 
-    folder: Path
+
+@dataclass
+class _Notes:
+    """A scene whose files are being read: how they are, and what they tell beside arrays."""
+
+    files: SceneFiles
+    asked: ReadOptions
+    settings: Settings
+    """Of the folder."""
+    how: Settings
+    """What is asked for, else what the folder says."""
+    size: tuple[int, int] = (0, 0)
+    """(height, width) of whole pictures, and so of every map beside them."""
     inputs: dict[str, str] = field(default_factory=dict)
+    """As `Scene.inputs`."""
     assumed: dict[str, str] = field(default_factory=dict)
+    """As `Scene.assumed`."""
+
+    @classmethod
+    def of(cls, scene: ScenePath, options: ReadOptions, **changed: Any) -> _Notes:
+        """Find the files of a scene; `changed` are options that count whatever is asked for."""
+        files = locate(scene)
+        if len(set(files.names)) != len(files.names):
+            raise InputError(f"{files.pictures[0].parent}: {_twice(files.pictures)}")
+        settings = files.settings()
+        notes = cls(files, options, settings, replace(options.or_else(settings), **changed))
+        notes.has("scene.toml")
+        if files.said:
+            notes.assumed["layout"] = f"pictures: {files.said}"
+        return notes
+
+    @property
+    def folder(self) -> Path:
+        """Where the files are."""
+        return self.files.folder
 
     def has(self, name: str) -> bool:
-        """Whether there is a file of that name; if so, it is an input."""
+        """Whether there is a part of that name; if so, it is an input."""
         path = self.folder / name
-        if there(path):
+        if self.files.parts and there(path):
             self.inputs[name] = digest(path)
         return name in self.inputs
 
+    def part(self, finder: Callable[[Path], Path | None]) -> Path | None:
+        """The part that a function finds; if there is one, it is an input."""
+        path = self.files.find(finder)
+        if path is not None:
+            self.has(self.files.relative(path))
+        return path
+
+    def window(self, path: Path, size: tuple[int, ...]) -> tuple[slice, slice]:
+        """Rows and columns that are used of a map; InputError unless it has the pictures' size."""
+        _expect_size(path, size, self.size)
+        return self.how.window(self.size)
+
+    def look_at_first(self) -> float:
+        """Take the size of the first picture for that of all; returns the field of view."""
+        first = self.how.picture(self.files.pictures[0])
+        self.size = first.pixels.shape[0], first.pixels.shape[1]
+        return self.decided_fov(first.focal_length_35mm)[0]
+
+    def decided_fov(self, focal_length: float | None) -> tuple[float, bool, str]:
+        """Of what is used of the pictures, in degrees; whether somebody told it, and who.
+
+        With half the field of view α a place at x from the principal point, in half widths, is seen
+        at x tan α. The camera of a part has its principal point in the middle of that: directions
+        are off by the angle at which the whole picture's camera sees it.
+        """
+        fov, said = decided_fov(self.files, self.asked, self.settings, focal_length, self.size)
+        known, fov = fov is not None, FIRST_FOV if fov is None else fov
+        if self.how.crop is None:
+            return fov, known, said
+        left, top, width, height = self.how.crop
+        slope = math.tan(math.radians(fov) / 2)
+        right, down = 2 * left + width - self.size[1], 2 * top + height - self.size[0]
+        off = math.degrees(math.atan(slope * math.hypot(right, down) / self.size[1]))
+        part = math.degrees(2 * math.atan(slope * width / self.size[1]))
+        said += f"; {part:.4g} of what is cropped"
+        if off >= PERSPECTIVE_OFF:
+            said += f", whose middle is {off:.1f} degrees off the optical axis: so are its views"
+            log.warning("%s: field of view %s", self.folder, said)
+        return part, known, said
+
 
 def load(
-    folder: Path,
+    scene: ScenePath,
     kind: type[AnyScene],
+    options: ReadOptions = AS_STATED,
     *,
-    fov: float | None = None,
-    color_space: ColorSpace | None = None,
-    max_size: int | None = None,
-    code_range: tuple[int, int] | None = None,
-    orientation: Orientation | None = None,
     pictures_alone: bool = False,
 ) -> AnyScene:
-    """Read a scene folder as a scene of some class; see `Scene.load`.
+    """Read a scene as one of some class; see `Scene.load`.
 
-    With `pictures_alone` as if there were no normals, and no weights, which may be theirs.
+    With `pictures_alone` as if there were no normals, and no weights, which may be theirs, and
+    without cropping.
     """
-    source = Source(folder.resolve(), color_space, max_size, code_range, fov, orientation)
-    if max_size is not None and max_size < 1:
-        raise InputError(f"max_size: expected at least 1 pixel, found {max_size}")
-    paths = find_pictures(folder)
-    warn_of_near_misses(folder)
-    notes = _Notes(folder)
-    assumed = notes.assumed
-    settings = read_settings(folder / "scene.toml")
-    notes.has("scene.toml")
-    if fov is not None:
-        geometry.check_fov(fov)
-    names = tuple(path.stem for path in paths)
-    for path in paths:
+    notes = _Notes.of(scene, options, **({"crop": None} if pictures_alone else {}))
+    files, folder, assumed, names = notes.files, notes.folder, notes.assumed, notes.files.names
+    if files.parts:
+        warn_of_near_misses(folder)
+    for path in files.pictures:
         try:
             path.name.encode()
         except UnicodeEncodeError:
             raise InputError(
                 f"{path.parent}: expected file names in UTF-8, found {path.name!r}"
             ) from None
-    if len(set(names)) != len(names):
-        raise InputError(f"{paths[0].parent}: {_twice(paths)}")
 
-    color_space = color_space or settings.color_space
-    orientation = orientation or settings.orientation or "exif"
-    read = _read_pictures(paths, notes, color_space, orientation, max_size, code_range)
-    # From here on every map must have the size that the pictures have on disk.
+    read = _read_pictures(notes)
     mask = read.mask
-    full_size, size = mask.shape, read.pixels.shape[1:3]
-    source = replace(source, size=full_size)
+    full_size, size = mask.shape, read.size
+    if full_size != notes.size:
+        assumed["crop"] = "{2} × {3} pixels from {0},{1} on".format(*notes.how.crop or ())
     if full_size != size:
         assumed["size"] = (
             f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"
         )
-    mask &= _read_mask(notes, full_size)
-    dark = _read_dark_frame(notes, color_space, orientation, full_size)
+    mask &= _read_mask(notes)
+    dark = _read_frame(notes, notes.part(partial(find_frame, name=DARK_FRAME)))
     if dark is not None:
         mask &= dark.usable
     if not mask.any():
@@ -142,20 +205,21 @@ def load(
     if pictures_alone:
         assumed["normals"] = FROM_PICTURES
     else:
-        normals, sigma = _read_or_leave_normals(notes, settings, mask, len(names))
-    segments = _read_segments(notes, full_size)
-    depth = _read_depth(notes, full_size)
+        normals, sigma = _read_or_leave_normals(notes, mask)
+    segments = _read_segments(notes)
+    depth = _read_depth(notes)
     if full_size != size:
         if sigma is not None:
             # Errors of neighbouring normals are much alike, so their mean is no more certain.
             sigma = averaged(np.where(mask, sigma, 0.0), size).astype(np.float32)
         normals, mask, segments = _averaged(normals, mask, segments, size)
         depth = None if depth is None else scene_depth.reduced(depth, size)
-    weights = None if pictures_alone else _read_weights(notes, names, mask, full_size)
-    weights = _without_bad(read, mask, paths, weights, assumed)
-    limits = _limits(read, mask, paths, code_range, assumed, for_good=dark is not None)
-    if dark is not None:  # here, as what was clipped is found in the values of the files
-        _subtract(dark, read.pixels, mask, paths, assumed)
+    factors = [] if pictures_alone else [_read_weights(notes, mask)]
+    _tell_bad(read, mask, notes)
+    changed = dark is not None or bool(files.find(find_flats))
+    limits = _limits(read, mask, notes, for_good=changed)
+    factors.append(_calibrate(notes, read, mask, dark))  # here, as limits are of the files' values
+    weights = _product(factors, read)
 
     lighting = None
     if notes.has("lighting.json"):
@@ -163,24 +227,28 @@ def load(
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
-    lamps = _read_lamps(notes, names)
+    lamps = _read_lamps(notes)
 
-    decided, assumed["fov"] = decided_fov(folder, fov, settings, read.focal_length, full_size)
+    fov, fov_known, assumed["fov"] = notes.decided_fov(read.focal_length)
 
-    if settings.model is not None:
-        assumed["model"] = f"{settings.model}, with which the pictures were rendered (scene.toml)"
+    model = notes.settings.model
+    if model is not None:
+        assumed["model"] = f"{model}, with which the pictures were rendered (scene.toml)"
 
-    truth = _read_truth(folder / "truth", names, size)
-    for path in truth_files(folder):
-        notes.has(path.relative_to(folder).as_posix())
+    truth = None
+    if files.parts:
+        truth = _read_truth(folder / "truth", names, size if full_size == notes.size else (0, 0))
+        for path in truth_files(folder):
+            notes.has(files.relative(path))
+    listed = tuple(map(files.relative, files.pictures)) if files.named else ()
     try:
-        return kind(
+        found = kind(
             images=read.pixels,
             normals=normals,  # type: ignore[arg-type]  # None = unknown
             lamps=lamps,
             depth=depth,
-            fov=FIRST_FOV if decided is None else decided,
-            fov_known=decided is not None,
+            fov=fov,
+            fov_known=fov_known,
             mask=mask,
             segments=segments,
             lighting=lighting,
@@ -192,10 +260,12 @@ def load(
             truth=truth,
             assumed=assumed,
             inputs=dict(sorted(notes.inputs.items())),
-            source=source,
-            model=settings.model,
-            response=None if read.curve_told or dark is not None else "srgb",
+            source=Source(folder.resolve(), options, listed, full_size),
+            model=model,
+            response=None if read.curve_told or changed else "srgb",
         )
+        kept = read.different(notes)
+        return found if len(kept) == len(names) else found.of_pictures(kept, assumed=assumed)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
 
@@ -214,27 +284,29 @@ class Surface:
     segments: NDArray[np.uint16] | None
 
 
-def read_surface(folder: Path, fov: float | None = None) -> Surface:
-    """Read normals, mask and segments as `load` does; of the pictures only the first.
+def field_of_view(scene: ScenePath, options: ReadOptions = AS_STATED) -> float:
+    """Decide about that of whole pictures as `load` does, of the pictures reading only the first.
 
     Raises InputError or OSError as `load`.
     """
-    notes = _Notes(folder)
-    settings = read_settings(folder / "scene.toml")
-    if fov is not None:
-        geometry.check_fov(fov)
-    orientation = settings.orientation or "exif"
-    first = images.read_picture(find_pictures(folder)[0], orientation=orientation)
-    size = first.pixels.shape[0], first.pixels.shape[1]
-    mask = _read_mask(notes, size)
-    there = bool(find_normals(folder))
-    decided, _ = decided_fov(folder, fov, settings, first.focal_length_35mm, size)
+    return _Notes.of(scene, options, crop=None).look_at_first()
+
+
+def read_surface(scene: ScenePath, options: ReadOptions = AS_STATED) -> Surface:
+    """Read whole normals, mask and segments as `load` does; of the pictures only the first.
+
+    Raises InputError or OSError as `load`.
+    """
+    notes = _Notes.of(scene, options, crop=None)
+    fov = notes.look_at_first()
+    mask = _read_mask(notes)
+    there = bool(notes.files.find(find_normals))
     return Surface(
-        size=size,
-        fov=FIRST_FOV if decided is None else decided,
-        normals=_read_normals(notes, settings, mask)[0] if there else None,
+        size=notes.size,
+        fov=fov,
+        normals=_read_normals(notes, mask)[0] if there else None,
         mask=mask,
-        segments=_read_segments(notes, size),
+        segments=_read_segments(notes),
     )
 
 
@@ -244,7 +316,7 @@ class Pictures:
 
     names: tuple[str, ...]
     images: NDArray[np.float32]
-    """(N, H, W, 3), linear Rec.709."""
+    """(N, H, W, 3), linear Rec.709; 0 where a file has NaN or infinities."""
     limits: NDArray[np.uint8]
     """(N, H, W, 3), as in a scene, of what the files hold."""
     fov: float
@@ -253,161 +325,211 @@ class Pictures:
     """What decided it."""
 
 
-def read_pictures(folder: Path, fov: float | None = None) -> Pictures:
-    """Read all pictures as `load` does, less its dark frame, whether or not there is more.
+def read_pictures(scene: ScenePath, options: ReadOptions = AS_STATED) -> Pictures:
+    """Read all pictures, whole, as `load` does, less its dark frame and over its flat-field frames.
 
     Raises InputError or OSError as `load`.
     """
-    if fov is not None:
-        geometry.check_fov(fov)
-    notes = _Notes(folder)
-    settings = read_settings(folder / "scene.toml")
-    paths = find_pictures(folder)
-    color_space, orientation = settings.color_space, settings.orientation or "exif"
-    read = _read_pictures(paths, notes, color_space, orientation, None, None)
-    size = read.mask.shape
-    dark = _read_dark_frame(notes, color_space, orientation, size)
-    if dark is not None:
-        _subtract(dark, read.pixels, dark.usable, paths, notes.assumed)
-    decided, said = decided_fov(folder, fov, settings, read.focal_length, size)
-    names = tuple(path.stem for path in paths)
-    used = FIRST_FOV if decided is None else decided
-    return Pictures(names, read.pixels, read.limits, used, said)
+    notes = _Notes.of(scene, options, crop=None, max_size=None)
+    read = _read_pictures(notes)
+    everywhere: NDArray[np.bool_] = np.ones(notes.size, bool)
+    _tell_bad(read, everywhere, notes)
+    dark = _read_frame(notes, notes.part(partial(find_frame, name=DARK_FRAME)))
+    _calibrate(notes, read, everywhere if dark is None else dark.usable, dark)
+    fov, _, said = notes.decided_fov(read.focal_length)
+    return Pictures(notes.files.names, read.pixels, read.limits, fov, said)
 
 
-@dataclass
 class _Pictures:
-    """All pictures of a scene folder."""
+    """All pictures of a scene, which are put in one by one."""
 
-    pixels: NDArray[np.float32]
-    """(N, H, W, 3) at the working size."""
-    limits: NDArray[np.uint8]
-    """(N, H, W, 3): samples with a part in what is too bright or too dark for its file."""
-    searched: list[bool]
-    """Pictures that may have been clipped below what their files can hold: floats whose files say
-    nothing about limits, and integers without loss whose range of codes nobody gave."""
-    said: bool
-    """Whether a float file has limits."""
-    noise: list[FileNoise | None]
-    """What its file did to each picture."""
-    bad: list[NDArray[np.bool_] | None]
-    """(H, W, 3) of each picture: samples that were NaN or infinite, and are 0; None = none."""
-    mask: NDArray[np.bool_]
-    """What alpha leaves, at the files' size."""
-    focal_length: float | None = None
-    """Of the first picture that has one, 35 mm equivalent, millimetres."""
-    curve_told: bool = False
-    """Whether somebody says of any picture by which curve its values are decoded."""
+    def __init__(self, notes: _Notes) -> None:
+        self._notes, self._window = notes, notes.how.window(notes.size)
+        self.mask: NDArray[np.bool_] = np.ones(notes.size, bool)[self._window].copy()
+        """What alpha leaves of what is used, at the files' size."""
+        used, longest = self.mask.shape, notes.how.max_size
+        self.size = used if longest is None else reduced_size(used, longest)
+        """(height, width) at which they are used."""
+        samples = (len(notes.files.pictures), *self.size, 3)
+        self.pixels = np.empty(samples, np.float32)
+        """(N, H, W, 3) at that size."""
+        self.limits = np.zeros(samples, np.uint8)
+        """(N, H, W, 3): samples with a part in what is too bright or too dark for its file."""
+        self.searched = [False] * len(self.pixels)
+        """Pictures that may have been clipped below what their files can hold: floats whose files
+        say nothing about limits, and integers without loss whose range of codes nobody gave."""
+        self.said = False
+        """Whether a float file has limits."""
+        self.noise: list[FileNoise | None] = [None] * len(self.pixels)
+        """What its file did to each picture."""
+        self.bad: list[NDArray[np.bool_] | None] = [None] * len(self.pixels)
+        """(H, W, 3) of each picture: samples that were NaN or infinite, and are 0; None = none."""
+        self.focal_length: float | None = None
+        """Of the first picture that has one, 35 mm equivalent, millimetres."""
+        self.curve_told = False
+        """Whether somebody says of any picture by which curve its values are decoded."""
+        self.told: dict[str, dict[str, list[str]]] = {"color": {}, "encoding": {}, "remarks": {}}
+        """Names of files by what they say of a topic."""
+        self.shared: dict[str, dict[str, list[str]]] = {}
+        """Names of files by camera, exposure and the like, and by the value of each."""
 
-
-def _read_pictures(
-    paths: list[Path],
-    notes: _Notes,
-    color_space: ColorSpace | None,
-    orientation: Orientation,
-    max_size: int | None,
-    code_range: tuple[int, int] | None,
-) -> _Pictures:
-    read: _Pictures | None = None
-    colors: dict[str, list[str]] = {}
-    forms: dict[str, list[str]] = {}
-    remarks: dict[str, list[str]] = {}
-    shared: dict[str, dict[str, list[str]]] = {}  # settings by what they are of and by value
-    for i, path in enumerate(paths):
-        picture = images.read_picture(
-            path, color_space, code_range=code_range, orientation=orientation
-        )
-        full_size = picture.pixels.shape[:2]
-        if read is None:
-            size = full_size if max_size is None else reduced_size(full_size, max_size)
-            samples = (len(paths), *size)
-            read = _Pictures(
-                pixels=np.empty((*samples, 3), dtype=np.float32),
-                limits=np.zeros((*samples, 3), dtype=np.uint8),
-                searched=[],
-                said=False,
-                noise=[],
-                bad=[None] * len(paths),
-                mask=np.ones(full_size, dtype=bool),
-            )
-        if full_size != read.mask.shape:
-            height, width = read.mask.shape
+    def put(self, i: int, picture: images.Picture) -> None:
+        """Put in a whole picture; InputError if it has another size than the others."""
+        notes, path = self._notes, self._notes.files.pictures[i]
+        if picture.pixels.shape[:2] != notes.size:
+            (height, width), found = notes.size, picture.pixels.shape
             raise InputError(
-                f"{path}: expected the size of {paths[0].name}, "
-                f"{width} × {height} pixels, found {full_size[1]} × {full_size[0]}"
+                f"{path}: expected the size of {notes.files.pictures[0].name}, "
+                f"{width} × {height} pixels, found {found[1]} × {found[0]}"
             )
-        whole = size == full_size
-        read.pixels[i] = picture.pixels if whole else averaged_channels(picture.pixels, size)
+        pixels, size = picture.pixels[self._window], self.size
+        whole = size == pixels.shape[:2]
+        self.pixels[i] = pixels if whole else averaged_channels(pixels, size)
         is_float = picture.bit_depth == 32
-        if is_float and not np.isfinite(read.pixels[i]).all():
-            read.bad[i] = bad = ~np.isfinite(read.pixels[i])
-            read.pixels[i][bad] = 0
+        if is_float and not np.isfinite(self.pixels[i]).all():
+            self.bad[i] = bad = ~np.isfinite(self.pixels[i])
+            self.pixels[i][bad] = 0
         if picture.limits is not None:
-            read.limits[i] = picture.limits if whole else file_limits.averaged(picture.limits, size)
+            limits = picture.limits[self._window]
+            self.limits[i] = limits if whole else file_limits.averaged(limits, size)
         stored = picture.stored
-        sharp = stored is not None and stored.tables is None and code_range is None
-        read.searched.append(sharp or (is_float and picture.limits is None))
-        read.said |= is_float and picture.limits is not None
-        read.noise.append(None if stored is None else stored.noise(size))
+        sharp = stored is not None and stored.tables is None and notes.how.code_range is None
+        self.searched[i] = sharp or (is_float and picture.limits is None)
+        self.said |= is_float and picture.limits is not None
         if stored is not None:
-            forms.setdefault(stored.in_words(), []).append(path.name)
-        if picture.alpha is not None:
-            read.mask &= picture.alpha >= 0.5
-        read.focal_length = read.focal_length or picture.focal_length_35mm
-        read.curve_told |= picture.curve_told
-        colors.setdefault(picture.color, []).append(path.name)
-        for remark in picture.notes:
-            remarks.setdefault(remark, []).append(path.name)
+            # Of the whole picture, averaged as much: blocks of JPEG begin at its corner.
+            height, width = (
+                max(1, round(of * to / used))
+                for of, to, used in zip(notes.size, size, self.mask.shape, strict=True)
+            )
+            self.noise[i] = stored.noise((height, width))
+        if picture.alpha is not None and notes.how.alpha != "ignore":
+            self.mask &= picture.alpha[self._window] >= 0.5
+        self.focal_length = self.focal_length or picture.focal_length_35mm
+        self.curve_told |= picture.curve_told
+        forms = () if stored is None else (stored.in_words(),)
+        topics = {"color": (picture.color,), "encoding": forms, "remarks": picture.notes}
+        for topic, said in topics.items():
+            for one in said:
+                self.told[topic].setdefault(one, []).append(path.name)
         for what, value in picture.settings.items():
-            shared.setdefault(what, {}).setdefault(value, []).append(path.name)
-        notes.inputs[path.relative_to(notes.folder).as_posix()] = picture.sha256
+            self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
+        notes.inputs[notes.files.relative(path)] = picture.sha256
+
+    def different(self, notes: _Notes) -> list[int]:
+        """The first of each group of pictures that are equal, to the bit; others are told."""
+        groups: dict[bytes, list[int]] = {}
+        for i, pixels in enumerate(self.pixels):
+            groups.setdefault(hashlib.sha256(pixels).digest(), []).append(i)
+        equal = [[notes.files.pictures[i].name for i in of] for of in groups.values() if of[1:]]
+        if equal:
+            said = "; ".join(listed(names) for names in equal)
+            notes.assumed["duplicates"] = f"equal pictures count once: {said}"
+            log.warning("%s: %s", notes.folder, notes.assumed["duplicates"])
+        return [of[0] for of in groups.values()]
+
+
+def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> _Pictures:
+    """Read all pictures; `size` (height, width) is that of most, None = of the first.
+
+    Those whose width is the others' height are turned where their edges then agree.
+    """
+    how, paths, across = notes.how, notes.files.pictures, list[int]()
+    read: _Pictures | None = None
+    for i, path in enumerate(paths):
+        picture = how.picture(path)
+        found = picture.pixels.shape[0], picture.pixels.shape[1]
+        if read is None:
+            notes.size = size or found
+            read = _Pictures(notes)
+        if found != notes.size and found[::-1] == notes.size:
+            across.append(i)
+        else:
+            read.put(i, picture)
     assert read is not None
-    for color, names in colors.items():
-        notes.assumed["color" if len(colors) == 1 else f"color of {', '.join(names)}"] = color
-    if forms:
+    if 2 * len(across) > len(paths):
+        return _read_pictures(notes, notes.size[::-1])
+    upright = [i for i in range(len(paths)) if i not in across]
+    for i in across:
+        read.put(i, _turned(how.picture(paths[i]), [read.pixels[j] for j in upright]))
+    if across:
+        names = listed(paths[i].name for i in across)
+        notes.assumed["turned"] = f"by a quarter, as edges say: {names}"
+        log.warning("%s: pictures turned %s", notes.folder, notes.assumed["turned"])
+    for color, names_of in read.told["color"].items():
+        alone = len(read.told["color"]) == 1
+        notes.assumed["color" if alone else f"color of {', '.join(names_of)}"] = color
+    if forms := read.told["encoding"]:
         notes.assumed["encoding"] = _in_words(forms)
-    if remarks:
+    if remarks := read.told["remarks"]:
         said = (f"{remark}: {listed(names)}" for remark, names in remarks.items())
         notes.assumed["pictures"] = "; ".join(said)
-    _compare_settings(shared, notes, orientation)
+    _compare_settings(read.shared, notes)
     if not read.mask.any():
         raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
-    if not read.mask.all():
+    if how.alpha == "ignore":
+        notes.assumed["alpha"] = "ignored, as asked for"
+    elif not read.mask.all():
         notes.assumed["alpha"] = f"{np.count_nonzero(~read.mask)} transparent pixels left out"
     return read
 
 
-def _without_bad(
-    read: _Pictures,
-    mask: NDArray[np.bool_],
-    paths: list[Path],
-    weights: NDArray[np.float32] | None,
-    assumed: dict[str, str],
-) -> NDArray[np.float32] | None:
-    """Weights that are 0 where a sample is NaN or infinite; InputError if half of a picture is."""
-    pixels = np.count_nonzero(mask)
+def _turned(picture: images.Picture, others: list[NDArray[np.float32]]) -> images.Picture:
+    """A picture, turned by a quarter to the side on which its edges agree with those of others.
+
+    As it is where neither side agrees.
+    """
+    small = reduced_size(others[0].shape, alignment.COARSE_SIDE)
+    reference = sum(alignment.edges(averaged_channels(one, small)) for one in others)
+    own = averaged_channels(picture.pixels, small[::-1])
+    turns = {k: alignment.edges(np.rot90(own, k)) for k in (1, 3)}
+    k = alignment.best_turn(np.asarray(reference), turns)
+    if k == 0:
+        return picture
+    of_maps: dict[str, Any] = {
+        name: None if (of := getattr(picture, name)) is None else np.rot90(of, k)
+        for name in ("pixels", "alpha", "limits")
+    }
+    stored = picture.stored
+    if stored is not None:
+        stored = replace(stored, turned=not stored.turned)
+    return replace(picture, **of_maps, stored=stored)
+
+
+def _tell_bad(read: _Pictures, mask: NDArray[np.bool_], notes: _Notes) -> None:
+    """Say how many pixels are NaN or infinite; InputError if half of a picture is."""
+    paths, pixels = notes.files.pictures, np.count_nonzero(mask)
     counts = [0 if bad is None else np.count_nonzero(mask & bad.any(axis=-1)) for bad in read.bad]
     worst = max(counts)
     path = paths[counts.index(worst)]
     if not worst:
-        return weights
+        return
     if 2 * worst >= pixels:
         raise InputError(
             f"{path}: expected finite pixels, found {worst} of {pixels} that are NaN or infinite; "
             "a mask can leave them out"
         )
     said = f"{sum(counts)} pixels that are NaN or infinite left out, each of its picture alone"
-    assumed["gaps"] = f"{said}; the most in {path.name}, {worst}"
-    log.warning("%s: %s", path.parent, assumed["gaps"])
-    given = np.ones((1, 1, 1), np.float32) if weights is None else weights
-    given = given[..., None] if given.ndim < 4 else given
-    found = np.broadcast_to(given, read.pixels.shape).copy()
+    notes.assumed["gaps"] = f"{said}; the most in {path.name}, {worst}"
+    log.warning("%s: %s", path.parent, notes.assumed["gaps"])
+
+
+def _product(factors: list[Weights | None], read: _Pictures) -> Weights | None:
+    """Weights (N, H, W, 3) of several reasons, and 0 where a sample is NaN or infinite."""
+    weights: Weights | None = None
+    for factor in factors:
+        if factor is not None:
+            weights = factor if weights is None else weights * factor
+    if not any(bad is not None for bad in read.bad):
+        return None if weights is None else np.broadcast_to(weights, read.pixels.shape)
+    every = np.ones(1, np.float32) if weights is None else weights
+    found = np.broadcast_to(every, read.pixels.shape).copy()
     for of_picture, bad in zip(found, read.bad, strict=True):
         of_picture[bad if bad is not None else slice(0)] = 0
     return found
 
 
-def _twice(paths: list[Path]) -> str:
+def _twice(paths: Sequence[Path]) -> str:
     """What is wrong with pictures of which some have the name of another."""
     of_name: dict[str, list[str]] = {}
     for path in paths:
@@ -429,9 +551,7 @@ def _twice(paths: list[Path]) -> str:
     )
 
 
-def _compare_settings(
-    shared: dict[str, dict[str, list[str]]], notes: _Notes, orientation: Orientation
-) -> None:
+def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) -> None:
     """Say which pictures of a set were taken or stored otherwise than the others."""
     differing = {}
     for what, files in shared.items():
@@ -441,7 +561,7 @@ def _compare_settings(
             differing[what] = f"{odd}, else {common}"
     if differing:
         notes.assumed["set"] = "; ".join(f"{what} {files}" for what, files in differing.items())
-    if orientation == "as-stored":
+    if notes.how.orientation == "as-stored":
         notes.assumed["orientation"] = "as stored, whatever EXIF says"
         differing.pop("orientation", None)
     consequences = {
@@ -468,9 +588,7 @@ def _in_words(forms: dict[str, list[str]]) -> str:
 def _limits(
     read: _Pictures,
     mask: NDArray[np.bool_],
-    paths: list[Path],
-    code_range: tuple[int, int] | None,
-    assumed: dict[str, str],
+    notes: _Notes,
     *,
     for_good: bool,
 ) -> NDArray[np.uint8] | None:
@@ -480,9 +598,9 @@ def _limits(
     """
     everywhere = every_channel(mask)
     counted = [everywhere if bad is None else everywhere & ~bad for bad in read.bad]
-    for path, limits in zip(paths, read.limits, strict=True):
+    for path, limits in zip(notes.files.pictures, read.limits, strict=True):
         if limits[mask].all():
-            low, high = code_range or images.CODE_RANGE
+            low, high = notes.how.code_range or images.CODE_RANGE
             raise InputError(
                 f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
                 "found all clipped or dark; code_range=(0, 255) keeps them"
@@ -499,16 +617,17 @@ def _limits(
         # that there are none.
         told = read.said or for_good
         return np.broadcast_to(np.uint8(0), read.limits.shape) if told else None
-    assumed["exposure"] = limits_in_words(read.limits, counted)
+    said = limits_in_words(read.limits, counted)
     bounded = np.logical_and.reduce([limits.all(axis=-1) for limits in read.limits]) & mask
     if bounded.any():
-        assumed["exposure"] += f"; pixels left with none: {np.count_nonzero(bounded)}"
+        said += f"; pixels left with none: {np.count_nonzero(bounded)}"
+    notes.assumed["exposure"] = said
     return read.limits
 
 
 @dataclass(frozen=True, eq=False)
-class _DarkFrame:
-    """A picture of no light."""
+class _Frame:
+    """A picture that tells of the camera or the lamps: of no light, or of a white surface."""
 
     path: Path
     pixels: NDArray[np.float32]
@@ -517,32 +636,85 @@ class _DarkFrame:
     """(H, W): where it is not clipped from above, and finite."""
 
 
-def _read_dark_frame(
-    notes: _Notes,
-    color_space: ColorSpace | None,
-    orientation: Orientation,
-    size: tuple[int, int],
-) -> _DarkFrame | None:
-    path = find_dark_frame(notes.folder)
+def _read_frame(notes: _Notes, path: Path | None) -> _Frame | None:
     if path is None:
         return None
-    picture = images.read_picture(path, color_space, orientation=orientation)
-    notes.inputs[path.name] = picture.sha256
-    _expect_size(path, picture.pixels.shape[:2], size)
-    usable: NDArray[np.bool_] = np.asarray(np.isfinite(picture.pixels).all(axis=-1))
+    picture = notes.how.picture(path)
+    window = notes.window(path, picture.pixels.shape[:2])
+    pixels = picture.pixels[window]
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(pixels).all(axis=-1))
     if picture.limits is not None:
-        usable &= (picture.limits != file_limits.AT_LEAST).all(axis=-1)
+        usable &= (picture.limits[window] != file_limits.AT_LEAST).all(axis=-1)
     if not usable.any():
-        raise InputError(f"{path}: expected a picture without light, found all pixels clipped")
-    return _DarkFrame(path, np.where(usable[..., None], picture.pixels, 0.0), usable)
+        raise InputError(f"{path}: expected some pixel that is not clipped, found all clipped")
+    return _Frame(path, np.where(usable[..., None], pixels, 0.0), usable)
+
+
+def _calibrate(
+    notes: _Notes, read: _Pictures, mask: NDArray[np.bool_], dark: _Frame | None
+) -> Weights | None:
+    """Subtract a dark frame from all pictures, and divide them by flat-field frames, in place.
+
+    A frame is used over its mean, g. Of a radiance L the camera shows g L, and photons give that a
+    variance in proportion; so the variance of the quotient is in proportion to L/g, and its weight
+    is g. Returns weights (1 or N, H, W, 3), None without such frames, 0 where a frame tells
+    nothing. Raises InputError if a frame cannot be one.
+    """
+    if dark is not None:
+        _subtract(dark, read.pixels, mask, notes)
+    paths = notes.files.find(find_flats)
+    if not paths:
+        return None
+    names = notes.files.names
+    for path in paths:
+        notes.has(notes.files.relative(path))
+    of_name = {path.stem: path for path in paths}
+    if paths[0].parent == notes.folder:
+        of_name, said = dict.fromkeys(names, paths[0]), paths[0].name
+    else:
+        said = f"those of {FLAT_FIELD}/"
+        if spare := [path.name for path in paths if path.stem not in names]:
+            said += f" (of no picture: {listed(spare)})"
+    gains: list[Weights] = []
+    for pixels, name in zip(read.pixels, names, strict=True):
+        if name not in of_name:
+            expected = "expected a flat-field frame for every picture"
+            raise InputError(f"{paths[0].parent}: {expected}, found none for {shown(name)}")
+        if not gains or of_name[name].parent != notes.folder:
+            gains.append(_gain(notes, of_name[name], mask, dark))
+        np.divide(pixels, gains[-1], out=pixels, where=gains[-1] > 0)
+    of_mask = [gain[mask] for gain in gains]
+    low, high = min(gain.min() for gain in of_mask), max(gain.max() for gain in of_mask)
+    unused = sum(np.count_nonzero((gain <= 0).any(axis=-1)) for gain in of_mask)
+    notes.assumed["flat field"] = (
+        f"divided by {said}, from {low:.2g} to {high:.2g} of the mean, by which samples weigh"
+        + f"; {unused} pixels left out that are clipped or black in one" * bool(unused)
+    )
+    return np.stack(gains)
+
+
+def _gain(
+    notes: _Notes, path: Path, mask: NDArray[np.bool_], dark: _Frame | None
+) -> NDArray[np.float32]:
+    """(H, W, 3) of a flat-field frame over its mean in each channel, 0 where it tells nothing."""
+    frame = _read_frame(notes, path)
+    assert frame is not None
+    usable, level = frame.usable, frame.pixels
+    if dark is not None:
+        level, usable = level - dark.pixels, usable & dark.usable
+    if usable.shape != mask.shape:
+        level = averaged_channels(level, mask.shape).astype(np.float32)
+        usable = averaged(usable, mask.shape) > 1 - 1e-4
+    sound = np.where(every_channel(usable & mask), np.maximum(level, 0), 0)
+    mean = sound.sum(axis=(0, 1), dtype=np.float64) / max(np.count_nonzero(usable & mask), 1)
+    if not mean.all():
+        raise InputError(f"{path}: expected an even surface, brighter than black, found it black")
+    found = np.where(every_channel(usable), np.maximum(level, 0), 0) / mean
+    return np.asarray(found, np.float32)
 
 
 def _subtract(
-    dark: _DarkFrame,
-    pixels: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    paths: list[Path],
-    assumed: dict[str, str],
+    dark: _Frame, pixels: NDArray[np.float32], mask: NDArray[np.bool_], notes: _Notes
 ) -> None:
     """Subtract a dark frame from pictures (N, H, W, 3), in place; noise may leave negative values.
 
@@ -552,7 +724,7 @@ def _subtract(
     small = dark.pixels if dark.usable.shape == size else averaged_channels(dark.pixels, size)
     level = float(small[mask].mean(dtype=np.float64))
     means = [float(picture[mask].mean(dtype=np.float64)) for picture in pixels]
-    for path, mean in zip(paths, means, strict=True):
+    for path, mean in zip(notes.files.pictures, means, strict=True):
         if mean <= level:
             raise InputError(
                 f"{dark.path}: expected a picture without light, darker than all others, found a "
@@ -565,21 +737,19 @@ def _subtract(
         f"{below:.2g} % of the values are below 0 and stay so"
     )
     unusable = np.count_nonzero(~dark.usable)
-    assumed["dark frame"] = (
+    notes.assumed["dark frame"] = (
         f"{said}; {unusable} pixels clipped in it left out" if unusable else said
     )
 
 
-def _read_weights(
-    notes: _Notes, names: tuple[str, ...], mask: NDArray[np.bool_], full_size: tuple[int, ...]
-) -> NDArray[np.float32] | None:
-    """`weights.exr` at the working size, that of `mask`, 0 outside of it; as `read_weights`."""
+def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
+    """`weights.exr` (1 or N, H, W, 1 or 3) at the working size, that of `mask`; 0 outside it."""
     if not notes.has(WEIGHT_FILE):
         return None
     path = notes.folder / WEIGHT_FILE
-    stored = read_weights(path, names)
-    _expect_size(path, stored.shape[-3:-1], full_size)
-    weights = stored if mask.shape == full_size else reduced(stored, mask.shape)
+    stored = read_weights(path, notes.files.names)
+    stored = stored[(..., *notes.window(path, stored.shape[-3:-1]), slice(None))]
+    weights = stored if mask.shape == stored.shape[-3:-1] else reduced(stored, mask.shape)
     inside = weights[..., mask, :]
     _check_not_negative(path, "finite weights", inside)
     if not inside.any():
@@ -592,7 +762,7 @@ def _read_weights(
         f"median {np.median(inside):.2g}"
     )
     found = np.where(mask[..., None], weights, 0.0).astype(np.float32)
-    return found[..., 0] if found.shape[-1] == 1 else found
+    return found if found.ndim == 4 else found[None]
 
 
 def _check_not_negative(path: Path, what: str, values: NDArray[np.floating[Any]]) -> None:
@@ -601,12 +771,12 @@ def _check_not_negative(path: Path, what: str, values: NDArray[np.floating[Any]]
         raise InputError(f"{path}: expected {what}, 0 or more, found {values[bad][0]:g}")
 
 
-def _read_mask(notes: _Notes, size: tuple[int, int]) -> NDArray[np.bool_]:
+def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
     if not notes.has("mask.png"):
-        return np.ones(size, dtype=bool)
+        return np.ones(notes.size, dtype=bool)[notes.how.window(notes.size)]
     path = notes.folder / "mask.png"
     drawn = images.read_data(path)
-    _expect_size(path, drawn.shape[:2], size)
+    drawn = drawn[notes.window(path, drawn.shape[:2])]
     colors = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1]
     drawn_in_grey = np.ptp(colors) > 0 and (colors == colors[..., :1]).all()
     if drawn.shape[-1] in (2, 4) and np.ptp(drawn[..., -1]) > 0 and not drawn_in_grey:
@@ -625,22 +795,20 @@ def _read_mask(notes: _Notes, size: tuple[int, int]) -> NDArray[np.bool_]:
     return mask
 
 
-def _read_segments(notes: _Notes, size: tuple[int, int]) -> NDArray[np.uint16] | None:
+def _read_segments(notes: _Notes) -> NDArray[np.uint16] | None:
     if not notes.has(SEGMENT_FILE):
         return None
     segments = images.read_ids(notes.folder / SEGMENT_FILE)
-    _expect_size(notes.folder / SEGMENT_FILE, segments.shape, size)
-    return segments
+    return segments[notes.window(notes.folder / SEGMENT_FILE, segments.shape)]
 
 
-def _read_depth(notes: _Notes, size: tuple[int, int]) -> NDArray[np.float32] | None:
+def _read_depth(notes: _Notes) -> NDArray[np.float32] | None:
     """Distances along the camera's axis, NaN where there is none."""
-    path = find_depth(notes.folder)
+    path = notes.part(find_depth)
     if path is None:
         return None
-    notes.has(path.name)
     stored = read_depth(path)
-    _expect_size(path, stored.shape, size)
+    stored = stored[notes.window(path, stored.shape)]
     try:
         depth, holes = scene_depth.without_holes(stored)
     except InputError as error:
@@ -650,12 +818,11 @@ def _read_depth(notes: _Notes, size: tuple[int, int]) -> NDArray[np.float32] | N
     return depth
 
 
-def _read_lamps(notes: _Notes, names: tuple[str, ...]) -> Lamps | None:
-    path = find_lamps(notes.folder)
+def _read_lamps(notes: _Notes) -> Lamps | None:
+    path, files = notes.part(find_lamps), notes.files
     if path is None:
         return None
-    notes.has(path.relative_to(notes.folder).as_posix())
-    lamps, notes.assumed["lamps"] = known_lamps.load(path, names)
+    lamps, notes.assumed["lamps"] = known_lamps.load(path, files.names, listed=files.listed)
     return lamps
 
 
@@ -682,24 +849,24 @@ def _averaged(
 
 
 def _read_or_leave_normals(
-    notes: _Notes, settings: Settings, mask: NDArray[np.bool_], pictures: int
+    notes: _Notes, mask: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64] | None, NDArray[np.float32] | None]:
     """As `_read_normals`; None where there are none and the pictures are enough to tell them."""
-    if find_normals(notes.folder) or pictures < SHAPE_PICTURES_MIN:
-        return _read_normals(notes, settings, mask)
+    if notes.files.find(find_normals) or len(notes.files.pictures) < SHAPE_PICTURES_MIN:
+        return _read_normals(notes, mask)
     notes.assumed["normals"] = FROM_PICTURES
     return None, None
 
 
 def _read_normals(
-    notes: _Notes, settings: Settings, mask: NDArray[np.bool_]
+    notes: _Notes, mask: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
     """Unit normals in camera space, and their standard deviation in degrees, where it is given.
 
     Pixels that have none are taken out of the mask, in place.
     """
     folder = notes.folder
-    found = find_normals(folder)
+    found = notes.files.find(find_normals)
     if not found:
         raise InputError(
             f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals ({SHAPE_PICTURES_MIN} or "
@@ -709,13 +876,16 @@ def _read_normals(
         raise InputError(f"{folder}: expected normals.exr or normals.png, found both")
     [path] = found
     notes.has(path.name)
-    read = read_normals(path, mask)
-    _expect_size(path, read.vectors.shape[:2], mask.shape)
+    window = notes.how.window(notes.size)
+    whole: NDArray[np.bool_] = np.zeros(notes.size, bool)
+    whole[window] = mask
+    read = read_normals(path, whole)
+    _expect_size(path, read.vectors.shape[:2], notes.size)
     try:
-        normals = settings.convention.to_camera(read.vectors)
+        normals = notes.settings.convention.to_camera(read.vectors[window])
     except InputError as error:
         raise InputError(f"{folder / 'scene.toml'}: {error}") from None
-    said = ", ".join([path.name, *read.said, str(settings.convention)])
+    said = ", ".join([path.name, *read.said, str(notes.settings.convention)])
     none = mask & np.isnan(normals[..., 0])
     if none.any():
         mask &= ~none
@@ -725,7 +895,7 @@ def _read_normals(
             f"; {np.count_nonzero(none)} pixels left out, whose vectors are zero, NaN or longer "
             "than normals"
         )
-    sigma = read.uncertainty
+    sigma = None if read.uncertainty is None else read.uncertainty[window]
     if sigma is not None:
         _check_not_negative(path, f"{UNCERTAINTY} of finite degrees", sigma[mask])
         low, middle, high = np.percentile(sigma[mask], [0, 50, 100])

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import alignment
+from pbrfit.scene.alignment import COARSE_SIDE, OTHER_AGREEMENT, SURE_AGREEMENT
 from pbrfit.scene.displacement import (
     COMPONENTS,
     LEAST_DISPLACEMENT,
@@ -39,9 +40,8 @@ log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
 
-COARSE_SIDE, SCREENING_SIDE = 128, 64
-"""Longer side in pixels of the averaged pictures on which large displacements are found, and on
-which it is asked whether there are any."""
+SCREENING_SIDE = 64
+"""Longer side in pixels of the averaged pictures on which it is asked whether any is displaced."""
 
 LEAST_SIDE = 24
 """Pixels along the shorter side, below which pictures are not registered: windows need some."""
@@ -61,14 +61,6 @@ SETTLED = 0.02
 """Change in pixels of all displacements at which rounds end."""
 
 ROUNDS_MAX = 6
-
-OTHER_AGREEMENT = 0.15
-"""Agreement of edges below which a picture shows something else."""
-
-SURE_AGREEMENT = 0.5
-"""Agreement of edges that the median picture has to have for pictures to be registered, and that a
-picture has to have where it is put. On smooth bodies under hard lamps it is 0 to 0.4: their edges
-are all of light, and what would move a highlight onto another is no displacement."""
 
 LARGEST_SHIFT, LARGEST_TURN = 1 / 8, 1 / 16
 """Largest displacement as a share of the longer side, and largest slope of one: 3.6 degrees, or 6 %
@@ -98,18 +90,24 @@ class Placement:
     the picture in halves of its longer side."""
     left_out: str = ""
     """Why it is left out; empty if it is not."""
+    turn: int = 0
+    """Quarter turns, as `numpy.rot90` has them, that come before all that."""
 
     @property
     def in_line(self) -> bool:
         """Whether it stays as it is."""
-        return not self.affine.any() and not self.left_out
+        return not self.affine.any() and not self.left_out and not self.turn
 
     def in_words(self) -> str:
         """What was found and done, a sentence without its full stop."""
         if self.left_out:
             return f"{self.name} is left out: {self.left_out}"
+        turned = f"{self.name} was turned by {90 * self.turn} degrees clockwise"
+        if self.turn and not self.affine.any():
+            return f"{turned}, and turned back"
         down, right = self.affine[:, 0].round(1) + 0.0  # no -0.0
-        found = f"{self.name} was shifted by ({right:.1f}, {down:.1f}) pixels"
+        found = f"{turned}, and" if self.turn else f"{self.name} was"
+        found += f" shifted by ({right:.1f}, {down:.1f}) pixels"
         (yy, yx), (xy, xx) = self.affine[:, 1:]
         if yy or yx or xy or xx:
             most = np.hypot(*np.abs(self.affine[:, 1:]).sum(axis=1))
@@ -169,7 +167,13 @@ def register(scene: Scene) -> Registration:
     if min(scene.height, scene.width) < LEAST_SIDE:
         return Registration(hindrance=f"pictures below {LEAST_SIDE} pixels")
     with one_blas_thread():
-        return _Register(scene).run()
+        turns = _Register(scene).turns()
+        found = _Register(_turned(scene, turns)).run()
+    if not any(turns):
+        return found
+    placements = found.placements or [Placement(name) for name in scene.names]
+    both = zip(placements, turns, strict=True)
+    return replace(found, placements=tuple(replace(one, turn=turn) for one, turn in both))
 
 
 class _Register:
@@ -181,6 +185,17 @@ class _Register:
         self._small = reduced_size(self._pictures.shape, COARSE_SIDE)
         self._reasons: dict[int, str] = {}
         self._affine = np.zeros((len(self._all), 2, 3))
+        self._fields = [self._edges(i) for i in self._all]
+
+    def turns(self) -> list[int]:
+        """Quarter turns by which pictures agree with the others that do not as they are."""
+        found = [0] * len(self._all)
+        possible = (1, 2, 3) if self._small[0] == self._small[1] else (2,)
+        for i, reference in enumerate(alignment.of_the_others(self._fields)):
+            if alignment.in_place(reference, self._fields[i]) < SURE_AGREEMENT:
+                turned = {k: self._edges(i, turn=k) for k in possible}
+                found[i] = alignment.best_turn(reference, {0: self._fields[i], **turned})
+        return found
 
     def run(self) -> Registration:
         """How all pictures lie."""
@@ -203,7 +218,7 @@ class _Register:
         The others are taken from where they agree best, found in rounds. Pictures of something else
         are left out here.
         """
-        fields = self._fields = [self._edges(i) for i in self._all]
+        fields = self._fields
         place = np.zeros((len(fields), 2), int)
         found: dict[int, alignment.Shift] = {}
         for _ in range(ROUNDS_MAX):
@@ -235,8 +250,8 @@ class _Register:
             self._reasons.clear()
         return {i: one for i, one in found.items() if place[i].any()}
 
-    def _edges(self, i: int, affine: Array | None = None) -> alignment.Field:
-        """Edges of picture i averaged down, taken from x + u(x)."""
+    def _edges(self, i: int, affine: Array | None = None, turn: int = 0) -> alignment.Field:
+        """Edges of picture i averaged down, taken from x + u(x), after some quarter turns."""
         from scipy.ndimage import map_coordinates
 
         grey, used = self._pictures.of(i, self._small)
@@ -245,7 +260,7 @@ class _Register:
             places = _displaced(self._small, affine / pixel)
             grey = map_coordinates(grey, places, order=3, mode="nearest")
             used = map_coordinates(used.astype(np.float32), places, order=1) > 0.999
-        return alignment.edges(grey[..., None], used)
+        return alignment.edges(np.rot90(grey, turn)[..., None], np.rot90(used, turn))
 
     def _neighbours_agree(self, i: int) -> bool:
         """Whether a picture shows more than noise."""
@@ -386,6 +401,7 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
     Between pixels by cubic splines in linear radiance; whole shifts are exact. Samples that come
     from outside, or from one that has no weight, get weight 0.
     """
+    scene = _turned(scene, [one.turn for one in registration.placements])
     kept = [i for i, one in enumerate(registration.placements) if not one.left_out]
     moved = [(to, registration.placements[i].affine) for to, i in enumerate(kept)]
     moved = [(to, affine) for to, affine in moved if affine.any()]
@@ -401,6 +417,18 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
         if limits is not None:
             limits[to] = _touched(limits[to], affine)
     return scene.of_pictures(kept, images=images, weights=weights, limits=limits)
+
+
+def _turned(scene: Scene, turns: Sequence[int]) -> Scene:
+    """The scene with each picture turned by some quarters, as `numpy.rot90` has them."""
+    if not any(turns):
+        return scene
+    changed: dict[str, Any] = {}
+    for name in ("images", "weights", "limits"):
+        arrays = getattr(scene, name)
+        if arrays is not None and arrays.strides[0]:  # else they are of places, not of a picture
+            changed[name] = np.stack([np.rot90(a, k) for a, k in zip(arrays, turns, strict=True)])
+    return replace(scene, **changed)
 
 
 def _resampled(

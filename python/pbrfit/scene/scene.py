@@ -2,62 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from pbrfit.io.color import ColorSpace
-from pbrfit.io.images import Orientation
 from pbrfit.scene import reading, writing
 from pbrfit.scene.arrays import SceneArrays
+from pbrfit.scene.folder import ScenePath
+from pbrfit.scene.options import AS_STATED, ReadOptions
 
 
 class Scene(SceneArrays):
     """Pictures of one view under different lights; `SceneArrays` has what it holds and checks."""
 
     @classmethod
-    def load(
-        cls,
-        path: str | Path,
-        *,
-        fov: float | None = None,
-        color_space: ColorSpace | None = None,
-        max_size: int | None = None,
-        code_range: tuple[int, int] | None = None,
-        orientation: Orientation | None = None,
-    ) -> Scene:
-        """Read a scene folder (see docs/formats.md).
+    def load(cls, path: ScenePath, options: ReadOptions = AS_STATED, **given: Any) -> Scene:
+        """Read a scene folder, or pictures that are named one by one (see docs/formats.md).
 
         Parameters
         ----------
         path
-            The folder.
-        fov
-            Horizontal field of view in degrees; overrides `scene.toml` and EXIF.
-        color_space
-            Of all pictures; overrides `scene.toml`, profiles and file types.
-        max_size
-            Longer side in pixels; larger pictures are averaged down.
-        code_range
-            Lowest and highest code of 8-bit pictures that is data, and the same shares of the
-            maximum of 16-bit ones; what is outside is in `limits`. None = 1 to 250 in JPEG, all but
-            0 and the maximum in other integer pictures; (0, 255) = all are data.
-        orientation
-            "exif" turns each picture as its EXIF data says, "as-stored" none; overrides
-            `scene.toml`. None = as there, else "exif".
+            The folder, or the files of the pictures: where these lie in one folder, what else it
+            has counts too.
+        options
+            How files are read; `ReadOptions` has each.
+        **given
+            Single options by name, in place of those in `options`: `max_size=512`.
 
         Raises
         ------
         InputError, OSError
             One line that names the file, what was expected and what was found.
+        TypeError
+            If there is no option of a name.
         """
-        return reading.load(
-            Path(path),
-            cls,
-            fov=fov,
-            color_space=color_space,
-            max_size=max_size,
-            code_range=code_range,
-            orientation=orientation,
-        )
+        return reading.load(path, cls, replace(options, **given))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a scene folder that `load` reads back: float32 EXR, ground truth included.

@@ -27,7 +27,6 @@ from pbrfit.batch.driver import Attempt, drive
 from pbrfit.batch.executors import Processes
 from pbrfit.batch.prediction import of_scene, picture_size
 from pbrfit.batch.scenes import SceneTask, decompose_scene
-from pbrfit.batch.settings import Reading
 from pbrfit.batch.unchanged import kept
 from pbrfit.fit import memory
 from pbrfit.fit.decompose import decompose
@@ -38,6 +37,7 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.result.options import FitOptions, Priors
 from pbrfit.result.result import FILES, RESULT_FOLDER, Result
 from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.options import ReadOptions
 from pbrfit.synthetic import make_scene
 from processes import alive, until, waiting_at
 from scene_files import FORMATS, SIZE, room, run, write_folder
@@ -260,7 +260,7 @@ def test_resuming_replaces_only_results(folder: Path, tmp_path: Path) -> None:
     assert refused(*command, "--overwrite") == both
 
 
-READING = Reading(fov=60.0)
+READING = ReadOptions(fov=60.0)
 OPTIONS = FitOptions(iterations=1, refine_normals="off")
 
 
@@ -294,7 +294,7 @@ def changed(file: Path, change: Callable[[Any], object]) -> None:
     file.write_text(json.dumps(content), "utf-8")
 
 
-def is_kept(folder: Path, reading: Reading = READING, options: FitOptions = OPTIONS) -> bool:
+def is_kept(folder: Path, reading: ReadOptions = READING, options: FitOptions = OPTIONS) -> bool:
     return kept(folder / "out", folder / "scene", reading, options) is not None
 
 
@@ -354,11 +354,11 @@ OTHERWISE: dict[str, Any] = {
 def test_read_or_fitted_in_another_way_is_done_again(whole: Path) -> None:
     assert is_kept(whole)
     for reading in (
-        Reading(fov=61.0),
-        Reading(fov=None),  # the folder says another one
-        Reading(fov=60.0, color_space="linear"),
-        Reading(fov=60.0, max_size=SIZE),  # it is of this size, but others may come
-        Reading(fov=60.0, code_range=(0, 255)),
+        ReadOptions(fov=61.0),
+        ReadOptions(fov=None),  # the folder says another one
+        ReadOptions(fov=60.0, color_space="linear"),
+        ReadOptions(fov=60.0, max_size=SIZE),  # it is of this size, but others may come
+        ReadOptions(fov=60.0, code_range=(0, 255)),
     ):
         assert not is_kept(whole, reading), reading
     for name, value in OTHERWISE.items():
@@ -463,7 +463,7 @@ def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Pa
     task = SceneTask(
         folder / "one",
         tmp_path / "out" / "one",
-        Reading(),
+        ReadOptions(),
         FitOptions(iterations=10**6, refine_normals="off", solver="lbfgsb"),
         temporaries=temporaries,
     )
@@ -505,7 +505,7 @@ def test_memory_is_predicted_as_inspect_does(
     layout = ParameterLayout.of(scene)
     held = memory.bytes_of(scene)
     told = memory.of_fit(layout, "gauss-newton", held=held, refine_normals=True).peak
-    predicted = of_scene(folder, Reading(max_size=max_size), FitOptions()).peak
+    predicted = of_scene(folder, ReadOptions(max_size=max_size), FitOptions()).peak
     reading = 48 * SIZE * SIZE
     if spoil is as_it_is and form == "float EXR":
         assert told <= predicted <= max(1.02 * told, reading)
@@ -532,7 +532,7 @@ def test_scenes_wait_for_memory(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """More processes than there is room for: then they are not all used at once."""
-    needed = scenes.memory_of(SceneTask(folder / "one", tmp_path, Reading(), FitOptions()), 1)
+    needed = scenes.memory_of(SceneTask(folder / "one", tmp_path, ReadOptions(), FitOptions()), 1)
     assert needed > scenes.LIBRARIES_BYTES
     monkeypatch.setattr(memory, "available", lambda: 0)
     arguments = ("decompose", folder, "--out", tmp_path / "out", *FEW, "--quiet", "--jobs", 3)
@@ -547,4 +547,6 @@ def test_scenes_wait_for_memory(
 
 
 def test_what_cannot_be_read_needs_no_memory(tmp_path: Path) -> None:
-    assert scenes.memory_of(SceneTask(tmp_path / "no", tmp_path, Reading(), FitOptions()), 1) == 0
+    assert (
+        scenes.memory_of(SceneTask(tmp_path / "no", tmp_path, ReadOptions(), FitOptions()), 1) == 0
+    )

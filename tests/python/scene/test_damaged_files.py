@@ -196,7 +196,7 @@ def test_lights_that_are_none(tmp_path: Path, changed: Any, message: str) -> Non
         (f"fov = {DEEP}", "expected TOML"),
         ("fov = ", "expected TOML, found"),
         ("fow = 60", "expected keys fov, color_space, .*, found fow"),
-        ('fov = "wide"', "fov: expected a number, found 'wide'"),
+        ('fov = "wide"', r"fov: expected degrees in \[0, 180\), found 'wide'"),
         ("fov = 180", r"fov: expected degrees in \[0, 180\), found 180"),
         ('color_space = "log"', "color_space: expected one of srgb, linear, .*, found 'log'"),
         ('normals = "vulkan"', "normals: expected one of opengl, directx, found 'vulkan'"),

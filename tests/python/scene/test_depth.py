@@ -37,6 +37,7 @@ def tilted(degrees: float, size: int = SIZE, fov: float = FOV) -> tuple[Any, Any
 
 def scene(depth: Any, normals: Any, **changes: Any) -> Scene:
     pictures = np.ones((2, *np.shape(normals)[:2], 3), np.float32)
+    pictures[1] = 0.5
     return Scene(
         images=pictures, normals=normals, fov=changes.pop("fov", FOV), depth=depth, **changes
     )

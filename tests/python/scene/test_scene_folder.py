@@ -207,7 +207,7 @@ def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> N
     paths = retag(folder, {"light_01": {0x112: 3}, "light_02": {0x112: 6}})
     turned, kept = Scene.load(folder), Scene.load(folder, orientation="as-stored")
     assert kept.source is not None
-    assert kept.source.orientation == "as-stored"
+    assert kept.source.options.orientation == "as-stored"
     stored = [images.read_picture(path, orientation="as-stored").pixels for path in paths]
     np.testing.assert_array_equal(kept.images, stored)
     np.testing.assert_array_equal(turned.images[1], kept.images[1, ::-1, ::-1])
@@ -278,8 +278,9 @@ def write_codes(folder: Path, codes: NDArray[np.uint8]) -> None:
 
 
 def grey_codes() -> NDArray[np.uint8]:
-    """Codes of which none is at an end of the range."""
-    return np.full((LIGHTS, SIZE, SIZE, 3), 128, dtype=np.uint8)
+    """Codes of which none is at an end of the range, others in each picture."""
+    pictures = np.arange(128, 128 + LIGHTS, dtype=np.uint8)
+    return np.tile(pictures[:, None, None, None], (1, SIZE, SIZE, 3))
 
 
 def test_codes_outside_the_range_are_limits_by_channel(folder: Path) -> None:
@@ -758,7 +759,7 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     ),
     "neither layout": (
         lambda f: shutil.rmtree(f / "images"),
-        r"scene: expected pictures under images/ or files dir_\*_mip\*",
+        "scene: expected pictures under images/ or beside each other, found neither",
     ),
     "one picture": (leave_one, "scene: images: expected at least two pictures .*lighting.json"),
     "equal names": (
@@ -845,7 +846,10 @@ def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
         ({"fov": np.nan}, "fov: expected degrees"),
         ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
         ({"color_space": "log"}, "color_space: expected one of srgb"),
-        ({"orientation": "upright"}, "orientation: expected exif or as-stored, found 'upright'"),
+        (
+            {"orientation": "upright"},
+            "orientation: expected one of exif, as-stored, found 'upright'",
+        ),
         ({"code_range": (9, 3)}, "code_range: expected two 8-bit codes"),
     ],
 )

@@ -1,0 +1,189 @@
+"""How the files of a scene are read: one frozen object for all that read them."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbrfit._core import InputError
+from pbrfit.io import images
+from pbrfit.io.checks import of_what
+from pbrfit.io.color import ColorSpace
+from pbrfit.io.images import Orientation
+from pbrfit.io.json_files import whole
+from pbrfit.io.normal_files import Convention
+from pbrfit.io.quoting import quoted
+from pbrfit.model import geometry
+from pbrfit.model.reflection import MODELS, Model
+
+Alpha = Literal["mask", "ignore"]
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "color_space": get_args(ColorSpace),
+    "orientation": get_args(Orientation),
+    "alpha": get_args(Alpha),
+    "normals": ("opengl", "directx"),
+    "normals_frame": ("camera", "world"),
+    "model": MODELS,
+}
+"""What options of these names may be, beside None."""
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How the files of a scene are read. None = as `scene.toml` says, else the default.
+
+    Raises InputError if a value is none of those that it may be.
+    """
+
+    fov: float | None = None
+    """Horizontal field of view of a whole picture in degrees; default: EXIF, else it is fitted."""
+    color_space: ColorSpace | None = None
+    """Of all pictures; default: profiles and file types."""
+    max_size: int | None = None
+    """Longer side in pixels to which larger pictures are averaged down; default: as they are."""
+    code_range: tuple[int, int] | None = None
+    """Lowest and highest code of 8-bit pictures that is data, and the same shares of the maximum of
+    16-bit ones; what is outside is in `limits`. Default: 1 to 250 in JPEG, all but 0 and the
+    maximum in other integer pictures; (0, 255) = all are data."""
+    orientation: Orientation | None = None
+    """"exif" turns each picture as its EXIF data says, "as-stored" none; default: "exif"."""
+    layer: str | None = None
+    """Of EXR pictures; default: that without a name."""
+    alpha: Alpha | None = None
+    """"mask" leaves out pixels of which any picture has less than half, "ignore" none; default:
+    "mask"."""
+    crop: tuple[int, int, int, int] | None = None
+    """Left, top, width and height in pixels of what is used of the upright pictures and of all
+    maps; default: all."""
+
+    def __post_init__(self) -> None:
+        if self.fov is not None:
+            geometry.check_fov(self.fov)
+        for name, choices in CHOICES.items():
+            found = getattr(self, name, None)
+            if found is not None and found not in choices:
+                expected = f"expected one of {', '.join(choices)}"
+                raise InputError(f"{name}: {expected}, found {quoted(found)}")
+        if self.max_size is not None and not self.max_size >= 1:
+            raise InputError(f"max_size: expected at least 1 pixel, found {self.max_size}")
+        if not isinstance(self.layer, str | None):
+            raise InputError(f"layer: expected a name, found {of_what(self.layer)}")
+        if self.crop is not None:
+            _check_crop(self.crop)
+
+    def or_else(self, settings: Settings) -> Settings:
+        """These options, and those of a folder where nothing is asked for."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(settings, **given)
+
+    def picture(self, path: Path) -> images.Picture:
+        """Read a whole picture; raises InputError or OSError as `images.read_picture`."""
+        turned = self.orientation or "exif"
+        return images.read_picture(path, self.color_space, self.layer, self.code_range, turned)
+
+    def window(self, size: tuple[int, ...]) -> tuple[slice, slice]:
+        """Rows and columns that are used of pictures of a size (height, width).
+
+        Raises InputError if the pictures are smaller.
+        """
+        if self.crop is None:
+            return slice(None), slice(None)
+        left, top, width, height = self.crop
+        if left + width > size[1] or top + height > size[0]:
+            found = f"found {left},{top},{width},{height}"
+            raise InputError(f"crop: expected X,Y,W,H within {size[1]} × {size[0]} pixels, {found}")
+        return slice(top, top + height), slice(left, left + width)
+
+    def as_json(self) -> dict[str, Any]:
+        """As `from_json` reads it."""
+        plain: dict[str, Any] = dict(vars(self))
+        for name, kind in {"fov": float, "max_size": int}.items():
+            plain[name] = None if plain[name] is None else kind(plain[name])
+        for name in ("code_range", "crop"):
+            plain[name] = None if plain[name] is None else [*map(int, plain[name])]
+        return plain
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Self:
+        """Options of a table that may have more or lack some; one of `UNFIT` if one is unfit."""
+        names = {one.name for one in fields(cls)}
+        given = {name: value for name, value in content.items() if name in names}
+        for name in ("code_range", "crop"):
+            if given.get(name) is not None:
+                given[name] = tuple(map(whole, given[name]))
+        return cls(**given)
+
+
+AS_STATED = ReadOptions()
+"""Nothing is asked for."""
+
+
+@dataclass(frozen=True)
+class Settings(ReadOptions):
+    """Keys of `scene.toml`: how its files are to be read, and what else is known of them."""
+
+    normals: str = "opengl"
+    """Either "opengl" (Y up) or "directx" (Y down)."""
+    normals_frame: str = "camera"
+    """Either "camera" or "world"."""
+    world_to_camera: Any = None
+    """(3, 3) rotation, needed when the frame is "world"; kept as float64."""
+    model: Model | None = None
+    """The reflection model that the pictures were rendered with, "paper" or "principled"; None
+    where neither was, or nobody knows."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.world_to_camera is not None:
+            object.__setattr__(self, "world_to_camera", _rotation(self.world_to_camera))
+
+    @property
+    def convention(self) -> Convention:
+        """How the folder's normals are written down."""
+        return Convention(self.normals, self.normals_frame, self.world_to_camera)
+
+
+def _rotation(rows: Any) -> NDArray[np.float64]:
+    try:
+        rotation = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        rotation = np.zeros(0)
+    if (
+        rotation.shape != (3, 3)
+        or not (np.abs(rotation) <= 1.01).all()  # beyond, squares may overflow
+        or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
+        or np.linalg.det(rotation) < 0
+    ):
+        raise InputError(f"world_to_camera: expected a 3 × 3 rotation, found {quoted(rows)}")
+    return rotation
+
+
+def _check_crop(crop: Any) -> None:
+    expected = "expected X,Y,W,H, whole pixels, X and Y 0 or more, W and H 1 or more"
+    try:
+        left, top, width, height = map(operator.index, crop)
+    except (TypeError, ValueError):
+        raise InputError(f"crop: {expected}, found {of_what(crop)}") from None
+    if min(left, top, width - 1, height - 1) < 0:
+        raise InputError(f"crop: {expected}, found {of_what(crop)}")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a scene was read from, and how."""
+
+    path: Path
+    """The scene folder, absolute; of pictures of several folders the one that holds these."""
+    options: ReadOptions = AS_STATED
+    """As given to `Scene.load`."""
+    files: tuple[str, ...] = ()
+    """Pictures that were named one by one, relative to the folder; none = those that it has."""
+    size: tuple[int, int] | None = None
+    """(height, width) of the pictures before `max_size`; None = not known."""
