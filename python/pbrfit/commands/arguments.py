@@ -58,9 +58,7 @@ def add_scene(parser: argparse.ArgumentParser, *, pictures: bool = False) -> Non
 
 def scene_named(paths: Sequence[Path]) -> Path | tuple[Path, ...]:
     """What `Scene.load` takes of a folder, or of files that were named one by one."""
-    if len(paths) == 1 and not paths[0].is_file():
-        return paths[0]
-    return tuple(paths)
+    return tuple(paths) if len(paths) > 1 or paths[0].is_file() else paths[0]
 
 
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:

@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     """Decompose the scenes, here or by workers."""
     if options.resume and options.overwrite:
         raise InputError("expected --resume or --overwrite, found both")
-    options.pictures = tuple(options.scenes) if all(map(Path.is_file, options.scenes)) else ()
+    options.pictures = tuple(options.scenes) if any(map(Path.is_file, options.scenes)) else ()
     if options.pictures:
         scenes, one = [locate(options.pictures).folder], True
     else:

@@ -201,7 +201,7 @@ def _listed(folder: Path, below: Path) -> SceneFiles:
         found = f"{shown(missing[0])}, which is none" if missing else "none"
         raise InputError(f"{listing}: expected names of pictures beside it, found {found}")
     others = len(set(loose_pictures(below)) - set(pictures))
-    said = f"the {len(pictures)} that {LISTING} lists" + f", and not {others} others" * bool(others)
+    said = f"the {len(pictures)} that {LISTING} lists" + f"; {others} more left out" * bool(others)
     return SceneFiles(folder, pictures, said, listed=True)
 
 

@@ -155,9 +155,9 @@ class _Notes:
         right, down = 2 * left + width - self.size[1], 2 * top + height - self.size[0]
         off = math.degrees(math.atan(slope * math.hypot(right, down) / self.size[1]))
         part = math.degrees(2 * math.atan(slope * width / self.size[1]))
-        said += f"; {part:.4g} of what is cropped"
+        said += f"; {part:.4g} of the crop"
         if off >= PERSPECTIVE_OFF:
-            said += f", whose middle is {off:.1f} degrees off the optical axis: so are its views"
+            said += f", whose middle is {off:.1f} degrees off the optical axis: so are all views"
             log.warning("%s: field of view %s", self.folder, said)
         return part, known, said
 

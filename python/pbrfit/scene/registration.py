@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import alignment
-from pbrfit.scene.alignment import COARSE_SIDE, OTHER_AGREEMENT, SURE_AGREEMENT
+from pbrfit.scene.alignment import COARSE_SIDE, TURN_AGREEMENT
 from pbrfit.scene.displacement import (
     COMPONENTS,
     LEAST_DISPLACEMENT,
@@ -61,6 +61,14 @@ SETTLED = 0.02
 """Change in pixels of all displacements at which rounds end."""
 
 ROUNDS_MAX = 6
+
+OTHER_AGREEMENT = 0.15
+"""Agreement of edges below which a picture shows something else."""
+
+SURE_AGREEMENT = 0.5
+"""Agreement of edges that the median picture has to have for pictures to be registered, and that a
+picture has to have where it is put. On smooth bodies under hard lamps it is 0 to 0.4: their edges
+are all of light, and what would move a highlight onto another is no displacement."""
 
 LARGEST_SHIFT, LARGEST_TURN = 1 / 8, 1 / 16
 """Largest displacement as a share of the longer side, and largest slope of one: 3.6 degrees, or 6 %
@@ -188,14 +196,25 @@ class _Register:
         self._fields = [self._edges(i) for i in self._all]
 
     def turns(self) -> list[int]:
-        """Quarter turns by which pictures agree with the others that do not as they are."""
+        """Quarter turns by which pictures agree with the others that do not as they are.
+
+        Found in rounds, as what was turned is then among the others; none where the median picture
+        does not agree with these in the end.
+        """
         found = [0] * len(self._all)
-        possible = (1, 2, 3) if self._small[0] == self._small[1] else (2,)
-        for i, reference in enumerate(alignment.of_the_others(self._fields)):
-            if alignment.in_place(reference, self._fields[i]) < SURE_AGREEMENT:
-                turned = {k: self._edges(i, turn=k) for k in possible}
-                found[i] = alignment.best_turn(reference, {0: self._fields[i], **turned})
-        return found
+        possible = range(4) if self._small[0] == self._small[1] else (0, 2)
+        for _ in range(ROUNDS_MAX):
+            turned = [
+                {k: self._edges(i, turn=now + k) for k in possible} for i, now in enumerate(found)
+            ]
+            others = alignment.of_the_others([fields[0] for fields in turned])
+            further = list(map(alignment.best_turn, others, turned))
+            if not any(further):
+                pairs = zip(others, turned, strict=True)
+                usual = np.median([alignment.in_place(one, fields[0]) for one, fields in pairs])
+                return found if usual >= TURN_AGREEMENT else [0] * len(found)
+            found = [(now + k) % 4 for now, k in zip(found, further, strict=True)]
+        return [0] * len(found)
 
     def run(self) -> Registration:
         """How all pictures lie."""
@@ -423,7 +442,8 @@ def _turned(scene: Scene, turns: Sequence[int]) -> Scene:
     """The scene with each picture turned by some quarters, as `numpy.rot90` has them."""
     if not any(turns):
         return scene
-    changed: dict[str, Any] = {}
+    # A pixel without a normal has none, though a picture that is turned now tells of it.
+    changed: dict[str, Any] = {"mask": scene.valid}
     for name in ("images", "weights", "limits"):
         arrays = getattr(scene, name)
         if arrays is not None and arrays.strides[0]:  # else they are of places, not of a picture

@@ -1,0 +1,312 @@
+"""Layouts of a scene, files that are named, and how pictures are read by options and frames."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from command_runs import done, refused
+from pbrfit import InputError, Result, Scene, write_report
+from pbrfit.io import images
+from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.options import ReadOptions
+from pbrfit.scene.reading import PERSPECTIVE_OFF, read_pictures
+from pbrfit.synthetic import make_scene
+from scene_files import LIGHTS, SIZE, room, write_exr, write_folder, write_integers
+
+NAMES = [f"{i + 1:03d}" for i in range(LIGHTS)]
+
+
+def photographs(folder: Path, names: list[str] = NAMES) -> Path:
+    """Pictures of the room that lie beside each other."""
+    folder.mkdir(parents=True)
+    for name, image in zip(names, room().images, strict=True):
+        write_integers(folder / f"{name}.png", image)
+    return folder
+
+
+def as_diligent(folder: Path) -> Path:
+    """The pictures in another order than that of their names, and a file that is not listed."""
+    photographs(folder, ["9", "10", "x"])
+    write_integers(folder / "other.png", np.zeros((4, 4, 3)))
+    (folder / "filenames.txt").write_text("10.png\nx.png\n9.png\n")
+    np.savetxt(folder / "light_directions.txt", np.eye(3))
+    return folder
+
+
+def test_photographs_beside_each_other_are_a_scene(tmp_path: Path) -> None:
+    folder = photographs(tmp_path / "photos")
+    for name in ("mask", "dark", "segments", "normals_gt", "preview"):
+        images.write_png(folder / f"{name}.png", np.full((SIZE, SIZE), 3, np.uint8), tag=None)
+    (folder / "segments.png").replace(folder / "Mask.png")  # a part, which warnings tell of
+    scene = Scene.load(folder)
+    assert scene.names == tuple(NAMES)
+    assert scene.assumed["layout"] == "pictures: those of the folder itself, 001.png to 003.png (3)"
+    assert "dark frame" in scene.assumed
+    assert scene_folder.digests(folder) == scene.inputs
+    assert "\nassumed layout    pictures: those" in done("inspect", folder)
+    (folder / "005.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(20))
+    with pytest.raises(InputError, match=r"005.heic: expected EXR, .* found HEIC"):
+        Scene.load(folder)
+
+
+def test_only_listed_pictures_count_and_lamps_have_their_order(tmp_path: Path) -> None:
+    scene = Scene.load(as_diligent(tmp_path / "bear"))
+    assert scene.names == ("10", "x", "9")
+    assert scene.assumed["layout"].endswith("the 3 that filenames.txt lists; 1 more left out")
+    assert scene.lamps is not None
+    np.testing.assert_array_equal(scene.lamps.places, np.eye(3))
+    (tmp_path / "bear" / "filenames.txt").write_text("10.png\n../bear/x.png\n")
+    with pytest.raises(InputError, match=r"filenames.txt: expected names of pictures beside it"):
+        Scene.load(tmp_path / "bear")
+
+
+def test_a_folder_of_scenes_is_a_batch_and_one_of_photographs_a_scene(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    photos, bear = photographs(tmp_path / "photos"), as_diligent(tmp_path / "bear")
+    shutil.copytree(photos, photos / "flat")
+    assert scene_folder.scenes_in(photos) == [photos]
+    assert scene_folder.scenes_in(tmp_path) == [bear, photos]
+    assert not caplog.records
+    write_integers(tmp_path / "sheet.png", room().images[0])
+    assert scene_folder.scenes_in(tmp_path) == [bear, photos]
+    assert "sheet.png not read, as folders in it are scenes" in caplog.text
+    (photos / "result.json").write_text("{}")
+    assert scene_folder.scenes_in(photos) == []
+
+
+def test_files_of_one_folder_have_its_parts_and_others_none(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene")
+    pictures = sorted((folder / "images").iterdir())
+    scene = Scene.load(pictures[:2])
+    assert scene.normals_known
+    assert (scene.names, scene.fov) == (room().names[:2], 60)
+    assert set(scene.inputs) == {f"images/{path.name}" for path in pictures[:2]} | {
+        "normals.exr",
+        "scene.toml",
+    }
+    assert scene_folder.digests(pictures[:2]) == scene.inputs
+    photos = photographs(tmp_path / "photos")
+    several = Scene.load([*pictures[:2], photos / "003.png"])
+    assert not several.normals_known
+    assert several.assumed["layout"].endswith(
+        "3 files of 2 folders, without other parts of a scene"
+    )
+    assert several.names == (*room().names[:2], "003")
+    message = f"{folder}: expected a picture, found a folder"
+    assert message in refused("decompose", pictures[0], folder, "--out", tmp_path / "out")
+    with pytest.raises(FileNotFoundError, match=r"no.png: expected a picture, found no file"):
+        Scene.load([pictures[0], tmp_path / "no.png"])
+
+
+def test_a_result_reads_the_named_pictures_again_as_they_were_read(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene", fov="fov = 20\nlayer = 'x'")
+    for path in (folder / "images").iterdir():
+        channels = images.read_channels(path)
+        images.write_exr(path, {f"x.{name}": channel for name, channel in channels.items()})
+    pictures = sorted((folder / "images").iterdir())[:2]
+    out = tmp_path / "out"
+    few = ("--iterations", 1, "--quiet", "--crop", "2,4,12,8")
+    done("decompose", *pictures, "--out", out, *few)
+    result = Result.load(out)
+    assert result.source is not None
+    assert result.source.files == ("images/light_00.exr", "images/light_01.exr")
+    assert result.source.options == ReadOptions(crop=(2, 4, 12, 8))
+    assert result.mask.shape == (8, 12)
+    page = tmp_path / "page.html"
+    write_report(result, page)
+    assert "no longer where it was" not in page.read_text("utf-8")
+    assert "changed since" not in page.read_text("utf-8")
+    assert '"kept"' in done("decompose", *pictures, "--out", out, *few, "--resume", "--json")
+
+
+def test_a_crop_is_of_pictures_and_all_maps(tmp_path: Path) -> None:
+    folder, window = write_folder(tmp_path / "scene"), np.s_[2:10, 4:16]
+    weights = 1 + np.arange(SIZE * SIZE, dtype=np.float32).reshape(SIZE, SIZE)
+    images.write_exr(folder / "weights.exr", {"Y": weights})
+    images.write_exr(folder / "depth.exr", {"Z": weights})
+    mask = np.full((SIZE, SIZE), 255, np.uint8)
+    mask[3, 5] = mask[0] = 0
+    images.write_png(folder / "mask.png", mask, tag=None)
+    write_exr(folder / "dark.exr", np.broadcast_to(weights[..., None] / 1e6, (SIZE, SIZE, 3)))
+    whole, part = Scene.load(folder), Scene.load(folder, crop=(4, 2, 12, 8))
+    np.testing.assert_array_equal(part.images, whole.images[:, *window])
+    np.testing.assert_array_equal(part.normals, whole.normals[window])
+    for name in ("valid", "depth"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[window])
+    assert part.weights is not None
+    assert whole.weights is not None
+    np.testing.assert_array_equal(part.weights, whole.weights[:, *window])
+    assert Scene.load(folder, crop=(4, 2, 12, 8), max_size=6).images.shape[1:3] == (4, 6)
+    assert read_pictures(folder, ReadOptions(crop=(4, 2, 12, 8))).images.shape[1:3] == (SIZE, SIZE)
+    with pytest.raises(InputError, match=r"crop: expected X,Y,W,H within 16 × 16 .* 4,2,13,8"):
+        Scene.load(folder, crop=(4, 2, 13, 8))
+    for bad in ((0, 0, 0, 4), (-1, 0, 4, 4), (0, 0, 4), "4"):
+        with pytest.raises(InputError, match="crop: expected X,Y,W,H, whole pixels"):
+            Scene.load(folder, crop=bad)
+
+
+@pytest.mark.parametrize("left", [0, 4, 5])
+def test_a_crop_has_its_share_of_the_field_of_view(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, left: int
+) -> None:
+    """Of 8 columns of 16; where its middle is off the axis, directions are as much off."""
+    folder = write_folder(tmp_path / "scene", fov=None)
+    slope = 16 * np.tan(np.radians(PERSPECTIVE_OFF)) / 2 * 1.001  # of half the width, at 5
+    fov = float(2 * np.degrees(np.arctan(slope)))
+    scene = Scene.load(folder, fov=fov, crop=(left, 4, 8, 8))
+    assert np.tan(np.radians(scene.fov / 2)) == pytest.approx(slope / 2)
+    np.testing.assert_allclose(
+        Scene.load(folder, fov=fov, crop=(4, 4, 8, 8)).views,
+        Scene.load(folder, fov=fov).views[4:12, 4:12],
+    )
+    off = {0: "4.0", 4: None, 5: "1.0"}[left]
+    assert (f"{off} degrees off the optical axis" in caplog.text) == (off is not None)
+    closer = Scene.load(folder, fov=0.99 * fov, crop=(5, 4, 8, 8))
+    assert "off the optical axis" not in closer.assumed["fov"]
+
+
+def test_alpha_is_a_mask_or_ignored(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene")
+    for path in (folder / "images").iterdir():
+        channels = images.read_channels(path)
+        images.write_exr(path, channels | {"A": np.tile([0.4, 1.0], (SIZE, SIZE // 2))})
+    for alpha, share in ((None, 0.5), ("mask", 0.5), ("ignore", 1.0)):
+        scene = Scene.load(folder, alpha=alpha)
+        assert scene.valid.mean() == share
+        assert ("ignored" in scene.assumed["alpha"]) == (alpha == "ignore")
+    (folder / "scene.toml").write_text('alpha = "ignore"\ncrop = [0, 0, 8, 8]\n')
+    assert Scene.load(folder).valid.shape == (8, 8)
+    assert Scene.load(folder).all_valid
+
+
+def test_equal_pictures_count_once_and_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_folder(tmp_path / "scene", "8-bit PNG")
+    shutil.copy(folder / "images" / "light_01.png", folder / "images" / "a copy.png")
+    (folder / "lights.csv").write_text(
+        "name,x,y,z\n" + "".join(f"{n},0,{i},1\n" for i, n in enumerate([*room().names, "a copy"]))
+    )
+    scene = Scene.load(folder)
+    assert scene.names == ("a copy", "light_00", "light_02")
+    assert scene.assumed["duplicates"] == "equal pictures count once: a copy.png, light_01.png"
+    assert scene.assumed["duplicates"] in caplog.text
+    assert scene.lamps is not None
+    np.testing.assert_allclose(
+        scene.lamps.places[:, 1], np.array([3, 0, 2]) / np.hypot(1, [3, 0, 2])
+    )
+    assert scene_folder.digests(folder) == scene.inputs
+
+
+def wide(folder: Path, turns: dict[int, int]) -> Path:
+    """Pictures of 72 × 48 pixels, some of them turned."""
+    made = make_scene("furnished", size=72, lights=5, noise=0.01, seed=3)
+    (folder / "images").mkdir(parents=True)
+    for i, image in enumerate(made.images[:, :48]):
+        write_exr(folder / "images" / f"{i}.exr", np.rot90(image, turns.get(i, 0)))
+    return folder
+
+
+@pytest.mark.parametrize("turns", [{1: 1}, {0: 3}, {0: 1, 2: 3}])
+def test_pictures_on_their_side_are_turned_as_their_edges_say(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, turns: dict[int, int]
+) -> None:
+    upright = Scene.load(wide(tmp_path / "upright", {}))
+    turned = Scene.load(wide(tmp_path / "turned", turns))
+    np.testing.assert_array_equal(turned.images, upright.images)
+    assert "turned by a quarter" in caplog.text
+    assert turned.assumed["turned"].endswith(", ".join(f"{i}.exr" for i in turns))
+
+
+def test_a_picture_of_something_else_on_its_side_is_refused(tmp_path: Path) -> None:
+    folder = wide(tmp_path / "scene", {})
+    noise = np.random.default_rng(0).uniform(0.1, 1, (72, 48, 3)).astype(np.float32)
+    write_exr(folder / "images" / "2.exr", noise)
+    with pytest.raises(InputError, match=r"2.exr: expected the size of 0.exr, 72 × 48 pixels"):
+        Scene.load(folder)
+
+
+def uneven(name: str) -> Any:
+    """What a frame of a white surface shows, (H, W, 3): each lamp falls off in another way."""
+    across = np.linspace(0.4, 1, SIZE)[:: -1 if name.endswith("1") else 1]
+    return np.broadcast_to(across[:, None], (SIZE, SIZE, 3)).astype(np.float32) * [1, 0.9, 0.8]
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_pictures_are_divided_by_a_flat_field_frame(tmp_path: Path, each: bool) -> None:
+    """By one for all, or by one each; less the dark frame, which is in both."""
+    folder, dark = write_folder(tmp_path / "scene"), np.float32(0.01)
+    names = room().names if each else ("flat",) * LIGHTS
+    if each:
+        (folder / "flat").mkdir()
+    for name, picture, image in zip(names, room().names, room().images, strict=True):
+        gain = uneven(name) / uneven(name).mean(axis=(0, 1))
+        write_exr(folder / "images" / f"{picture}.exr", (image * gain + dark).astype(np.float32))
+        flat = uneven(name) + dark
+        flat[3, 4] = 0
+        write_exr(folder / ("flat" if each else ".") / f"{name}.exr", flat.astype(np.float32))
+    write_exr(folder / "dark.exr", np.full((SIZE, SIZE, 3), dark, np.float32))
+    scene = Scene.load(folder)
+    used = np.ones((SIZE, SIZE), bool)
+    used[3, 4] = False
+    np.testing.assert_array_equal(scene.valid, used)
+    ratio = (scene.images / room().images)[:, used]  # a factor a channel, as a pixel is left out
+    np.testing.assert_allclose(ratio, np.broadcast_to(ratio[:, :1], ratio.shape), rtol=1e-4)
+    assert scene.weights is not None
+    for i, name in enumerate(names):
+        share = scene.weights[i][used] / uneven(name)[used]
+        np.testing.assert_allclose(share, np.broadcast_to(share[0], share.shape), rtol=1e-4)
+    assert "left out that are clipped or black" in scene.assumed["flat field"]
+    assert (scene.response, scene_folder.digests(folder)) == (None, scene.inputs)
+    np.testing.assert_array_equal(read_pictures(folder).images, scene.images)
+    assert Scene.load(folder, max_size=SIZE // 2).weights is not None
+
+
+SPOILED: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "none for a picture": (
+        lambda f: (f / "flat" / "light_01.exr").unlink(),
+        "flat: expected a flat-field frame for every picture, found none for light_01",
+    ),
+    "one more": (lambda f: write_exr(f / "flat.exr", uneven("")), "flat.exr or flat/, found both"),
+    "black": (
+        lambda f: write_exr(f / "flat" / "light_01.exr", 0 * uneven("")),
+        "light_01.exr: expected an even surface, brighter than black",
+    ),
+    "of another size": (
+        lambda f: write_exr(f / "flat" / "light_01.exr", uneven("")[1:]),
+        "light_01.exr: expected the pictures' size",
+    ),
+}
+
+
+@pytest.mark.parametrize("how", SPOILED)
+def test_what_is_no_flat_field_frame_is_refused(tmp_path: Path, how: str) -> None:
+    folder = write_folder(tmp_path / "scene")
+    (folder / "flat").mkdir()
+    for name in (*room().names, "spare"):
+        write_exr(folder / "flat" / f"{name}.exr", uneven(name))
+    assert "of no picture: spare.exr" in Scene.load(folder).assumed["flat field"]
+    spoil, message = SPOILED[how]
+    spoil(folder)
+    with pytest.raises(InputError, match=message):
+        Scene.load(folder)
+
+
+def test_pictures_of_a_ball_that_hold_no_number_are_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_folder(tmp_path / "scene")
+    spoiled = room().images[0].copy()
+    spoiled[2, 3] = np.nan
+    write_exr(folder / "images" / "light_00.exr", spoiled)
+    with caplog.at_level(logging.WARNING, "pbrfit"):
+        assert read_pictures(folder).images[0, 2, 3].tolist() == [0, 0, 0]
+    assert "1 pixels that are NaN or infinite left out" in caplog.text
