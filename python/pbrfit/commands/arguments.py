@@ -6,6 +6,7 @@ import argparse
 import math
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, get_args
 
@@ -121,18 +122,6 @@ def positive(text: str) -> int:
     return value
 
 
-def whole_numbers(form: str) -> Callable[[str], tuple[int, ...]]:
-    """Reader for `argparse` of as many whole numbers with commas between them as `form` has."""
-
-    def read(text: str) -> tuple[int, ...]:
-        parts = text.split(",")
-        if len(parts) != len(form.split(",")):
-            raise argparse.ArgumentTypeError(f"expected {form}, found {text}")
-        return tuple(map(whole_number, parts))
-
-    return read
-
-
 SIGNED = ("--light", "--lamp", "--rotate", "--exposure", "--color")
 """Options whose value may begin with a minus sign."""
 
@@ -154,29 +143,23 @@ def with_signed_values(arguments: Sequence[str]) -> list[str]:
     return tied
 
 
-def numbers(count: int, form: str) -> Callable[[str], tuple[float, ...]]:
-    """Reader for `argparse` of so many finite numbers with commas between them, such as `form`."""
-
-    def read(text: str) -> tuple[float, ...]:
-        values = _finite(*text.split(","))
-        if len(values) != count:
-            raise argparse.ArgumentTypeError(f"expected {form}, finite numbers, found {text!r}")
-        return values
-
-    return read
-
-
 def number(text: str) -> float:
     """Read a finite number for `argparse`."""
-    for value in _finite(text):
-        return value
+    with suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
     raise argparse.ArgumentTypeError(f"expected a finite number, found {text!r}")
 
 
-def _finite(*texts: str) -> tuple[float, ...]:
-    """Numbers; none if one of the texts is no finite number."""
-    try:
-        values = tuple(map(float, texts))
-    except ValueError:
-        return ()
-    return values if all(map(math.isfinite, values)) else ()
+def numbers(form: str, kind: Callable[[str], Any] = number) -> Callable[[str], tuple[Any, ...]]:
+    """Reader for `argparse` of as many numbers of a kind with commas between them as `form` has."""
+
+    def read(text: str) -> tuple[Any, ...]:
+        with suppress(ValueError, argparse.ArgumentTypeError):
+            values = tuple(map(kind, text.split(",")))
+            if len(values) == len(form.split(",")):
+                return values
+        what = "finite" if kind is number else "whole"
+        raise argparse.ArgumentTypeError(f"expected {form}, {what} numbers, found {text!r}")
+
+    return read

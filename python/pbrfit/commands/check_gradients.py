@@ -4,15 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from pbrfit.commands.arguments import (
-    DONE,
-    SOME_FAILED,
-    add_flags,
-    add_scene,
-    scene_named,
-    value,
-    whole_number,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.commands.fit_options import UNKNOWNS, add_option, add_priors, given, given_priors
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit.gradient_check import check_gradients
@@ -22,18 +14,18 @@ from pbrfit.scene.scene import Scene
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    add_scene(parser, pictures=True)
+    cli.add_scene(parser, pictures=True)
     add_input(parser)
     for name in ("model", *UNKNOWNS):
         add_option(parser, name)
     add_priors(parser)
     said = "of the random point and directions"
-    add_flags(parser, seed=value(None, whole_number, said, default=0))
+    cli.add_flags(parser, seed=cli.value(None, cli.whole_number, said, default=0))
 
 
 def run(options: argparse.Namespace) -> int:
     """Print both gradients, function by function."""
-    scene = Scene.load(scene_named(options.scene), reading(options))
+    scene = Scene.load(cli.scene_named(options.scene), reading(options))
     objective = Objective(
         scene,
         sh_order=options.sh_order,
@@ -54,4 +46,4 @@ def run(options: argparse.Namespace) -> int:
         )
     failed = sum(not check.passed for check in checks)
     print(f"{len(checks) - failed} of {len(checks)} within {checks[0].tolerance:g}")
-    return SOME_FAILED if failed else DONE
+    return cli.SOME_FAILED if failed else cli.DONE

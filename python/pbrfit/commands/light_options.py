@@ -35,13 +35,13 @@ def add_light(parser: argparse.ArgumentParser) -> None:
         ),
         light=value(
             "AZIMUTH,ELEVATION",
-            numbers(2, "AZIMUTH,ELEVATION"),
+            numbers("AZIMUTH,ELEVATION"),
             "hard light from far away, in degrees: 0,0 is the viewer's, 90,0 comes from the "
             "right, 0,90 from above",
         ),
         lamp=value(
             "X,Y,Z",
-            numbers(3, "X,Y,Z"),
+            numbers("X,Y,Z"),
             "a lamp near the surface, of results with depth, in its unit: the camera is at 0,0,0, "
             "X is right, Y up, and what it sees has Z below 0",
         ),
@@ -57,7 +57,7 @@ def add_light(parser: argparse.ArgumentParser) -> None:
         ),
         color=value(
             "R,G,B",
-            numbers(3, "R,G,B"),
+            numbers("R,G,B"),
             "with --light, --lamp: radiance of a white matt surface that faces it, of --lamp at "
             "the middle of what is seen (default: 1,1,1)",
         ),

@@ -28,7 +28,7 @@ FLAGS: dict[str, Flags] = {
     "ball": {
         "circle": cli.value(
             "X,Y,R",
-            cli.numbers(3, "X,Y,R"),
+            cli.numbers("X,Y,R"),
             "where the ball is, and its radius, in pixels from the left and the top; again for "
             "each other ball of the same kind (default: it is sought)",
             action="append",
@@ -84,8 +84,9 @@ def run(options: argparse.Namespace) -> int:
     given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
     if kind == "file":
         files = locate(options.scene)
-        names = files.names
-        lamps, said = known_lamps.load(Path(options.source), names, listed=files.listed)
+        lamps, said = known_lamps.load(
+            Path(options.source), names := files.names, listed=files.listed
+        )
         lines, shown = [said, *_table(names, lamps)], None
     else:
         names, lamps, lines, shown = _of_ball(options, given)

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import fields
 
-from pbrfit.commands.arguments import Flag, add_flags, choice, value, whole_numbers
+from pbrfit.commands.arguments import Flag, add_flags, choice, numbers, value, whole_number
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import Orientation
 from pbrfit.model.depth_normals import DepthKind
@@ -45,7 +45,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         ),
         code_range=value(
             "LOW,HIGH",
-            whole_numbers("LOW,HIGH"),
+            numbers("LOW,HIGH", whole_number),
             "values of integer pictures above HIGH or below LOW, in 8-bit codes, only bound the "
             "radiance (default: 1,250 for JPEG, else all but 0 and the maximum; 0,255: none)",
         ),
@@ -57,7 +57,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         ),
         crop=value(
             "X,Y,W,H",
-            whole_numbers("X,Y,W,H"),
+            numbers("X,Y,W,H", whole_number),
             "use this part of the upright pictures and maps, in pixels (default: scene.toml, else "
             "all)",
         ),

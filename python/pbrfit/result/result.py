@@ -343,7 +343,7 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
     return {
         "path": path,
         "files": list(source.files),
-        **source.options.as_json(),
+        **vars(source.options),
     }
 
 

@@ -38,18 +38,11 @@ LEAST_SHARE = 0.2
 to be looked into, of Cauchy's loss to be believed. Light alone reached 0.16 in 1,280 pictures;
 shifts of 0.3 pixels explain 0.26 to 0.8."""
 
-LEAST_EVIDENCE = 25.0
-"""F of a displacement, from the windows' scatter, from which it is looked into. Much more than
-chance alone, because specular light leaves windows alike; a shift of 0.3 pixels has hundreds."""
-
 SCREENING = (8, 8)
 WINDOWS = (12, 12)
 """Windows along each axis, and pixels along a window's side, at which pictures are compared at
 their full resolution where they are larger: spread over the picture, as many pixels as one of 64²
 to ask whether there is a displacement, and as one of 144² to measure it."""
-
-CLUSTERS = 8
-"""Parts along each axis of a small picture that tell the scatter of the estimate."""
 
 COMPONENTS = 8
 """Principal components of the others that explain a picture, at most. Where several pictures are
@@ -81,25 +74,19 @@ def from_middle(places: Array, shape: Sequence[int]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A displacement, or what an affine map adds to a shift, and how sure it is."""
+    """A displacement, or what an affine map adds to a shift, and how much it explains."""
 
     affine: Array
     """(2, 3), in pixels of the picture."""
     length: float
     """Root mean square over the picture, in pixels of the level."""
-    evidence: float
-    """F, by the scatter of windows."""
     share: float
     """Of the unexplained squares that it explains."""
 
     @property
     def believed(self) -> bool:
         """Whether it is none that light makes."""
-        return (
-            self.length >= LEAST_DISPLACEMENT
-            and self.evidence >= LEAST_EVIDENCE
-            and self.share >= LEAST_SHARE
-        )
+        return self.length >= LEAST_DISPLACEMENT and self.share >= LEAST_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +134,6 @@ class Level:
         middle = self._inner(self._places)
         y, x = from_middle(middle, size)
         self._ones_y_x = np.stack([np.ones(len(y)), y, x])
-        parts = [middle[axis] * CLUSTERS // size[axis] for axis in (0, 1)]
-        _, self._cluster = np.unique(parts[0] * CLUSTERS + parts[1], return_inverse=True)
         normals = np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0)
         self._harmonics = _harmonics(normals).astype(np.float32)
         cut = [self._cut(i, None) for i in range(pictures.count)]
@@ -252,7 +237,7 @@ class Level:
         used: NDArray[np.bool_],
         scale: Array,
     ) -> Fit | None:
-        """How sure a displacement is.
+        """How much a displacement explains.
 
         `moves` (6, P) is what its parts, `found` (6,), change that the basis does not explain.
         """
@@ -265,47 +250,23 @@ class Level:
         if not ridge > 0:
             return None
         matrix[np.diag_indices(6)] += ridge
-        shift, bend = [0, 3], [1, 2, 4, 5]
-        alone = np.zeros(6)
+        shift, alone = [0, 3], np.zeros(6)
         alone[shift] = np.linalg.solve(matrix[np.ix_(shift, shift)], slope[shift])
         squares = float(weights @ unmoved**2) or 1.0
         gains = float(slope @ alone), float(slope @ found)
-        of_shift = self._covariance(weighted[shift], unmoved - alone @ moves, used, matrix, shift)
-        of_both = self._covariance(weighted, residual, used, matrix, list(range(6)))
-        if of_shift is None or of_both is None:
-            return None
         return Fit(
             shift=Estimate(
                 affine=self.pixel * alone.reshape(2, 3),
                 length=self.rms(alone.reshape(2, 3)),
-                evidence=_f(alone[shift], of_shift),
                 share=gains[0] / squares,
             ),
             bend=Estimate(
                 affine=self.pixel * (found - alone).reshape(2, 3),
                 length=self.rms((found - alone).reshape(2, 3)),
-                evidence=_f(found[bend], of_both[np.ix_(bend, bend)]),
                 share=(gains[1] - gains[0]) / max(squares - gains[0], 1e-30),
             ),
             unexplained=unexplained,
         )
-
-    def _covariance(
-        self,
-        weighted: Array,
-        residual: Array,
-        used: NDArray[np.bool_],
-        matrix: Array,
-        parts: list[int],
-    ) -> Array | None:
-        """Of parts of a displacement, from the scatter of windows (the sandwich estimator)."""
-        cluster = self._cluster[used]
-        sums = np.stack([np.bincount(cluster, of) for of in weighted * residual])
-        count = np.count_nonzero(np.bincount(cluster))
-        if count <= 2 * len(parts):
-            return None
-        half = np.linalg.solve(matrix[np.ix_(parts, parts)], sums)
-        return np.asarray(half @ half.T * count / (count - len(parts)))
 
     def rms(self, affine: Array) -> float:
         """Root mean square length of a displacement (2, 3) over the pixels."""
@@ -319,10 +280,6 @@ def _normal_equations(known: Array, wanted: Array, weights: Array) -> tuple[Arra
     diagonal = np.diag_indices(len(matrix))
     matrix[diagonal] += 1e-9 * np.trace(matrix) + 1e-30
     return np.asarray(np.linalg.solve(matrix, weighted @ wanted)), np.asarray(matrix)
-
-
-def _f(found: Array, covariance: Array) -> float:
-    return float(found @ np.linalg.lstsq(covariance, found, None)[0]) / len(found)
 
 
 def _windows(length: int, count: int, side: int) -> NDArray[np.intp]:

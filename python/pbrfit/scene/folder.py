@@ -336,7 +336,9 @@ def scenes_in(folder: Path) -> list[Path]:
     loose = loose_pictures(folder)
     if len(loose) >= PICTURES_MIN and not scenes:
         return [folder]
-    scenes = [path for path in below if path in scenes or len(loose_pictures(path)) >= PICTURES_MIN]
+    parts = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)
+    if not any(there(folder / part) for part in parts):  # else it is a scene without pictures
+        scenes = [one for one in below if one in scenes or len(loose_pictures(one)) >= PICTURES_MIN]
     if scenes and loose:
         log.warning("%s: %s not read, as folders in it are scenes", folder, _ends(loose))
     return scenes

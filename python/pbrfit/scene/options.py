@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
@@ -16,7 +16,6 @@ from pbrfit.io import images
 from pbrfit.io.checks import of_what
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import Orientation
-from pbrfit.io.json_files import whole
 from pbrfit.io.normal_files import Convention
 from pbrfit.io.quoting import quoted
 from pbrfit.model import geometry
@@ -33,6 +32,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "model": MODELS,
 }
 """What options of these names may be, beside None."""
+
+CROP = "X,Y,W,H, whole pixels, X and Y 0 or more, W and H 1 or more"
 
 
 @dataclass(frozen=True)
@@ -66,17 +67,29 @@ class ReadOptions:
     def __post_init__(self) -> None:
         if self.fov is not None:
             geometry.check_fov(self.fov)
+            object.__setattr__(self, "fov", float(self.fov))
         for name, choices in CHOICES.items():
             found = getattr(self, name, None)
             if found is not None and found not in choices:
                 expected = f"expected one of {', '.join(choices)}"
                 raise InputError(f"{name}: {expected}, found {quoted(found)}")
-        if self.max_size is not None and not self.max_size >= 1:
-            raise InputError(f"max_size: expected at least 1 pixel, found {self.max_size}")
         if not isinstance(self.layer, str | None):
             raise InputError(f"layer: expected a name, found {of_what(self.layer)}")
+        if self.max_size is not None:
+            [pixels] = _whole("max_size", [self.max_size], "at least 1 pixel")
+            object.__setattr__(self, "max_size", pixels)
+            if pixels < 1:
+                raise InputError(f"max_size: expected at least 1 pixel, found {pixels}")
+        if self.code_range is not None:
+            codes = _whole("code_range", self.code_range, "two 8-bit codes")
+            object.__setattr__(self, "code_range", codes)
+            if len(codes) != 2:
+                raise InputError(f"code_range: expected two 8-bit codes, found {codes}")
         if self.crop is not None:
-            _check_crop(self.crop)
+            crop = _whole("crop", self.crop, CROP)
+            object.__setattr__(self, "crop", crop)
+            if len(crop) != 4 or min(crop) < 0 or 0 in crop[2:]:
+                raise InputError(f"crop: expected {CROP}, found {of_what(self.crop)}")
 
     def or_else(self, settings: Settings) -> Settings:
         """These options, and those of a folder where nothing is asked for."""
@@ -101,24 +114,19 @@ class ReadOptions:
             raise InputError(f"crop: expected X,Y,W,H within {size[1]} × {size[0]} pixels, {found}")
         return slice(top, top + height), slice(left, left + width)
 
-    def as_json(self) -> dict[str, Any]:
-        """As `from_json` reads it."""
-        plain: dict[str, Any] = dict(vars(self))
-        for name, kind in {"fov": float, "max_size": int}.items():
-            plain[name] = None if plain[name] is None else kind(plain[name])
-        for name in ("code_range", "crop"):
-            plain[name] = None if plain[name] is None else [*map(int, plain[name])]
-        return plain
-
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Self:
-        """Options of a table that may have more or lack some; one of `UNFIT` if one is unfit."""
+        """Options of a table, as `vars` gives one; it may have more, or lack some."""
         names = {one.name for one in fields(cls)}
-        given = {name: value for name, value in content.items() if name in names}
-        for name in ("code_range", "crop"):
-            if given.get(name) is not None:
-                given[name] = tuple(map(whole, given[name]))
-        return cls(**given)
+        return cls(**{name: value for name, value in content.items() if name in names})
+
+
+def _whole(name: str, values: Any, expected: str) -> tuple[int, ...]:
+    """Whole numbers, as Python's own; InputError if these are none."""
+    try:
+        return tuple(map(operator.index, values))
+    except TypeError:
+        raise InputError(f"{name}: expected {expected}, found {of_what(values)}") from None
 
 
 AS_STATED = ReadOptions()
@@ -185,5 +193,5 @@ class Source:
     """As given to `Scene.load`."""
     files: tuple[str, ...] = ()
     """Pictures that were named one by one, relative to the folder; none = those that it has."""
-    size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = field(default=None, compare=False)
     """(height, width) of the pictures before `max_size`; None = not known."""

@@ -240,7 +240,8 @@ def load(
         truth = _read_truth(folder / "truth", names, size if full_size == notes.size else (0, 0))
         for path in truth_files(folder):
             notes.has(files.relative(path))
-    listed = tuple(map(files.relative, files.pictures)) if files.named else ()
+    named = tuple(map(files.relative, files.pictures)) if files.named else ()
+    kept = read.different(notes)
     try:
         found = kind(
             images=read.pixels,
@@ -260,12 +261,11 @@ def load(
             truth=truth,
             assumed=assumed,
             inputs=dict(sorted(notes.inputs.items())),
-            source=Source(folder.resolve(), options, listed, full_size),
+            source=Source(folder.resolve(), options, named, full_size),
             model=model,
             response=None if read.curve_told or changed else "srgb",
         )
-        kept = read.different(notes)
-        return found if len(kept) == len(names) else found.of_pictures(kept, assumed=assumed)
+        return found if len(kept) == len(names) else found.of_pictures(kept)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
 
@@ -422,6 +422,9 @@ class _Pictures:
         for i, pixels in enumerate(self.pixels):
             groups.setdefault(hashlib.sha256(pixels).digest(), []).append(i)
         equal = [[notes.files.pictures[i].name for i in of] for of in groups.values() if of[1:]]
+        if equal and len(groups) == 1:
+            expected = "expected pictures under different lights"
+            raise InputError(f"{notes.folder}: {expected}, found {len(equal[0])} equal ones")
         if equal:
             said = "; ".join(listed(names) for names in equal)
             notes.assumed["duplicates"] = f"equal pictures count once: {said}"

@@ -3,10 +3,9 @@
 Where a picture lies is told by least squares (`displacement`); displacements that are too large for
 these by the correlation of edges (`alignment`), and whether it shows the same view at all.
 
-A displacement is looked into where it is long enough (`LEAST_DISPLACEMENT`), explains a share of
-what the light leaves (`LEAST_SHARE`), and the windows of the picture agree on it
-(`LEAST_EVIDENCE`). It is believed where the picture, put back, is explained better by that share,
-and its edges lie where the others have theirs (`SURE_AGREEMENT`).
+A displacement is looked into where it is long enough (`LEAST_DISPLACEMENT`) and explains a share
+of what the light leaves (`LEAST_SHARE`). It is believed where the picture, put back, is explained
+better by that share, and its edges lie where the others have theirs (`SURE_AGREEMENT`).
 """
 
 from __future__ import annotations

@@ -408,8 +408,8 @@ def test_alone_it_shows_its_help() -> None:
         ("decompose s --out o --iter 3", "option --iter; did you mean --iterations? see"),
         ("decompose s --out o --sh-order 1", "--sh-order: invalid choice: 1"),
         ("decompose s --out o --metallic 0.5", "--metallic: invalid choice: '0.5'"),
-        ("decompose s --out o --code-range 250", "--code-range: expected LOW,HIGH, found 250"),
-        ("decompose s --out o --code-range a,b", "--code-range: invalid code_range value: 'a,b'"),
+        ("decompose s --out o --code-range 250", "--code-range: expected LOW,HIGH, whole"),
+        ("decompose s --out o --code-range a,b", "--code-range: expected LOW,HIGH, whole"),
         ("normals s --from guess", "expected marigold, pictures, flat, depth:FILE or a file"),
     ],
 )
@@ -425,7 +425,7 @@ def test_wrong_usage_is_one_line(arguments: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "images: expected a positive mean radiance"),
+        ((), "scene: expected pictures under different lights, found 3 equal ones"),
         (("--fov", "nan"), "fov: expected degrees"),
         (("--max-size", 0), "max_size: expected at least 1 pixel"),
         (("--code-range", "9,3"), "code_range: expected two 8-bit codes"),

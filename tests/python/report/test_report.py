@@ -42,7 +42,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit.transport.decision import Transport
 from refined import refined
 from relit import shaded_ball
-from scene_files import lights_of, truth_of
+from scene_files import lights_of, truth_of, write_exr
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -338,10 +338,10 @@ def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
     if what == "scene.toml":
         (scene / what).write_text("fov = 50.0\n")
     elif what == "more":
-        shutil.copy(scene / "images" / "light_01.exr", scene / "images" / "light_09.exr")
+        write_exr(scene / "images" / "light_09.exr", 0.9 * room().images[1])
         shutil.rmtree(scene / "truth")
     else:
-        shutil.copy(scene / "images" / "light_00.exr", scene / what)
+        write_exr(scene / what, 0.9 * room().images[1])
     found = written(Result.load(tmp_path / "result"), tmp_path / "page.html")
     assert "The scene folder scene has changed since" in found.text
     assert "Picture light_00" not in str(found.all("img"))

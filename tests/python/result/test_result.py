@@ -284,11 +284,15 @@ def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> N
     text = (tmp_path / "out" / "result" / "result.json").read_text("utf-8")
     assert json.loads(text)["scene"] == {
         "path": "../../scenes/ä room",
+        "files": [],
         "color_space": None,
         "max_size": 6,
         "code_range": [0, 255],
         "fov": None,
         "orientation": "as-stored",
+        "layer": None,
+        "alpha": None,
+        "crop": None,
     }
     assert str(tmp_path) not in text
     assert Result.load(tmp_path / "out" / "result").source == scene.source
