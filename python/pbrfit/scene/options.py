@@ -173,16 +173,6 @@ def _rotation(rows: Any) -> NDArray[np.float64]:
     return rotation
 
 
-def _check_crop(crop: Any) -> None:
-    expected = "expected X,Y,W,H, whole pixels, X and Y 0 or more, W and H 1 or more"
-    try:
-        left, top, width, height = map(operator.index, crop)
-    except (TypeError, ValueError):
-        raise InputError(f"crop: {expected}, found {of_what(crop)}") from None
-    if min(left, top, width - 1, height - 1) < 0:
-        raise InputError(f"crop: {expected}, found {of_what(crop)}")
-
-
 @dataclass(frozen=True)
 class Source:
     """Where a scene was read from, and how."""
