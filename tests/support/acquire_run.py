@@ -81,7 +81,7 @@ class Counting:
         self.asked.append(request)
         gain = 0.3 + 0.6 * np.random.default_rng(request.seed).random(3)
         pixels = np.rint(photo.srgb8() * gain).astype(np.uint8)
-        return Generated(pixels, {"seed": request.seed, "cost_usd": 0.25, "usage": {"tokens": 10}})
+        return Generated(pixels, {"seed": request.seed, "usage": {"tokens": 10}})
 
 
 def verdict(name: str, passed: bool) -> Verdict:

@@ -64,13 +64,6 @@ class GenerationReport:
         """Those that are not, after all attempts."""
         return [picture for picture in self.pictures if not picture.accepted]
 
-    @property
-    def cost_usd(self) -> float | None:
-        """Estimated cost of all attempts; None if no generator told one."""
-        costs = [record.get("cost_usd") for record in self._records()]
-        known = [cost for cost in costs if cost is not None]
-        return round(sum(known), 6) if known else None
-
     def as_json(self) -> dict[str, Any]:
         """Content of `review.json`; docs/generate.md describes it."""
         height, width = self.photo.size
@@ -96,7 +89,6 @@ class GenerationReport:
                 "left_out": len(self.left_out),
                 "attempts": sum(len(picture.attempts) for picture in self.pictures),
                 "seconds": round(seconds, 3),
-                "cost_usd": self.cost_usd,
                 "usage": _summed(record.get("usage") for record in self._records()),
             },
         }

@@ -2,17 +2,13 @@
 
 A folder with two files a request: `NAME-SEED.png`, the picture as it was received, and then
 `NAME-SEED.json`, which says what was asked for. The second is written when the first is whole, so
-what it speaks of is there; and the first holds the second's text too, so that a crash between the
-two loses nothing. What a service answered is written before either, and before anything reads it:
-`NAME-SEED.answer`, a line of JSON that says what was asked for, and the answer's bytes. Nothing in
-this folder is ever deleted or written over.
+what it speaks of is there. Nothing in this folder is ever deleted or written over.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,18 +17,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from pbrfit._core import InputError
-from pbrfit.acquire.generators import Answer, Generated, Refused, Request
+from pbrfit.acquire.generators import Generated, Refused, Request
 from pbrfit.acquire.photo import Photo
-from pbrfit.acquire.received import opened, read_srgb8
-from pbrfit.io.input_files import PICTURE_BYTES, open_file, read_bytes
+from pbrfit.acquire.received import read_srgb8
+from pbrfit.io import images
+from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.json_files import (
     UNFIT,
-    json_text,
-    number,
     read_json,
     seed,
     table,
@@ -47,20 +40,13 @@ from pbrfit.io.quoting import listed, quoted
 FOLDER = "generation"
 """Its name in a scene folder."""
 
-TEXT = "pbrfit"
-"""Key of the text in a picture that says what its entry says."""
-
 ENTRY = "an entry of a generation journal"
 
-ANSWER = ".answer"
-SUFFIXES = (".png", ".json", ANSWER)
+SUFFIXES = (".png", ".json")
 """Files of a request."""
 
 ESCAPED = "backslashreplace"
 """How bytes in names of files that are no UTF-8 are written: in JSON they come back from it."""
-
-MOST_HEAD = 2**20
-"""Bytes of the line before an answer, which holds a prompt."""
 
 RUN = "run.json"
 """What the last run was about: the photo and the generator's settings."""
@@ -96,9 +82,6 @@ class Journal:
         self._entries = {
             _key(entry.request): entry for run, entry in _read(folder) if run == self._about
         }
-        self._answers = {
-            _key(request): path for run, request, path in _unread(folder) if run == self._about
-        }
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -113,45 +96,10 @@ class Journal:
         """What came of an equal request, if it was made."""
         return self._entries.get(_key(request))
 
-    def receive(self, request: Request, answer: Answer) -> None:
-        """Write down what a service answered."""
-        told = {
-            "about": self._about,
-            "request": dataclasses.asdict(request),
-            "seconds": answer.seconds,
-        }
-        head = json.dumps(told, ensure_ascii=False).encode("utf-8", ESCAPED)
-        path = self.folder / f"{self._free(request)}{ANSWER}"
-        with new_file(path) as file:
-            file.write_bytes(head + b"\n" + answer.body)
-        self._answers[_key(request)] = path
-
-    def answer(self, request: Request) -> Answer | None:
-        """What a service answered that is not in an entry yet.
-
-        Raises OSError if it cannot be read any more.
-        """
-        path = self._answers.get(_key(request))
-        if path is None:
-            return None
-        head, _, body = read_bytes(path, PICTURE_BYTES).partition(b"\n")
-        return Answer(body, number(json.loads(head)["seconds"]))
-
-    def answer_file(self, request: Request) -> Path:
-        """Where `answer` is."""
-        return self._answers[_key(request)]
-
     def keep(self, request: Request, generated: Generated) -> Entry:
         """Write down a picture."""
-        stem = self._stem(request)
-        told = PngInfo()
-        asked = {"request": dataclasses.asdict(request), "record": generated.record}
-        entry = json_text({"about": self._about, **asked}).encode("utf-8", ESCAPED)
-        told.add_itxt(TEXT, entry.decode(), zip=True)
-        told.add(b"sRGB", b"\0")
-        buffer = io.BytesIO()
-        Image.fromarray(generated.pixels).save(buffer, "PNG", pnginfo=told)
-        png = buffer.getvalue()
+        stem = self._free(request)
+        png = images.encode_png(generated.pixels, tag="srgb")
         with new_file(self.folder / f"{stem}.png") as path:
             path.write_bytes(png)
         digest = hashlib.sha256(png).hexdigest()
@@ -159,7 +107,7 @@ class Journal:
 
     def refuse(self, request: Request, refusal: Refused) -> Entry:
         """Write down that there will be none."""
-        return self._add(Entry(self._stem(request), request, str(refusal), {}, None))
+        return self._add(Entry(self._free(request), request, str(refusal), {}, None))
 
     def pixels(self, entry: Entry) -> NDArray[np.uint8]:
         """Picture of an entry, (H, W, 3) sRGB.
@@ -183,11 +131,6 @@ class Journal:
             write_json(path, content, ESCAPED)
         self._entries[_key(entry.request)] = entry
         return entry
-
-    def _stem(self, request: Request) -> str:
-        """That of the answer, if there is one, or a free one."""
-        path = self._answers.pop(_key(request), None)
-        return self._free(request) if path is None else path.stem
 
     def _free(self, request: Request) -> str:
         """NAME-SEED, or NAME-SEED-2 and so on where that was of another prompt or photo."""
@@ -268,38 +211,6 @@ def _read(folder: Path) -> Iterator[tuple[object, Entry]]:
         except UNFIT:
             raise _strange(path) from None
         yield run, Entry(path.stem, request, refused, record, sha256)
-    for path in sorted(folder.glob("*.png")) if folder.is_dir() else ():
-        if not path.name.startswith(".") and not path.with_suffix(".json").exists():
-            yield from _orphan(path)
-
-
-def _orphan(path: Path) -> Iterator[tuple[object, Entry]]:
-    """A picture whose entry was not written any more, or somebody's own, which is none."""
-    data = read_bytes(path, PICTURE_BYTES)
-    try:
-        with opened(data, ("PNG",)) as picture:
-            content = json.loads(picture.info[TEXT])
-        request = _request(content["request"])
-        run, record = content["about"], table(content["record"])
-    except UNFIT:
-        return
-    yield run, Entry(path.stem, request, "", record, hashlib.sha256(data).hexdigest())
-
-
-def _unread(folder: Path) -> Iterator[tuple[object, Request, Path]]:
-    """Answers of which there is no entry, each with what its run was about."""
-    for path in sorted(folder.glob(f"*{ANSWER}")) if folder.is_dir() else ():
-        entered = any(path.with_suffix(suffix).exists() for suffix in (".png", ".json"))
-        if path.name.startswith(".") or entered:
-            continue
-        try:
-            with open_file(path) as file:
-                content = json.loads(file.readline(MOST_HEAD))
-            request, run = _request(content["request"]), content["about"]
-            number(content["seconds"])
-        except UNFIT:
-            raise _strange(path) from None
-        yield run, request, path
 
 
 def _request(content: Any) -> Request:

@@ -17,15 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit._core import InputError
-from pbrfit.acquire.generators import (
-    RETRY_STEP,
-    Generated,
-    Generator,
-    Refused,
-    Request,
-    Service,
-)
+from pbrfit.acquire.generators import RETRY_STEP, Generator, Refused, Request
 from pbrfit.acquire.journal import Entry, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.io.color import decode_srgb
@@ -147,7 +139,7 @@ class Rounds:
         if entry is None:
             self._tell(f"{request.name}, seed {request.seed}")
             try:
-                generated = self._generated(request)
+                generated = self.generator.generate(self.photo, request)
             except Refused as refusal:
                 entry = self.journal.refuse(request, refusal)
             else:
@@ -163,25 +155,6 @@ class Rounds:
             linear(self.journal.pixels(entry) if pixels is None else pixels)
         )
         return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
-
-    def _generated(self, request: Request) -> Generated:
-        """Of a service what it answered before, if that was not read yet, or what it answers now.
-
-        Raises as a generator does.
-        """
-        if not isinstance(self.generator, Service):
-            return self.generator.generate(self.photo, request)
-        answer = self.journal.answer(request)
-        if answer is None:
-            answer = self.generator.ask(self.photo, request)
-            self.journal.receive(request, answer)
-        try:
-            return self.generator.read(self.photo, answer)
-        except InputError as error:
-            raise InputError(
-                f"{error}; {self.journal.answer_file(request)} holds it, and without that file it "
-                "is asked for anew"
-            ) from None
 
     def _tell(self, what: str) -> None:
         self.progress(what, self.asked, max(self.asked, self.wanted))

@@ -263,8 +263,6 @@ def _print_summary(report: GenerationReport) -> None:
         ("left out" if i == 0 else "", f"{picture.request.name}: {picture.reason}")
         for i, picture in enumerate(report.left_out)
     ]
-    if report.cost_usd is not None:
-        facts.append(("cost", f"about {report.cost_usd:.2f} US dollars, all attempts together"))
     facts.append(("review", f"{report.out / 'review.png'}"))
     result = report.out.with_name(f"{report.out.name}-result")
     scene, out = (shlex.quote(str(path)) for path in (report.out, result))

@@ -18,7 +18,6 @@ import OpenEXR
 import pytest
 import tifffile
 from PIL import Image, ImageCms
-from PIL.PngImagePlugin import PngInfo
 
 from pbrfit import InputError, Result, Scene, decompose
 from pbrfit.acquire import journal
@@ -333,18 +332,6 @@ def test_a_journal_that_somebody_damaged_is_refused(tmp_path: Path) -> None:
     for text in (json.dumps(entry), half, DEEP, "\ufeff"):
         path.write_text(text, encoding="utf-8")
         refused(lambda path: journal.names(path.parent), path, "entry of a generation journal")
-
-
-def test_pictures_without_an_entry_that_are_not_ours_are_passed_over(tmp_path: Path) -> None:
-    for k, text in enumerate((DEEP, "[]", '{"request": {"name": [], "seed": {}}}', '"a"')):
-        told = PngInfo()
-        told.add_itxt(journal.TEXT, text, zip=True)
-        Image.new("RGB", (2, 2)).save(tmp_path / f"{k}.png", pnginfo=told)
-    data = (tmp_path / "1.png").read_bytes()
-    head = struct.pack(">IIBBBBB", 1 << 20, 1 << 20, 8, 2, 0, 0, 0)
-    check = struct.pack(">I", zlib.crc32(b"IHDR" + head))
-    (tmp_path / "huge.png").write_bytes(data[:16] + head + check + data[33:])
-    assert journal.names(tmp_path) == set()
 
 
 class Task:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,16 +39,7 @@ class Generated:
     pixels: NDArray[np.uint8]
     """(H, W, 3) uint8, sRGB, of the photo's size, each pixel where the photo has it."""
     record: dict[str, Any]
-    """How it was made, as JSON: model, revision, seed, steps, guidance, seconds, usage, cost …"""
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What a service sent for one request, before anything has read it."""
-
-    body: bytes
-    seconds: float
-    """From the question to its last byte."""
+    """How it was made, as JSON: model, revision, seed, steps, guidance, seconds, usage …"""
 
 
 class Refused(Exception):  # noqa: N818 - a refusal is an answer, not an error
@@ -84,20 +75,6 @@ class Generator(Protocol):
         Raises Refused if this request was refused; InputError if the generator cannot work: one
         line.
         """
-
-
-@runtime_checkable
-class Service(Generator, Protocol):
-    """A generator that asks somebody else, and may have to pay: asking and reading are apart.
-
-    What was received is on disk before it is read.
-    """
-
-    def ask(self, photo: Photo, request: Request) -> Answer:
-        """Ask for one picture; raises as `generate` does."""
-
-    def read(self, photo: Photo, answer: Answer) -> Generated:
-        """Take the picture out of an answer; raises as `generate` does."""
 
 
 def requests_from(catalogue: Catalogue, count: int, seed: int) -> list[Request]:

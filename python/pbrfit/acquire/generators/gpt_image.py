@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.acquire.generators import Answer, Generated, Refused, Request, requests_from
+from pbrfit.acquire.generators import Generated, Refused, Request, requests_from
 from pbrfit.acquire.padding import GPT_IMAGE_2, Frame, frame, resized_srgb8
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.prompts import Catalogue
@@ -69,20 +69,6 @@ TOTALS = ("input_tokens", "output_tokens", "total_tokens")
 DETAILS = ("input_tokens_details", "output_tokens_details")
 KINDS = ("text_tokens", "image_tokens")
 """Counts in an answer's usage, and those in its details."""
-
-PRICES = dict.fromkeys(
-    (
-        "gpt-image-2",
-        "gpt-image-2-2026-04-21",
-        "gpt-image-2.5-sunburst",
-        "gpt-image-2.5-flare",
-    ),
-    (5.0, 8.0, 30.0),
-)
-"""US dollars for a million tokens of text in, of pictures in, of pictures out; no discounts."""
-
-PRICES_AS_OF = "2026-09"
-"""When OpenAI's page had these prices. Its bill counts; ours is an estimate."""
 
 
 @dataclass(frozen=True)
@@ -132,15 +118,11 @@ class GptImage:
         return [replace(request, seed=seed) for request in requests_from(catalogue, count, seed)]
 
     def generate(self, photo: Photo, request: Request) -> Generated:
-        """Ask for one picture and read it; raises what `ask` and `read` raise."""
-        return self.read(photo, self.ask(photo, request))
+        """Ask for one picture and read it.
 
-    def ask(self, photo: Photo, request: Request) -> Answer:
-        """Ask for one picture; the answer as it came, cut after `MOST_BYTES`.
-
-        Raises Refused if the service's moderation refuses the prompt, the photo or what came out;
-        InputError if the key is refused, or the service is out of reach or out of quota after all
-        retries.
+        Raises Refused if the service's moderation refuses the prompt, the photo or what came out,
+        or the picture's shape is not the one that was asked for; InputError if the key is refused,
+        the service is out of reach or out of quota after all retries, or no picture can be read.
         """
         import openai
 
@@ -159,19 +141,9 @@ class GptImage:
             )
         except openai.OpenAIError as error:
             self._explain(error)
-        return Answer(answer.http_response.content, time.monotonic() - start)
-
-    def read(self, photo: Photo, answer: Answer) -> Generated:
-        """Take the picture out of an answer of `ask`.
-
-        Raises Refused if its shape is not the one that was asked for; InputError if there is no
-        picture that can be read.
-        """
-        around = frame(photo.size, GPT_IMAGE_2)
-        height, width = around.padded
-        content = self._content(answer.body)
+        seconds = time.monotonic() - start
+        content = self._content(answer.http_response.content)
         pixels, given = self._picture(content, around)
-        usage = _usage(content.get("usage"))
         quality = content.get("quality")
         return Generated(
             pixels=pixels,
@@ -182,10 +154,8 @@ class GptImage:
                 "size": [width, height],
                 "size_given": given,
                 "quality": quality if quality in QUALITIES else self.quality,
-                "seconds": round(answer.seconds, 3),
-                "usage": usage,
-                "cost_usd": cost(self.model, usage),
-                "prices_as_of": PRICES_AS_OF,
+                "seconds": round(seconds, 3),
+                "usage": _usage(content.get("usage")),
             },
         )
 
@@ -343,18 +313,6 @@ def _usage(told: object) -> dict[str, Any] | None:
     except UNFIT:
         return None
     return usage
-
-
-def cost(model: str, usage: dict[str, Any] | None) -> float | None:
-    """US dollars for a call, by `PRICES`; None where the model or the tokens are not known."""
-    used = usage or {}
-    details = used.get("input_tokens_details") or {}
-    counts = details.get("text_tokens"), details.get("image_tokens"), used.get("output_tokens")
-    tokens = [count for count in counts if isinstance(count, int)]
-    if model not in PRICES or len(tokens) < len(counts):
-        return None
-    of_a_million = [price * count for price, count in zip(PRICES[model], tokens, strict=True)]
-    return round(sum(of_a_million) / 1e6, 6)
 
 
 def _with_negative(request: Request) -> str:
