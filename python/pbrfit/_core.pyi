@@ -35,6 +35,7 @@ __all__ = [
     "sh_basis",
     "shade",
     "shade_vjp",
+    "tiff_pages",
     "unfinished",
     "write_exr",
     "write_png",
@@ -442,7 +443,10 @@ def image_format(data: bytes) -> str | None: ...
 def decode_exr(
     data: bytes, path: str | PathLike[str]
 ) -> tuple[dict[str, NDArray[np.float32]], list[float] | None]: ...
-def decode_raster(data: bytes, path: str | PathLike[str], indices: bool) -> Raster: ...
+def decode_raster(
+    data: bytes, path: str | PathLike[str], indices: bool, page: int | None = None
+) -> Raster: ...
+def tiff_pages(path: str | PathLike[str]) -> int: ...
 def decode_icc(
     profile: bytes, levels: int, path: str | PathLike[str]
 ) -> tuple[list[NDArray[np.float32]], list[list[float]] | None]: ...

@@ -1,7 +1,8 @@
 //! PNG, JPEG, TIFF and Radiance HDR in, PNG out.
 
 use std::borrow::Cow;
-use std::io::Cursor;
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read, Seek};
 use std::path::Path;
 
 use image::codecs::hdr::HdrDecoder;
@@ -10,7 +11,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder};
 use png::{BitDepth, Transformations};
 use tiff::decoder::ifd::Entry;
-use tiff::decoder::{ChunkType, DecodingResult};
+use tiff::decoder::{ChunkType, DecodingResult, Limits};
 use tiff::tags::{ByteOrder, IfdPointer, Tag, Type};
 
 use super::{Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded};
@@ -112,17 +113,23 @@ impl Raster {
 /// the page of full resolution) or Radiance HDR.
 ///
 /// With `indices`, a palette PNG gives its indices instead of colours and grey
-/// below 8 bits is not spread over 0 to 255.
+/// below 8 bits is not spread over 0 to 255. `page` is the number of one of several pictures in
+/// a TIFF, see [`count_tiff_pages`]; with `None` there has to be one.
 ///
 /// `path` is for the messages.
 ///
 /// # Errors
 /// [`Error::Content`] for other formats, CMYK, more than 2^28 pixels, and damaged or cut-off files.
-pub fn decode_raster(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
+pub fn decode_raster(
+    bytes: &[u8],
+    path: &Path,
+    indices: bool,
+    page: Option<usize>,
+) -> Result<Raster> {
     let raster = guarded(path, || match Format::of(bytes) {
         Some(Format::Png) => decode_png(bytes, path, indices),
         Some(Format::Jpeg) => decode_jpeg(bytes, path),
-        Some(Format::Tiff) => decode_tiff(bytes, path),
+        Some(Format::Tiff) => decode_tiff(bytes, path, page),
         Some(Format::Hdr) => decode_hdr(bytes, path),
         _ => Err(content(
             path,
@@ -283,7 +290,7 @@ fn jpeg_components(bytes: &[u8]) -> std::result::Result<u8, &'static str> {
     }
 }
 
-fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
+fn decode_tiff(bytes: &[u8], path: &Path, page: Option<usize>) -> Result<Raster> {
     use tiff::ColorType::{CMYK, Lab, Palette, YCbCr};
     let error = |error: tiff::TiffError| match error {
         tiff::TiffError::UnsupportedError(what) => {
@@ -293,15 +300,25 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     };
     let open = |bytes| tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(error);
     let file_size = bytes.len() as u64;
-    let mut decoder: TiffDecoder<'_> = open(Cow::Borrowed(bytes))?;
-    let (page, passed_over) = full_page(&mut decoder, path)?;
-    if decoder.ifd_pointer() != Some(page) {
+    let mut decoder = open(Cow::Borrowed(bytes))?;
+    let (pages, passed_over) = full_pages(&mut decoder, path)?;
+    if let (None, count @ 2..) = (page, pages.len()) {
+        let found = format!("expected one picture, found {count} pages: save each as a file");
+        return Err(content(path, found));
+    }
+    let Some(page) = pages.get(page.unwrap_or(0)) else {
+        return Err(broken(path, Format::Tiff, "fewer pages"));
+    };
+    let (at, index) = page.place;
+    if let Some(index) = index {
+        decoder.seek_to_image(index).map_err(error)?;
+    } else {
         check_memory(path, file_size)?;
         // The decoder finds a directory below a page only if the file begins with it.
         let word = if bytes[2..4].contains(&43) { 8 } else { 4 }; // bytes of BigTIFF's offsets
         let offset = match decoder.byte_order() {
-            ByteOrder::LittleEndian => page.0.to_le_bytes()[..word].to_vec(),
-            ByteOrder::BigEndian => page.0.to_be_bytes()[8 - word..].to_vec(),
+            ByteOrder::LittleEndian => at.0.to_le_bytes()[..word].to_vec(),
+            ByteOrder::BigEndian => at.0.to_be_bytes()[8 - word..].to_vec(),
         };
         let patched = [&bytes[..word], &offset, &bytes[2 * word..]].concat();
         decoder = open(Cow::Owned(patched))?;
@@ -312,17 +329,22 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     if tags.directory().iter().any(|(_, entry)| too_long(entry)) {
         return Err(broken(path, Format::Tiff, "a text longer than the file"));
     }
-    let mut limits = tiff::decoder::Limits::default();
+    let mut limits = Limits::default();
     limits.decoding_buffer_size = MAX_PIXELS as usize * 16; // RGBA in float
     limits.intermediate_buffer_size = limits.decoding_buffer_size;
     limits.ifd_value_size = 1 << 26; // large profiles, long lists of strips
-    decoder = decoder.with_limits(limits);
+    decoder = decoder.with_limits(limits.clone());
     let (width, height) = decoder.dimensions().map_err(error)?;
     let most = TIFF_PIXELS * file_size;
     check_size(path, width.into(), height.into(), most, file_size)?;
     let color = decoder.colortype().map_err(error)?;
     let (channels, bits) = (usize::from(color.num_samples()), color.bit_depth());
-    if !(1..=4).contains(&channels) || matches!(color, Palette(_) | CMYK(_) | YCbCr(_) | Lab(_)) {
+    let jpeg = decoder.find_tag_unsigned(Tag::Compression).map_err(error)? == Some(7_u16);
+    let unread = match color {
+        YCbCr(8) => !jpeg, // there may be other coefficients than those of JPEG files
+        color => matches!(color, Palette(_) | CMYK(_) | YCbCr(_) | Lab(_)),
+    };
+    if unread || !(1..=4).contains(&channels) {
         let found = format!("expected a grey or RGB TIFF, found {color:?}");
         return Err(content(path, found));
     }
@@ -336,14 +358,14 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     let profile = decoder.find_tag_unsigned_vec(Tag::IccProfile);
     let layout = decoder.image_buffer_layout().map_err(error)?;
     let planes = layout.planes;
-    if planes > 1 && decoder.get_chunk_type() == ChunkType::Tile {
-        let expected = "expected chunky tiles or strips, found tiles with separate planes";
-        let advice = "which are not supported: save it without tiles";
-        return Err(content(path, format!("{expected}, {advice}")));
-    }
     let mut decoded = DecodingResult::U8(Vec::new());
-    decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
+    if planes > 1 && decoder.get_chunk_type() == ChunkType::Tile {
+        read_planes_of_tiles(&mut decoder, &mut decoded, &limits).map_err(error)?;
+    } else {
+        decoder.read_image_to_buffer(&mut decoded).map_err(error)?;
+    }
     let samples = match decoded {
+        DecodingResult::U8(values) if matches!(color, YCbCr(_)) => Samples::U8(to_rgb(values)),
         DecodingResult::U8(values) => Samples::U8(interleave(values, planes, |value| value)),
         DecodingResult::U16(values) => Samples::U16(interleave(values, planes, |value| value)),
         DecodingResult::F16(values) => Samples::F32(interleave(values, planes, |v| v.to_f32())),
@@ -366,76 +388,148 @@ fn decode_tiff(bytes: &[u8], path: &Path) -> Result<Raster> {
     })
 }
 
-type TiffDecoder<'a> = tiff::decoder::Decoder<Cursor<Cow<'a, [u8]>>>;
+type TiffDecoder<R> = tiff::decoder::Decoder<R>;
 
 /// Most directories of a TIFF that are looked at.
 const MOST_PAGES: usize = 1024;
 
+/// Where the directory of a page begins, and its number; `None` if it lies below another page.
+type Place = (IfdPointer, Option<usize>);
+
 /// A page of a TIFF.
 struct Page {
-    /// Where its directory begins.
-    at: IfdPointer,
-    width: u64,
-    height: u64,
+    place: Place,
+    /// Width, height, then the bits of each sample.
+    kind: Vec<u64>,
     /// Whether it says that it is a smaller version, or a mask, of another.
     reduced: bool,
 }
 
+/// The number of pictures in a TIFF file: pages of full resolution.
+///
+/// # Errors
+/// [`Error::Content`] if they differ in size or bits, or the file has no page; [`Error::Io`] if
+/// it cannot be read.
+pub fn count_tiff_pages(path: &Path) -> Result<usize> {
+    let file = File::open(path).map_err(|source| Error::Io {
+        path: path.to_owned(),
+        source,
+    })?;
+    guarded(path, || {
+        let decoder = TiffDecoder::new(BufReader::new(file));
+        let mut decoder = decoder.map_err(|error| broken(path, Format::Tiff, error))?;
+        Ok(full_pages(&mut decoder, path)?.0.len())
+    })
+}
+
 /// Reads a page and adds to `places` the directory of the next one and, beside a thumbnail,
 /// those below it. `None` where its directory is not whole or without a size.
-fn page(
-    decoder: &mut TiffDecoder<'_>,
-    at: IfdPointer,
-    places: &mut Vec<IfdPointer>,
+fn page<R: Read + Seek>(
+    decoder: &mut TiffDecoder<R>,
+    place: Place,
+    places: &mut Vec<Place>,
 ) -> Option<Page> {
-    let directory = decoder.read_directory(at).ok()?;
-    places.extend(directory.next());
+    let directory = decoder.read_directory(place.0).ok()?;
+    places.extend(directory.next().map(|at| (at, place.1.map(|i| i + 1))));
     let few = |list: &Entry| list.count() <= MOST_PAGES as u64;
     let mut tags = decoder.read_directory_tags(&directory);
-    let mut value = |tag| tags.find_tag_unsigned::<u64>(tag).ok().flatten();
+    let mut values = |tag| tags.find_tag_unsigned_vec::<u64>(tag).ok().flatten();
+    let mut value = |tag| values(tag)?.first().copied();
     let kinds = value(Tag::NewSubfileType).unwrap_or(0); // bits: smaller version, page, mask
     let reduced = kinds & 0b101 != 0 || value(Tag::SubfileType) == Some(2);
-    let (width, height) = (value(Tag::ImageWidth)?, value(Tag::ImageLength)?);
+    let mut kind = vec![value(Tag::ImageWidth)?, value(Tag::ImageLength)?];
+    kind.extend(values(Tag::BitsPerSample).unwrap_or_default());
     if reduced && directory.get(Tag::SubIfd).is_some_and(few) {
-        let below = tags.find_tag_unsigned_vec(Tag::SubIfd).ok().flatten();
-        places.extend(below.unwrap_or_default().into_iter().map(IfdPointer));
+        let below = values(Tag::SubIfd).unwrap_or_default();
+        places.extend(below.into_iter().map(|at| (IfdPointer(at), None)));
     }
     Some(Page {
-        at,
-        width,
-        height,
+        place,
+        kind,
         reduced,
     })
 }
 
-/// Where the directory of the one picture in a TIFF is, and how many smaller pages there
-/// are beside: thumbnails, the levels of a pyramid.
-fn full_page(decoder: &mut TiffDecoder<'_>, path: &Path) -> Result<(IfdPointer, usize)> {
+/// The pages of full resolution in a TIFF, and how many smaller ones there are beside:
+/// thumbnails, the levels of a pyramid.
+fn full_pages<R: Read + Seek>(
+    decoder: &mut TiffDecoder<R>,
+    path: &Path,
+) -> Result<(Vec<Page>, usize)> {
     let mut pages: Vec<Page> = Vec::new();
-    let mut places = Vec::from_iter(decoder.ifd_pointer());
+    let mut places = Vec::from_iter(decoder.ifd_pointer().map(|at| (at, Some(0))));
     for _ in 0..MOST_PAGES {
-        let Some(at) = places.pop() else { break };
-        if pages.iter().all(|page| page.at != at) {
-            pages.extend(page(decoder, at, &mut places));
+        let Some(place) = places.pop() else { break };
+        if pages.iter().all(|page| page.place.0 != place.0) {
+            pages.extend(page(decoder, place, &mut places));
         }
     }
     let total = pages.len();
     if pages.iter().any(|page| !page.reduced) {
         pages.retain(|page| !page.reduced);
     }
-    let area = |page: &&Page| page.width.saturating_mul(page.height);
+    let area = |page: &&Page| page.kind[0].saturating_mul(page.kind[1]);
     let Some(largest) = pages.iter().max_by_key(area) else {
         return Err(broken(path, Format::Tiff, "no page"));
     };
     // The next level of a pyramid has half the sides, rounded up.
-    let [width, height] = [largest.width, largest.height].map(|side| side.div_ceil(2));
-    let is_level = |page: &&Page| page.width <= width && page.height <= height;
-    let count = pages.len() - pages.iter().filter(is_level).count();
-    if count > 1 {
-        let found = format!("expected one picture, found {count} pages: save each as a file");
-        return Err(content(path, found));
+    let [width, height] = [0, 1].map(|side| largest.kind[side].div_ceil(2));
+    pages.retain(|page| page.kind[0] > width || page.kind[1] > height);
+    let count = pages.len();
+    if pages.iter().any(|page| page.kind != pages[0].kind) {
+        let found = format!("found {count} pages that differ: save each as a file");
+        let expected = "expected one picture, or pages of one size and kind";
+        return Err(content(path, format!("{expected}, {found}")));
     }
-    Ok((largest.at, total - 1))
+    Ok((pages, total - count))
+}
+
+/// Reads tiles of separate planes into planes one after another. `tiff` 0.11 takes the last row
+/// of tiles to be cut off at the picture's edge in the first plane alone, so that it cannot
+/// read the planes as a whole; the tiles by themselves it can.
+fn read_planes_of_tiles<R: Read + Seek>(
+    decoder: &mut TiffDecoder<R>,
+    decoded: &mut DecodingResult,
+    limits: &Limits,
+) -> tiff::TiffResult<()> {
+    let layout = decoder.image_buffer_layout()?;
+    decoded.resize_to(&layout, limits)?;
+    let (width, height) = decoder.dimensions()?;
+    let (tile_width, tile_height) = decoder.chunk_dimensions();
+    let across = width.div_ceil(tile_width);
+    let tiles = across * height.div_ceil(tile_height);
+    let stride = layout.len / height as usize; // bytes of a row of one plane
+    let sample = stride / width as usize;
+    let mut planes = decoded.as_buffer(0);
+    let planes = planes.as_bytes_mut().chunks_exact_mut(layout.len);
+    for (plane, bytes) in planes.enumerate() {
+        for tile in 0..tiles {
+            let index = plane as u32 * tiles + tile;
+            let (wide, high) = decoder.chunk_data_dimensions(index);
+            let row = wide as usize * sample;
+            let mut lines = vec![0; row * high as usize];
+            decoder.read_chunk_bytes(index, &mut lines)?;
+            let top = (tile / across * tile_height) as usize * stride;
+            let left = (tile % across * tile_width) as usize * sample;
+            let target = bytes[top..].chunks_exact_mut(stride);
+            for (line, to) in lines.chunks_exact(row).zip(target) {
+                to[left..left + row].copy_from_slice(line);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Y, Cb and Cr as of JPEG files become R, G and B: Y = 0.299 R + 0.587 G + 0.114 B, and Cb and Cr
+/// are B − Y and R − Y over 1.772 and 1.402, around 128.
+fn to_rgb(mut samples: Vec<u8>) -> Vec<u8> {
+    for pixel in samples.as_chunks_mut::<3>().0 {
+        let [y, blue, red] = pixel.map(f32::from);
+        let (red, blue) = (y + 1.402 * (red - 128.0), y + 1.772 * (blue - 128.0));
+        let green = (y - 0.299 * red - 0.114 * blue) / 0.587;
+        *pixel = [red, green, blue].map(|value| value.round() as u8); // saturates
+    }
+    samples
 }
 
 /// Planes stored one after another become interleaved samples of another type.

@@ -9,7 +9,7 @@ use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::Material;
 use crate::reflectance::tangent_offset::{OFFSET_MAX, OFFSETS, tangents};
 use crate::runtime::check::{LARGEST_F32, MAX_SAMPLES};
-use crate::runtime::memory::zeros;
+use crate::runtime::memory::{collect, zeros};
 use crate::runtime::{Error, Result, check, pool};
 
 /// Pixels in a piece of work.
@@ -92,12 +92,10 @@ pub fn fit_under_lamps(
     let pixels = materials.len();
     let mut fitted = LampFitted {
         normals: zeros("start_normals", pixels)?,
-        materials: Vec::new(),
+        materials: collect("albedo", pixels, materials.iter().copied())?,
         costs: zeros("pictures", pixels)?,
         information: zeros("prior_precision", pixels)?,
     };
-    (fitted.materials.try_reserve_exact(pixels)).map_err(|_| Error::Memory("albedo"))?;
-    fitted.materials.extend_from_slice(materials);
     let descent = |p: usize| Descent {
         samples: Samples::new(&given, &lights, how.model, p),
         base: given.base_normals[p].normalize(),

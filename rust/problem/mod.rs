@@ -20,6 +20,7 @@ use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset;
 use crate::runtime::check::LARGEST_F32;
+use crate::runtime::memory::collect;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check};
 use crate::transport::table::Transfer;
@@ -265,12 +266,8 @@ impl Problem {
             self.split_maps(maps).1,
             tangent_offset::OFFSET_MAX,
         )?;
-        let mut normals = Vec::new();
-        normals
-            .try_reserve_exact(self.pixels)
-            .map_err(|_| Error::Memory("normals"))?;
-        normals.extend((0..self.pixels).map(|p| self.normal(maps, p)));
-        Ok(normals)
+        let normals = (0..self.pixels).map(|p| self.normal(maps, p));
+        collect("normals", self.pixels, normals)
     }
 
     /// x where some pixels are asked for, checked: its maps, and its lights, known or of x, as

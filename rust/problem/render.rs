@@ -14,6 +14,7 @@ use crate::reflectance::planes::{
 };
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
+use crate::runtime::memory::zeros;
 use crate::runtime::simd::Instructions;
 use crate::runtime::{Error, Result, check, pool};
 use crate::transport::table::Transfer;
@@ -37,35 +38,27 @@ pub fn render(
     check::moderate("lighting", lighting, check::LARGEST_F64)?;
     let (coefficients, rest) = lighting.as_chunks::<{ COEFFICIENTS * 3 }>();
     if !rest.is_empty() {
-        return Err(Error::argument(
-            "lighting",
-            "48 numbers a picture",
-            lighting.len(),
-        ));
+        let found = lighting.len();
+        return Err(Error::argument("lighting", "48 numbers a picture", found));
     }
     let lights: Vec<[[f64; COEFFICIENTS]; 3]> = coefficients
         .iter()
         .map(|light| [0, 1, 2].map(|c| std::array::from_fn(|k| light[k * 3 + c])))
         .collect();
 
-    pictures(
-        lights.len(),
-        pixels,
-        CHUNK * BLOCK,
-        threads,
-        |first, parts| {
-            let given = (normals, views);
-            if transfer.is_some() {
-                with_model!(model, true, M => {
-                    render_chunk::<M>(given, materials, &lights, transfer, first, parts);
-                });
-            } else {
-                with_model!(model, M => {
-                    render_chunk::<M>(given, materials, &lights, None, first, parts);
-                });
-            }
-        },
-    )
+    let piece = CHUNK * BLOCK;
+    pictures(lights.len(), pixels, piece, threads, |first, parts| {
+        let given = (normals, views);
+        if transfer.is_some() {
+            with_model!(model, true, M => {
+                render_chunk::<M>(given, materials, &lights, transfer, first, parts);
+            });
+        } else {
+            with_model!(model, M => {
+                render_chunk::<M>(given, materials, &lights, None, first, parts);
+            });
+        }
+    })
 }
 
 /// Pictures of so many pixels, (light, pixel, channel), filled in pieces.
@@ -79,13 +72,7 @@ pub(crate) fn pictures(
     threads: usize,
     fill: impl Fn(usize, &mut [&mut [f64]]) + Send + Sync,
 ) -> Result<Vec<f64>> {
-    let samples = lights * pixels * 3;
-    // Asked for twice: whether there is memory, and then as zeros, which the system hands out page
-    // by page to the threads that write there.
-    Vec::<f64>::new()
-        .try_reserve_exact(samples)
-        .map_err(|_| Error::Memory("images"))?;
-    let mut images = vec![0.0; samples];
+    let mut images = zeros("images", lights * pixels * 3)?;
     if images.is_empty() {
         return Ok(images);
     }

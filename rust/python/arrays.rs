@@ -14,6 +14,7 @@ use pyo3::prelude::*;
 use super::InputError;
 use crate::reflectance::planes::Material;
 use crate::runtime::check::MAX_SAMPLES;
+use crate::runtime::memory::collect;
 use crate::runtime::{Error, Result, check};
 
 /// In a shape: as long as the array is.
@@ -89,20 +90,6 @@ pub(super) fn copied<T: Element + Copy, D: Dimension>(
 ) -> Result<Vec<T>> {
     let view: ArrayView<T, D> = array.as_array();
     collect(name, view.len(), view.iter().copied())
-}
-
-/// `count` values as a vector, or an error where memory does not suffice.
-pub(super) fn collect<T>(
-    name: &'static str,
-    count: usize,
-    values: impl IntoIterator<Item = T>,
-) -> Result<Vec<T>> {
-    let mut collected = Vec::new();
-    collected
-        .try_reserve_exact(count)
-        .map_err(|_| Error::Memory(name))?;
-    collected.extend(values);
-    Ok(collected)
 }
 
 /// An argument to write `length` numbers into, in one piece; a refusal names it.

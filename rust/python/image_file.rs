@@ -19,6 +19,7 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(image_format, module)?)?;
     module.add_function(wrap_pyfunction!(decode_exr, module)?)?;
     module.add_function(wrap_pyfunction!(decode_raster, module)?)?;
+    module.add_function(wrap_pyfunction!(tiff_pages, module)?)?;
     module.add_function(wrap_pyfunction!(decode_icc, module)?)?;
     module.add_function(wrap_pyfunction!(write_exr, module)?)?;
     module.add_function(wrap_pyfunction!(write_png, module)?)?;
@@ -61,15 +62,23 @@ fn decode_exr<'py>(
     Ok((channels, exr.chromaticities))
 }
 
-/// PNG, JPEG, TIFF or HDR. `indices`: palette and low-bit values as stored.
+/// The number of pictures in a TIFF file.
 #[pyfunction]
+fn tiff_pages(py: Python<'_>, path: PathBuf) -> PyResult<usize> {
+    Ok(py.detach(|| image_file::count_tiff_pages(&path))?)
+}
+
+/// PNG, JPEG, TIFF or HDR. `indices`: palette and low-bit values as stored; `page` of a TIFF.
+#[pyfunction]
+#[pyo3(signature = (data, path, indices, page=None))]
 fn decode_raster(
     py: Python<'_>,
     data: PyBackedBytes,
     path: PathBuf,
     indices: bool,
+    page: Option<usize>,
 ) -> PyResult<Raster> {
-    let raster = py.detach(|| image_file::decode_raster(&data, &path, indices))?;
+    let raster = py.detach(|| image_file::decode_raster(&data, &path, indices, page))?;
     let shape = [raster.height, raster.width, raster.channels];
     let samples = match raster.samples {
         Samples::U8(values) => PyArray1::from_vec(py, values).reshape(shape)?.into_any(),
@@ -121,15 +130,6 @@ fn write_exr(
     let shape = channels
         .first()
         .map_or([0, 0], |(_, plane)| [plane.shape()[0], plane.shape()[1]]);
-    if let Some((name, plane)) = channels.iter().find(|(_, plane)| plane.shape() != shape) {
-        return Err(InputError::new_err(format!(
-            "channels: expected {} x {} values in {name}, found {} x {}",
-            shape[0],
-            shape[1],
-            plane.shape()[0],
-            plane.shape()[1]
-        )));
-    }
     let channels = channels
         .into_iter()
         .map(|(name, plane)| {

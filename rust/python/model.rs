@@ -3,7 +3,7 @@
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use super::arrays::{ANY, Out, Pixels, collect, given, out, rows, values, vectors};
+use super::arrays::{ANY, Out, Pixels, given, out, rows, values, vectors};
 use super::surroundings::given as given_transfer;
 use crate::problem::render::render as render_pixels;
 use crate::reflectance::lobe_table;
@@ -12,6 +12,7 @@ use crate::reflectance::reflection::Reflection;
 use crate::reflectance::shade::{Frame, shade as shade_pixel, shade_vjp as pull_back_pixel};
 use crate::reflectance::{ggx, sh};
 use crate::runtime::check::{self, MAX_SAMPLES};
+use crate::runtime::memory::collect;
 use crate::runtime::{Error, Result};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {

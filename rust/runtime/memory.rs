@@ -4,10 +4,22 @@ use super::{Error, Result};
 
 /// `count` default values; `name` is the array in the error's message.
 pub(crate) fn zeros<T: Clone + Default>(name: &'static str, count: usize) -> Result<Vec<T>> {
-    let mut values = Vec::new();
-    values
+    // Asked for twice: whether there is memory, and then as zeros, which the system hands out page
+    // by page to the threads that write there.
+    collect(name, count, std::iter::empty::<T>())?;
+    Ok(vec![T::default(); count])
+}
+
+/// Values, `count` of them; `name` as of [`zeros`].
+pub(crate) fn collect<T>(
+    name: &'static str,
+    count: usize,
+    values: impl IntoIterator<Item = T>,
+) -> Result<Vec<T>> {
+    let mut collected = Vec::new();
+    collected
         .try_reserve_exact(count)
         .map_err(|_| Error::Memory(name))?;
-    values.resize(count, T::default());
-    Ok(values)
+    collected.extend(values);
+    Ok(collected)
 }

@@ -182,16 +182,11 @@ mod tests {
                         assert_eq!(hit.surface, surfaces[first]);
                     }
                 }
-                *(if first.is_some() {
-                    &mut met
-                } else {
-                    &mut missed
-                }) += 1;
+                met += usize::from(first.is_some());
+                missed += usize::from(first.is_none());
             }
-            assert!(
-                missed > 100 && (count < 400 || met > 500),
-                "{met}, {missed}"
-            );
+            let holds = missed > 100 && (count < 400 || met > 500);
+            assert!(holds, "{met}, {missed}");
         }
     }
 
@@ -218,10 +213,8 @@ mod tests {
         assert_eq!(message(0.0, &[]), "surfaces: expected 1 numbers, found 0");
         for (value, found) in [(f32::NAN, "NaN"), (f32::INFINITY, "inf"), (4e15, "e15")] {
             let message = message(value, &[0]);
-            assert!(
-                message.starts_with("triangles: expected ") && message.contains(found),
-                "{message}"
-            );
+            let holds = message.starts_with("triangles: expected ") && message.contains(found);
+            assert!(holds, "{message}");
         }
     }
 }

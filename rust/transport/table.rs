@@ -414,6 +414,15 @@ mod tests {
         Surroundings::new(&triangles, &surfaces).unwrap()
     }
 
+    fn picture<'a>(size: [usize; 2], samples: &'a [f32], nearest: &'a [u32]) -> Radiance<'a> {
+        Radiance {
+            samples,
+            size,
+            half_width: 0.5,
+            nearest,
+        }
+    }
+
     fn nothing() -> Surroundings {
         Surroundings::new(&[], &[]).unwrap()
     }
@@ -526,10 +535,8 @@ mod tests {
                     let of_pixel =
                         with_model!(model, M => pixels.radiance::<M>(&found, p, roughness));
                     for [left, open] in of_pixel {
-                        assert!(
-                            left.abs() < 0.06 * open,
-                            "{model:?}, roughness {roughness}: {left} of {open}"
-                        );
+                        let holds = left.abs() < 0.06 * open;
+                        assert!(holds, "{model:?}, roughness {roughness}: {left} of {open}");
                         squares[0] += left * left;
                         squares[1] += open * open;
                     }
@@ -638,12 +645,7 @@ mod tests {
         let pixels = Pixels::new(40, 70.0);
         let samples = [1.0; 4 * 4];
         let nearest: Vec<u32> = (0..6 * 16).map(|i| i % 16).collect();
-        let given = Radiance {
-            samples: &samples,
-            size: [4, 4],
-            half_width: 0.5,
-            nearest: &nearest,
-        };
+        let given = picture([4, 4], &samples, &nearest);
         // A screen on one side, so that part of the light comes from the sky itself.
         let wall = square([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
         let screen = Surroundings::new(&wall, &[0, 0]).unwrap();
@@ -681,12 +683,7 @@ mod tests {
             .map(|i| (i as f32 * 0.37).sin().abs())
             .collect();
         let nearest: Vec<u32> = (0..6 * 35).map(|i| (i * 11) % 35).collect();
-        let given = Radiance {
-            samples: &samples,
-            size: [5, 7],
-            half_width: 0.4,
-            nearest: &nearest,
-        };
+        let given = picture([5, 7], &samples, &nearest);
         for model in MODELS {
             let of = |pixels: &Pixels, threads: usize| {
                 transfer(&cube(), pixels.origins(), model, 100, Some(given), threads).unwrap()
@@ -728,12 +725,7 @@ mod tests {
             })
             .collect();
         let nearest: Vec<u32> = (0..6 * 16).map(|i| i % 16).collect();
-        let given = Radiance {
-            samples: &samples,
-            size: [4, 4],
-            half_width: 0.5,
-            nearest: &nearest,
-        };
+        let given = picture([4, 4], &samples, &nearest);
         for model in MODELS {
             let found = transfer(&cube(), pixels.origins(), model, 500, Some(given), 1).unwrap();
             for of_row in found.bounced.chunks(4) {
@@ -751,59 +743,49 @@ mod tests {
         // Surface 1 is shown by pixel 5 alone; surface 2 by 0 and 3.
         let nearest = [[5; 8], [0, 0, 3, 3, 0, 0, 3, 3]].concat();
         let shows = |half_width: f32, point: [f32; 3], surface: u8| {
+            let given = picture([2, 4], &samples, &nearest);
             let given = Radiance {
-                samples: &samples,
-                size: [2, 4],
                 half_width,
-                nearest: &nearest,
+                ..given
             };
             given.at(Vec3A::from(point), surface)[0]
         };
-        // At depth 2 a picture of half width 0.5 spans x from -1 to 1, and y from -0.5 to 0.5.
-        for (point, expected) in [
-            ([-0.9, 0.4, -2.0], 0.0),
-            ([-0.3, 0.4, -2.0], 1.0),
-            ([0.3, 0.1, -2.0], 2.0),
-            ([0.9, 0.4, -2.0], 3.0),
-            ([-0.9, -0.4, -2.0], 4.0),
-            ([0.9, -0.1, -2.0], 7.0),
-            ([9.0, 0.1, -2.0], 3.0), // beyond the edge
-            ([0.3, -9.0, -2.0], 6.0),
-        ] {
-            assert_eq!(shows(0.5, point, 0), expected, "{point:?}");
-        }
-        // Behind the camera: the edge in the point's direction.
-        for (point, expected) in [
-            ([-5.0, 0.1, 2.0], 0.0),
-            ([5.0, 0.1, 2.0], 3.0),
-            ([5.0, -0.1, 0.0], 7.0),
-            ([0.2, 5.0, 2.0], 2.0),
-            ([0.2, -5.0, 2.0], 6.0),
-        ] {
-            assert_eq!(shows(0.5, point, 0), expected, "{point:?}");
-        }
         shows(0.5, [0.0; 3], 0); // at the camera itself: some pixel
-        // Orthographic: x from -1 to 1 whatever the depth.
-        assert_eq!(shows(0.0, [-0.9, 0.4, -7.0], 0), 0.0);
-        assert_eq!(shows(0.0, [0.9, -0.4, 7.0], 0), 7.0);
-        // Surfaces that another pixel shows.
-        assert_eq!(shows(0.5, [0.9, 0.4, -2.0], 1), 5.0);
-        assert_eq!(shows(0.5, [-0.9, 0.4, -2.0], 2), 0.0);
-        assert_eq!(shows(0.5, [0.9, -0.4, -2.0], 2), 3.0);
+        for (half_width, point, surface, expected) in [
+            // At depth 2 a picture of half width 0.5 spans x from -1 to 1, and y from -0.5 to 0.5.
+            (0.5, [-0.9, 0.4, -2.0], 0, 0.0),
+            (0.5, [-0.3, 0.4, -2.0], 0, 1.0),
+            (0.5, [0.3, 0.1, -2.0], 0, 2.0),
+            (0.5, [0.9, 0.4, -2.0], 0, 3.0),
+            (0.5, [-0.9, -0.4, -2.0], 0, 4.0),
+            (0.5, [0.9, -0.1, -2.0], 0, 7.0),
+            (0.5, [9.0, 0.1, -2.0], 0, 3.0), // beyond the edge
+            (0.5, [0.3, -9.0, -2.0], 0, 6.0),
+            // Behind the camera: the edge in the point's direction.
+            (0.5, [-5.0, 0.1, 2.0], 0, 0.0),
+            (0.5, [5.0, 0.1, 2.0], 0, 3.0),
+            (0.5, [5.0, -0.1, 0.0], 0, 7.0),
+            (0.5, [0.2, 5.0, 2.0], 0, 2.0),
+            (0.5, [0.2, -5.0, 2.0], 0, 6.0),
+            // Orthographic: x from -1 to 1 whatever the depth.
+            (0.0, [-0.9, 0.4, -7.0], 0, 0.0),
+            (0.0, [0.9, -0.4, 7.0], 0, 7.0),
+            // Surfaces that another pixel shows.
+            (0.5, [0.9, 0.4, -2.0], 1, 5.0),
+            (0.5, [-0.9, 0.4, -2.0], 2, 0.0),
+            (0.5, [0.9, -0.4, -2.0], 2, 3.0),
+        ] {
+            let found = shows(half_width, point, surface);
+            assert_eq!(found, expected, "{point:?} on {surface}");
+        }
     }
 
     #[test]
     fn unusable_arguments_are_named_in_one_line() {
         type Change = fn(&mut Pixels, &mut usize, &mut Radiance);
-        let nearest: Vec<u32> = (0..6 * 4).map(|i| i % 4).collect();
         let message = |change: Change| {
             let (mut pixels, mut rays) = (Pixels::new(3, 30.0), 64);
-            let mut given = Radiance {
-                samples: &[1.0; 4],
-                size: [2, 2],
-                half_width: 0.5,
-                nearest: &nearest,
-            };
+            let mut given = picture([2, 2], &[1.0; 4], &[0; 6 * 4]);
             change(&mut pixels, &mut rays, &mut given);
             let found = transfer(
                 &cube(),
@@ -816,57 +798,28 @@ mod tests {
             found.unwrap_err().to_string()
         };
         let cases: [(Change, &str); 17] = [
-            (|p, _, _| p.points[1].y = f64::NAN, "points: expected "),
-            (|p, _, _| p.points[1].y = 1e300, "points: expected "),
-            (
-                |p, _, _| p.normals[2] *= 2.0,
-                "normals: expected unit vectors",
-            ),
-            (|p, _, _| p.views[0] *= 0.0, "views: expected unit vectors"),
-            (
-                |p, _, _| p.normals.truncate(2),
-                "normals: expected 3 numbers, found 2",
-            ),
-            (
-                |p, _, _| p.views.truncate(2),
-                "views: expected 3 numbers, found 2",
-            ),
-            (
-                |p, _, _| p.seeds.truncate(2),
-                "seeds: expected 3 numbers, found 2",
-            ),
-            (|_, rays, _| *rays = 0, "rays: expected "),
-            (|_, rays, _| *rays = usize::MAX, "rays: expected "),
-            (
-                |_, _, g| g.nearest = &g.nearest[1..],
-                "nearest: expected 24 numbers, found 23",
-            ),
-            (
-                |_, _, g| g.nearest = &[4; 24],
-                "nearest: expected pixels below 4, found 4",
-            ),
-            (
-                |_, _, g| g.size = [0, 2],
-                "radiance: expected at least one pixel",
-            ),
-            (|_, _, g| g.samples = &[1.0; 5], "radiance: expected "),
-            (
-                |_, _, g| g.samples = &[1.0, f32::NAN, 1.0, 1.0],
-                "radiance: expected ",
-            ),
-            (|_, _, g| g.half_width = f32::NAN, "half_width: expected "),
-            (
-                |_, _, g| g.half_width = f32::INFINITY,
-                "half_width: expected ",
-            ),
-            (|_, _, g| g.half_width = -1.0, "half_width: expected "),
+            (|p, _, _| p.points[1].y = f64::NAN, "points: "),
+            (|p, _, _| p.points[1].y = 1e300, "points: "),
+            (|p, _, _| p.normals[2] *= 2.0, "normals: unit vectors"),
+            (|p, _, _| p.views[0] *= 0.0, "views: unit vectors"),
+            (|p, _, _| p.normals.truncate(2), "normals: 3 numbers"),
+            (|p, _, _| p.views.truncate(2), "views: 3 numbers"),
+            (|p, _, _| p.seeds.truncate(2), "seeds: 3 numbers"),
+            (|_, rays, _| *rays = 0, "rays: "),
+            (|_, rays, _| *rays = usize::MAX, "rays: "),
+            (|_, _, g| g.nearest = &[0; 23], "nearest: 24 numbers"),
+            (|_, _, g| g.nearest = &[4; 24], "nearest: pixels below 4"),
+            (|_, _, g| g.size = [0, 2], "radiance: at least one pixel"),
+            (|_, _, g| g.samples = &[1.0; 5], "radiance: "),
+            (|_, _, g| g.samples = &[f32::NAN; 4], "radiance: "),
+            (|_, _, g| g.half_width = f32::NAN, "half_width: "),
+            (|_, _, g| g.half_width = f32::INFINITY, "half_width: "),
+            (|_, _, g| g.half_width = -1.0, "half_width: "),
         ];
         for (change, expected) in cases {
-            let found = message(change);
-            assert!(
-                found.starts_with(expected) && !found.contains('\n'),
-                "{found}"
-            );
+            let found = message(change).replacen("expected ", "", 1);
+            let complete = found.starts_with(expected) && found.contains(", found ");
+            assert!(complete && !found.contains('\n'), "{found}");
         }
     }
 
@@ -896,10 +849,8 @@ mod tests {
             let uniform = (4.0 * std::f64::consts::PI).sqrt();
             for (sum, value) in sums.iter().zip([values[0], values[10]]) {
                 let expected = uniform * value;
-                assert!(
-                    (sum - expected).abs() < 0.01 * expected,
-                    "roughness {roughness}: {sum}, expected {expected}"
-                );
+                let holds = (sum - expected).abs() < 0.01 * expected;
+                assert!(holds, "roughness {roughness}: {sum}, expected {expected}");
             }
         }
     }

@@ -91,8 +91,7 @@ def _as_picture(file: Path) -> None:
         assert picture.limits.max() <= 2
     if picture.alpha is not None:
         assert picture.alpha.shape == shape
-    assert picture.bit_depth in (8, 16, 32)
-    if picture.bit_depth != 32:
+    if picture.stored is not None:
         assert np.isfinite(picture.pixels).all(), "integers gave what is not finite"
     if picture.focal_length_35mm is not None:
         assert 0 < picture.focal_length_35mm < math.inf

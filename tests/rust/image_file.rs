@@ -76,7 +76,7 @@ fn png_survives_the_round_trip() {
             .collect();
         for samples in [Samples::U8(eight), Samples::U16(sixteen)] {
             let bytes = encode_png(&samples, [3, 5, channels], PngTag::Srgb).unwrap();
-            let read = decode_raster(&bytes, Path::new("a.png"), false).unwrap();
+            let read = decode_raster(&bytes, Path::new("a.png"), false, None).unwrap();
             assert_eq!((read.height, read.width, read.channels), (3, 5, channels));
             assert_eq!(read.samples, samples);
         }
@@ -153,7 +153,7 @@ fn cut_off_files_are_errors_that_name_them() {
     }
     let bytes = encode_png(&Samples::U8(vec![7; 300]), [10, 10, 3], PngTag::Srgb).unwrap();
     for length in 0..bytes.len() {
-        let error = decode_raster(&bytes[..length], &path, false).unwrap_err();
+        let error = decode_raster(&bytes[..length], &path, false, None).unwrap_err();
         assert!(error.to_string().contains("cut.file: expected"), "{error}");
     }
 }
@@ -176,7 +176,9 @@ fn a_picture_of_absurd_size_is_refused_before_it_is_allocated() {
     assert!(error.contains("found 100000 x 100000"), "{error}");
 
     let hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 100000 +X 100000\n\x02\x02\x00\x04";
-    let error = decode_raster(hdr, &path, false).unwrap_err().to_string();
+    let error = decode_raster(hdr, &path, false, None)
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("found 100000 x 100000"), "{error}");
 }
 

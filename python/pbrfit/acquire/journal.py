@@ -25,9 +25,9 @@ from pbrfit.acquire.received import read_srgb8
 from pbrfit.io import images
 from pbrfit.io.input_files import PICTURE_BYTES, read_bytes
 from pbrfit.io.json_files import (
+    MOST,
     UNFIT,
     read_json,
-    seed,
     table,
     text,
     whole,
@@ -218,7 +218,7 @@ def _request(content: Any) -> Request:
     name, prompt, negative = (words(content[key]) for key in ("name", "prompt", "negative"))
     if content.keys() != {"name", "prompt", "negative", "seed"}:
         raise ValueError(f"request of {listed(content)}")
-    return Request(name, prompt, negative, seed(content["seed"]))
+    return Request(name, prompt, negative, whole(content["seed"], -MOST))
 
 
 def _strange(path: Path) -> InputError:

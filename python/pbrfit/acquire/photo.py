@@ -112,7 +112,7 @@ def read_photo(
     if not valid.any():
         raise InputError(f"{path}: expected opaque pixels, found none at {size[1]} × {size[0]}")
     exposure = 0.0
-    if picture.bit_depth == 32:
+    if picture.stored is None:
         exposure = exposure_of(path, pixels[valid])
         assumed["exposure"] = (
             f"shown at {exposure:+.1f} stops: {100 * WHITE_QUANTILE:g} % of the pixels of a float "

@@ -86,7 +86,7 @@ def picture_size(path: Path) -> tuple[int, int]:
 
     Raises InputError or OSError if it cannot be read.
     """
-    with open_file(path) as file:
+    with open_file(images.file_of(path)) as file:
         head = file.read(_HEAD)
     kind = image_format(head)
     if raw_files.is_raw(path, head, kind):
@@ -97,7 +97,7 @@ def picture_size(path: Path) -> tuple[int, int]:
     elif kind == "HDR":
         found = _of_hdr(head)
     elif kind is not None:
-        found = _of_raster(path)
+        found = _of_raster(images.file_of(path))
     if found is not None and min(found) > 0:
         return found
     height, width = images.read_picture(path).pixels.shape[:2]  # such as TIFF of floats

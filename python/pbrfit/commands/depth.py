@@ -45,7 +45,7 @@ FLAGS: dict[str, Flags] = {
     "normals": {},
     "file": {
         "depth_kind": DEPTH_KIND,
-        "unit": cli.value("U", cli.number, "factor: 0.001 makes metres of mm (default: 1)"),
+        "unit": cli.value("U", str, "m, cm or mm, or the metres that 1 is (default: as stored)"),
     },
 }
 """Options of each kind of source."""

@@ -83,10 +83,8 @@ def run(options: argparse.Namespace) -> int:
     kind = "ball" if options.source == "ball" else "file"
     given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
     if kind == "file":
-        files = locate(options.scene)
-        lamps, said = known_lamps.load(
-            Path(options.source), names := files.names, listed=files.listed
-        )
+        names = locate(options.scene).names
+        lamps, said = known_lamps.load(Path(options.source), names)
         lines, shown = [said, *_table(names, lamps)], None
     else:
         names, lamps, lines, shown = _of_ball(options, given)

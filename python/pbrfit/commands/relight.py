@@ -13,7 +13,7 @@ from pbrfit.commands.light_options import add_light, choose_light
 from pbrfit.io import images, relit_files
 from pbrfit.io.display import ToneMap
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
-from pbrfit.io.relit_files import Radiance, Range, Screen
+from pbrfit.io.relit_files import Radiance, Screen
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS
 from pbrfit.result.metrics import white_of
@@ -110,7 +110,6 @@ def run(options: argparse.Namespace) -> int:
     if exposure is None and _for_screen(options, kind):
         sampled, exposure = _sampled(result, light, options)
     screen = Screen(exposure or 0.0, options.tone_map or "neutral")
-    radiance = Range()
     with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
@@ -118,15 +117,14 @@ def run(options: argparse.Namespace) -> int:
                 sampled.pop(k) if k in sampled else _frame(k, result, light, options)
                 for k in range(options.turntable or 1)
             )
-            for frame in radiance.take(made):
+            for frame in made:
                 bar.update()
                 yield frame
 
         _write(options, kind, frames(), screen)
     if not options.quiet:
         with cli.unread_is_no_failure():
-            facts = [*said, *_facts_of_output(options, kind, result, screen, radiance)]
-            for topic, fact in facts:
+            for topic, fact in (*said, *_facts_of_output(options, kind, result, screen)):
                 print(f"{topic:<12}{fact}")
     return cli.DONE
 
@@ -284,7 +282,7 @@ def _shadows(result: Result) -> str:
 
 
 def _facts_of_output(
-    options: argparse.Namespace, kind: str, result: Result, screen: Screen, radiance: Range
+    options: argparse.Namespace, kind: str, result: Result, screen: Screen
 ) -> Iterator[tuple[str, str]]:
     height, width = result.mask.shape
     what = f"{options.out}: {width} × {height}"
@@ -298,7 +296,6 @@ def _facts_of_output(
     alpha = "" if result.mask.all() else ", alpha from the mask"
     if not _for_screen(options, kind):
         yield "written", f"{what}, linear Rec.709, float32{alpha}"
-        yield "radiance", f"{radiance.least:.4g} to {radiance.greatest:.4g}"
         return
     colors = "256 colours a frame" if kind == ".gif" else "8 bits"
     yield "written", f"{what}, sRGB, {colors}{alpha}"
@@ -310,9 +307,5 @@ def _facts_of_output(
         f"{100 * clipped:.1f} % of the pixels are clipped, {100 * black:.1f} % nearly black",
     )
     if clipped + black > UNSEEN_SHARE_MAX:
-        exposure = radiance.fitting_exposure()
-        if exposure is None:
-            yield "hint", "no light reaches the surfaces that the camera sees"
-        else:
-            exposure = min(max(exposure, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
-            yield "hint", f"little can be seen; try --exposure {exposure:g}"
+        none, little = "no light reaches the surfaces that the camera sees", "little can be seen"
+        yield "hint", none if chosen else f"{little}; without --exposure, one is chosen"

@@ -1,45 +1,60 @@
-"""Depth maps as files: found in a scene folder, read, written."""
+"""Depth maps as files: found in a scene folder, and read."""
 
 from __future__ import annotations
 
-import re
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io import images
+from pbrfit.io import layers
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
-from pbrfit.io.quoting import listed
+from pbrfit.io.quoting import shown
 
-DEPTH_FILES = ("depth.exr", "depth.npy")
+DEPTH_FILES = ("depth.exr", "depth.npy", "depth.png")
 
-CHANNELS = ("Z", r"(.+\.)?depth(\.[RVXYZ])?", "Y", "R")
-"""Patterns of channels that may hold depth in an EXR file, in the order in which they are tried."""
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Units that the numbers of a depth map may count."""
 
 
 def find_depth(folder: Path) -> Path | None:
-    """The file with depth that a scene folder has; InputError if it has both."""
+    """The file with depth that a scene folder has; InputError if it has several."""
     found = [path for name in DEPTH_FILES if there(path := folder / name)]
     if len(found) > 1:
-        raise InputError(f"{folder}: expected {' or '.join(DEPTH_FILES)}, found both")
+        names = " and ".join(path.name for path in found)
+        raise InputError(f"{folder}: expected one of {', '.join(DEPTH_FILES)}, found {names}")
     return found[0] if found else None
 
 
-def read_depth(path: Path) -> NDArray[np.float64]:
-    """(H, W) as stored: of an EXR file, another picture or .npy."""
+def read_depth(
+    path: Path, unit: float | str | None = None, *, own: bool = False
+) -> tuple[NDArray[np.float64], list[str]]:
+    """(H, W) of an EXR file, another picture or .npy, and in words how it was read, if not plainly.
+
+    Numbers are as stored, or times a `unit`: "m", "cm" or "mm", which become metres, or a factor.
+    A scene folder's `own` file has more than 8 bits, and whole numbers where it has a unit: those
+    that pbrfit wrote are metres by then. Raises InputError if there is no such depth in it, OSError
+    if it cannot be read.
+    """
+    factor = 1.0 if unit is None else METRES.get(str(unit), 0.0)
+    with suppress(ValueError):
+        factor = factor or float(unit or 0)
+    if not 0 < factor < np.inf:
+        expected = f"{', '.join(METRES)} or a number above 0"
+        raise InputError(f"unit: expected {expected}, found {unit}")
+    said = [] if unit is None else [f"in metres, of {unit}"]
     stored = read_stored(path)
     if isinstance(stored, dict):
-        found = [name for one in CHANNELS for name in stored if re.fullmatch(one, name, re.I)]
-        if not found and len(stored) > 1:
-            raise InputError(
-                f"{path}: expected one of the channels Z, depth.Z, Y, R, found {listed(stored)}"
-            )
-        return stored[(*found, *stored)[0]].astype(np.float64)
-    if stored.ndim == 3 and len(stored) == 1:
+        names = list(stored)
+        if len(names) > 1:
+            expected = "depth in a channel Z, depth.Z, Y or R"
+            _, names = layers.chosen(path, stored, layers.DEPTH, expected)
+        said += [f"channel {shown(names[0])}"] * (names[0] != "Z")
+        stored = stored[names[0]]
+    elif stored.ndim == 3 and len(stored) == 1:
         stored = stored[0]
     elif stored.ndim == 3 and stored.shape[-1] <= 4:  # of a picture, maybe with alpha
         if stored.shape[-1] > 2 and (stored[..., 1:3] != stored[..., :1]).any():
@@ -50,9 +65,8 @@ def read_depth(path: Path) -> NDArray[np.float64]:
         stored = stored[..., 0]
     if stored.ndim != 2:
         raise InputError(f"{path}: expected depth (H, W), found shape {stored.shape}")
-    return np.ascontiguousarray(stored, dtype=np.float64)
-
-
-def write_depth(path: Path, depth: NDArray[np.floating[Any]]) -> None:
-    """Write depth (H, W) as float32 EXR, channel Z; NaN where it is unknown."""
-    images.write_exr(path, {"Z": depth})
+    if own and stored.dtype == np.uint8:
+        raise InputError(f"{path}: expected depth of 16 bits, found 8: a picture to look at")
+    if own and unit and np.fmod(stored[np.isfinite(stored)], 1).any():
+        raise InputError(f"{path}: expected whole numbers beside a unit, {unit}, found fractions")
+    return np.multiply(stored, factor, dtype=np.float64), said

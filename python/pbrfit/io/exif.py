@@ -5,6 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
 
 from pbrfit.io.quoting import shown
 
@@ -70,3 +73,15 @@ def read(exif: bytes | None, orientation: int) -> Exif:
     if stated == 2 or (stated == _UNCALIBRATED and index.startswith("R03")):
         color_space = "adobe-rgb"
     return Exif(equivalent, color_space, {what: said for what, said in settings.items() if said})
+
+
+def turned(samples: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Turn samples (H, W, ...) to how they are to be seen: EXIF 2.32, table 6 (tag Orientation)."""
+    if orientation >= 5:
+        samples = samples.swapaxes(0, 1)
+    # After the swap 5 is done, 6 lacks a left-right flip, 7 both flips, 8 an up-down flip.
+    if orientation in (2, 3, 6, 7):
+        samples = samples[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        samples = samples[::-1]
+    return samples

@@ -13,7 +13,7 @@ import operator
 import os
 import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -24,26 +24,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
-from pbrfit.io import exif, radiance, raw_files
-from pbrfit.io.color import (
-    CODED_CURVES,
-    CODED_PRIMARIES,
-    REC709,
-    ColorSpace,
-    Conversion,
-    Curve,
-    Primaries,
-    conversion,
-    from_icc,
-    from_primaries,
-    near_rec709,
-    nearest_name,
-    rgb_to_xyz,
-)
+from pbrfit.io import color as coding
+from pbrfit.io import exif, layers, radiance, raw_files
+from pbrfit.io.color import ColorSpace, Conversion, Curve, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits, converted, of_codes
-from pbrfit.io.quoting import listed, shown
+from pbrfit.io.quoting import shown
 
 logger = logging.getLogger("pbrfit")
 
@@ -97,8 +84,6 @@ class Picture:
     """From EXIF, millimetres, or None."""
     sha256: str
     """Of the file, hexadecimal."""
-    bit_depth: int
-    """Bits of a sample: 8 or 16 for integer files, 32 for float files."""
     stored: Stored | None
     """The samples as they are in an integer file; None for float files."""
     curve_told: bool
@@ -143,8 +128,10 @@ def read_picture(
     file states; raw files are developed to linear Rec.709 (`pbrfit.io.raw_files`). Grey is repeated
     to three channels. Alpha of 0 everywhere is none.
 
-    Of an EXR file with a `layer`, ``layer.R``, ``layer.G`` and so on are read instead of ``R``,
-    ``G``. `code_range` is the lowest and the highest code of 255 that is data; others are marked in
+    Of an EXR file a `layer` is read by name, with or without what stands before its last dot; else
+    ``R``, ``G``, ``B`` or ``Y``, or those of a layer as of `layers.PICTURE`.
+
+    `code_range` is the lowest and the highest code of 255 that is data; others are marked in
     `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
     maximum. Raises InputError if the content or an argument cannot be used; OSError if the file
     cannot be read.
@@ -152,21 +139,24 @@ def read_picture(
     asked = None if code_range is None else _checked(code_range)
     if orientation not in get_args(Orientation):
         raise InputError(f"orientation: expected exif or as-stored, found {orientation!r}")
-    path, data, form = _load(path, layer, raw=True)
+    path = Path(path)
+    file = file_of(path)
+    page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
+    _, data, form = _load(file, layer, raw=True)
     if form == RAW and color_space not in (None, "linear"):
         expected = "expected colour space linear for a raw file"
         raise InputError(f"{path}: {expected}, found {color_space}")
-    chosen = None if color_space is None or form == RAW else conversion(color_space)
+    chosen = None if color_space is None or form == RAW else coding.conversion(color_space)
     if form == "EXR":
         found = _of_exr(path, data, layer)
     elif form == RAW:
         samples, limits, color, taken = raw_files.develop(path, data, orientation == "exif")
         found = _Decoded(samples, Conversion("linear"), color, taken, limits=limits)
     else:
-        found = _of_raster(path, data, orientation, decide=chosen is None)
+        found = _of_raster(path, data, page, orientation, decide=chosen is None)
     convert, notes = chosen or found.conversion, found.notes
 
-    samples = _oriented(found.samples, found.turn)
+    samples = exif.turned(found.samples, found.turn)
     colors, alpha = samples, None
     if samples.shape[2] in (2, 4):
         colors, alpha = samples[..., :-1], samples[..., -1]
@@ -196,7 +186,6 @@ def read_picture(
         color=found.color if chosen is None else f"{color_space} (as asked for)",
         focal_length_35mm=found.taken.focal_length_35mm,
         sha256=hashlib.sha256(data).hexdigest(),
-        bit_depth=8 * samples.dtype.itemsize,
         stored=stored,
         curve_told=found.curve_told or chosen is not None,
         settings=found.taken.settings,
@@ -204,29 +193,43 @@ def read_picture(
     )
 
 
+def pages(path: Path) -> list[Path]:
+    """The pictures that a file holds: itself, or the pages of a stack, which is a TIFF file.
+
+    They are told as if they lay in it: ``scan.tif/scan_01.tif`` is the first of ten or more. Raises
+    InputError if pages of full size differ in size or kind, or the file is damaged, or no regular
+    one; OSError if it cannot be read.
+    """
+    with open_file(path) as file:
+        head = file.read(64)
+    kind = _core.image_format(head)
+    if kind != "TIFF" or raw_files.is_raw(path, head, kind) or (n := _core.tiff_pages(path)) == 1:
+        return [path]
+    return [path / f"{path.stem}_{i + 1:0{len(str(n))}}{path.suffix}" for i in range(n)]
+
+
+def file_of(path: Path) -> Path:
+    """The file that a picture is in: itself, or that of the page of a stack."""
+    return path.parent if re.search(r"_\d+$", path.stem) and path.parent.is_file() else path
+
+
 @names_file
-def read_data(path: str | os.PathLike[str], layer: str | None = None) -> NDArray[np.float64]:
-    """Read a mask, normals or other data: never decoded as colour.
+def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read a mask or other data: never decoded as colour.
 
     Returns (H, W, C), float64: grey, grey and alpha, RGB, or RGB and alpha. Integers are divided by
-    the maximum of their type; floats are as stored. Of an EXR file, or its `layer`: R, G, B and, if
-    there is one, A; else X, Y, Z; else Y and A; else the only channel there is. Raises InputError
-    if the content cannot be used; OSError if the file cannot be read.
+    the maximum of their type; floats are as stored. Of an EXR file the only channel there is, else
+    those of a picture. Raises InputError if the content cannot be used; OSError if the file cannot
+    be read.
     """
-    path, data, kind = _load(path, layer)
-    if kind == "EXR":
-        channels, _ = _core.decode_exr(data, path)
-        prefix = f"{layer}." if layer else ""
-        found = _pick(channels, prefix, "RGBA", "RGB", "XYZ", "YA", "Y")
-        if not found and len(channels) == 1 and not layer:
-            found = list(channels.values())
-        if not found:
-            raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or X, Y, Z")
-        return np.stack(found, axis=-1).astype(np.float64)
-    samples = _upright(path, data)
-    if samples.dtype.kind == "u":
-        return samples / np.float64(np.iinfo(samples.dtype).max)
-    return samples.astype(np.float64)
+    stored = read_stored(Path(path))
+    if isinstance(stored, dict):
+        names = list(stored)
+        if len(names) > 1:
+            _, names = layers.chosen(Path(path), names, layers.PICTURE, "channels R, G, B or Y")
+        return np.stack([stored[name] for name in names], axis=-1).astype(np.float64)
+    unit = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
+    return stored / np.float64(unit)
 
 
 @names_file
@@ -239,9 +242,9 @@ def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     path, data, kind = _load(path)
     expected = "expected ids in a grey 8 or 16-bit PNG or TIFF"
     if kind not in ("PNG", "TIFF"):
-        raise InputError(f"{path}: {expected}, found {_article(kind)} file")
+        raise InputError(f"{path}: {expected}, found {kind}")
     raster = _core.decode_raster(data, path, indices=True)
-    samples = _oriented(raster.samples, raster.orientation)
+    samples = exif.turned(raster.samples, raster.orientation)
     if samples.shape[2] != 1 or samples.dtype.kind != "u":
         raise InputError(f"{path}: {expected}, found {samples.shape[2]} channels {samples.dtype}")
     return np.ascontiguousarray(samples[..., 0], dtype=np.uint16)
@@ -256,7 +259,7 @@ def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]
     """
     path, data, kind = _load(path)
     if kind != "EXR":
-        raise InputError(f"{path}: expected an EXR file, found {_article(kind)} file")
+        raise InputError(f"{path}: expected an EXR file, found {kind}")
     return _core.decode_exr(data, path)[0]
 
 
@@ -272,7 +275,11 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
         of_numpy = file.read(len(MAGIC_PREFIX)) == MAGIC_PREFIX
     if not of_numpy and path.suffix.lower() != ".npy":
         path, data, kind = _load(path)
-        return _core.decode_exr(data, path)[0] if kind == "EXR" else _upright(path, data)
+        if kind == "EXR":
+            return _core.decode_exr(data, path)[0]
+        raster, header = _raster(path, data)
+        turn = raster.orientation if header is None else header.orientation
+        return exif.turned(raster.samples, turn)
     expected = "expected an array of real numbers in .npy"
     try:
         with warnings.catch_warnings():
@@ -302,9 +309,10 @@ def write_exr(
     planes = []
     for name, channel in channels.items():
         plane = np.asarray(channel, dtype=np.float32)
-        if plane.ndim != 2:
-            raise InputError(f"channels: expected (H, W) in {name}, found {plane.shape}")
         planes.append((name, plane))
+        if plane.ndim != 2 or plane.shape != planes[0][1].shape:
+            expected = f"(H, W) in all as in {planes[0][0]}"
+            raise InputError(f"channels: expected {expected}, found {plane.shape} in {name}")
     _core.write_exr(path, planes, half)
 
 
@@ -319,9 +327,8 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) ->
     _core.write_png(path, image, tag)
 
 
-def encode_png(image: NDArray[Any], tag: PngTag) -> bytes:
-    """The PNG file that `write_png` writes; raises InputError as that."""
-    return _core.encode_png(image, tag)
+encode_png = _core.encode_png
+"""Give the PNG file that `write_png` writes; raises InputError as that."""
 
 
 def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
@@ -350,7 +357,7 @@ def _load(
             raise InputError(f"{path}: expected {expected}, found {_guess(path, head, is_raw)}")
         data = content_of(file, path, PICTURE_BYTES)
     if layer is not None and kind != "EXR":
-        raise InputError(f"{path}: expected an EXR file with layer {layer}, found {_article(kind)}")
+        raise InputError(f"{path}: expected an EXR file with layer {layer}, found {kind}")
     return path, data, kind
 
 
@@ -366,41 +373,24 @@ def _guess(path: Path, head: bytes, is_raw: bool) -> str:
     return f"a file that starts with {head[:8]!r}"
 
 
-def _article(kind: str) -> str:
-    return f"{'an' if kind in ('EXR', 'HDR') else 'a'} {kind}"
-
-
-def _raster(path: Path, data: bytes) -> tuple[_core.Raster, radiance.Header | None]:
-    """What a file other than EXR holds, and the header of an HDR file."""
+def _raster(
+    path: Path, data: bytes, page: int | None = None
+) -> tuple[_core.Raster, radiance.Header | None]:
+    """What a file other than EXR holds, or a page of it, and the header of an HDR file."""
     header = radiance.read(data)
-    return _core.decode_raster(data if header is None else header.plain, path, False), header
+    plain = data if header is None else header.plain
+    return _core.decode_raster(plain, path, False, page), header
 
 
-def _upright(path: Path, data: bytes) -> NDArray[Any]:
-    """Samples (H, W, C) of a file other than EXR, as stored, turned to how they are to be seen."""
-    raster, header = _raster(path, data)
-    return _oriented(raster.samples, raster.orientation if header is None else header.orientation)
-
-
-def _oriented(samples: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Turn samples to how they are to be seen: EXIF 2.32, table 6 (tag Orientation)."""
-    if orientation >= 5:
-        samples = samples.swapaxes(0, 1)
-    # After the swap 5 is done, 6 lacks a left-right flip, 7 both flips, 8 an up-down flip.
-    if orientation in (2, 3, 6, 7):
-        samples = samples[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        samples = samples[::-1]
-    return samples
-
-
-def _of_raster(path: Path, data: bytes, orientation: Orientation, decide: bool) -> _Decoded:
+def _of_raster(
+    path: Path, data: bytes, page: int | None, orientation: Orientation, decide: bool
+) -> _Decoded:
     """A file other than EXR or raw; without `decide`, the colour of integers is left open."""
-    raster, header = _raster(path, data)
+    raster, header = _raster(path, data, page)
     samples, turn = raster.samples, raster.orientation if orientation == "exif" else 1
     taken = exif.read(data if raster.format == "TIFF" else raster.exif, raster.orientation)
     convert, color, told = Conversion("linear"), f"linear Rec.709 (float {raster.format})", True
-    notes = []
+    notes = [] if page is None else [f"pages of {shown(path.parent.name)}"]
     if raster.passed_over:
         notes.append(f"smaller pages not read ({raster.passed_over} of each file)")
     if header is not None:
@@ -415,7 +405,7 @@ def _of_raster(path: Path, data: bytes, orientation: Orientation, decide: bool) 
     elif samples.dtype.kind == "u" and decide:
         convert, color, told = _integer_color(path, raster, taken)
         unnamed = f"{color}, sha256 {hashlib.sha256(raster.icc_profile or b'').hexdigest()[:8]}"
-        profile = nearest_name(convert, samples.dtype) or unnamed
+        profile = coding.nearest_name(convert, samples.dtype) or unnamed
         taken = replace(taken, settings={**taken.settings, "colour profile": profile})
     elif decide and raster.icc_profile is not None:
         logger.warning("%s: its ICC profile is ignored because it is a float file", path)
@@ -435,12 +425,12 @@ def _integer_color(
                 f"{path}: expected an ICC profile for RGB, found one for grey: convert the"
                 " picture to sRGB or give its colour space"
             )
-        return from_icc(curves, to_xyz), f"ICC profile of the {form}", True
+        return coding.from_icc(curves, to_xyz), f"ICC profile of the {form}", True
     convert, chunks = _png_color(path, raster)
     if convert.curve != "srgb" or convert.matrix is not None:
         return convert, f"{chunks} of the {form}", True
     if taken.color_space == "adobe-rgb":
-        return conversion("adobe-rgb"), f"Adobe RGB (EXIF of the {form})", True
+        return coding.conversion("adobe-rgb"), f"Adobe RGB (EXIF of the {form})", True
     uncalibrated = ", and EXIF says another colour space" * (taken.color_space is not None)
     return convert, f"sRGB ({form} without a profile{uncalibrated})", False
 
@@ -449,79 +439,64 @@ def _png_color(path: Path, raster: _core.Raster) -> tuple[Conversion, str]:
     """Conversion by a PNG's chunks cICP, gAMA and cHRM, and their names; sRGB without."""
     if raster.code_points is not None:
         coded, transfer = raster.code_points
-        if coded in CODED_PRIMARIES and transfer in CODED_CURVES:
-            return _stated(path, CODED_CURVES[transfer], CODED_PRIMARIES[coded]), "cICP chunk"
+        primaries, curve = coding.CODED_PRIMARIES.get(coded), coding.CODED_CURVES.get(transfer)
+        if primaries and curve:
+            return _stated(path, curve, primaries), "cICP chunk"
         chunk = f"cICP chunk (primaries {coded}, transfer {transfer})"
         logger.warning("%s: read as sRGB; its %s is ignored", path, chunk)
         return Conversion("srgb"), ""
-    primaries = REC709 if raster.chromaticities is None else _primaries(raster.chromaticities)
-    plain = near_rec709(primaries)
+    primaries = _primaries(raster.chromaticities)
+    plain = coding.near_rec709(primaries)
     # 0.45455 beside the primaries of Rec.709 is what encoders write to mean sRGB.
     usual = plain and abs((raster.gamma or 0.45455) - 0.45455) <= 0.01
-    curve: Curve | float = 1 / raster.gamma if raster.gamma and not usual else "srgb"
+    curve = 1 / raster.gamma if raster.gamma and not usual else "srgb"
     return _stated(path, curve, primaries), "gAMA chunk" if plain else "gAMA and cHRM chunks"
 
 
-def _primaries(x_y: Sequence[float]) -> Primaries:
-    return Primaries(*zip(x_y[::2], x_y[1::2], strict=True))
+def _primaries(x_y: Sequence[float] | None) -> Primaries:
+    """Of what a file states; Rec.709 where it states none."""
+    return coding.REC709 if x_y is None else Primaries(*zip(x_y[::2], x_y[1::2], strict=True))
 
 
 def _stated(path: Path, curve: Curve | float, primaries: Primaries) -> Conversion:
     """Conversion from what a file states; InputError if these are no primaries."""
     try:
-        return from_primaries(curve, primaries)
+        return coding.from_primaries(curve, primaries)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
 
 
 def _of_exr(path: Path, data: bytes, layer: str | None) -> _Decoded:
     channels, chromaticities = _core.decode_exr(data, path)
-    prefix = f"{layer}." if layer else ""
-    chroma = ("Y", "RY", "BY")
-    found = _pick(channels, prefix, "RGBA", "RGB", (*chroma, "A"), chroma, "YA", "Y")
-    if not found:
-        raise _no_layer(path, channels, f"channels {prefix}R, {prefix}G, {prefix}B or {prefix}Y")
-    primaries = REC709 if chromaticities is None else _primaries(chromaticities)
+    expected = "channels R, G, B or Y"
+    of, names = layers.chosen(path, channels, layers.PICTURE, expected, layer)
+    found = [channels[name] for name in names]
+    prefix = f"{of}." if of else ""
+    primaries = _primaries(chromaticities)
     linear = Conversion("linear")
     if len(found) > 2:
         linear = _stated(path, "linear", primaries)
-        if f"{prefix}R" not in channels:
+        if names[1].upper() == f"{prefix}RY".upper():
             # OpenEXR: RY = (R - Y) / Y, BY = (B - Y) / Y, and Y a weighted sum of R, G and B.
             luma, red, blue = found[0], (found[1] + 1) * found[0], (found[2] + 1) * found[0]
-            weights = rgb_to_xyz(primaries)[1].astype(np.float32)  # they add up to 1
+            weights = coding.rgb_to_xyz(primaries)[1].astype(np.float32)  # they add up to 1
             green = (luma - weights[0] * red - weights[2] * blue) / weights[1]
             found[:3] = red, green, blue
     limits = None
-    stored = _pick(channels, f"{prefix}{LIMITS}.", "RGB")
-    if stored:
+    of_limits = [f"{prefix}{LIMITS}.{channel}" for channel in "RGB"]
+    if channels.keys() >= set(of_limits):
+        stored = [channels[name] for name in of_limits]
         if not np.isin(stored, (ORDINARY, AT_LEAST, AT_MOST)).all():
             expected = f"0, 1 or 2 in channels {prefix}{LIMITS}"
             raise InputError(f"{path}: expected {expected}, found others")
         limits = np.stack(stored, axis=-1).astype(np.uint8)
     if chromaticities is None:
         color = "linear Rec.709 (EXR without chromaticities)"
-    elif near_rec709(primaries):
+    elif coding.near_rec709(primaries):
         color = "linear Rec.709 (chromaticities of the EXR)"
     elif len(found) < 3:
         color = "linear grey (EXR)"
     else:
         color = "linear, converted from the EXR's chromaticities"
+    color = f"layer {shown(of)}, {color}" if of else color
     return _Decoded(np.stack(found, axis=-1), linear, color, limits=limits)
-
-
-def _pick(
-    channels: Mapping[str, NDArray[np.float32]], prefix: str, *sets: Iterable[str]
-) -> list[NDArray[np.float32]]:
-    """Choose the channels of the first set that is there as a whole."""
-    for own in sets:
-        names = [prefix + name for name in own]
-        if all(name in channels for name in names):
-            return [channels[name] for name in names]
-    return []
-
-
-def _no_layer(path: Path, channels: Mapping[str, object], expected: str) -> InputError:
-    layers = sorted({name.rpartition(".")[0] for name in channels if "." in name})
-    layers_found = f" in layers {listed(layers)}" if layers else ""
-    found = f"{listed(channels)}{layers_found}"
-    return InputError(f"{path}: expected {expected}, found {found}")

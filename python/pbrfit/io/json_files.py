@@ -60,11 +60,6 @@ def whole(value: Any, least: int = 0) -> int:
     return int(value)
 
 
-def seed(value: Any) -> int:
-    """Check a whole number of either sign."""
-    return int(_a(value, int, "a whole number"))
-
-
 def flag(value: Any) -> bool:
     """Check true or false."""
     return bool(_a(value, bool, "true or false"))

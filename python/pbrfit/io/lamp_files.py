@@ -29,6 +29,9 @@ log = logging.getLogger("pbrfit")
 LAMP_FILES = ("lights.json", "lights.csv", "light_directions.txt")
 """Names in a scene folder, beside any `*.lp`; the last is that of DiLiGenT (Shi et al. 2016)."""
 
+NAMES = {".txt": "filenames.txt", ".json": "*.sfm"}
+"""Patterns of files that tell whose lamps are: names of DiLiGenT, views of Meshroom."""
+
 VERSION = 1
 """Of `lights.json`."""
 
@@ -74,10 +77,10 @@ class LampRow:
     exponent: float = 0.0
 
 
-def find_lamps(folder: Path) -> Path | None:
-    """The file with lamps that a scene folder has; all but JSON may also lie beside the pictures.
+def find_lamps(folder: Path) -> list[Path]:
+    """The file with lamps that a scene folder has, then those of `NAMES` beside it.
 
-    Raises InputError if there are several.
+    All but JSON may also lie beside the pictures. Raises InputError if there are several.
     """
     found = [
         path
@@ -89,7 +92,13 @@ def find_lamps(folder: Path) -> Path | None:
     if len(found) > 1:
         every = listed(path.relative_to(folder).as_posix() for path in found)
         raise InputError(f"{folder}: expected one file with lamps, found {every}")
-    return found[0] if found else None
+    return [*found, *(beside for path in found for beside in _names(path))]
+
+
+def _names(path: Path) -> list[Path]:
+    """Files of `NAMES` beside one with lamps."""
+    pattern = NAMES.get(path.suffix.lower())
+    return sorted(path.parent.glob(pattern)) if pattern else []
 
 
 def read_lamps(path: Path) -> tuple[list[LampRow], str]:
@@ -98,7 +107,7 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
     Raises InputError if the file is of another form, or has vectors that are no directions; OSError
     if it cannot be read.
     """
-    readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_csv, ".json": _of_json}
+    readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_txt, ".json": _of_json}
     read = readers.get(path.suffix.lower())
     if read is None:
         raise InputError(
@@ -212,6 +221,17 @@ def _of_csv(path: Path) -> list[LampRow]:
     return _of_rows(path, header, rows)
 
 
+def _of_txt(path: Path) -> list[LampRow]:
+    rows = _of_csv(path)
+    for beside in _names(path):
+        names = [line.strip() for line in _lines(beside)]
+        if len(names) != len(rows):
+            expected = f"a name for each of the {len(rows)} lamps in {path.name}"
+            raise InputError(f"{beside}: expected {expected}, found {len(names)}")
+        rows = [replace(row, picture=name) for row, name in zip(rows, names, strict=True)]
+    return rows
+
+
 def _cells(line: str, separator: str) -> list[str]:
     """Cells of a line of a table."""
     reader = csv.reader([line.strip(" ")], delimiter=separator, skipinitialspace=True)
@@ -256,12 +276,35 @@ def _of_json(path: Path) -> list[LampRow]:
     content = read_json(path, expected)
     try:
         content = table(content)
+        if "lights" in content:
+            return _of_meshroom(path, content["lights"])
         version, lamps = content["version"], list(content["lamps"])
         if version != VERSION:
             raise ValueError(f"version {quoted(version)} in place of {VERSION}")
     except UNFIT as error:
         raise unfit(path, expected, error) from None
     return rows_of_json(path, lamps)
+
+
+def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
+    """Lamps of Meshroom's light calibration: by number of a view, of which an .sfm file has paths.
+
+    Its axes are X right, Y down and Z into the picture; numbers may be texts.
+    """
+    expected, views = "one .sfm file beside it with the paths of its views", _names(path)
+    if len(views) != 1:
+        raise InputError(f"{path}: expected {expected}, found {len(views)}")
+    try:
+        found = [table(view) for view in table(read_json(views[0], expected))["views"]]
+        names = {str(view["viewId"]): text(view["path"]) for view in found}
+    except UNFIT as error:
+        raise unfit(views[0], "views with viewId and path", error) from None
+
+    def entry(light: Any) -> dict[str, Any]:
+        x, y, z = map(float, light["direction"])
+        return {"picture": names[str(light["viewId"])], "direction": [x, -y, -z]}
+
+    return rows_of_json(path, list(lights), entry)
 
 
 def rows_of_json(

@@ -7,8 +7,7 @@ Camera space has X right, Y up and Z towards the viewer. What a file means is sa
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io import images
+from pbrfit.io import images, layers
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
-from pbrfit.io.quoting import listed
 
 NORMAL_FILES = ("normals.exr", "normals.png")
 
@@ -45,9 +43,6 @@ ROUNDING = 3**0.5 / 255
 
 JUDGED_MAX = 1 << 20
 """Pixels whose lengths tell how a file is to be read: of larger maps every few."""
-
-NO_NORMALS = r"position|vector|uv|motion|velocity|tangent|crypto|(^|\.)p(world)?$"
-"""Words in the names of layers that hold other vectors than normals."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +109,8 @@ def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNor
     uncertainty, said = None, []
     if isinstance(stored, dict):
         uncertainty = stored.get(UNCERTAINTY)
-        names = _channels(path, stored)
+        expected = "normals in channels X, Y, Z or R, G, B"
+        _, names = layers.chosen(path, stored, layers.NORMALS, expected)
         if "".join(names) not in ("XYZ", "RGB", "xyz"):
             said.append(f"channels {', '.join(names)}")
         values: NDArray[Any] = np.stack([stored[name] for name in names], axis=-1)
@@ -197,37 +193,6 @@ def _with_z(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors that face the viewer, of their x and y; longer where there are none."""
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0))], axis=-1)
-
-
-def _channels(path: Path, names: Iterable[str]) -> list[str]:
-    """The channels with normals: X, Y, Z; else those of the layer of that name; else R, G, B."""
-    layers: dict[str, dict[str, str]] = {}
-    for name in names:
-        layer, _, letter = name.rpartition(".")
-        layers.setdefault(layer, {})[letter.upper()] = name
-    exactly = r"(^|\.)(n|normals?)$"
-    for kinds, called in (
-        (("XYZ",), "^$"),
-        (("XYZ", "RGB"), exactly),
-        (("XYZ", "RGB"), "normal"),
-        (("XYZ",), rf"^(?!.*({NO_NORMALS})).+$"),
-        (("RGB",), "^$"),
-        (("XY", "RG"), rf"^$|{exactly}"),
-    ):
-        sets = [
-            [of[letter] for letter in letters]
-            for letters in kinds
-            for layer, of in layers.items()
-            if set(letters) <= set(of) and re.search(called, layer, re.IGNORECASE)
-        ]
-        if len(sets) == 1:
-            return sets[0]
-        if sets:
-            found = listed(" ".join(one) for one in sets)
-            raise InputError(f"{path}: expected one layer of normals, found {found}")
-    raise InputError(
-        f"{path}: expected channels X, Y, Z (or R, G, B, or normal.X ...), found {listed(names)}"
-    )
 
 
 def write_normals(

@@ -65,7 +65,7 @@ def develop(
     or LibRaw cannot read the file.
     """
     with _opened(path, data) as (rawpy, raw):
-        flip = int(raw.sizes.flip)
+        orientation = {3: 3, 5: 8, 6: 6}.get(int(raw.sizes.flip), 1)  # by dcraw's flip
         samples: NDArray[np.uint16] = raw.postprocess(
             gamma=(1, 1),
             no_auto_bright=True,
@@ -77,11 +77,10 @@ def develop(
         )
         if samples.shape[2:] != (3,):
             raise InputError(f"{path}: expected three channels of 16 bits, found {samples.shape}")
-        clipped, limits = _clipped(raw, flip if turned else 0), None
+        clipped, limits = exif.turned(_clipped(raw), orientation if turned else 1), None
         if clipped.shape == samples.shape and clipped.any():
             limits = converted(np.where(clipped, AT_LEAST, 0).astype(np.uint8), _matrix(raw))
         red, green, blue = raw.camera_whitebalance[:3]
-        orientation = {3: 3, 5: 8, 6: 6}.get(flip, 1)
         taken = exif.read(_as_tiff(data), orientation)
         if taken.focal_length_35mm is None:
             of_thumb = exif.read(_exif_of_thumb(raw), orientation)
@@ -118,8 +117,8 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
         raise InputError(f"{path}: expected a raw file that LibRaw reads, found {said}") from None
 
 
-def _clipped(raw: Any, flip: int) -> NDArray[np.bool_]:
-    """(H, W, 3): where a sensor's sample of a channel was clipped, turned as the picture is."""
+def _clipped(raw: Any) -> NDArray[np.bool_]:
+    """(H, W, 3): where a sensor's sample of a channel was clipped, before it is turned."""
     from scipy.ndimage import maximum_filter
 
     sensor = raw.raw_image_visible
@@ -128,19 +127,12 @@ def _clipped(raw: Any, flip: int) -> NDArray[np.bool_]:
     black = np.array(raw.black_level_per_channel, np.float64)
     limit = black + SATURATED * (white - black)
     if sensor.ndim == 3:  # every channel at every pixel
-        clipped = np.asarray(sensor[..., :3] >= limit[:3])
-    else:
-        colors = raw.raw_colors_visible
-        over = sensor >= limit[np.minimum(colors, 3)]
-        channels = np.where(colors == 3, 1, colors)  # the second green
-        planes = [maximum_filter(over & (channels == c), 2 * REACH + 1) for c in range(3)]
-        clipped = np.stack(planes, axis=-1)
-    # dcraw's flip: 4 swaps rows and columns, after 2 and 1 have turned them round.
-    if flip & 2:
-        clipped = clipped[::-1]
-    if flip & 1:
-        clipped = clipped[:, ::-1]
-    return clipped.swapaxes(0, 1) if flip & 4 else clipped
+        return np.asarray(sensor[..., :3] >= limit[:3])
+    colors = raw.raw_colors_visible
+    over = sensor >= limit[np.minimum(colors, 3)]
+    channels = np.where(colors == 3, 1, colors)  # the second green
+    planes = [maximum_filter(over & (channels == c), 2 * REACH + 1) for c in range(3)]
+    return np.stack(planes, axis=-1)
 
 
 def _matrix(raw: Any) -> NDArray[np.float64] | None:

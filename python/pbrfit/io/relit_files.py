@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,8 +42,6 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
     number of hundredths of a second.
     """
     pictures = (Image.fromarray(frame) for frame in frames)
-    if kind == ".gif":
-        pictures = (_with_palette(picture) for picture in pictures)
     first = next(pictures)
     options: dict[str, Any] = {"duration": round(1000 / fps)}
     if kind == ".gif":
@@ -62,19 +60,6 @@ def write_animation(path: Path, kind: str, frames: Iterable[NDArray[np.uint8]], 
     # Opened here: Pillow leaves a file that it opened itself open when a frame fails.
     with path.open("w+b") as file:
         first.save(file, ANIMATIONS[kind], save_all=True, append_images=others, loop=0, **options)
-
-
-def _with_palette(picture: Image.Image) -> Image.Image:
-    """256 colours of its own; outside the mask the last one, which is transparent."""
-    if picture.mode == "RGB":
-        return picture.quantize(256, Image.Quantize.MEDIANCUT)
-    reduced = picture.convert("RGB").quantize(255, Image.Quantize.MEDIANCUT)
-    indices = np.where(np.asarray(picture)[..., 3] > 0, np.asarray(reduced), 255)
-    result = Image.fromarray(indices.astype(np.uint8), mode="P")
-    palette = reduced.getpalette() or []
-    result.putpalette([*palette, *[0] * (768 - len(palette))])
-    result.info["transparency"] = 255
-    return result
 
 
 def _inside(radiance: Radiance) -> NDArray[np.bool_]:
@@ -108,35 +93,3 @@ class Screen:
             return codes
         codes[~inside] = 0
         return np.dstack([codes, 255 * inside.astype(np.uint8)])
-
-
-@dataclass
-class Range:
-    """Radiance of pictures so far."""
-
-    least: float = np.inf
-    greatest: float = -np.inf
-    """Over all channels."""
-    middles: tuple[float, ...] = ()
-    """Median over pixels that are not black, of the mean of channels; a picture each."""
-
-    def take(self, pictures: Iterable[Radiance]) -> Iterator[Radiance]:
-        """Pass pictures through."""
-        for radiance in pictures:
-            inside = radiance[_inside(radiance)]
-            self.least = min(self.least, float(inside.min(initial=np.inf)))
-            self.greatest = max(self.greatest, float(inside.max(initial=-np.inf)))
-            bright = inside.mean(axis=-1)
-            bright = bright[bright > 0]
-            self.middles += (float(np.median(bright)),) if bright.size else ()
-            yield radiance
-
-    def fitting_exposure(self) -> float | None:
-        """Stops, in halves, that show the pictures' middle as middle grey; None if all is black."""
-        if not self.middles:
-            return None
-        return float(np.round(2 * np.log2(MIDDLE_GREY / np.mean(self.middles))) / 2)
-
-
-MIDDLE_GREY = 0.18
-"""Of white, photographers' convention."""

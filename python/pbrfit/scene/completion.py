@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.depth_files import DEPTH_FILES, write_depth
+from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import find_normals, write_normals
@@ -118,7 +118,7 @@ def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool
     if depth.shape != size:
         raise InputError(f"depth: expected shape {size}, found {depth.shape}")
     path = folder / DEPTH_FILES[0]
-    write_depth(path, depth)  # what cannot be written costs nothing
+    images.write_exr(path, {"Z": depth})  # what cannot be written costs nothing
     for name in DEPTH_FILES[1:]:
         (folder / name).unlink(missing_ok=True)
     return path
@@ -155,8 +155,8 @@ def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
 
 def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
     """Raise FileExistsError if the folder has lamps, but for a `lights.json` with `overwrite`."""
-    path = find_lamps(folder)
-    if path is None or (overwrite and path.name == LAMP_FILES[0]):
+    path = next(iter(find_lamps(folder)), folder / LAMP_FILES[0])
+    if not there(path) or (overwrite and path.name == LAMP_FILES[0]):
         return
     remedy = (
         "overwrite=True replaces"

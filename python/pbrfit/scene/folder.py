@@ -108,14 +108,12 @@ class SceneFiles:
     """Which files were taken for pictures, where that is not plain; else empty."""
     named: bool = False
     """Whether the pictures were named one by one."""
-    listed: bool = False
-    """Whether they are in the order of a listing."""
     parts: bool = True
     """Whether other files of the folder belong to the pictures."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the pictures: those of their files, without suffix."""
+        """Of the pictures: those of their files, or pages of these, without suffix."""
         return tuple(path.stem for path in self.pictures)
 
     def find(self, finder: Callable[[Path], Found]) -> Found | None:
@@ -123,8 +121,8 @@ class SceneFiles:
         return finder(self.folder) if self.parts else None
 
     def relative(self, path: Path) -> str:
-        """A file as seen from the folder."""
-        return path.relative_to(self.folder).as_posix()
+        """A file, or that of a page, as seen from the folder."""
+        return images.file_of(path).relative_to(self.folder).as_posix()
 
     def settings(self) -> Settings:
         """What `scene.toml` says; raises InputError or OSError as `read_settings`."""
@@ -142,7 +140,7 @@ def locate(scene: ScenePath) -> SceneFiles:
     In a folder they lie under `images/`, or beside each other: those that `filenames.txt` lists (as
     in DiLiGenT), else `dir_*_mip*.exr|jpg` (the multi-illumination data of MIT; of these the finest
     mip level, EXR before JPEG), else all with the suffix of a picture and the name of no part. They
-    are in the order of the listing, else of their names.
+    are in the order of the listing, else of their names. Pages of stacks are pictures.
 
     Raises InputError or FileNotFoundError if there is no such folder or no picture in it, or
     something under `images/` that is no file; what is hidden, such as `.DS_Store`, is passed over.
@@ -202,7 +200,7 @@ def _listed(folder: Path, below: Path) -> SceneFiles:
         raise InputError(f"{listing}: expected names of pictures beside it, found {found}")
     others = len(set(loose_pictures(below)) - set(pictures))
     said = f"the {len(pictures)} that {LISTING} lists" + f"; {others} more left out" * bool(others)
-    return SceneFiles(folder, pictures, said, listed=True)
+    return SceneFiles(folder, pictures, said)
 
 
 def _all_in(below: Path) -> list[Path]:
@@ -211,10 +209,10 @@ def _all_in(below: Path) -> list[Path]:
     A format that cannot be read must not be passed over in silence, so all that is not known to be
     something else counts as a picture.
     """
-    seen = [path for path in below.iterdir() if not path.name.startswith(".")]
-    for path in seen:
+    paths = []
+    for path in sorted(path for path in below.iterdir() if not path.name.startswith(".")):
         _check_is_file(path)
-    paths = sorted(path for path in seen if path.suffix.lower() not in NOT_PICTURES)
+        paths += images.pages(path) if path.suffix.lower() not in NOT_PICTURES else []
     if not paths:
         suffixes = " ".join(images.PICTURE_SUFFIXES)
         raise InputError(f"{below}: expected pictures ({suffixes}), found none")
@@ -294,12 +292,12 @@ def input_files(files: SceneFiles) -> list[Path]:
 
     Raises InputError if there are two with depth, or with lamps, or two dark frames.
     """
-    found = list(files.pictures)
+    found = list(dict.fromkeys(map(images.file_of, files.pictures)))
     if files.parts:
         folder = files.folder
         found += [*find_normals(folder), *(folder / part for part in PARTS), *find_flats(folder)]
-        single = (find_depth(folder), find_lamps(folder), find_frame(folder, DARK_FRAME))
-        found += [path for path in single if path is not None] + truth_files(folder)
+        single = (find_depth(folder), find_frame(folder, DARK_FRAME))
+        found += [*find_lamps(folder), *filter(None, single), *truth_files(folder)]
     return [*filter(there, found)]
 
 

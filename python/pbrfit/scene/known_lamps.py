@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,12 @@ from pbrfit.io.lamp_files import matched, read_lamps, write_lamps
 from pbrfit.model.lamps import Lamps, lamps_of_rows, rows_of_lamps
 
 
-def load(path: Path, names: Sequence[str], *, listed: bool = False) -> tuple[Lamps, str]:
+def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:
     """Lamps of a file for pictures of these names, and in words what they are and what was assumed.
 
-    Names that are `listed` have the order of as many lamps that have none. Raises InputError or
-    OSError as `read_lamps` and `matched`.
+    Raises InputError or OSError as `read_lamps` and `matched`.
     """
     rows, said = read_lamps(path)
-    if listed and len(rows) == len(names) and not any(row.picture for row in rows):
-        rows = [replace(row, picture=name) for row, name in zip(rows, names, strict=True)]
     pictures, how = matched(path, [row.picture for row in rows], names)
     kept = [(row, i) for row, i in zip(rows, pictures, strict=True) if i >= 0]
     lamps = lamps_of_rows([row for row, _ in kept], [i for _, i in kept])

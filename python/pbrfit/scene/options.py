@@ -15,6 +15,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.checks import of_what
 from pbrfit.io.color import ColorSpace
+from pbrfit.io.depth_files import METRES
 from pbrfit.io.images import Orientation
 from pbrfit.io.normal_files import Convention
 from pbrfit.io.quoting import quoted
@@ -29,6 +30,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "alpha": get_args(Alpha),
     "normals": ("opengl", "directx"),
     "normals_frame": ("camera", "world"),
+    "depth_unit": tuple(METRES),
     "model": MODELS,
 }
 """What options of these names may be, beside None."""
@@ -143,6 +145,8 @@ class Settings(ReadOptions):
     """Either "camera" or "world"."""
     world_to_camera: Any = None
     """(3, 3) rotation, needed when the frame is "world"; kept as float64."""
+    depth_unit: str | None = None
+    """Of the numbers in the depth file, which become metres; None = any unit, as stored."""
     model: Model | None = None
     """The reflection model that the pictures were rendered with, "paper" or "principled"; None
     where neither was, or nobody knows."""

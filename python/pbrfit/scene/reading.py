@@ -385,7 +385,7 @@ class _Pictures:
         pixels, size = picture.pixels[self._window], self.size
         whole = size == pixels.shape[:2]
         self.pixels[i] = pixels if whole else averaged_channels(pixels, size)
-        is_float = picture.bit_depth == 32
+        is_float = picture.stored is None
         if is_float and not np.isfinite(self.pixels[i]).all():
             self.bad[i] = bad = ~np.isfinite(self.pixels[i])
             self.pixels[i][bad] = 0
@@ -805,27 +805,29 @@ def _read_segments(notes: _Notes) -> NDArray[np.uint16] | None:
     return segments[notes.window(notes.folder / SEGMENT_FILE, segments.shape)]
 
 
-def _read_depth(notes: _Notes) -> NDArray[np.float32] | None:
+def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
     """Distances along the camera's axis, NaN where there is none."""
     path = notes.part(find_depth)
     if path is None:
         return None
-    stored = read_depth(path)
+    stored, how = read_depth(path, notes.how.depth_unit, own=True)
     stored = stored[notes.window(path, stored.shape)]
     try:
         depth, holes = scene_depth.without_holes(stored)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     said = f"{path.name}: {scene_depth.in_words(depth)}"
-    notes.assumed["depth"] = "; ".join([said, *holes])
+    notes.assumed["depth"] = "; ".join([said, *how, *holes])
     return depth
 
 
 def _read_lamps(notes: _Notes) -> Lamps | None:
-    path, files = notes.part(find_lamps), notes.files
-    if path is None:
+    found = notes.files.find(find_lamps)
+    if not found:
         return None
-    lamps, notes.assumed["lamps"] = known_lamps.load(path, files.names, listed=files.listed)
+    for path in found:
+        notes.has(notes.files.relative(path))
+    lamps, notes.assumed["lamps"] = known_lamps.load(found[0], notes.files.names)
     return lamps
 
 

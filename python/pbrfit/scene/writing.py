@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.depth_files import write_depth
 from pbrfit.io.lamp_files import LAMP_FILES
 from pbrfit.io.normal_files import write_normals
 from pbrfit.io.output import new_folder
@@ -44,7 +43,7 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
         if scene.weights is not None:
             write_weights(folder / WEIGHT_FILE, scene.weights, scene.names)
         if scene.depth is not None:
-            write_depth(folder / "depth.exr", scene.depth)
+            images.write_exr(folder / "depth.exr", {"Z": scene.depth})
         if scene.segments is not None:
             images.write_png(folder / SEGMENT_FILE, _ids(scene.segments), tag=None)
         if scene.lighting is not None:

@@ -359,10 +359,8 @@ mod tests {
                 for j in 0..ROWS {
                     let found: f64 = iter::zip(rows[i], rows[j]).map(|(a, b)| a * b).sum();
                     let expected = f64::from(i == j) * sine(at, i) * sine(at, j);
-                    assert!(
-                        (found - expected).abs() < 1e-14,
-                        "{i} {j}: {found} {expected}"
-                    );
+                    let holds = (found - expected).abs() < 1e-14;
+                    assert!(holds, "{i} {j}: {found} {expected}");
                 }
             }
         }

@@ -165,7 +165,7 @@ def test_depth_files_that_cannot_be_used(tmp_path: Path) -> None:
     np.save(tmp_path / "many.npy", np.ones((3, 16, 16)))
     np.save(tmp_path / "words.npy", np.array(["a"]))
     for name, message in {
-        "rgb.exr": "rgb.exr: expected one of the channels Z, .* found A, B",
+        "rgb.exr": "rgb.exr: expected depth in a channel Z, .* found A, B",
         "jet.png": "jet.png: expected depth in one channel, found colours",
         "none.exr": "none.exr: depth: expected distances above 0, found none",
         "wide.exr": "wide.exr: expected the pictures' size, 16 × 16 .* found 32 × 16",

@@ -192,12 +192,9 @@ def test_another_exposure_is_suggested_where_little_can_be_seen(room: Path, tmp_
     light = ("--light", "0,20", "--color")
     assert hint(*light, "1,1,1") == ""
     assert hint(*light, "1e-6,1e-6,1e-6") == hint(*light, "1e9,1e9,1e9") == ""  # by itself
-    dark = hint(*light, "1e-6,1e-6,1e-6", "--exposure", 0)
-    assert dark.startswith("little can be seen; try --exposure ")
-    assert hint(*light, "1e-6,1e-6,1e-6", "--exposure", dark.split()[-1]) == ""
-    bright = hint(*light, "1e9,1e9,1e9", "--exposure", 0, "--tone-map", "none")
-    assert float(bright.split()[-1]) < 0
-    assert hint(*light, "1e9,1e9,1e9", "--exposure", bright.split()[-1]) == ""
+    little = "little can be seen; without --exposure, one is chosen"
+    assert hint(*light, "1e-6,1e-6,1e-6", "--exposure", 0) == little
+    assert hint(*light, "1e9,1e9,1e9", "--exposure", 0, "--tone-map", "none") == little
     assert hint(*light, "0,0,0") == "no light reaches the surfaces that the camera sees"
 
 

@@ -19,6 +19,7 @@ from PIL import Image, ImageCms
 from pbrfit._core import InputError
 from pbrfit.batch.prediction import picture_size
 from pbrfit.io import color, images, radiance
+from pbrfit.io.input_files import digest
 
 RNG = np.random.default_rng(4)
 RGBA8: NDArray[np.uint8] = RNG.integers(1, 255, (41, 53, 4), dtype=np.uint8)
@@ -41,14 +42,10 @@ def test_tiles_in_separate_planes(tmp_path: Path, pixels: Any, options: dict[str
     path = tmp_path / "a.tif"
     alpha = {"extrasamples": ["unassalpha"]} if pixels.shape[2] == 4 else {}
     how = {**TILES, "photometric": "rgb", **alpha, **options}
-    tifffile.imwrite(path, np.moveaxis(pixels, -1, 0), **how)
-    expected = r"a\.tif: expected chunky tiles or strips, found tiles with separate planes, which"
-    with pytest.raises(InputError, match=expected):
-        images.read_data(path)
-    # Strips are read.
-    tifffile.imwrite(path, np.moveaxis(pixels, -1, 0), **{**how, "tile": None})
     unit = 1 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max
-    np.testing.assert_array_equal(images.read_data(path), pixels / np.float64(unit))
+    for strips in ({}, {"tile": None}):
+        tifffile.imwrite(path, np.moveaxis(pixels, -1, 0), **how | strips)
+        np.testing.assert_array_equal(images.read_data(path), pixels / np.float64(unit))
 
 
 def pages(*written: tuple[NDArray[Any], dict[str, Any]]) -> Callable[[Path, bool], None]:
@@ -74,13 +71,12 @@ PAGES: dict[str, tuple[Callable[[Path, bool], None], int | str]] = {
     "picture below its thumbnail": (pages((SMALL, {"subifds": 1, **REDUCED}), (RGB8, {})), 1),
     "says that it is reduced": (pages((RGB8, REDUCED)), 0),
     "planar tiles behind a thumbnail": (
-        pages((SMALL, REDUCED), (np.moveaxis(RGB8, -1, 0), TILES)), "found tiles with separate"
+        pages((SMALL, REDUCED), (np.moveaxis(RGB8, -1, 0), TILES)), 1
     ),
     "stack": (pages(*[(RGB8, {})] * 6), "expected one picture, found 6 pages"),
-    "stack of pages": (pages(*[(RGB8, {"subfiletype": 2})] * 3), "found 3 pages"),
-    "stack with thumbnails": (pages(*[(RGB8, {}), (SMALL, REDUCED)] * 2), "found 2 pages"),
-    "scans of two sizes": (pages((RGB8, {}), (RGB8[:22], {})), "found 2 pages"),
-    "more than half": (pages((RGB8, {}), (RGB8[:22, :27], {})), "found 2 pages"),
+    "scans of two sizes": (pages((RGB8, {}), (RGB8[:22], {})), "found 2 pages that differ"),
+    "more than half": (pages((RGB8, {}), (RGB8[:22, :27], {})), "found 2 pages that differ"),
+    "another kind": (pages((RGB8, {}), (GREY8, {"photometric": "minisblack"})), "that differ"),
 }  # fmt: skip
 
 
@@ -99,6 +95,50 @@ def test_the_one_page_of_full_resolution(tmp_path: Path, name: str, big: bool) -
     assert images.read_picture(path).notes == notes
     if "below its" not in name:  # which Pillow does not find
         assert picture_size(path) == RGB8.shape[:2]
+
+
+STACK = [np.ascontiguousarray(np.roll(RGB8, i, axis=0)) for i in range(12)]
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize(("written", "count"), [
+    ([(one, {"subfiletype": 2}) for one in STACK], 12),
+    ([(np.moveaxis(one, -1, 0), TILES) for one in STACK[:3]], 3),
+    ([page for one in STACK[:3] for page in ((SMALL, REDUCED), (one, {}))], 3),
+    ([page for one in STACK[:3] for page in ((SMALL, {"subifds": 1, **REDUCED}), (one, {}))], 3),
+    ([(one.astype(np.uint16) * 257, {}) for one in STACK[:2]], 2),
+    ([(one.astype(np.float32) / 255, {}) for one in STACK[:2]], 2),
+])  # fmt: skip
+def test_pages_of_a_stack_are_pictures(tmp_path: Path, written: Any, count: int, big: bool) -> None:
+    path = tmp_path / "a.tif"
+    pages(*written)(path, big)
+    names = [f"a_{i + 1:02}" if count > 9 else f"a_{i + 1}" for i in range(count)]
+    found = images.pages(path)
+    assert found == [path / f"{name}.tif" for name in names]
+    for page, expected in zip(found, STACK, strict=False):
+        picture = images.read_picture(page, "linear")
+        np.testing.assert_allclose(picture.pixels, expected / np.float32(255), rtol=1e-6)
+        assert picture.notes[0] == "pages of a.tif"
+        assert picture.sha256 == digest(images.file_of(page)) == digest(path)
+        if "subifds" not in written[0][1]:  # below which Pillow does not look
+            assert picture_size(page) == RGB8.shape[:2]
+    with pytest.raises(InputError, match=r"a\.tif.a_99.*found: fewer pages"):
+        images.read_picture(path / "a_99.tif")
+    png(tmp_path / "b.png")
+    assert images.pages(tmp_path / "b.png") == [tmp_path / "b.png"]
+
+
+@pytest.mark.parametrize("options", [{}, {"subsampling": 0}])
+def test_ycbcr_of_jpeg(tmp_path: Path, options: dict[str, Any]) -> None:
+    path = tmp_path / "a.tif"
+    smooth = Image.fromarray(np.linspace(0, 255, 48 * 64 * 3).reshape(48, 64, 3).astype(np.uint8))
+    smooth.convert("YCbCr").save(path, compression="jpeg", quality=95, **options)
+    with Image.open(path) as theirs:
+        off = images.read_data(path) * 255 - np.asarray(theirs.convert("RGB"))
+    assert np.abs(off).max() <= 4  # as of JPEG files, decoders differ in chroma
+    smooth.convert("YCbCr").save(path)
+    with pytest.raises(InputError, match=r"a\.tif: expected a grey or RGB TIFF, found"):
+        images.read_data(path)
 
 
 def test_pages_that_follow_each_other_for_ever(tmp_path: Path) -> None:
@@ -227,9 +267,10 @@ def test_exr_primaries_and_luminance(
     np.testing.assert_allclose(picture.pixels, expected, rtol=1e-4, atol=2e-4)
     np.testing.assert_array_equal(picture.alpha, FLOAT[..., 0] if alpha else None)
     if chromaticities is None:
-        assert picture.color == "linear Rec.709 (EXR without chromaticities)"
+        assert picture.color.endswith("linear Rec.709 (EXR without chromaticities)")
     else:
-        assert picture.color == "linear, converted from the EXR's chromaticities"
+        assert picture.color.endswith("linear, converted from the EXR's chromaticities")
+    assert picture.color.startswith("layer beauty, ") == (layer == "beauty")
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,14 @@ def written(folder: Path, name: str, text: str) -> Path:
 
 
 GERMAN = TABLE.replace(",", ";").replace(".", ",")
+ROWS = "0 0.6 0.8\n0.6 0 0.8\n0 0 1\n"  # of b, a, c
+VIEWS = json.dumps({"views": [
+    {"viewId": view, "path": f"/photos/{name}.png"} for view, name in zip("897", NAMES, strict=True)
+]})  # fmt: skip
+MESHROOM = json.dumps({"lights": [
+    {"viewId": view, "type": "directional", "direction": direction, "intensity": ["1", "1", "1"]}
+    for view, direction in ((9, [0, "-0.6", -0.8]), ("8", ["0.6", "0", "-0.8"]), ("7", [0, 0, -1]))
+]})  # fmt: skip
 FORMS: dict[str, tuple[str, str, str]] = {
     "lp": ("dome.lp", LP, "utf-8"),
     "lp, Windows": ("dome.LP", LP.replace(" ", "\t").replace("\n", "\r\n"), "utf-8-sig"),
@@ -73,7 +81,10 @@ FORMS: dict[str, tuple[str, str, str]] = {
     "json with a mark": ("lights.json", JSON, "utf-8-sig"),
     "lp, UTF-16 without a mark": ("dome.lp", LP, "utf-16-le"),
     "json, UTF-16": ("lights.json", JSON, "utf-16"),
+    "DiLiGenT": ("light_directions.txt", ROWS, "utf-8"),
+    "Meshroom": ("lights.json", MESHROOM, "utf-8"),
 }
+BESIDE = {"DiLiGenT": ("filenames.txt", "b.png\na.png\nc.png\n"), "Meshroom": ("c.sfm", VIEWS)}
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -81,12 +92,17 @@ def test_each_form_gives_the_same_directions(tmp_path: Path, form: str) -> None:
     name, text, encoding = FORMS[form]
     path = tmp_path / name
     path.write_bytes(text.encode(encoding))
+    if form in BESIDE:
+        written(tmp_path, *BESIDE[form])
+    assert len(find_lamps(tmp_path)) == 1 + (form in BESIDE)
     rows, said = read_lamps(path)
     assert not said
-    np.testing.assert_allclose([r.place for r in rows], [(0.6, 0, 0.8), (0, 0.6, 0.8), (0, 0, 1)])
+    pictures, how = matched(path, [row.picture for row in rows], NAMES)
+    assert (sorted(pictures), how) == ([0, 1, 2], "")
+    places = [rows[k].place for k in np.argsort(pictures)]
+    np.testing.assert_allclose(places, [(0.6, 0, 0.8), (0, 0.6, 0.8), (0, 0, 1)])
     assert not any(row.near for row in rows)
     assert np.isnan([row.color for row in rows]).all()
-    assert matched(path, [row.picture for row in rows], NAMES) == ([0, 1, 2], "")
 
 
 def test_directions_without_names(tmp_path: Path) -> None:
@@ -303,10 +319,26 @@ def test_half_of_the_directions_may_come_from_behind(tmp_path: Path) -> None:
 
 
 def test_one_file_of_a_folder_is_found(tmp_path: Path) -> None:
-    assert find_lamps(tmp_path) is None
+    assert not find_lamps(tmp_path)
     (tmp_path / "images").mkdir()
     path = written(tmp_path / "images", "Dome.LP", LP)
-    assert find_lamps(tmp_path) == path
+    assert find_lamps(tmp_path) == [path]
     written(tmp_path, "lights.json", JSON)
     with pytest.raises(InputError, match=r"one file with lamps, found images/Dome.LP, lights.json"):
         find_lamps(tmp_path)
+
+
+@pytest.mark.parametrize(("name", "content", "beside", "names", "message"), [
+    ("light_directions.txt", ROWS, "filenames.txt", "a.png\n", "the 3 lamps in .*txt, found 1"),
+    ("lights.json", MESHROOM, "cameras.txt", VIEWS, r"lights.json: expected one \.sfm .* found 0"),
+    ("lights.json", MESHROOM, "cameras.sfm", "{}", "cameras.sfm: expected views with viewId"),
+    ("lights.json", MESHROOM, "cameras.sfm", VIEWS.replace('"8"', '"1"'), "lamp 2: .*'8'"),
+    ("lights.json", MESHROOM.replace("viewId", "lightId"), "c.sfm", VIEWS, "lamp 1: .*viewId"),
+    ("lights.json", MESHROOM.replace('"0.6"', '"nan"'), "c.sfm", VIEWS, "lamp 2: .*nan"),
+])  # fmt: skip
+def test_names_beside_lamps_that_are_none(
+    tmp_path: Path, name: str, content: str, beside: str, names: str, message: str
+) -> None:
+    written(tmp_path, beside, names)
+    with pytest.raises(InputError, match=message):
+        read_lamps(written(tmp_path, name, content))

@@ -107,7 +107,7 @@ def test_it_is_developed_to_linear_light_that_no_picture_s_content_changes(
     }
     np.testing.assert_allclose(picture.pixels, raw.developed / 65535, rtol=1e-6)
     assert picture.color == "linear Rec.709, camera white balance 2, 1, 1.5 (raw file, LibRaw)"
-    assert (picture.bit_depth, picture.limits, picture.alpha) == (16, None, None)
+    assert (picture.stored is None, picture.limits, picture.alpha) == (False, None, None)
     assert picture.focal_length_35mm is None
     assert picture.stored is not None
     assert picture.stored.in_words() == "16-bit RAW"
@@ -211,7 +211,7 @@ def test_memory_is_predicted_by_the_size_of_the_sensor(tmp_path: Path) -> None:
     [
         (b"damaged", {}, r"a.nef: expected a raw file that LibRaw reads, found Unsupported file"),
         (b"", {"color_space": "srgb"}, "a.nef: expected colour space linear .*, found srgb"),
-        (b"", {"layer": "x"}, "a.nef: expected an EXR file with layer x, found a RAW"),
+        (b"", {"layer": "x"}, "a.nef: expected an EXR file with layer x, found RAW"),
     ],
 )
 @pytest.mark.usefixtures("raw")

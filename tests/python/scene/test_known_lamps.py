@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError, Scene
-from pbrfit.io.depth_files import write_depth
+from pbrfit.io.images import write_exr
 from pbrfit.model.lamps import Lamps
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
@@ -161,7 +161,7 @@ def test_depth_is_not_compared_with_normals_that_nobody_told(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     steep = np.add.outer(np.linspace(1, 3, SIZE), np.linspace(0, 2, SIZE))
-    write_depth(folder / "depth.exr", steep)
+    write_exr(folder / "depth.exr", {"Z": steep})
     (folder / "normals.exr").unlink()
     with caplog.at_level(logging.WARNING, "pbrfit"):
         assert Scene.load(folder).depth is not None

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -16,6 +17,7 @@ from pbrfit import InputError, Scene
 from pbrfit.io import images
 from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
+from pbrfit.scene.folder import digests
 from scene_files import LIGHTS, SIZE, room, write_exr, write_folder
 from scene_files import run as run_command
 
@@ -112,7 +114,7 @@ def test_normals_are_read_as_they_were_meant(tmp_path: Path, name: str) -> None:
         (
             "two_layers.exr",
             layer(NORMALS, "N.X", "N.Y", "N.Z") | layer(NORMALS, *(f"Normal.{c}" for c in "XYZ")),
-            "one layer of normals, found N.X N.Y N.Z, Normal.X Normal.Y Normal.Z",
+            "one layer of normals .*, found N.X N.Y N.Z, Normal.X Normal.Y Normal.Z",
         ),
     ],
 )
@@ -189,12 +191,29 @@ def test_a_mask_of_greys_below_white_is_refused(folder: Path, top: int) -> None:
     assert said in refused("inspect", folder)
 
 
+def test_a_stack_is_its_pages(folder: Path) -> None:
+    apart = Scene.load(folder)
+    for path in (folder / "images").iterdir():
+        path.unlink()
+    tifffile.imwrite(folder / "images" / "s.tif", apart.images, photometric="rgb")
+    lamps = "".join(f"s_{i + 1},0,0,1\n" for i in reversed(range(len(apart.images))))
+    (folder / "lights.csv").write_text(lamps)
+    scene = Scene.load(folder)
+    np.testing.assert_array_equal(scene.images, apart.images)
+    assert scene.names == tuple(f"s_{i + 1}" for i in range(len(apart.images)))
+    assert scene.assumed["pictures"].startswith("pages of s.tif: s_1.tif, s_2.tif")
+    assert scene.lamps is not None
+    assert "matched" not in scene.assumed["lamps"]  # but by name
+    assert scene.inputs == digests(folder)
+    assert "images/s.tif" in scene.inputs
+
+
 def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
     (folder / "normals.exr").unlink()
     depth = 2500 + np.arange(SIZE * SIZE, dtype=np.uint16).reshape(SIZE, SIZE)
     depth[0] = 0
     path = store(tmp_path / "mm.png", depth)
-    for unit, flags in ((1, ()), (0.001, ("--unit", 0.001))):
+    for unit, flags in ((1, ()), (0.001, ("--unit", 0.001)), (0.001, ("--unit", "mm"))):
         said = done("depth", folder, "--from", path, "--overwrite", *flags)
         assert ("whole numbers, in the unit of the file" in said) == (unit == 1)
         assert f"{SIZE} pixels of 0" in said
@@ -202,9 +221,28 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
         found = Scene.load(folder).depth
         assert found is not None
         np.testing.assert_allclose(found, np.where(depth > 0, unit * depth, np.nan), rtol=1e-6)
-    assert "unit: expected a number above 0, found 0" in refused(
+    assert "unit: expected m, cm, mm or a number above 0, found 0" in refused(
         "depth", folder, "--from", path, "--overwrite", "--unit", 0
     )
+    # The scene folder's own file, and what scene.toml says of it.
+    (folder / "depth.exr").unlink()
+    settings = (folder / "scene.toml").read_text()
+    for toml, unit in (("", 1), ('depth_unit = "mm"\n', 0.001), ('depth_unit = "m"\n', 1)):
+        (folder / "scene.toml").write_text(settings + toml)
+        store(folder / "depth.png", depth)
+        scene = Scene.load(folder, fov=60)
+        assert scene.depth is not None
+        np.testing.assert_allclose(scene.depth, np.where(depth > 0, unit * depth, np.nan), 1e-6)
+        assert ("in metres, of mm" in scene.assumed["depth"]) == (unit < 1)
+    (folder / "depth.png").unlink()
+    (folder / "scene.toml").write_text(settings + 'depth_unit = "mm"\n')
+    store(folder / "depth.exr", {"Z": depth + 0.5})
+    assert "whole numbers beside a unit, mm, found fractions" in refused("inspect", folder)
+    (folder / "depth.exr").unlink()
+    store(folder / "depth.png", BYTES[..., :1])
+    assert "depth.png: expected depth of 16 bits, found 8" in refused("inspect", folder)
+    (folder / "scene.toml").write_text('depth_unit = "inch"\n')
+    assert "depth_unit: expected one of m, cm, mm, found 'inch'" in refused("inspect", folder)
 
 
 @pytest.mark.parametrize(

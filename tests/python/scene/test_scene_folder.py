@@ -793,7 +793,7 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
     ),
     "grey normals": (
         lambda f: images.write_exr(f / "normals.exr", {"Y": np.ones((SIZE, SIZE))}),
-        "normals.exr: expected channels X, Y, Z .*, found Y",
+        "normals.exr: expected normals in channels X, Y, Z .*, found Y",
     ),
     "an empty mask": (
         lambda f: write_mask(f / "mask.png", np.zeros((SIZE, SIZE))),

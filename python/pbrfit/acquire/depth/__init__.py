@@ -43,7 +43,7 @@ def estimate(
     surface: Surface,
     *,
     depth_kind: DepthKind = "z",
-    unit: float = 1.0,
+    unit: float | str | None = None,
     fuse: bool = False,
     **options: Any,
 ) -> Depth:
@@ -64,7 +64,7 @@ def estimate(
     depth_kind
         Of a file: "z", "ray" (distance along the pixel's ray) or "disparity" (inverse of z).
     unit
-        Of a file: what its numbers are multiplied by, 0.001 for metres of millimetres.
+        Of a file: that of `read_depth`, "mm" for metres of millimetres.
     fuse
         Make the depth agree with the normals (`pbrfit.scene.integration`).
     options
@@ -124,21 +124,20 @@ def _normals(surface: Surface, what: str) -> NDArray[np.float64]:
 
 
 def _of_file(
-    path: Path, size: tuple[int, int], fov: float, kind: DepthKind, unit: float
+    path: Path, size: tuple[int, int], fov: float, kind: DepthKind, unit: float | str | None
 ) -> tuple[NDArray[np.float32], list[str]]:
     """Distances along the axis, at the size (height, width) of the pictures; and remarks."""
-    if not 0 < unit < np.inf:
-        raise InputError(f"unit: expected a number above 0, found {unit:g}")
-    stored = read_depth(path)
+    stored, how = read_depth(path, unit)
     if stored.shape != size:
         check_reducible(path, stored.shape, size)
     try:
         kept, said = without_holes(stored, inverse=kind == "disparity")
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    values = unit * kept.astype(np.float64)
-    if unit == 1 and np.nanmax(values) > 1 and not np.fmod(values[np.isfinite(values)], 1).any():
-        said.append("whole numbers, in the unit of the file; --unit 0.001 makes metres of mm")
+    values = kept.astype(np.float64)
+    if not (unit or np.nanmax(values) <= 1 or np.fmod(values[np.isfinite(values)], 1).any()):
+        said.append("whole numbers, in the unit of the file; --unit mm makes metres of mm")
+    said += how
     if kind == "disparity":
         values = 1.0 / values
     elif kind == "ray":

@@ -90,7 +90,7 @@ class Folder:
             )
         pixels = resized(picture.pixels, photo.size)
         # A float file's white is anywhere; the light of each picture takes up its exposure.
-        exposure = exposure_of(path, pixels) if picture.bit_depth == 32 else 0.0
+        exposure = exposure_of(path, pixels) if picture.stored is None else 0.0
         shown = encoded(pixels, exposure)
         return Generated(
             pixels=np.asarray(np.rint(255 * shown), dtype=np.uint8),

@@ -40,7 +40,7 @@ def from_file(
     then normals are averaged. All else, and what is returned, is as for `from_depth`. Raises
     InputError or OSError if the file holds no depth, or of another proportion.
     """
-    depth = read_depth(path)
+    depth, _ = read_depth(path)
     if depth.shape != size:
         check_reducible(path, depth.shape, size)  # before any work is done on it
     try:

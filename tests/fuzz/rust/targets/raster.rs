@@ -8,7 +8,7 @@ use pbrfit::image_file::{Samples, decode_raster};
 
 fuzz_target!(|bytes: &[u8]| {
     for indices in [false, true] {
-        match decode_raster(bytes, Path::new("file.png"), indices) {
+        match decode_raster(bytes, Path::new("file.png"), indices, None) {
             Ok(raster) => {
                 let samples = match &raster.samples {
                     Samples::U8(samples) => samples.len(),

@@ -1,0 +1,78 @@
+"""Layers of EXR files: which channels are meant where programs write several kinds of data."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from pbrfit._core import InputError
+from pbrfit.io.quoting import listed
+
+Rule = tuple[Sequence[Sequence[str]], str]
+"""Sets of channels, the best first, and a pattern of the names of layers that may have them."""
+
+VECTORS = r"position|vector|uv|motion|velocity|tangent|crypto|(^|\.)p(world)?$"
+"""Words in the names of layers that hold vectors which are no normals."""
+
+_GREY = ("YA", "Y")
+_COLORS = ("RGBA", "RGB")
+_CHROMA = (("Y", "RY", "BY", "A"), ("Y", "RY", "BY"))
+
+# Plain channels, those of what renderers call the picture, or of the only layer with light.
+PICTURE: tuple[Rule, ...] = (
+    ((*_COLORS, *_CHROMA), "^$"),
+    (_COLORS, r"(^|\.)(rgba?|beauty|combined)$"),
+    (_GREY, "^$"),
+    (_COLORS, rf"^(?!.*(normal|albedo|col$|limits|matte|mask|depth|{VECTORS})).+$"),
+)
+
+_NORMAL = r"(^|\.)(n|normals?)$"
+
+NORMALS: tuple[Rule, ...] = (
+    (("XYZ",), "^$"),
+    (("XYZ", "RGB"), _NORMAL),
+    (("XYZ", "RGB"), "normal"),
+    (("XYZ",), rf"^(?!.*({VECTORS})).+$"),
+    (("RGB",), "^$"),
+    (("XY", "RG"), rf"^$|{_NORMAL}"),
+)
+
+DEPTH: tuple[Rule, ...] = (
+    (("Z", ("DEPTH",)), "^$"),
+    (("Z", "V", "Y", "R", "X"), "depth$"),
+    (("Z", ("DEPTH",)), rf"^(?!.*({VECTORS}|normal|(^|\.)n$|mist)).+$"),
+    (("Y", "R"), "^$"),
+)
+
+
+def chosen(
+    path: Path, names: Collection[str], rules: Sequence[Rule], what: str, layer: str | None = None
+) -> tuple[str, list[str]]:
+    """A layer and the full names of its channels, by the first rule that finds some.
+
+    Case does not count. A given `layer` is sought by its whole name, else by the end of one:
+    ``Combined`` is also ``ViewLayer.Combined``. Raises InputError if no rule finds a layer, or one
+    finds several; `what` says what is looked for.
+    """
+    layers: dict[str, dict[str, str]] = {}
+    for name in sorted(names):  # R before r
+        of, _, channel = name.rpartition(".")
+        layers.setdefault(of, {}).setdefault(channel.upper(), name)
+    if layer is not None:
+        every = [kind for kinds, _ in rules for kind in kinds]
+        rules = [(every, rf"{start}{re.escape(layer)}$") for start in ("^", r"\.")]
+        what += f" in layer {layer}"
+    for kinds, called in rules:
+        found: dict[str, list[str]] = {}
+        for of, channels in layers.items():
+            kind = next((kind for kind in kinds if channels.keys() >= set(kind)), None)
+            if kind is not None and re.search(called, of, re.IGNORECASE):
+                found[of] = [channels[channel] for channel in kind]
+        if len(found) == 1:
+            return next(iter(found.items()))
+        if found:
+            several = listed(" ".join(one) for one in found.values())
+            raise InputError(f"{path}: expected one layer of {what}, found {several}")
+    below = f" in layers {listed(filter(None, layers))}" if layers.keys() - {""} else ""
+    raise InputError(f"{path}: expected {what}, found {listed(names)}{below}")
