@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from pbrfit._core import InputError
+from pbrfit.acquire.chart import read_chart
 from pbrfit.commands.arguments import Flag, add_flags, choice, numbers, value, whole_number
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import Orientation
@@ -55,6 +61,17 @@ def add_input(parser: argparse.ArgumentParser) -> None:
             "leave out pixels of less than half in any picture, or none (default: scene.toml, else "
             "mask)",
         ),
+        chart=value(
+            "FILE",
+            Path,
+            "picture of a ColorChecker by the same camera: corrects colours and exposure of all",
+        ),
+        chart_corners=value(
+            "X,Y,...",
+            numbers("X,Y,X,Y,X,Y,X,Y"),
+            "in pixels the outer corners of its dark skin, bluish green, black and white patch "
+            "(default: found with pbrfit[chart])",
+        ),
         crop=value(
             "X,Y,W,H",
             numbers("X,Y,W,H", whole_number),
@@ -65,8 +82,19 @@ def add_input(parser: argparse.ArgumentParser) -> None:
 
 
 def reading(options: argparse.Namespace) -> ReadOptions:
-    """How a scene is to be read."""
+    """How a scene is to be read; prints how well a chart's colours are explained."""
     response = getattr(options, "response", None)
     decoded: ColorSpace | None = response if response in ("srgb", "linear") else None
-    given = {one.name: getattr(options, one.name) for one in fields(ReadOptions)}
-    return ReadOptions(**{**given, "color_space": options.color_space or decoded})
+    given: dict[str, Any]
+    given = {one.name: getattr(options, one.name, None) for one in fields(ReadOptions)}
+    found = ReadOptions(**{**given, "color_space": options.color_space or decoded})
+    if options.chart is None:
+        if options.chart_corners is not None:
+            raise InputError("--chart-corners: goes with --chart")
+        return found
+    picture = found.picture(options.chart)
+    corners = None if options.chart_corners is None else np.reshape(options.chart_corners, (4, 2))
+    chart = read_chart(options.chart, picture, corners)
+    if not getattr(options, "quiet", False):
+        print(f"{options.chart}: {chart.said}")
+    return replace(found, color_matrix=tuple(map(tuple, chart.matrix.tolist())))

@@ -119,6 +119,7 @@ def read_picture(
     layer: str | None = None,
     code_range: tuple[int, int] | None = None,
     orientation: Orientation = "exif",
+    color_matrix: ArrayLike | None = None,
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
@@ -128,8 +129,9 @@ def read_picture(
     file states; raw files are developed to linear Rec.709 (`pbrfit.io.raw_files`). Grey is repeated
     to three channels. Alpha of 0 everywhere is none.
 
-    Of an EXR file a `layer` is read by name, with or without what stands before its last dot; else
-    ``R``, ``G``, ``B`` or ``Y``, or those of a layer as of `layers.PICTURE`.
+    A `color_matrix` (3, 3) is applied after that. Of an EXR file a `layer` is read by name, with or
+    without what stands before its last dot; else ``R``, ``G``, ``B`` or ``Y``, or those of a layer
+    as of `layers.PICTURE`.
 
     `code_range` is the lowest and the highest code of 255 that is data; others are marked in
     `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
@@ -155,6 +157,8 @@ def read_picture(
     else:
         found = _of_raster(path, data, page, orientation, decide=chosen is None)
     convert, notes = chosen or found.conversion, found.notes
+    if color_matrix is not None:
+        convert = convert.then(color_matrix)
 
     samples = exif.turned(found.samples, found.turn)
     colors, alpha = samples, None

@@ -62,6 +62,8 @@ class ReadOptions:
     alpha: Alpha | None = None
     """"mask" leaves out pixels of which any picture has less than half, "ignore" none; default:
     "mask"."""
+    color_matrix: tuple[tuple[float, ...], ...] | None = None
+    """Three rows, applied to the linear Rec.709 of all pictures: a chart tells that of a camera."""
     crop: tuple[int, int, int, int] | None = None
     """Left, top, width and height in pixels of what is used of the upright pictures and of all
     maps; default: all."""
@@ -87,6 +89,12 @@ class ReadOptions:
             object.__setattr__(self, "code_range", codes)
             if len(codes) != 2:
                 raise InputError(f"code_range: expected two 8-bit codes, found {codes}")
+        if self.color_matrix is not None:
+            rows = np.array(self.color_matrix, np.float64)
+            if rows.shape != (3, 3) or not np.isfinite(rows).all() or np.linalg.det(rows) == 0:
+                expected = "expected three rows of three numbers that can be undone"
+                raise InputError(f"color_matrix: {expected}, found {quoted(self.color_matrix)}")
+            object.__setattr__(self, "color_matrix", tuple(map(tuple, rows.tolist())))
         if self.crop is not None:
             crop = _whole("crop", self.crop, CROP)
             object.__setattr__(self, "crop", crop)
@@ -101,7 +109,8 @@ class ReadOptions:
     def picture(self, path: Path) -> images.Picture:
         """Read a whole picture; raises InputError or OSError as `images.read_picture`."""
         turned = self.orientation or "exif"
-        return images.read_picture(path, self.color_space, self.layer, self.code_range, turned)
+        how = (self.color_space, self.layer, self.code_range, turned, self.color_matrix)
+        return images.read_picture(path, *how)
 
     def window(self, size: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns that are used of pictures of a size (height, width).

@@ -470,6 +470,9 @@ def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> _Pictu
     _compare_settings(read.shared, notes)
     if not read.mask.any():
         raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
+    if how.color_matrix is not None:
+        rows = "; ".join(" ".join(map("{:.3f}".format, row)) for row in how.color_matrix)
+        notes.assumed["color matrix"] = f"{rows}, after that"
     if how.alpha == "ignore":
         notes.assumed["alpha"] = "ignored, as asked for"
     elif not read.mask.all():
