@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -135,7 +136,7 @@ def _samples(corners: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def _sought(path: Path, picture: Picture) -> Array:
     """Corners (4, 2) of the chart by OpenCV 5, in whichever of four turns it is seen."""
     try:
-        import cv2
+        cv2 = import_module("cv2")
     except ImportError:
         raise InputError(
             f"{path}: expected --chart-corners, or the Python package cv2, which finds them, found "
@@ -148,7 +149,7 @@ def _sought(path: Path, picture: Picture) -> Array:
     # OpenCV groups what looks like patches by chance: one of two to thirty tries finds a chart.
     for seed, turn in itertools.product(range(32), range(4)):
         cv2.setRNGSeed(seed)
-        detector = cv2.mcc.CCheckerDetector_create()  # type: ignore[attr-defined]
+        detector = cv2.mcc.CCheckerDetector_create()
         if detector.process(np.ascontiguousarray(np.rot90(codes, turn)), 1):
             x, y = np.array(detector.getBestColorChecker().getColorCharts(), np.float64).T
             for size in (width, height, width)[:turn][::-1]:

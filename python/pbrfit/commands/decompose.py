@@ -68,6 +68,7 @@ def run(options: argparse.Namespace) -> int:
     """Decompose the scenes, here or by workers."""
     if options.resume and options.overwrite:
         raise InputError("expected --resume or --overwrite, found both")
+    options.reading = reading(options)
     options.pictures = tuple(options.scenes) if any(map(Path.is_file, options.scenes)) else ()
     if options.pictures:
         scenes, one = [locate(options.pictures).folder], True
@@ -103,7 +104,7 @@ def _task(
         scene=scene.absolute() if far else scene,
         output=output.absolute() if far else output,
         pictures=tuple(map(Path.absolute, options.pictures)) if far else options.pictures,
-        reading=reading(options),
+        reading=options.reading,
         options=fit_options(options),
         threads=options.threads,
         resume=options.resume,

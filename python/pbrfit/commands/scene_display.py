@@ -29,6 +29,9 @@ from pbrfit.commands.terminal import (
 from pbrfit.io.quoting import shown
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
 
+OF_OUTCOME = ("peak_bytes", "stop_reason", "iterations")
+"""In a line of JSON, null of scenes that failed."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -142,23 +145,18 @@ class SceneDisplay:
 
 def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
     outcome = attempt.value
-    line = {
+    line: dict[str, Any] = {
         "scene": str(task.scene),
         "output": str(task.output),
         "status": "failed" if outcome is None else outcome.status,
         "error": None if attempt.error is None else in_flags(attempt.error),
         "seconds": round(attempt.seconds, 3),
-        "peak_bytes": None if outcome is None else outcome.peak_bytes,
-        "stop_reason": None if outcome is None else outcome.stop_reason,
-        "iterations": None if outcome is None else outcome.iterations,
-        "metrics": {} if outcome is None else dict(outcome.metrics),
-        "held_out": None
-        if outcome is None or outcome.held_out is None
-        else outcome.held_out.as_json(),
-        "verdicts": {}
-        if outcome is None
-        else {name: one.as_json() for name, one in outcome.verdicts.items()},
     }
+    line |= {name: getattr(outcome, name, None) for name in OF_OUTCOME}
+    held_out, verdicts = getattr(outcome, "held_out", None), getattr(outcome, "verdicts", {})
+    line["held_out"] = None if held_out is None else held_out.as_json()
+    line["metrics"] = dict(getattr(outcome, "metrics", {}))
+    line["verdicts"] = {name: one.as_json() for name, one in verdicts.items()}
     return json.dumps(line)
 
 

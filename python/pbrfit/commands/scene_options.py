@@ -12,7 +12,15 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.acquire.chart import read_chart
-from pbrfit.commands.arguments import Flag, add_flags, choice, numbers, value, whole_number
+from pbrfit.commands.arguments import (
+    Flag,
+    add_flags,
+    choice,
+    complain,
+    numbers,
+    value,
+    whole_number,
+)
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import Orientation
 from pbrfit.model.depth_normals import DepthKind
@@ -82,7 +90,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
 
 
 def reading(options: argparse.Namespace) -> ReadOptions:
-    """How a scene is to be read; prints how well a chart's colours are explained."""
+    """How a scene is to be read; says how well a chart's colours are explained."""
     response = getattr(options, "response", None)
     decoded: ColorSpace | None = response if response in ("srgb", "linear") else None
     given: dict[str, Any]
@@ -96,5 +104,5 @@ def reading(options: argparse.Namespace) -> ReadOptions:
     corners = None if options.chart_corners is None else np.reshape(options.chart_corners, (4, 2))
     chart = read_chart(options.chart, picture, corners)
     if not getattr(options, "quiet", False):
-        print(f"{options.chart}: {chart.said}")
+        complain(f"{options.chart}: {chart.said}")
     return replace(found, color_matrix=tuple(map(tuple, chart.matrix.tolist())))

@@ -125,7 +125,7 @@ def test_a_chart_corrects_all_pictures(tmp_path: Path, capsys: pytest.CaptureFix
     (folder / "scene.toml").unlink()
     corners = ",".join(map("{:g}".format, CORNERS.ravel()))
     assert main(["inspect", str(folder), "--chart", str(path), "--chart-corners", corners]) == 0
-    assert "chart.png: a ColorChecker, mean colour difference 0.0" in capsys.readouterr().out
+    assert "chart.png: a ColorChecker, mean colour difference 0.0" in capsys.readouterr().err
     assert main(["inspect", str(folder), "--chart-corners", corners]) == 2
 
 
