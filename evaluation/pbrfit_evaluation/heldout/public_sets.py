@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.scene import folder as scene_folder
-from pbrfit.scene.completion import add_flat_normals
+from pbrfit.scene.completion import add_normals, picture_size
 from pbrfit_evaluation.jobs import digest_of_files
 
 Array = NDArray[np.floating[Any]]
@@ -186,7 +186,7 @@ def _write_room(source: Source, folder: Path) -> None:
     for path in scene_folder.find_pictures(source.folder):
         shutil.copy(path, folder)
     (folder / "scene.toml").write_text("fov = 60\n", encoding="utf-8")
-    add_flat_normals(folder)
+    add_normals(folder, np.broadcast_to([0.0, 0.0, 1.0], (*picture_size(folder), 3)))
 
 
 def has_normal(normals: Array) -> Mask:

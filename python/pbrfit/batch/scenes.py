@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import platform
+import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -13,9 +14,11 @@ from typing import TYPE_CHECKING, Literal
 from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
+from pbrfit.io.normal_files import NORMAL_FILES
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
 from pbrfit.result.verdict import Verdict, verdicts_of
+from pbrfit.scene.folder import PARTS, first_and_last, is_scene, loose_pictures
 
 if TYPE_CHECKING:
     from pbrfit.fit.decompose import Progress
@@ -28,6 +31,9 @@ log = logging.getLogger("pbrfit")
 LIBRARIES_BYTES = 200 * 2**20
 """Bytes a process with numpy, scipy and the rest takes: whole processes took 103 to 158 MiB more
 than was predicted for scenes of 16² to 128², and 40 more as dask's workers."""
+
+NO_SCENES = re.compile(r"\..*|(flat|truth|lost\+found)$")
+"""Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
 
 LOOK_EVERY = 0.2
 """Seconds after which a worker looks whether its scene is still wanted."""
@@ -164,15 +170,40 @@ def decompose_scene(
     )
 
 
+def scenes_in(folder: Path) -> list[Path]:
+    """The scene folders that a folder holds, itself where it is one; none if it holds nothing.
+
+    Two or more photographs that lie beside each other are one where no folder below says that it is
+    a scene; one alone may be anything.
+    """
+
+    def is_one(path: Path) -> bool:
+        try:
+            return is_scene(path)
+        except PermissionError:
+            return True  # one that nobody may look into will fail and say why
+
+    if is_one(folder):
+        return [folder]
+    below = [p for p in sorted(folder.iterdir()) if p.is_dir() and not NO_SCENES.match(p.name)]
+    scenes, loose = list(filter(is_one, below)), loose_pictures(folder)
+    if len(loose) > 1 and not scenes:
+        return [folder]
+    if not any((folder / part).exists() for part in (*PARTS, *NORMAL_FILES)):
+        scenes = [one for one in below if one in scenes or len(loose_pictures(one)) > 1]
+    if scenes and loose:
+        said = first_and_last(loose)
+        log.warning("%s: %s not read, as folders in it are scenes", folder, said)
+    return scenes
+
+
 def memory_of(task: SceneTask, threads: int) -> int:
     """Bytes that a worker of so many threads will take with a scene; 0 for what cannot be read."""
     from pbrfit.batch.prediction import of_scene
 
     try:
-        return (
-            LIBRARIES_BYTES
-            + of_scene(task.source, task.reading, task.options, task.threads or threads).peak
-        )
+        needed = of_scene(task.source, task.reading, task.options, task.threads or threads)
+        return LIBRARIES_BYTES + needed.peak
     except (InputError, OSError):
         return 0
 

@@ -15,7 +15,7 @@ from pbrfit.batch import place
 from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
 from pbrfit.batch.heartbeat import PATIENCE
-from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of
+from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of, scenes_in
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
 from pbrfit.commands.scene_display import SceneDisplay
@@ -23,7 +23,7 @@ from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit import memory
 from pbrfit.io.output import check_is_output
 from pbrfit.result.result import RESULT_FOLDER
-from pbrfit.scene.folder import locate, scenes_in
+from pbrfit.scene.folder import locate
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -23,6 +23,7 @@ from pbrfit.commands.network_options import (
     source,
 )
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
+from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.scene import completion
 from pbrfit.scene.depth import checked_depth, in_words
 from pbrfit.scene.options import ReadOptions
@@ -83,7 +84,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write depth, and say what it is like."""
-    completion.check_no_depth(options.scene, overwrite=options.overwrite)
+    completion.check_none(options.scene, DEPTH_FILES, "depth", overwrite=options.overwrite)
     surface = read_surface(options.scene, ReadOptions(fov=options.fov))
     kind = options.source if options.source in FLAGS else "file"
     given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")

@@ -13,7 +13,7 @@ import numpy as np
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.network_options import Flags, asked_for, source
-from pbrfit.commands.scene_options import field_of_view
+from pbrfit.commands.scene_options import STORED, field_of_view
 from pbrfit.io.output import new_file
 from pbrfit.io.quoting import visible
 from pbrfit.model.lamps import Lamps
@@ -44,6 +44,7 @@ FLAGS: dict[str, Flags] = {
             "of a matt ball, such as 0.18 of a grey one; then the colours of lamps are known too",
         ),
         "fov": field_of_view(cli.number, "scene.toml, EXIF, else 60"),
+        **STORED,
     },
     "file": {},
 }
@@ -111,21 +112,21 @@ def _of_ball(
     albedo = given.get("albedo")
     if albedo is not None and not 0 < albedo <= 1:
         raise InputError(f"albedo: expected a number above 0, 1 at most, found {albedo:g}")
-    pictures = read_pictures(options.scene, ReadOptions(fov=given.get("fov")))
-    _, height, width, _ = pictures.images.shape
+    pictures, fov, fov_said = read_pictures(options.scene, ReadOptions.from_json(given))
+    _, height, width, _ = pictures.pixels.shape
     try:
         circles = [
             balls.checked_ball(x, y, radius, (height, width))
             for x, y, radius in given.get("circle", ())
         ]
-        circles = circles or [balls.find_ball(pictures.images)]
+        circles = circles or [balls.find_ball(pictures.pixels)]
         asked = given.get("ball", "auto")
         found = balls.lights_of_balls(
-            pictures.images,
+            pictures.pixels,
             pictures.limits,
             pictures.names,
             circles,
-            pictures.fov,
+            fov,
             None if asked == "auto" else asked,
         )
     except InputError as error:
@@ -142,7 +143,7 @@ def _of_ball(
     lines = [
         f"{known_lamps.in_words(lamps)}, from a {found.kind} ball at {where} (X,Y,R, {how}; "
         "--circle sets it)",
-        f"  field of view {pictures.fov_in_words}",
+        f"  field of view {fov_said}",
         *_table(pictures.names, lamps, found),
     ]
     if found.kind == "matt" and albedo is None:
@@ -156,7 +157,7 @@ def _of_ball(
         )
     )
     what = "highlights" if found.kind == "mirror" else "where it faces a lamp"
-    mean = pictures.images.mean(axis=0, dtype=np.float64)
+    mean = pictures.pixels.mean(axis=0, dtype=np.float64)
     return pictures.names, lamps, lines, drawn.ShownBalls(mean, circles, found.highlights, what)
 
 

@@ -27,7 +27,7 @@ from pbrfit.commands.network_options import (
     checkpoint,
     source,
 )
-from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
+from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
 from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
 from pbrfit.model.materials import nearest_inside
 from pbrfit.result.options import FitOptions
@@ -79,7 +79,8 @@ FLAGS: dict[str, Flags] = {
 OF_PICTURES: Flags = {
     "threads": cli.value(
         "T", cli.whole_number, "0 = one for each processor; normals do not depend on it"
-    )
+    ),
+    **STORED,
 }
 FLAGS["pictures"] = {
     **OF_PICTURES,

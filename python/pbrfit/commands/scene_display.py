@@ -18,14 +18,7 @@ from pbrfit.batch.driver import Attempt, repeat_log
 from pbrfit.batch.scenes import SceneOutcome, SceneTask, rmse_in_words
 from pbrfit.commands.messages import complain, in_flags, unread_is_no_failure
 from pbrfit.commands.progress import progress_bar
-from pbrfit.commands.terminal import (
-    DIM,
-    columns_of,
-    held_out_lines,
-    marked,
-    painted,
-    verdict_lines,
-)
+from pbrfit.commands.terminal import DIM, columns_of, held_out_lines, marked, painted, verdict_lines
 from pbrfit.io.quoting import shown
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
 

@@ -39,6 +39,15 @@ DEPTH_KIND = choice(
 )
 
 
+STORED: dict[str, Flag] = {
+    "orientation": choice(
+        Orientation, "turn pictures as EXIF says, or leave them (default: scene.toml, else exif)"
+    ),
+    "layer": value("NAME", str, "of EXR pictures (default: scene.toml, else that without a name)"),
+}
+"""How pictures lie in their files."""
+
+
 def field_of_view(kind: Callable[[str], float], otherwise: str) -> Flag:
     """`--fov`, and where it comes from without it."""
     return value("DEG", kind, f"horizontal field of view, 0 = orthographic (default: {otherwise})")
@@ -50,10 +59,6 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         parser,
         fov=field_of_view(float, "scene.toml, EXIF, else fitted"),
         color_space=COLOR_SPACE,
-        orientation=choice(
-            Orientation,
-            "turn pictures as EXIF says, or leave them (default: scene.toml, else exif)",
-        ),
         max_size=value(
             "PIXELS", int, "average larger pictures down to this longer side (default: as they are)"
         ),
@@ -63,7 +68,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
             "values of integer pictures above HIGH or below LOW, in 8-bit codes, only bound the "
             "radiance (default: 1,250 for JPEG, else all but 0 and the maximum; 0,255: none)",
         ),
-        layer=value("NAME", str, "of EXR pictures (default: scene.toml, else that without a name)"),
+        **STORED,
         alpha=choice(
             Alpha,
             "leave out pixels of less than half in any picture, or none (default: scene.toml, else "

@@ -9,15 +9,9 @@ import numpy as np
 from pbrfit.acquire import segments
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import (
-    DEVICE,
-    SHOWN,
-    Flags,
-    asked_for,
-    checkpoint,
-    source,
-)
+from pbrfit.commands.network_options import DEVICE, SHOWN, Flags, asked_for, checkpoint, source
 from pbrfit.scene import completion
+from pbrfit.scene.folder import SEGMENT_FILE
 
 SAM2: Flags = {
     **SHOWN,
@@ -58,7 +52,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write `segments.png`."""
-    completion.check_no_segments(options.scene, overwrite=options.overwrite)
+    completion.check_none(options.scene, [SEGMENT_FILE], "segments", overwrite=options.overwrite)
     kind = "sam2" if options.source == "sam2" else "file"
     given = asked_for(options, FLAGS, kind, f"--from {options.source}")
     if kind == "sam2":

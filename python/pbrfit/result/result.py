@@ -41,11 +41,11 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.relighting import Light, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
-from pbrfit.scene.folder import is_scene
-from pbrfit.scene.height import HEIGHT_FILE, write_height
+from pbrfit.scene.folder import HEIGHT_FILE, is_scene
 from pbrfit.scene.options import ReadOptions, Source
 from pbrfit.scene.registration import IN_LINE, aligned
 from pbrfit.scene.scene import Scene
+from pbrfit.scene.writing import write_height
 from pbrfit.transport.decision import Transport
 
 if TYPE_CHECKING:

@@ -493,10 +493,7 @@ def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_
 
 
 def _weights(
-    weights: Any,
-    names: tuple[str, ...],
-    shape: tuple[int, int],
-    mask: NDArray[np.bool_] | None,
+    weights: Any, names: tuple[str, ...], shape: tuple[int, int], mask: NDArray[np.bool_] | None
 ) -> NDArray[np.float32] | None:
     """As (N, H, W, 3) float32; what the mask leaves out need not be sound and gets weight 0."""
     if weights is None:
@@ -517,13 +514,7 @@ def _weights(
         found: NDArray[np.float32] = given.astype(np.float32)
     if mask is not None:
         found = np.where(mask[..., None], found, np.float32(0))
-    bad = ~(np.isfinite(found) & (found >= 0))
-    if bad.any():
-        index = tuple(map(int, np.argwhere(bad)[0]))
-        raise InputError(
-            f"weights: expected finite numbers, 0 or more, found {told[index[: told.ndim]]:g} at "
-            f"{index[: told.ndim]}"
-        )
+    check_not_negative("weights: expected finite numbers", found, told)
     found = np.broadcast_to(found, expected)
     for name, of_picture in zip(names, found, strict=True):
         some = of_picture.any(axis=(0, 1))
@@ -534,6 +525,14 @@ def _weights(
                 f"found none in {where}"
             )
     return found
+
+
+def check_not_negative(expected: str, values: NDArray[Any], told: NDArray[Any]) -> None:
+    """Raise InputError that says what was `told` in place of a value that is not 0 or more."""
+    bad = ~(np.isfinite(values) & (values >= 0))
+    if bad.any():
+        index = tuple(map(int, np.argwhere(bad)[0]))[: told.ndim]
+        raise InputError(f"{expected}, 0 or more, found {told[index]:g} at {index}")
 
 
 def _limits(limits: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
@@ -713,13 +712,7 @@ def _sigma(given: Any, valid: NDArray[np.bool_]) -> NDArray[np.float32] | None:
         raise InputError(f"normal_sigma: expected shape {valid.shape}, found {degrees.shape}")
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused
         sigma: NDArray[np.float32] = np.where(valid, degrees, np.nan).astype(np.float32)
-    bad = valid & ~(np.isfinite(sigma) & (sigma >= 0))
-    if bad.any():
-        row, column = map(int, np.argwhere(bad)[0])
-        raise InputError(
-            "normal_sigma: expected finite degrees, 0 or more, found "
-            f"{degrees[row, column]:g} at row {row}, column {column}"
-        )
+    check_not_negative("normal_sigma: expected finite degrees", np.where(valid, sigma, 0), degrees)
     return sigma
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,14 @@ from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
-from pbrfit.io.normal_files import find_normals, write_normals
+from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
 from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene import known_lamps
-from pbrfit.scene.height import HEIGHT_FILE, write_height
+from pbrfit.scene.folder import HEIGHT_FILE
+from pbrfit.scene.writing import write_height
 
 
 def picture_size(folder: Path) -> tuple[int, int]:
@@ -41,11 +43,9 @@ def check_normals_can_be_added(folder: Path, *, overwrite: bool, height: bool = 
     """
     _to_convention(folder, np.zeros(3))
     scene_folder.find_pictures(folder)
-    others = [folder / WEIGHT_FILE, *([folder / HEIGHT_FILE] if height else [])]
-    kinds = {WEIGHT_FILE: "weights", HEIGHT_FILE: "height"}
-    for path in [*find_normals(folder), *others]:
-        what = kinds.get(path.name, "normals")
-        _check_none(path, what, overwrite=overwrite, replaced=" normals and weights")
+    parts = {"normals": NORMAL_FILES, "weights": [WEIGHT_FILE], "height": [HEIGHT_FILE] * height}
+    for what, names in parts.items():
+        check_none(folder, names, what, overwrite=overwrite, replaced=" normals and weights")
 
 
 def add_normals(
@@ -97,15 +97,6 @@ def _to_convention(folder: Path, normals: NDArray[np.floating[Any]]) -> NDArray[
         raise InputError(f"{folder / 'scene.toml'}: {error}") from None
 
 
-def add_flat_normals(folder: Path, *, overwrite: bool = False) -> Path:
-    """Write `normals.exr` in which every surface faces the camera; returns its path.
-
-    Raises FileExistsError as `add_normals`.
-    """
-    facing = np.broadcast_to([0.0, 0.0, 1.0], (*picture_size(folder), 3))
-    return add_normals(folder, facing, overwrite=overwrite)[0]
-
-
 def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool = False) -> Path:
     """Write `depth.exr`; returns its path.
 
@@ -113,7 +104,7 @@ def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool
     FileExistsError if the folder has depth and `overwrite` is False; InputError if the depth has
     another size than the pictures.
     """
-    check_no_depth(folder, overwrite=overwrite)
+    check_none(folder, DEPTH_FILES, "depth", overwrite=overwrite)
     size = picture_size(folder)
     if depth.shape != size:
         raise InputError(f"depth: expected shape {size}, found {depth.shape}")
@@ -124,18 +115,16 @@ def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool
     return path
 
 
-def check_no_depth(folder: Path, *, overwrite: bool) -> None:
-    """Raise FileExistsError if the folder has depth and `overwrite` is False, or it is no file."""
-    for name in DEPTH_FILES:
-        _check_none(folder / name, "depth", overwrite=overwrite)
-
-
-def _check_none(path: Path, what: str, *, overwrite: bool, replaced: str = "") -> None:
-    if there(path) and not overwrite:
-        raise FileExistsError(
-            f"{path}: expected no {what} yet, found some; overwrite=True replaces{replaced}"
-        )
-    check_free_file(path, overwrite=True)
+def check_none(
+    folder: Path, names: Iterable[str], what: str, *, overwrite: bool, replaced: str = ""
+) -> None:
+    """Raise FileExistsError if files are there and `overwrite` is False, or what is is no file."""
+    for path in (folder / name for name in names):
+        if there(path) and not overwrite:
+            raise FileExistsError(
+                f"{path}: expected no {what} yet, found some; overwrite=True replaces{replaced}"
+            )
+        check_free_file(path, overwrite=True)
 
 
 def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
@@ -172,14 +161,9 @@ def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = Fal
     Raises FileExistsError if the folder has segments and `overwrite` is False; InputError if the
     ids have another size than the pictures.
     """
-    check_no_segments(folder, overwrite=overwrite)
+    check_none(folder, [scene_folder.SEGMENT_FILE], "segments", overwrite=overwrite)
     if ids.shape != picture_size(folder):
         raise InputError(f"segments: expected shape {picture_size(folder)}, found {ids.shape}")
     path = folder / scene_folder.SEGMENT_FILE
     images.write_png(path, ids, tag=None)
     return path
-
-
-def check_no_segments(folder: Path, *, overwrite: bool) -> None:
-    """Raise FileExistsError if there are segments and `overwrite` is False, or they are no file."""
-    _check_none(folder / scene_folder.SEGMENT_FILE, "segments", overwrite=overwrite)

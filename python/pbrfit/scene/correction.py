@@ -106,11 +106,7 @@ class Correction:
 
 def _bases(logarithm: Array) -> list[Array]:
     """Of the curve, at ln c."""
-    return [
-        logarithm,
-        np.minimum(logarithm - KNEES[0], 0.0),
-        np.maximum(logarithm - KNEES[1], 0.0),
-    ]
+    return [logarithm, np.minimum(logarithm - KNEES[0], 0.0), np.maximum(logarithm - KNEES[1], 0.0)]
 
 
 def radius_squared(height: int, width: int) -> Array:

@@ -7,22 +7,14 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TypeVar
 
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES, find_depth
-from pbrfit.io.input_files import (
-    FILE,
-    SETTINGS_BYTES,
-    TEXT_BYTES,
-    digest,
-    kind_of,
-    read_text,
-    there,
-)
+from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, kind_of, read_text, there
 from pbrfit.io.json_files import UNFIT, unfit
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals
@@ -30,10 +22,7 @@ from pbrfit.io.output import FolderForm
 from pbrfit.io.quoting import listed, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.weight_files import WEIGHT_FILE
-from pbrfit.model import geometry
-from pbrfit.scene.arrays import FIRST_FOV
-from pbrfit.scene.height import HEIGHT_FILE
-from pbrfit.scene.options import ReadOptions, Settings
+from pbrfit.scene.options import Settings
 
 log = logging.getLogger("pbrfit")
 
@@ -45,6 +34,9 @@ MAX_ID = 65535
 
 SEGMENT_FILE = "segments.png"
 
+HEIGHT_FILE = "height.exr"
+"""Channels Y, in pixels towards the viewer, and mask.Y, 1 = known."""
+
 DARK_FRAME, FLAT_FIELD = "dark", "flat"
 """Names, without suffix, of a picture of no light, which is subtracted from all pictures, and of
 one of an even white surface, by which they are divided; the latter may be a folder of such."""
@@ -52,8 +44,8 @@ one of an even white surface, by which they are divided; the latter may be a fol
 LISTING = "filenames.txt"
 """A file, such as DiLiGenT has, that names the pictures beside it, one a line."""
 
-PICTURES_MIN = 2
-"""Photographs that lie beside each other in a folder from which on it may be a scene."""
+DIRECTIONS = "light_directions.txt"
+"""DiLiGenT's file of the directions of lamps."""
 
 RELATIVE, STRENGTHS = "light_intensities", "strengths of lamps are fitted, or in lights.csv"
 """Stem of DiLiGenT's file of the strengths of lamps, whose unit nobody tells, and what to say."""
@@ -81,9 +73,6 @@ _NO_PICTURES = {Path(part).stem for part in (*NORMAL_FILES, *DEPTH_FILES, *PARTS
 """Names, without suffix and case, of files beside pictures that are none: parts, true maps, and
 what commands write."""
 
-_NO_SCENES = (FLAT_FIELD, "truth", "lost+found")
-"""Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
-
 _LOOSE_SUFFIXES = {*images.PICTURE_SUFFIXES, *RAW_SUFFIXES} | {
     *(".avif", ".bmp", ".gif", ".heic", ".heif", ".webp")
 }
@@ -108,6 +97,8 @@ class SceneFiles:
     """Which files were taken for pictures, where that is not plain; else empty."""
     named: bool = False
     """Whether the pictures were named one by one."""
+    listed: bool = False
+    """Whether they are in the order of a listing."""
     parts: bool = True
     """Whether other files of the folder belong to the pictures."""
 
@@ -125,8 +116,14 @@ class SceneFiles:
         return images.file_of(path).relative_to(self.folder).as_posix()
 
     def settings(self) -> Settings:
-        """What `scene.toml` says; raises InputError or OSError as `read_settings`."""
-        return read_settings(self.folder / "scene.toml") if self.parts else Settings()
+        """What `scene.toml` says; raises InputError or OSError as `read_settings`.
+
+        Pictures that are listed beside the directions of their lamps are linear, as DiLiGenT's are.
+        """
+        found = read_settings(self.folder / "scene.toml") if self.parts else Settings()
+        if self.listed and found.color_space is None and there(self.folder / DIRECTIONS):
+            return replace(found, color_space="linear")
+        return found
 
 
 def find_pictures(scene: ScenePath) -> list[Path]:
@@ -168,7 +165,7 @@ def locate(scene: ScenePath) -> SceneFiles:
         raise InputError(
             f"{folder}: expected pictures under images/ or beside each other, found neither"
         )
-    return SceneFiles(folder, tuple(loose), f"those of the folder itself, {_ends(loose)}")
+    return SceneFiles(folder, tuple(loose), f"those of the folder itself, {first_and_last(loose)}")
 
 
 def _named(pictures: tuple[Path, ...]) -> SceneFiles:
@@ -179,8 +176,10 @@ def _named(pictures: tuple[Path, ...]) -> SceneFiles:
                 f"{path}: expected a picture, found {'a folder' if path.is_dir() else 'no file'}"
             )
     folders = {path.absolute().parent for path in pictures}
-    if len(folders) != 1:
-        above = Path(os.path.commonpath(folders)) if folders else Path()
+    if not folders:
+        raise InputError("scene: expected a folder or pictures, found none")
+    if len(folders) > 1:
+        above = Path(os.path.commonpath(folders))
         said = f"{len(pictures)} files of {len(folders)} folders, without other parts of a scene"
         return SceneFiles(above, tuple(map(Path.absolute, pictures)), said, named=True, parts=False)
     below = pictures[0].parent
@@ -200,7 +199,9 @@ def _listed(folder: Path, below: Path) -> SceneFiles:
         raise InputError(f"{listing}: expected names of pictures beside it, found {found}")
     others = len(set(loose_pictures(below)) - set(pictures))
     said = f"the {len(pictures)} that {LISTING} lists" + f"; {others} more left out" * bool(others)
-    return SceneFiles(folder, pictures, said)
+    if there(folder / DIRECTIONS):
+        said += "; linear, as beside directions of lamps, unless told otherwise"
+    return SceneFiles(folder, pictures, said, listed=True)
 
 
 def _all_in(below: Path) -> list[Path]:
@@ -211,7 +212,9 @@ def _all_in(below: Path) -> list[Path]:
     """
     paths = []
     for path in sorted(path for path in below.iterdir() if not path.name.startswith(".")):
-        _check_is_file(path)
+        if not path.is_file():
+            found = kind_of(path.stat()) if path.exists() else "a link to nothing"
+            raise InputError(f"{path}: expected only pictures in {below.name}/, found {found}")
         paths += images.pages(path) if path.suffix.lower() not in NOT_PICTURES else []
     if not paths:
         suffixes = " ".join(images.PICTURE_SUFFIXES)
@@ -237,23 +240,11 @@ def loose_pictures(folder: Path) -> list[Path]:
     )
 
 
-def _ends(paths: Sequence[Path]) -> str:
+def first_and_last(paths: Sequence[Path]) -> str:
     """The first and the last of some files in words, and how many there are."""
     return (
         f"{paths[0].name} to {paths[-1].name} ({len(paths)})" if len(paths) > 1 else paths[0].name
     )
-
-
-def _check_is_file(path: Path) -> None:
-    """See that something beside pictures is a regular file, or a link to one."""
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        found = "a link to nothing"
-    else:
-        found = kind_of(status)
-    if found != FILE:
-        raise InputError(f"{path}: expected only pictures in {path.parent.name}/, found {found}")
 
 
 def find_frame(folder: Path, name: str) -> Path | None:
@@ -287,27 +278,19 @@ def find_flats(folder: Path) -> list[Path]:
     return _all_in(below)
 
 
-def input_files(files: SceneFiles) -> list[Path]:
-    """All files of a scene that `load` reads, and so those that its result depends on.
-
-    Raises InputError if there are two with depth, or with lamps, or two dark frames.
-    """
-    found = list(dict.fromkeys(map(images.file_of, files.pictures)))
-    if files.parts:
-        folder = files.folder
-        found += [*find_normals(folder), *(folder / part for part in PARTS), *find_flats(folder)]
-        single = (find_depth(folder), find_frame(folder, DARK_FRAME))
-        found += [*find_lamps(folder), *filter(None, single), *truth_files(folder)]
-    return [*filter(there, found)]
-
-
 def digests(scene: ScenePath) -> dict[str, str]:
     """What `load` would put into `Scene.inputs`, without decoding anything.
 
-    Raises InputError or OSError as `locate` and `input_files`, or if a file cannot be read.
+    Raises InputError or OSError as `locate`, or if a file cannot be read, or there are two with
+    depth, or with lamps, or two dark frames.
     """
-    files = locate(scene)
-    return {files.relative(path): digest(path) for path in input_files(files)}
+    files, folder = locate(scene), locate(scene).folder
+    found = list(dict.fromkeys(map(images.file_of, files.pictures)))
+    if files.parts:
+        found += [*find_normals(folder), *(folder / part for part in PARTS), *find_flats(folder)]
+        single = (find_depth(folder), find_frame(folder, DARK_FRAME))
+        found += [*find_lamps(folder), *filter(None, single), *truth_files(folder)]
+    return {files.relative(path): digest(path) for path in filter(there, found)}
 
 
 def is_scene(folder: Path) -> bool:
@@ -315,39 +298,6 @@ def is_scene(folder: Path) -> bool:
     return (folder / "images").is_dir() or any(
         _MULTI_ILLUMINATION.fullmatch(p.name) or p.name == LISTING for p in folder.iterdir()
     )
-
-
-def scenes_in(folder: Path) -> list[Path]:
-    """The scene folders that a folder holds; itself where it is one.
-
-    Photographs that lie beside each other in it are a scene where no folder below says that it is
-    one. None if there is nothing of all that.
-    """
-    if _may_be_scene(folder):
-        return [folder]
-    below = [
-        path
-        for path in sorted(folder.iterdir())
-        if path.is_dir() and not path.name.startswith(".") and path.name not in _NO_SCENES
-    ]
-    scenes = [path for path in below if _may_be_scene(path)]
-    loose = loose_pictures(folder)
-    if len(loose) >= PICTURES_MIN and not scenes:
-        return [folder]
-    parts = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)
-    if not any(there(folder / part) for part in parts):  # else it is a scene without pictures
-        scenes = [one for one in below if one in scenes or len(loose_pictures(one)) >= PICTURES_MIN]
-    if scenes and loose:
-        log.warning("%s: %s not read, as folders in it are scenes", folder, _ends(loose))
-    return scenes
-
-
-def _may_be_scene(path: Path) -> bool:
-    """Whether it is a scene folder; one that nobody may look into will fail and say why."""
-    try:
-        return is_scene(path)
-    except PermissionError:
-        return True
 
 
 def warn_of_near_misses(folder: Path) -> None:
@@ -384,29 +334,6 @@ def read_settings(path: Path) -> Settings:
         raise InputError(f"{path}: {error}") from None
     except UNFIT as error:
         raise unfit(path, "settings of a scene", error) from None
-
-
-def decided_fov(
-    files: SceneFiles,
-    options: ReadOptions,
-    settings: Settings,
-    focal_length: float | None,
-    size: tuple[int, ...],
-) -> tuple[float | None, str]:
-    """Of whole pictures of a size, in degrees, None where nothing says it; and in words."""
-    if options.fov is not None:
-        return options.fov, f"{options.fov:g} degrees, asked for"
-    if settings.fov is not None:
-        return settings.fov, f"{settings.fov:g} degrees, from scene.toml"
-    if focal_length is not None:
-        fov = geometry.fov_from_focal_length(focal_length, size[0], size[1])
-        return fov, f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
-    log.warning(
-        "%s: field of view unknown, fitted from %g degrees on (option fov sets it)",
-        files.folder,
-        FIRST_FOV,
-    )
-    return None, f"{FIRST_FOV:g} degrees: neither fov, scene.toml nor EXIF says"
 
 
 def truth_files(folder: Path) -> list[Path]:

@@ -96,7 +96,6 @@ def depth_from_normals(
     mask: NDArray[np.bool_] | None = None,
     segments: NDArray[np.integer[Any]] | None = None,
     depth: NDArray[np.floating[Any]] | None = None,
-    depth_weight: float = DEPTH_WEIGHT,
 ) -> NDArray[np.float32]:
     """Depth of a surface with given normals; the module says by which equations.
 
@@ -104,12 +103,11 @@ def depth_from_normals(
     mask (H, W) is True where depth is wanted; borders of segments (H, W) may be jumps. `depth`
     (H, W) are noisy distances along the camera's axis, NaN where unknown: normals alone tell depth
     up to a factor, without perspective up to an offset, and say nothing of the distance between
-    surfaces that hang together nowhere. `depth_weight` is λ, the squared ratio of the deviations of
-    normals, in radians, and depth, relative (orthographic: in its unit).
+    surfaces that hang together nowhere.
 
     Returns (H, W) float32 distances along the camera's axis, NaN outside the mask; in the unit of
     `depth`, without any with median 1 (orthographic: minimum 1). Raises InputError if an array has
-    another size, no pixel of the mask has a normal, or `depth_weight` is not above 0.
+    another size, or no pixel of the mask has a normal.
     """
     geometry.check_fov(fov)
     shape = np.shape(normals)[:2]
@@ -117,8 +115,6 @@ def depth_from_normals(
     for name, array in (("mask", mask), ("segments", segments), ("depth", depth)):
         if array is not None and np.shape(array) != shape:
             raise InputError(f"{name}: expected shape {shape}, found {np.shape(array)}")
-    if not (math.isfinite(depth_weight) and depth_weight > 0):
-        raise InputError(f"depth_weight: expected a number above 0, found {depth_weight}")
     known = wanted & np.isfinite(normals).all(axis=-1)
     if not known.any():
         raise InputError("normals: expected some in the mask, found none")
@@ -131,7 +127,7 @@ def depth_from_normals(
         distances = without_holes(depth)[0].astype(np.float64)
         given = (distances if fov == 0 else np.log(distances)).ravel()
         told = np.isfinite(given) & wanted.ravel()
-        data[told] = depth_weight / pixels**2
+        data[told] = DEPTH_WEIGHT / pixels**2
         given = np.where(told, given, 0.0)
     found, weights = given, edges.reweighted(given, data > 0)
     for _ in range(ROUNDS):

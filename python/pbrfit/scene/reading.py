@@ -26,6 +26,7 @@ from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
+from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
@@ -36,6 +37,7 @@ from pbrfit.scene.arrays import (
     SHAPE_PICTURES_MIN,
     SceneArrays,
     Truth,
+    check_not_negative,
     every_channel,
     limits_in_words,
     unit_normals,
@@ -46,7 +48,6 @@ from pbrfit.scene.folder import (
     SEGMENT_FILE,
     SceneFiles,
     ScenePath,
-    decided_fov,
     find_flats,
     find_frame,
     locate,
@@ -65,8 +66,6 @@ HOW_TO_GET_NORMALS = (
     "a normal estimator such as Marigold (`pbrfit normals SCENE --from marigold`), or flat ones "
     "(`--from flat`)"
 )
-
-FROM_PICTURES = "none given: found from the pictures"
 
 PERSPECTIVE_OFF = 1.0
 """Degrees between the optical axis and the middle of what is cropped from which on a warning is
@@ -146,8 +145,18 @@ class _Notes:
         at x tan α. The camera of a part has its principal point in the middle of that: directions
         are off by the angle at which the whole picture's camera sees it.
         """
-        fov, said = decided_fov(self.files, self.asked, self.settings, focal_length, self.size)
-        known, fov = fov is not None, FIRST_FOV if fov is None else fov
+        known, fov = True, self.how.fov or 0.0
+        if self.how.fov is not None:
+            said = "from scene.toml" if self.asked.fov is None else "asked for"
+            said = f"{fov:g} degrees, {said}"
+        elif focal_length is not None:
+            fov = geometry.fov_from_focal_length(focal_length, *self.size)
+            said = f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
+        else:
+            known, fov = False, FIRST_FOV
+            said = f"{fov:g} degrees: neither fov, scene.toml nor EXIF says"
+            expected = "fitted from %g degrees on (option fov sets it)"
+            log.warning(f"%s: field of view unknown, {expected}", self.folder, fov)
         if self.how.crop is None:
             return fov, known, said
         left, top, width, height = self.how.crop
@@ -178,14 +187,6 @@ def load(
     files, folder, assumed, names = notes.files, notes.folder, notes.assumed, notes.files.names
     if files.parts:
         warn_of_near_misses(folder)
-    for path in files.pictures:
-        try:
-            path.name.encode()
-        except UnicodeEncodeError:
-            raise InputError(
-                f"{path.parent}: expected file names in UTF-8, found {path.name!r}"
-            ) from None
-
     read = _read_pictures(notes)
     mask = read.mask
     full_size, size = mask.shape, read.size
@@ -202,10 +203,11 @@ def load(
     if not mask.any():
         raise InputError(f"{folder}: expected pixels both opaque and white in mask.png, found none")
     normals, sigma = None, None
-    if pictures_alone:
-        assumed["normals"] = FROM_PICTURES
+    enough = len(names) >= SHAPE_PICTURES_MIN and not files.find(find_normals)
+    if pictures_alone or enough:
+        assumed["normals"] = "none given: found from the pictures"
     else:
-        normals, sigma = _read_or_leave_normals(notes, mask)
+        normals, sigma = _read_normals(notes, mask)
     segments = _read_segments(notes)
     depth = _read_depth(notes)
     if full_size != size:
@@ -310,25 +312,13 @@ def read_surface(scene: ScenePath, options: ReadOptions = AS_STATED) -> Surface:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Pictures:
-    """The pictures of a scene folder alone, at the size of their files."""
+def read_pictures(
+    scene: ScenePath, options: ReadOptions = AS_STATED
+) -> tuple[Pictures, float, str]:
+    """All pictures, whole, as `load` has them before it seeks plateaus, whatever else there is.
 
-    names: tuple[str, ...]
-    images: NDArray[np.float32]
-    """(N, H, W, 3), linear Rec.709; 0 where a file has NaN or infinities."""
-    limits: NDArray[np.uint8]
-    """(N, H, W, 3), as in a scene, of what the files hold."""
-    fov: float
-    """Horizontal field of view in degrees."""
-    fov_in_words: str
-    """What decided it."""
-
-
-def read_pictures(scene: ScenePath, options: ReadOptions = AS_STATED) -> Pictures:
-    """Read all pictures, whole, as `load` does, less its dark frame and over its flat-field frames.
-
-    Raises InputError or OSError as `load`.
+    Returns them, the field of view in degrees, and what decided it. Raises InputError or OSError as
+    `load`.
     """
     notes = _Notes.of(scene, options, crop=None, max_size=None)
     read = _read_pictures(notes)
@@ -337,14 +327,15 @@ def read_pictures(scene: ScenePath, options: ReadOptions = AS_STATED) -> Picture
     dark = _read_frame(notes, notes.part(partial(find_frame, name=DARK_FRAME)))
     _calibrate(notes, read, everywhere if dark is None else dark.usable, dark)
     fov, _, said = notes.decided_fov(read.focal_length)
-    return Pictures(notes.files.names, read.pixels, read.limits, fov, said)
+    return read, fov, said
 
 
-class _Pictures:
+class Pictures:
     """All pictures of a scene, which are put in one by one."""
 
     def __init__(self, notes: _Notes) -> None:
         self._notes, self._window = notes, notes.how.window(notes.size)
+        self.names = notes.files.names
         self.mask: NDArray[np.bool_] = np.ones(notes.size, bool)[self._window].copy()
         """What alpha leaves of what is used, at the files' size."""
         used, longest = self.mask.shape, notes.how.max_size
@@ -416,6 +407,29 @@ class _Pictures:
             self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
         notes.inputs[notes.files.relative(path)] = picture.sha256
 
+    def turned(self, picture: images.Picture, upright: list[int]) -> images.Picture:
+        """A picture, turned by a quarter to the side on which its edges agree with those of others.
+
+        As it is where neither side agrees.
+        """
+        small = reduced_size(self.size, alignment.COARSE_SIDE)
+
+        def edges(pixels: NDArray[np.float32]) -> alignment.Field:
+            return alignment.edges(averaged_channels(pixels, small))
+
+        turns = {k: edges(np.rot90(picture.pixels, k)[self._window]) for k in (1, 3)}
+        reference = np.sum([edges(self.pixels[i]) for i in upright], axis=0)
+        k = alignment.best_turn(reference, turns)
+        if k == 0:
+            return picture
+        of_maps: dict[str, Any] = {
+            name: None if (of := getattr(picture, name)) is None else np.rot90(of, k)
+            for name in ("pixels", "alpha", "limits")
+        }
+        if picture.stored is not None:
+            of_maps["stored"] = replace(picture.stored, turned=not picture.stored.turned)
+        return replace(picture, **of_maps)
+
     def different(self, notes: _Notes) -> list[int]:
         """The first of each group of pictures that are equal, to the bit; others are told."""
         groups: dict[bytes, list[int]] = {}
@@ -432,19 +446,19 @@ class _Pictures:
         return [of[0] for of in groups.values()]
 
 
-def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> _Pictures:
+def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> Pictures:
     """Read all pictures; `size` (height, width) is that of most, None = of the first.
 
     Those whose width is the others' height are turned where their edges then agree.
     """
     how, paths, across = notes.how, notes.files.pictures, list[int]()
-    read: _Pictures | None = None
+    read: Pictures | None = None
     for i, path in enumerate(paths):
         picture = how.picture(path)
         found = picture.pixels.shape[0], picture.pixels.shape[1]
         if read is None:
             notes.size = size or found
-            read = _Pictures(notes)
+            read = Pictures(notes)
         if found != notes.size and found[::-1] == notes.size:
             across.append(i)
         else:
@@ -454,7 +468,7 @@ def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> _Pictu
         return _read_pictures(notes, notes.size[::-1])
     upright = [i for i in range(len(paths)) if i not in across]
     for i in across:
-        read.put(i, _turned(how.picture(paths[i]), [read.pixels[j] for j in upright]))
+        read.put(i, read.turned(how.picture(paths[i]), upright))
     if across:
         names = listed(paths[i].name for i in across)
         notes.assumed["turned"] = f"by a quarter, as edges say: {names}"
@@ -468,8 +482,6 @@ def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> _Pictu
         said = (f"{remark}: {listed(names)}" for remark, names in remarks.items())
         notes.assumed["pictures"] = "; ".join(said)
     _compare_settings(read.shared, notes)
-    if not read.mask.any():
-        raise InputError(f"{paths[0].parent}: expected opaque pixels, found alpha below 0.5 in all")
     if how.color_matrix is not None:
         rows = "; ".join(" ".join(map("{:.3f}".format, row)) for row in how.color_matrix)
         notes.assumed["color matrix"] = f"{rows}, after that"
@@ -480,29 +492,7 @@ def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> _Pictu
     return read
 
 
-def _turned(picture: images.Picture, others: list[NDArray[np.float32]]) -> images.Picture:
-    """A picture, turned by a quarter to the side on which its edges agree with those of others.
-
-    As it is where neither side agrees.
-    """
-    small = reduced_size(others[0].shape, alignment.COARSE_SIDE)
-    reference = sum(alignment.edges(averaged_channels(one, small)) for one in others)
-    own = averaged_channels(picture.pixels, small[::-1])
-    turns = {k: alignment.edges(np.rot90(own, k)) for k in (1, 3)}
-    k = alignment.best_turn(np.asarray(reference), turns)
-    if k == 0:
-        return picture
-    of_maps: dict[str, Any] = {
-        name: None if (of := getattr(picture, name)) is None else np.rot90(of, k)
-        for name in ("pixels", "alpha", "limits")
-    }
-    stored = picture.stored
-    if stored is not None:
-        stored = replace(stored, turned=not stored.turned)
-    return replace(picture, **of_maps, stored=stored)
-
-
-def _tell_bad(read: _Pictures, mask: NDArray[np.bool_], notes: _Notes) -> None:
+def _tell_bad(read: Pictures, mask: NDArray[np.bool_], notes: _Notes) -> None:
     """Say how many pixels are NaN or infinite; InputError if half of a picture is."""
     paths, pixels = notes.files.pictures, np.count_nonzero(mask)
     counts = [0 if bad is None else np.count_nonzero(mask & bad.any(axis=-1)) for bad in read.bad]
@@ -520,19 +510,15 @@ def _tell_bad(read: _Pictures, mask: NDArray[np.bool_], notes: _Notes) -> None:
     log.warning("%s: %s", path.parent, notes.assumed["gaps"])
 
 
-def _product(factors: list[Weights | None], read: _Pictures) -> Weights | None:
+def _product(factors: list[Weights | None], read: Pictures) -> Weights | None:
     """Weights (N, H, W, 3) of several reasons, and 0 where a sample is NaN or infinite."""
-    weights: Weights | None = None
-    for factor in factors:
-        if factor is not None:
-            weights = factor if weights is None else weights * factor
-    if not any(bad is not None for bad in read.bad):
-        return None if weights is None else np.broadcast_to(weights, read.pixels.shape)
-    every = np.ones(1, np.float32) if weights is None else weights
-    found = np.broadcast_to(every, read.pixels.shape).copy()
-    for of_picture, bad in zip(found, read.bad, strict=True):
-        of_picture[bad if bad is not None else slice(0)] = 0
-    return found
+    if any(bad is not None for bad in read.bad):
+        sound: Weights = np.ones(read.pixels.shape, np.float32)
+        for i, bad in enumerate(read.bad):
+            sound[i, bad if bad is not None else slice(0)] = 0
+        factors = [*factors, sound]
+    known = [one for one in factors if one is not None]
+    return np.broadcast_to(math.prod(known), read.pixels.shape) if known else None
 
 
 def _twice(paths: Sequence[Path]) -> str:
@@ -592,11 +578,7 @@ def _in_words(forms: dict[str, list[str]]) -> str:
 
 
 def _limits(
-    read: _Pictures,
-    mask: NDArray[np.bool_],
-    notes: _Notes,
-    *,
-    for_good: bool,
+    read: Pictures, mask: NDArray[np.bool_], notes: _Notes, *, for_good: bool
 ) -> NDArray[np.uint8] | None:
     """(N, H, W, 3): limits of the files and of plateaus; None = a Scene has to seek them.
 
@@ -657,7 +639,7 @@ def _read_frame(notes: _Notes, path: Path | None) -> _Frame | None:
 
 
 def _calibrate(
-    notes: _Notes, read: _Pictures, mask: NDArray[np.bool_], dark: _Frame | None
+    notes: _Notes, read: Pictures, mask: NDArray[np.bool_], dark: _Frame | None
 ) -> Weights | None:
     """Subtract a dark frame from all pictures, and divide them by flat-field frames, in place.
 
@@ -757,7 +739,8 @@ def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
     stored = stored[(..., *notes.window(path, stored.shape[-3:-1]), slice(None))]
     weights = stored if mask.shape == stored.shape[-3:-1] else reduced(stored, mask.shape)
     inside = weights[..., mask, :]
-    _check_not_negative(path, "finite weights", inside)
+    in_mask = np.where(mask[..., None], weights, 0)
+    check_not_negative(f"{path}: expected finite weights", in_mask, weights)
     if not inside.any():
         raise InputError(f"{path}: expected some weight above 0 in the mask, found none")
     alike = "for all pictures alike"
@@ -767,14 +750,8 @@ def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
         f"{path.name}, {alike}: {inside.min():.2g} to {inside.max():.2g}, "
         f"median {np.median(inside):.2g}"
     )
-    found = np.where(mask[..., None], weights, 0.0).astype(np.float32)
+    found = in_mask.astype(np.float32)
     return found if found.ndim == 4 else found[None]
-
-
-def _check_not_negative(path: Path, what: str, values: NDArray[np.floating[Any]]) -> None:
-    bad = ~(np.isfinite(values) & (values >= 0))
-    if bad.any():
-        raise InputError(f"{path}: expected {what}, 0 or more, found {values[bad][0]:g}")
 
 
 def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
@@ -856,16 +833,6 @@ def _averaged(
     return small_normals, small_mask, segments
 
 
-def _read_or_leave_normals(
-    notes: _Notes, mask: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64] | None, NDArray[np.float32] | None]:
-    """As `_read_normals`; None where there are none and the pictures are enough to tell them."""
-    if notes.files.find(find_normals) or len(notes.files.pictures) < SHAPE_PICTURES_MIN:
-        return _read_normals(notes, mask)
-    notes.assumed["normals"] = FROM_PICTURES
-    return None, None
-
-
 def _read_normals(
     notes: _Notes, mask: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32] | None]:
@@ -905,7 +872,8 @@ def _read_normals(
         )
     sigma = None if read.uncertainty is None else read.uncertainty[window]
     if sigma is not None:
-        _check_not_negative(path, f"{UNCERTAINTY} of finite degrees", sigma[mask])
+        expected = f"{path}: expected {UNCERTAINTY} of finite degrees"
+        check_not_negative(expected, np.where(mask, sigma, 0), sigma)
         low, middle, high = np.percentile(sigma[mask], [0, 50, 100])
         said += f", uncertain by {low:.2g} to {high:.2g} degrees, median {middle:.2g}"
     notes.assumed["normals"] = said

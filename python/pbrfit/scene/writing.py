@@ -15,7 +15,7 @@ from pbrfit.io.normal_files import write_normals
 from pbrfit.io.output import new_folder
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.materials import write_materials
+from pbrfit.model.materials import nearest_inside, write_materials
 from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
 from pbrfit.scene.folder import MAX_ID, SCENE_FOLDER, SEGMENT_FILE
@@ -52,6 +52,14 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
             known_lamps.save(folder / LAMP_FILES[0], scene.lamps, scene.names)
         if scene.truth is not None:
             _write_truth(scene.truth, scene, folder / "truth")
+
+
+def write_height(path: Path, height: NDArray[np.floating[Any]]) -> None:
+    """Write a height (H, W), NaN where unknown; there the file has what the nearest pixel has."""
+    known = np.isfinite(height)
+    filled = np.where(known, height, 0.0)[nearest_inside(known)]
+    channels = {"Y": filled.astype(np.float32), "mask.Y": known.astype(np.float32)}
+    images.write_exr(path, channels)
 
 
 def _write_truth(truth: Truth, scene: SceneArrays, folder: Path) -> None:

@@ -155,15 +155,6 @@ def test_noisy_normals_and_depth_are_better_together() -> None:
     assert np.median(after) < np.median(angles_between(tilted, normals))
 
 
-def test_depth_weight_says_which_of_both_is_believed() -> None:
-    depth, normals = plane([0.5, 0, 1], 3.0)
-    other, _ = plane([0, 0, 1], 3.0)
-    much = depth_from_normals(normals, FOV, depth=other, depth_weight=1e6)
-    np.testing.assert_allclose(much, other, rtol=1e-2)
-    little = depth_from_normals(normals, FOV, depth=other, depth_weight=1e-4)
-    assert off(little, depth).max() < 1e-2
-
-
 def test_pixels_without_normals_are_bridged() -> None:
     depth, normals = plane([0.5, -0.2, 1], 3.0)
     normals[20:30, 20:60] = np.nan
@@ -186,8 +177,6 @@ def test_what_cannot_be_integrated_is_refused() -> None:
         depth_from_normals(normals, FOV, mask=np.ones((96, 95), bool))
     with pytest.raises(InputError, match="normals: expected some in the mask, found none"):
         depth_from_normals(np.nan * normals, FOV)
-    with pytest.raises(InputError, match="depth_weight: expected a number above 0, found 0"):
-        depth_from_normals(normals, FOV, depth=depth, depth_weight=0)
     with pytest.raises(InputError, match="depth: expected distances above 0"):
         depth_from_normals(normals, FOV, depth=0 * depth)
 

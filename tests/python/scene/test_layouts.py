@@ -13,6 +13,7 @@ import pytest
 
 from command_runs import done, refused
 from pbrfit import InputError, Result, Scene, write_report
+from pbrfit.batch.scenes import scenes_in
 from pbrfit.io import images
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
@@ -51,6 +52,9 @@ def test_photographs_beside_each_other_are_a_scene(tmp_path: Path) -> None:
     assert "dark frame" in scene.assumed
     assert scene_folder.digests(folder) == scene.inputs
     assert "\nassumed layout    pictures: those" in done("inspect", folder)
+    (folder / "Mask.png").unlink()
+    for command in (("lights",), ("normals", "--from", "pictures")):
+        assert "an EXR file with layer x" in refused(*command, folder, "--layer", "x")
     (folder / "005.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(20))
     with pytest.raises(InputError, match=r"005.heic: expected EXR, .* found HEIC"):
         Scene.load(folder)
@@ -59,9 +63,10 @@ def test_photographs_beside_each_other_are_a_scene(tmp_path: Path) -> None:
 def test_only_listed_pictures_count_and_lamps_have_their_order(tmp_path: Path) -> None:
     scene = Scene.load(as_diligent(tmp_path / "bear"))
     assert scene.names == ("10", "x", "9")
-    assert scene.assumed["layout"].endswith("the 3 that filenames.txt lists; 1 more left out")
+    assert "the 3 that filenames.txt lists; 1 more left out; linear" in scene.assumed["layout"]
     assert scene.lamps is not None
     np.testing.assert_array_equal(scene.lamps.places, np.eye(3))
+    assert (scene.assumed["color"], scene.response) == ("linear (as asked for)", None)
     (tmp_path / "bear" / "filenames.txt").write_text("10.png\n../bear/x.png\n")
     with pytest.raises(InputError, match=r"filenames.txt: expected names of pictures beside it"):
         Scene.load(tmp_path / "bear")
@@ -72,14 +77,14 @@ def test_a_folder_of_scenes_is_a_batch_and_one_of_photographs_a_scene(
 ) -> None:
     photos, bear = photographs(tmp_path / "photos"), as_diligent(tmp_path / "bear")
     shutil.copytree(photos, photos / "flat")
-    assert scene_folder.scenes_in(photos) == [photos]
-    assert scene_folder.scenes_in(tmp_path) == [bear, photos]
+    assert scenes_in(photos) == [photos]
+    assert scenes_in(tmp_path) == [bear, photos]
     assert not caplog.records
     write_integers(tmp_path / "sheet.png", room().images[0])
-    assert scene_folder.scenes_in(tmp_path) == [bear, photos]
+    assert scenes_in(tmp_path) == [bear, photos]
     assert "sheet.png not read, as folders in it are scenes" in caplog.text
     (photos / "result.json").write_text("{}")
-    assert scene_folder.scenes_in(photos) == []
+    assert scenes_in(photos) == []
 
 
 def test_files_of_one_folder_have_its_parts_and_others_none(tmp_path: Path) -> None:
@@ -102,6 +107,8 @@ def test_files_of_one_folder_have_its_parts_and_others_none(tmp_path: Path) -> N
     assert several.names == (*room().names[:2], "003")
     message = f"{folder}: expected a picture, found a folder"
     assert message in refused("decompose", pictures[0], folder, "--out", tmp_path / "out")
+    with pytest.raises(InputError, match=r"scene: expected a folder or pictures, found none"):
+        Scene.load([])
     with pytest.raises(FileNotFoundError, match=r"no.png: expected a picture, found no file"):
         Scene.load([pictures[0], tmp_path / "no.png"])
 
@@ -145,7 +152,8 @@ def test_a_crop_is_of_pictures_and_all_maps(tmp_path: Path) -> None:
     assert whole.weights is not None
     np.testing.assert_array_equal(part.weights, whole.weights[:, *window])
     assert Scene.load(folder, crop=(4, 2, 12, 8), max_size=6).images.shape[1:3] == (4, 6)
-    assert read_pictures(folder, ReadOptions(crop=(4, 2, 12, 8))).images.shape[1:3] == (SIZE, SIZE)
+    alone = read_pictures(folder, ReadOptions(crop=(4, 2, 12, 8)))[0]
+    assert alone.pixels.shape[1:3] == (SIZE, SIZE)
     with pytest.raises(InputError, match=r"crop: expected X,Y,W,H within 16 × 16 .* 4,2,13,8"):
         Scene.load(folder, crop=(4, 2, 13, 8))
     for bad in ((0, 0, 0, 4), (-1, 0, 4, 4), (0, 0, 4), "4"):
@@ -222,6 +230,9 @@ def test_pictures_on_their_side_are_turned_as_their_edges_say(
     upright = Scene.load(wide(tmp_path / "upright", {}))
     turned = Scene.load(wide(tmp_path / "turned", turns))
     np.testing.assert_array_equal(turned.images, upright.images)
+    if 0 not in turns:  # else the crop is held against the first picture as it is
+        part = Scene.load(tmp_path / "turned", crop=(8, 4, 60, 40))
+        np.testing.assert_array_equal(part.images, upright.images[:, 4:44, 8:68])
     assert "turned by a quarter" in caplog.text
     assert turned.assumed["turned"].endswith(", ".join(f"{i}.exr" for i in turns))
 
@@ -266,7 +277,7 @@ def test_pictures_are_divided_by_a_flat_field_frame(tmp_path: Path, each: bool) 
         np.testing.assert_allclose(share, np.broadcast_to(share[0], share.shape), rtol=1e-4)
     assert "left out that are clipped or black" in scene.assumed["flat field"]
     assert (scene.response, scene_folder.digests(folder)) == (None, scene.inputs)
-    np.testing.assert_array_equal(read_pictures(folder).images, scene.images)
+    np.testing.assert_array_equal(read_pictures(folder)[0].pixels, scene.images)
     assert Scene.load(folder, max_size=SIZE // 2).weights is not None
 
 
@@ -308,5 +319,5 @@ def test_pictures_of_a_ball_that_hold_no_number_are_told(
     spoiled[2, 3] = np.nan
     write_exr(folder / "images" / "light_00.exr", spoiled)
     with caplog.at_level(logging.WARNING, "pbrfit"):
-        assert read_pictures(folder).images[0, 2, 3].tolist() == [0, 0, 0]
+        assert read_pictures(folder)[0].pixels[0, 2, 3].tolist() == [0, 0, 0]
     assert "1 pixels that are NaN or infinite left out" in caplog.text

@@ -135,15 +135,15 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "negative sigma": (
         {"normal_sigma": with_value((H, W), (1, 2), -0.5)},
-        "normal_sigma: expected finite degrees, 0 or more, found -0.5 at row 1, column 2",
+        "normal_sigma: expected finite degrees, 0 or more, found -0.5 at .1, 2.",
     ),
     "NaN sigma": (
         {"normal_sigma": with_value((H, W), (2, 3), np.nan)},
-        "normal_sigma: .*found nan at row 2, column 3",
+        "normal_sigma: .*found nan at .2, 3.",
     ),
     "sigma beyond float32": (
         {"normal_sigma": np.full((H, W), 1e39)},
-        r"normal_sigma: .*found 1e\+39 at row 0, column 0",
+        r"normal_sigma: .*found 1e\+39 at .0, 0.",
     ),
     "one name": ({"names": ("a",)}, "names: expected 2 different names"),
     "equal names": ({"names": ("a", "a")}, "names: expected 2 different names"),
