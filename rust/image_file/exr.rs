@@ -29,9 +29,6 @@ const EMPTY_PIXELS: u64 = 1 << 24;
 /// The same for samples, over all channels: 256 MiB as float.
 const EMPTY_SAMPLES: u64 = 1 << 26;
 
-/// Most pixels of a tile that is larger than the picture.
-const LARGEST_TILE: u64 = 1 << 22;
-
 /// Most samples in one byte of a file. All compressions but DWA end in deflated
 /// or run-length data of what is 2 bytes or more a sample. In DWA one colour takes
 /// 4 bytes for 8 x 8 samples, and these are deflated.
@@ -297,7 +294,7 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
         let channels = header.channels.list.len() as u64;
         shown += display.size.area() as u64 * channels;
         let block = largest_block(header);
-        if block > LARGEST_TILE.max(header.layer_size.area() as u64) {
+        if block > super::LARGEST_TILE.max(header.layer_size.area() as u64) {
             let found = format!("tiles of {block} pixels");
             return Err(broken(path, Format::Exr, found));
         }

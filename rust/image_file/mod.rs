@@ -29,6 +29,9 @@ use crate::runtime::{Error, Result};
 /// Largest accepted picture, in pixels: 16384 by 16384.
 pub const MAX_PIXELS: u64 = 1 << 28;
 
+/// Most pixels of a tile that is larger than the picture.
+const LARGEST_TILE: u64 = 1 << 22;
+
 /// The file formats that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {

@@ -11,10 +11,10 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder};
 use png::{BitDepth, Transformations};
 use tiff::decoder::ifd::Entry;
-use tiff::decoder::{ChunkType, DecodingResult, Limits};
+use tiff::decoder::{ChunkType, Decoder as TiffDecoder, DecodingResult, Limits};
 use tiff::tags::{ByteOrder, IfdPointer, Tag, Type};
 
-use super::{Format, MAX_PIXELS, broken, check_memory, check_size, content, guarded};
+use super::{Format, LARGEST_TILE, MAX_PIXELS, broken, check_memory, check_size, content, guarded};
 use crate::runtime::{Error, Result};
 
 /// Most bytes that one byte of deflated data stands for: runs of 258 in two bits.
@@ -298,7 +298,7 @@ fn decode_tiff(bytes: &[u8], path: &Path, page: Option<usize>) -> Result<Raster>
         }
         error => broken(path, Format::Tiff, error),
     };
-    let open = |bytes| tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(error);
+    let open = |bytes| TiffDecoder::new(Cursor::new(bytes)).map_err(error);
     let file_size = bytes.len() as u64;
     let mut decoder = open(Cow::Borrowed(bytes))?;
     let (pages, passed_over) = full_pages(&mut decoder, path)?;
@@ -355,6 +355,7 @@ fn decode_tiff(bytes: &[u8], path: &Path, page: Option<usize>) -> Result<Raster>
     let samples = u64::from(width) * u64::from(height) * channels as u64;
     check_memory(path, 2 * samples * u64::from(bits).div_ceil(8))?;
     let orientation = decoder.find_tag_unsigned(Tag::Orientation).map_err(error)?;
+    let orientation = orientation.filter(|one| (1..=8).contains(one));
     let profile = decoder.find_tag_unsigned_vec(Tag::IccProfile);
     let layout = decoder.image_buffer_layout().map_err(error)?;
     let planes = layout.planes;
@@ -380,15 +381,11 @@ fn decode_tiff(bytes: &[u8], path: &Path, page: Option<usize>) -> Result<Raster>
     let shape = [width as usize, height as usize, channels];
     Ok(Raster {
         icc_profile: profile.map_err(error)?,
-        orientation: orientation
-            .filter(|value| (1..=8).contains(value))
-            .unwrap_or(1),
+        orientation: orientation.unwrap_or(1),
         passed_over,
         ..Raster::plain(Format::Tiff, shape, samples)
     })
 }
-
-type TiffDecoder<R> = tiff::decoder::Decoder<R>;
 
 /// Most directories of a TIFF that are looked at.
 const MOST_PAGES: usize = 1024;
@@ -496,6 +493,9 @@ fn read_planes_of_tiles<R: Read + Seek>(
     decoded.resize_to(&layout, limits)?;
     let (width, height) = decoder.dimensions()?;
     let (tile_width, tile_height) = decoder.chunk_dimensions();
+    if u64::from(tile_width) * u64::from(tile_height) > LARGEST_TILE.max(layout.len as u64) {
+        return Err(tiff::TiffError::LimitsExceeded); // before memory is taken for one
+    }
     let across = width.div_ceil(tile_width);
     let tiles = across * height.div_ceil(tile_height);
     let stride = layout.len / height as usize; // bytes of a row of one plane

@@ -93,8 +93,8 @@ def _as_picture(file: Path) -> None:
         assert picture.alpha.shape == shape
     if picture.stored is not None:
         assert np.isfinite(picture.pixels).all(), "integers gave what is not finite"
-    if picture.focal_length_35mm is not None:
-        assert 0 < picture.focal_length_35mm < math.inf
+    if picture.taken.focal_length_35mm is not None:
+        assert 0 < picture.taken.focal_length_35mm < math.inf
     _check_text(picture.color)
 
 

@@ -119,8 +119,8 @@ def read_photo(
             "file are to be below white"
         )
     fov = None
-    if picture.focal_length_35mm is not None:
-        fov = fov_from_focal_length(picture.focal_length_35mm, height, width)
+    if picture.taken.focal_length_35mm is not None:
+        fov = fov_from_focal_length(picture.taken.focal_length_35mm, height, width)
     return Photo(
         path=path,
         pixels=pixels,

@@ -48,7 +48,6 @@ def of_scene(
     height, width = full if reading.max_size is None else reduced_size(full, reading.max_size)
     pixels, pictures = height * width, len(paths)
     integers = any(path.suffix.lower() not in (".exr", ".hdr") for path in paths)
-    weighted = integers or (folder / WEIGHT_FILE).exists()
     layout = ParameterLayout(
         valid=np.broadcast_to(np.True_, (height, width)),
         segments=None,
@@ -59,7 +58,7 @@ def of_scene(
         light_channels=1 if options.mono_light else 3,
         metallic_known=options.metallic is not None,
         lighting_known=(folder / "lighting.json").exists(),
-        weighted=weighted,
+        weighted=integers or (folder / WEIGHT_FILE).exists(),
     )
     # Pictures and weights in float32, limits, normals in float64, how far off they may be, depth.
     of_samples = 12 + 4 * (folder / WEIGHT_FILE).exists() + 3 * integers
@@ -77,7 +76,8 @@ def of_scene(
         model=options.model or "principled",  # the dearer one
         threads=threads,
     ).needed
-    reading_takes = held + DECODING_BYTES * full[0] * full[1]
+    stored = images.file_of(paths[0]).stat().st_size  # more than a picture of it, if it is a stack
+    reading_takes = held + DECODING_BYTES * full[0] * full[1] + stored
     return found if found.peak >= reading_takes else memory.FitMemory(reading_takes, 0)
 
 

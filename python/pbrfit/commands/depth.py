@@ -23,11 +23,16 @@ from pbrfit.commands.network_options import (
     source,
 )
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
-from pbrfit.io.depth_files import DEPTH_FILES
+from pbrfit.io.depth_files import DEPTH_FILES, METRES
 from pbrfit.scene import completion
 from pbrfit.scene.depth import checked_depth, in_words
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import read_surface
+
+
+def _unit(text: str) -> float:
+    return METRES.get(text) or cli.number(text)
+
 
 MARIGOLD: Flags = {
     **SHOWN,
@@ -46,7 +51,7 @@ FLAGS: dict[str, Flags] = {
     "normals": {},
     "file": {
         "depth_kind": DEPTH_KIND,
-        "unit": cli.value("U", str, "m, cm or mm, or the metres that 1 is (default: as stored)"),
+        "unit": cli.value("U", _unit, "m, cm or mm, or the metres that 1 is (default: as stored)"),
     },
 }
 """Options of each kind of source."""

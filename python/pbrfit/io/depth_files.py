@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from pbrfit._core import InputError
 from pbrfit.io import layers
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import there
-from pbrfit.io.quoting import shown
+from pbrfit.io.quoting import listed, shown
 
 DEPTH_FILES = ("depth.exr", "depth.npy", "depth.png")
 
@@ -24,28 +23,24 @@ def find_depth(folder: Path) -> Path | None:
     """The file with depth that a scene folder has; InputError if it has several."""
     found = [path for name in DEPTH_FILES if there(path := folder / name)]
     if len(found) > 1:
-        names = " and ".join(path.name for path in found)
-        raise InputError(f"{folder}: expected one of {', '.join(DEPTH_FILES)}, found {names}")
+        names = listed(path.name for path in found)
+        raise InputError(f"{folder}: expected one file with depth, found {names}")
     return found[0] if found else None
 
 
 def read_depth(
-    path: Path, unit: float | str | None = None, *, own: bool = False
+    path: Path, unit: float = 1.0, *, own: bool = False
 ) -> tuple[NDArray[np.float64], list[str]]:
     """(H, W) of an EXR file, another picture or .npy, and in words how it was read, if not plainly.
 
-    Numbers are as stored, or times a `unit`: "m", "cm" or "mm", which become metres, or a factor.
-    A scene folder's `own` file has more than 8 bits, and whole numbers where it has a unit: those
-    that pbrfit wrote are metres by then. Raises InputError if there is no such depth in it, OSError
-    if it cannot be read.
+    Numbers are as stored, times a `unit` above 0, as of `METRES`. A scene folder's `own` file has
+    more than 8 bits, and whole numbers where it has a unit: those that pbrfit wrote are metres by
+    then. Raises InputError if there is no such depth in it, OSError if it cannot be read.
     """
-    factor = 1.0 if unit is None else METRES.get(str(unit), 0.0)
-    with suppress(ValueError):
-        factor = factor or float(unit or 0)
-    if not 0 < factor < np.inf:
+    if not 0 < unit < np.inf:
         expected = f"{', '.join(METRES)} or a number above 0"
-        raise InputError(f"unit: expected {expected}, found {unit}")
-    said = [] if unit is None else [f"in metres, of {unit}"]
+        raise InputError(f"unit: expected {expected}, found {unit:g}")
+    said = [f"times {unit:g}"] * (unit != 1)
     stored = read_stored(path)
     if isinstance(stored, dict):
         names = list(stored)
@@ -67,6 +62,6 @@ def read_depth(
         raise InputError(f"{path}: expected depth (H, W), found shape {stored.shape}")
     if own and stored.dtype == np.uint8:
         raise InputError(f"{path}: expected depth of 16 bits, found 8: a picture to look at")
-    if own and unit and np.fmod(stored[np.isfinite(stored)], 1).any():
-        raise InputError(f"{path}: expected whole numbers beside a unit, {unit}, found fractions")
-    return np.multiply(stored, factor, dtype=np.float64), said
+    if own and unit != 1 and np.fmod(stored[np.isfinite(stored)], 1).any():
+        raise InputError(f"{path}: expected whole numbers beside a unit, found fractions")
+    return np.multiply(stored, unit, dtype=np.float64), said

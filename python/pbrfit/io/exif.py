@@ -27,7 +27,7 @@ class Exif:
     color_space: str | None = None
     """ "adobe-rgb", or "uncalibrated" (neither that nor sRGB); None = sRGB, or nothing is said."""
     settings: Mapping[str, str] = field(default_factory=dict)
-    """Camera, focal length, exposure and orientation in words, where they are known."""
+    """Camera, focal length, exposure, orientation and colour profile in words, where known."""
 
 
 def read(exif: bytes | None, orientation: int) -> Exif:

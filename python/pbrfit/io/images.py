@@ -80,16 +80,14 @@ class Picture:
     """(H, W), bool: some channel is below 0 in the file's own primaries."""
     color: str
     """One sentence on how the colour was decided."""
-    focal_length_35mm: float | None
-    """From EXIF, millimetres, or None."""
+    taken: exif.Exif
+    """How it was taken; of `settings`, pictures of a set share what is said."""
     sha256: str
     """Of the file, hexadecimal."""
     stored: Stored | None
     """The samples as they are in an integer file; None for float files."""
     curve_told: bool
     """Whether the caller or the file says which curve decodes the values; else sRGB is assumed."""
-    settings: Mapping[str, str] = field(default_factory=dict)
-    """What pictures of a set share, in words: camera, exposure, orientation, colour profile, ..."""
     notes: tuple[str, ...] = ()
     """What of the file was left out or undone, in words."""
 
@@ -144,7 +142,9 @@ def read_picture(
     path = Path(path)
     file = file_of(path)
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
-    _, data, form = _load(file, layer, raw=True)
+    _, data, form = _load(file, raw=True)
+    if layer is not None and form != "EXR":
+        raise InputError(f"{path}: expected an EXR file with layer {layer}, found {form}")
     if form == RAW and color_space not in (None, "linear"):
         expected = "expected colour space linear for a raw file"
         raise InputError(f"{path}: {expected}, found {color_space}")
@@ -188,11 +188,10 @@ def read_picture(
         limits=limits,
         negative=np.any(colors < 0, axis=-1),
         color=found.color if chosen is None else f"{color_space} (as asked for)",
-        focal_length_35mm=found.taken.focal_length_35mm,
+        taken=found.taken,
         sha256=hashlib.sha256(data).hexdigest(),
         stored=stored,
         curve_told=found.curve_told or chosen is not None,
-        settings=found.taken.settings,
         notes=notes,
     )
 
@@ -217,7 +216,6 @@ def file_of(path: Path) -> Path:
     return path.parent if re.search(r"_\d+$", path.stem) and path.parent.is_file() else path
 
 
-@names_file
 def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Read a mask or other data: never decoded as colour.
 
@@ -345,9 +343,7 @@ def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
     return low, high
 
 
-def _load(
-    path: str | os.PathLike[str], layer: str | None = None, *, raw: bool = False
-) -> tuple[Path, bytes, str]:
+def _load(path: str | os.PathLike[str], *, raw: bool = False) -> tuple[Path, bytes, str]:
     """Read path, content and format of a file that can be read; raw files where they may be."""
     path = Path(path)
     with open_file(path) as file:
@@ -360,8 +356,6 @@ def _load(
             expected = "a picture" if not head else "EXR, HDR, PNG, JPEG or TIFF"
             raise InputError(f"{path}: expected {expected}, found {_guess(path, head, is_raw)}")
         data = content_of(file, path, PICTURE_BYTES)
-    if layer is not None and kind != "EXR":
-        raise InputError(f"{path}: expected an EXR file with layer {layer}, found {kind}")
     return path, data, kind
 
 

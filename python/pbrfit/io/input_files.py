@@ -86,10 +86,8 @@ def names_file(read: Callable[P, R]) -> Callable[P, R]:
         try:
             return read(*args, **kwargs)
         except MemoryError as error:
-            words, expected = str(error), f"{args[0]}: expected memory for what it holds"
-            if words.startswith(expected):
-                raise
-            found = f"too little: {words}" if words else "too little"
+            found = f"too little: {error}" if str(error) else "too little"
+            expected = f"{args[0]}: expected memory for what it holds"
             raise MemoryError(f"{expected}, found {found}") from None
 
     return named

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.io.input_files import TEXT_BYTES, names_file, read_text
+from pbrfit.io.input_files import TEXT_BYTES, read_text
 from pbrfit.io.quoting import quoted, shown
 
 UNFIT = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
@@ -23,7 +23,6 @@ MOST = 2**53
 """Whole numbers up to here are the same as floats."""
 
 
-@names_file
 def read_json(path: Path, expected: str) -> Any:
     """Content of a JSON file; `expected` says for the message what it should hold.
 

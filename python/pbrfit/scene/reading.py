@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io import limits as file_limits
-from pbrfit.io.depth_files import find_depth, read_depth
+from pbrfit.io.depth_files import METRES, find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
@@ -136,7 +136,7 @@ class _Notes:
         """Take the size of the first picture for that of all; returns the field of view."""
         first = self.how.picture(self.files.pictures[0])
         self.size = first.pixels.shape[0], first.pixels.shape[1]
-        return self.decided_fov(first.focal_length_35mm)[0]
+        return self.decided_fov(first.taken.focal_length_35mm)[0]
 
     def decided_fov(self, focal_length: float | None) -> tuple[float, bool, str]:
         """Of what is used of the pictures, in degrees; whether somebody told it, and who.
@@ -396,14 +396,14 @@ class Pictures:
             self.noise[i] = stored.noise((height, width))
         if picture.alpha is not None and notes.how.alpha != "ignore":
             self.mask &= picture.alpha[self._window] >= 0.5
-        self.focal_length = self.focal_length or picture.focal_length_35mm
+        self.focal_length = self.focal_length or picture.taken.focal_length_35mm
         self.curve_told |= picture.curve_told
         forms = () if stored is None else (stored.in_words(),)
         topics = {"color": (picture.color,), "encoding": forms, "remarks": picture.notes}
         for topic, said in topics.items():
             for one in said:
                 self.told[topic].setdefault(one, []).append(path.name)
-        for what, value in picture.settings.items():
+        for what, value in picture.taken.settings.items():
             self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
         notes.inputs[notes.files.relative(path)] = picture.sha256
 
@@ -790,7 +790,7 @@ def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
     path = notes.part(find_depth)
     if path is None:
         return None
-    stored, how = read_depth(path, notes.how.depth_unit, own=True)
+    stored, how = read_depth(path, METRES[notes.how.depth_unit or "m"], own=True)
     stored = stored[notes.window(path, stored.shape)]
     try:
         depth, holes = scene_depth.without_holes(stored)

@@ -31,7 +31,7 @@ FLOAT = RNG.random((41, 53, 3)).astype(np.float32)
 
 # TIFF
 
-TILES = {"planarconfig": "separate", "tile": (16, 16)}
+TILES: dict[str, Any] = {"planarconfig": "separate", "tile": (16, 16)}
 
 
 @pytest.mark.parametrize("options", [
@@ -46,6 +46,15 @@ def test_tiles_in_separate_planes(tmp_path: Path, pixels: Any, options: dict[str
     for strips in ({}, {"tile": None}):
         tifffile.imwrite(path, np.moveaxis(pixels, -1, 0), **how | strips)
         np.testing.assert_array_equal(images.read_data(path), pixels / np.float64(unit))
+
+
+def test_tiles_that_are_far_larger_than_the_picture(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.moveaxis(RGB8, -1, 0), photometric="rgb", **TILES)
+    with tifffile.TiffFile(path, mode="r+") as file:
+        file.pages.first.tags["TileLength"].overwrite(1 << 30)
+    with pytest.raises(InputError, match=r"a\.tif: expected a whole TIFF file, found"):
+        images.read_data(path)
 
 
 def pages(*written: tuple[NDArray[Any], dict[str, Any]]) -> Callable[[Path, bool], None]:
@@ -394,7 +403,7 @@ def test_adobe_rgb_by_exif(
     space: color.ColorSpace = "adobe-rgb" if expected is ADOBE else "srgb"
     by_name = images.read_picture(path, color_space=space)
     np.testing.assert_allclose(picture.pixels, by_name.pixels, atol=1e-3)
-    assert picture.settings["colour profile"] == space
+    assert picture.taken.settings["colour profile"] == space
 
 
 def test_adobe_rgb_by_name(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_integer_files_are_read_to_the_last_bit(tmp_path: Path, name: str) -> No
     assert picture.stored is not None
     assert picture.stored.codes.dtype == codes.dtype
     assert picture.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert picture.focal_length_35mm is None
+    assert picture.taken.focal_length_35mm is None
     if name == "8-bit.png":
         assert picture.color == "sRGB (8-bit PNG without a profile)"
 
@@ -248,7 +248,7 @@ def test_focal_length_is_read(tmp_path: Path, name: str) -> None:
         exif = Image.Exif()
         exif[0x8769] = {0xA405: stored}
         Image.fromarray(RGB8).save(tmp_path / name, exif=exif.tobytes())
-        assert images.read_picture(tmp_path / name).focal_length_35mm == expected
+        assert images.read_picture(tmp_path / name).taken.focal_length_35mm == expected
 
 
 def test_damaged_exif_is_not_used(tmp_path: Path) -> None:
@@ -259,7 +259,7 @@ def test_damaged_exif_is_not_used(tmp_path: Path) -> None:
     ):
         Image.fromarray(RGB8).save(tmp_path / "a.jpg", exif=exif)
         picture = images.read_picture(tmp_path / "a.jpg")
-        assert picture.focal_length_35mm is None
+        assert picture.taken.focal_length_35mm is None
         assert picture.pixels.shape == RGB8.shape
 
 

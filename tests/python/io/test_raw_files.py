@@ -108,7 +108,7 @@ def test_it_is_developed_to_linear_light_that_no_picture_s_content_changes(
     np.testing.assert_allclose(picture.pixels, raw.developed / 65535, rtol=1e-6)
     assert picture.color == "linear Rec.709, camera white balance 2, 1, 1.5 (raw file, LibRaw)"
     assert (picture.stored is None, picture.limits, picture.alpha) == (False, None, None)
-    assert picture.focal_length_35mm is None
+    assert picture.taken.focal_length_35mm is None
     assert picture.stored is not None
     assert picture.stored.in_words() == "16-bit RAW"
 
@@ -191,14 +191,14 @@ def test_the_focal_length_of_its_own_exif(tmp_path: Path, head: bytes) -> None:
     own += struct.pack("<HHHIII", 1, 0xA405, 3, 1, 35, 0)
     path = tmp_path / "a.rw2"
     path.write_bytes(head + own)
-    assert images.read_picture(path).focal_length_35mm == 35
+    assert images.read_picture(path).taken.focal_length_35mm == 35
 
 
 def test_else_of_the_picture_for_a_quick_look(raw: FakeRaw, tmp_path: Path) -> None:
     raw.thumb = b"\xff\xd8\xff\xe1\0\0" + exif_block(28)
-    assert images.read_picture(written(tmp_path)).focal_length_35mm == 28
+    assert images.read_picture(written(tmp_path)).taken.focal_length_35mm == 28
     raw.thumb = b"\xff\xd8 nothing"
-    assert images.read_picture(written(tmp_path)).focal_length_35mm is None
+    assert images.read_picture(written(tmp_path)).taken.focal_length_35mm is None
 
 
 @pytest.mark.usefixtures("raw")

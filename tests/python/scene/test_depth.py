@@ -208,7 +208,7 @@ def test_depth_of_numpy_is_read(tmp_path: Path) -> None:
     assert made.depth is not None
     np.save(folder / "depth.npy", made.depth)
     for read in (Scene.load, scene_folder.digests):
-        with pytest.raises(InputError, match=r"depth.png, found depth.exr and depth.npy"):
+        with pytest.raises(InputError, match=r"one file with depth, found depth.exr, depth.npy"):
             read(folder)
     (folder / "depth.exr").unlink()
     np.testing.assert_array_equal(Scene.load(folder).depth, made.depth)

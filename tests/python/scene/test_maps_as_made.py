@@ -15,6 +15,7 @@ from PIL import Image
 from command_runs import done, refused
 from pbrfit import InputError, Scene
 from pbrfit.io import images
+from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.folder import digests
@@ -233,16 +234,37 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
         scene = Scene.load(folder, fov=60)
         assert scene.depth is not None
         np.testing.assert_allclose(scene.depth, np.where(depth > 0, unit * depth, np.nan), 1e-6)
-        assert ("in metres, of mm" in scene.assumed["depth"]) == (unit < 1)
+        assert ("times 0.001" in scene.assumed["depth"]) == (unit < 1)
     (folder / "depth.png").unlink()
     (folder / "scene.toml").write_text(settings + 'depth_unit = "mm"\n')
     store(folder / "depth.exr", {"Z": depth + 0.5})
-    assert "whole numbers beside a unit, mm, found fractions" in refused("inspect", folder)
+    assert "whole numbers beside a unit, found fractions" in refused("inspect", folder)
     (folder / "depth.exr").unlink()
     store(folder / "depth.png", BYTES[..., :1])
     assert "depth.png: expected depth of 16 bits, found 8" in refused("inspect", folder)
     (folder / "scene.toml").write_text('depth_unit = "inch"\n')
     assert "depth_unit: expected one of m, cm, mm, found 'inch'" in refused("inspect", folder)
+
+
+@pytest.mark.parametrize(("names", "found"), [
+    (("R", "G", "B", "A", "V.Depth.V", "V.Normal.Z"), "V.Depth.V"),
+    (("Z", "V.Depth.Z", "Y"), "Z"),
+    (("z", "R"), "z"),
+    (("rgba.R", "rgba.Z", "P.Z", "V.Mist.Z"), "rgba.Z"),
+    (("R", "B", "left.depth"), "left.depth"),
+    (("VRayZDepth.R", "R", "N.Z"), "VRayZDepth.R"),
+    (("a.Depth.Z", "b.Depth.Z", "Y"), "one layer of depth .*, found a.Depth.Z, b.Depth.Z"),
+    (("A", "N.Z"), "depth in a channel Z, depth.Z, Y or R, found A, N.Z in layers N"),
+])  # fmt: skip
+def test_layers_of_depth(tmp_path: Path, names: tuple[str, ...], found: str) -> None:
+    path = store(tmp_path / "d.exr", {name: np.full((2, 3), i) for i, name in enumerate(names)})
+    if "found" in found:
+        with pytest.raises(InputError, match=f"d.exr: expected {found}"):
+            read_depth(path)
+        return
+    depth, said = read_depth(path)
+    assert (depth == names.index(found)).all()
+    assert said == [f"channel {found}"] * (found != "Z")
 
 
 @pytest.mark.parametrize(

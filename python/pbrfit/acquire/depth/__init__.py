@@ -43,7 +43,7 @@ def estimate(
     surface: Surface,
     *,
     depth_kind: DepthKind = "z",
-    unit: float | str | None = None,
+    unit: float = 1.0,
     fuse: bool = False,
     **options: Any,
 ) -> Depth:
@@ -64,7 +64,7 @@ def estimate(
     depth_kind
         Of a file: "z", "ray" (distance along the pixel's ray) or "disparity" (inverse of z).
     unit
-        Of a file: that of `read_depth`, "mm" for metres of millimetres.
+        Of a file: what its numbers are multiplied by, 0.001 for metres of millimetres.
     fuse
         Make the depth agree with the normals (`pbrfit.scene.integration`).
     options
@@ -124,7 +124,7 @@ def _normals(surface: Surface, what: str) -> NDArray[np.float64]:
 
 
 def _of_file(
-    path: Path, size: tuple[int, int], fov: float, kind: DepthKind, unit: float | str | None
+    path: Path, size: tuple[int, int], fov: float, kind: DepthKind, unit: float
 ) -> tuple[NDArray[np.float32], list[str]]:
     """Distances along the axis, at the size (height, width) of the pictures; and remarks."""
     stored, how = read_depth(path, unit)
@@ -135,7 +135,7 @@ def _of_file(
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     values = kept.astype(np.float64)
-    if not (unit or np.nanmax(values) <= 1 or np.fmod(values[np.isfinite(values)], 1).any()):
+    if not (unit != 1 or np.nanmax(values) <= 1 or np.fmod(values[np.isfinite(values)], 1).any()):
         said.append("whole numbers, in the unit of the file; --unit mm makes metres of mm")
     said += how
     if kind == "disparity":
