@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.discrepancy import Discrepancy
+from pbrfit.fit.independent_lights import Shown
 from pbrfit.result.light_sides import main_directions, one_side
-from pbrfit.result.verdict import Verdict
+from pbrfit.result.verdict import Verdict, doubted
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
 
@@ -28,6 +29,8 @@ tell roughness and metallic, are a few percent of a picture."""
 FEW_PICTURES = 6
 """Pictures below which few are named: 3 samples each for 5 unknowns of a pixel, beside lights."""
 
+CHANNELS = ("red", "green", "blue")
+
 SCALE_PART = 0.5
 """Part of an albedo map's squared error that the common scale makes, from which it is named."""
 
@@ -38,6 +41,7 @@ def with_causes(
     *,
     normals: NDArray[np.floating[Any]],
     discrepancy: Discrepancy | None,
+    shown: Shown | None,
     transport: Transport,
     lighting: Array | None,
     albedo_scale: tuple[float, float, float],
@@ -61,6 +65,18 @@ def with_causes(
         cause = "the pictures hardly tell the common factor of albedo and light"
         remedy = "a patch of known albedo (option white) would help"
         found["albedo"] = replace(of_albedo, cause=cause, remedy=remedy)
+    if shown is None:
+        return found
+    if shown.is_little:
+        lights, count = max(shown.lights), len(scene.images)
+        cause = f"only {lights} independent light{'s' * (lights != 1)} in {count} pictures"
+        found = doubted(found, cause, "pictures under other lights would help")
+    dark = [name for name, lights in zip(CHANNELS, shown.lights, strict=False) if not lights]
+    if dark and shown.numbers:
+        cause, remedy = f"no {' and no '.join(dark)} light", "pictures under white light would help"
+        found["albedo"] = replace(
+            found["albedo"], level="not determined", cause=cause, remedy=remedy
+        )
     return found
 
 

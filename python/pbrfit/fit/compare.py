@@ -119,8 +119,8 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
         there is no depth that tells them.
     """
     told = start_given or setup.options.solver != "gauss-newton"
-    found = _Comparison(scene, setup, told=told).best()
-    return replace(found, contradiction=contradiction(scene))
+    compared = _Comparison(scene, setup, told=told)
+    return replace(compared.best(), contradiction=contradiction(scene, compared.reduced))
 
 
 class _Comparison:
@@ -129,7 +129,7 @@ class _Comparison:
     def __init__(self, scene: Scene, setup: FitSetup, *, told: bool = False) -> None:
         self._scene, self._setup, self._options = scene, setup, setup.options
         self._model: Model = setup.options.model or scene.model or DEFAULT_MODEL
-        self._few = _reduced(scene)
+        self._few = self.reduced = _reduced(scene)
         pixels = int(np.count_nonzero(self._few.valid))
         shown = [
             np.count_nonzero((_weights(self._few, i) > 0).any(axis=-1))

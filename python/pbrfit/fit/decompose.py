@@ -249,6 +249,7 @@ def _result(
             scene,
             normals=found.normals,
             discrepancy=found.discrepancy,
+            shown=found.shown,
             transport=transport,
             lighting=found.lighting if found.lamps is None else None,
             albedo_scale=uncertainty.albedo_scale,

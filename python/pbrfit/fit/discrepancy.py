@@ -16,6 +16,9 @@ samples have told lights, prior and pixel. G is how much more of an error is tak
 than left: one figure for all scenes and errors, measured where truth is known
 (`MISFIT_AMPLIFICATION`). An error that is taken up whole leaves no trace and is in no deviation.
 
+Where pictures show no more numbers of a pixel than there are unknowns (`independent_lights`),
+nothing can be left of samples, and they are as uncertain as they can be.
+
 Of what lights may do, `light_share` is the ratio φ of the variance that they add to a pixel's
 roughness and metallic to what its own samples leave; it is common to all pixels
 (`pbrfit.fit.priors.posterior`).
@@ -29,8 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
+from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.light_modes import light_modes
-from pbrfit.fit.normal_equations import ridged
+from pbrfit.fit.normal_equations import inverted
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout, pixel_index
 from pbrfit.fit.pixels import Pixels, fit_all
@@ -57,6 +61,7 @@ class Discrepancy:
     """As of `NoiseModel`."""
     channels: int = 3
     """Of the pictures."""
+    shown: Shown | None = None
     uses: float = settings.SAMPLE_USES
     """What the same samples have told: lights, prior and pixel, and normals that were refined."""
 
@@ -106,9 +111,7 @@ def find(
     """From some pixels under the lights of x, each with its best materials.
 
     `modes` are those of the lights where these are held, though not known; `refined`, whether
-    normals have been found by these pictures. Where samples are no more than unknowns nothing can
-    be left of them, and they are as uncertain as they can be; copies of a
-    picture count once there.
+    normals have been found by these pictures.
     """
     pairs = neighbours(objective.layout)
     pixels = (
@@ -126,15 +129,24 @@ def find(
         unknowns += (objective.size - objective.layout.maps.stop) * len(pixels) / objective.pixels
     freedom = max(few.samples - unknowns, least)
     variance = max(float(sum_sq.sum()) / freedom, settings.NOISE_VARIANCE_MIN)
-    maps, copies = objective.layout.maps.stop, objective.copies
-    if objective.samples / copies <= maps + (objective.size - maps) / copies:
+    maps = objective.layout.maps.stop
+    shown = Shown.by(
+        few.pictures(np.arange(few.pixels, dtype=np.uint64)),
+        variance,
+        few.sample_weights,
+        maps / objective.pixels + 2 * refined,
+        (objective.size - maps) / objective.layout.pictures / objective.pixels,
+    )
+    if shown.is_nothing or objective.samples <= objective.size:
         variance = (settings.MISFIT_SHARE_MAX * settings.MEAN_RADIANCE) ** 2
     shared = _shared(few, part, np.searchsorted(pixels, pairs)) if pairs.size else 0.0
     if modes is None:
         modes = light_modes(few, part, of_pixels=objective.pixels)
     share = _light_share(few, part, variance, modes)
     uses = settings.SAMPLE_USES + 2 * refined
-    return Discrepancy(variance, shared, modes, share, picture_effect, objective.channels, uses)
+    return Discrepancy(
+        variance, shared, modes, share, picture_effect, objective.channels, shown, uses
+    )
 
 
 def neighbours(layout: ParameterLayout) -> Pixels:
@@ -181,7 +193,7 @@ def _light_share(objective: Objective, x: Array, variance: float, modes: Array) 
     for_core, channels = objective.for_core(x), objective.channels
     matrices, _, _ = objective.problem.normal_equations(for_core, everything)
     precision = prior_precision(matrices.shape[1], channels, variance)
-    alone = np.asarray(np.linalg.inv(ridged(matrices) + np.diag(precision)), np.float64)
+    alone = inverted(matrices, precision)
     own = np.einsum("pii->pi", alone)
     moves = objective.problem.moves_with_lights(for_core, everything, alone, modes)
     return float(np.nan_to_num(moves / own)[:, channels:].mean())

@@ -19,7 +19,6 @@ residuals, which are renewed from round to round (iteratively reweighted least s
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,6 @@ from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.pixels import fit_all, retry_outliers
 from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -263,6 +261,8 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     """
     watch, shared = Watch(run, x), lights.shared
     variance, gain = lights.misfit.variance, settings.GAIN_MIN
+    if prior is None and not lights.exact:
+        gain *= max(lights.misfit.design_effect, 1.0)
     if shared is not None:
         _make_grey(shared, run.objective)
         if prior is not None and not shared.lights.grey:
@@ -282,10 +282,6 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
             if watch.visit(x, sum_sq):
                 break
             if shared is not None:
-                if number == 0 and prior is None and not lights.exact:
-                    effect = effect_of_all(objective, x, sum_sq, shared)
-                    notes.append(f"design effect {effect:.3g}")
-                    gain *= max(effect, 1.0)
                 last, variance = variance, min(variance, misfit.variance(objective, sum_sq))
                 shared.lights = shared.lights.times(variance / last if last else 1.0)
                 fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
@@ -298,17 +294,6 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
             if not more or not run.goes_on:
                 break
     return x
-
-
-def effect_of_all(objective: Objective, x: Array, sum_sq: Array, shared: SharedFit) -> float:
-    """The design effect on the lights of all pixels, by pieces as large as those of a level."""
-    everything = np.arange(objective.pixels, dtype=np.uint64)
-    level = Level(objective, everything, pixel_index(objective.layout))
-    side = round(settings.PATCH_SIDE * max(1.0, objective.pixels / settings.COARSE_PIXELS) ** 0.5)
-    if shared.inverse is None or shared.stale:
-        shared.joint_fit(objective, x, sum_sq).renew_preconditioner()
-    inverse = partial(shared.solved, objective)
-    return misfit.design_effect(level, x, sum_sq, inverse, side=side)
 
 
 def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | None) -> None:

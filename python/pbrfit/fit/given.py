@@ -1,4 +1,4 @@
-"""What is given, held against itself and against the pictures: normals, and lamps of a file.
+"""What is given, held against itself and the pictures: normals, lamps and lights of a file.
 
 Nothing here changes a fit. What is contradicted is named, with what would explain the pictures.
 
@@ -11,22 +11,21 @@ Where X or Y is flipped, one of the two has the other sign. On planes both are 0
 normal. At the outline of a mask, normals point away from it (`fit.lamps.outline`). Each patch of
 the picture votes by Σ ab / Σ ½(a² + b²), and by the same of normals and outward directions.
 
-**Lamps agree with the pictures.** A sample is albedo times strength times s = (n·ω)⁺, of near lamps
-over d². Albedos and strengths are fitted by the sum of |residuals|, so that highlights and shadows
-do not govern. Where no normals are given, those of each pixel are fitted with its albedo. Then
-lamps that are flipped, or in a ring and turned, leave as much as the right ones, but the normals
-are those of no surface.
+**Lights agree with the pictures.** A sample is albedo times strength times s = (n·ω)⁺ of a lamp, of
+near ones over d², or the irradiance of harmonics at n. Albedos and strengths are fitted by the sum
+of |residuals|, so that highlights and shadows do not govern. Where no normals are given, those of
+each pixel are fitted with its albedo. Then lamps that are flipped, or in a ring and turned, leave
+as much as the right ones, but the normals are those of no surface.
 
 Alternatives and what is given are compared patch by patch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.given_normals import TINY
@@ -35,11 +34,11 @@ from pbrfit.fit.lamps.photometric import DARK, ROUNDS, brightness, solved
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.fit.left_out import patches_of
+from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
-from pbrfit.model.geometry import view_directions
-from pbrfit.model.lamps import Lamps
-from pbrfit.model.reflection import DEFAULT_MODEL
+from pbrfit.model.geometry import facing_away, view_directions
+from pbrfit.model.reflection import DEFAULT_MODEL, sh_basis
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -59,6 +58,10 @@ SIDE = 128
 """Longer side in pixels that given normals are averaged down to: noise, and the steps of 8 bits, go
 from their slopes."""
 
+AWAY_MAX = 0.5
+"""Share of normals that face away from the camera, from which on they are contradicted: single ones
+do at the edges of things, by noise."""
+
 OF_A_SURFACE = "they are those of a surface"
 
 FLIPS = {"Y": (1.0, -1.0, 1.0), "X": (-1.0, 1.0, 1.0), "X and Y": (-1.0, -1.0, 1.0)}
@@ -71,7 +74,7 @@ class Contradiction:
     """Something given that is contradicted."""
 
     what: str
-    """Which: "normals" or "lamps"."""
+    """Which: "normals", "lamps" or "lights"."""
     why: str
     """In which way, and what speaks for that: a clause."""
     remedy: str
@@ -82,26 +85,32 @@ class Contradiction:
         return f"{self.why}; try {self.remedy}"
 
 
-def contradiction(scene: Scene) -> Contradiction | None:
-    """What is contradicted of a scene's normals and lamps: one of them, or nothing.
+def contradiction(scene: Scene, averaged: Scene | None = None) -> Contradiction | None:
+    """What is contradicted of a scene's normals and lights: one of them, or nothing.
 
     Lamps are looked at where there is one in each picture; without normals, where there are four or
-    more, far away: three fit any normal.
+    more, far away: three fit any normal. `averaged` is such a scene as `without_shape` gives it.
     """
-    lamps, count = scene.lamps, len(scene.images)
-    flipped = None
-    if scene.normals_known:
-        normals, mask = _reduced(np.asarray(scene.normals, np.float64), scene.valid)
-        surface = _Surface(mask, scene.fov)
-        flipped = _surely_best(surface.votes(normals), surface.flips(normals))
-    if lamps is not None and np.array_equal(lamps.pictures, np.arange(count)):
-        if not scene.normals_known:
-            told = count > 3 and not lamps.near.any()
-            return _of_lamps(_Matt(without_shape(scene, settings.COMPARE_SIDE))) if told else None
+    lamps = scene.lamps
+    if lamps is not None and not np.array_equal(lamps.pictures, np.arange(len(scene.images))):
+        lamps = None
+    if not scene.normals_known:
+        if lamps is None or lamps.near.any() or len(lamps) < 4:
+            return None
+        return _of_lamps(_Matt(averaged or without_shape(scene, settings.COMPARE_SIDE)))
+    away = facing_away(scene.normals[scene.valid], scene.views[scene.valid]).mean()
+    if away > AWAY_MAX:
+        said = f"{100 * away:.0f} % of the normals face away from the camera"
+        return Contradiction("normals", said, "the other sign of Z, which points to the viewer")
+    normals, mask = _reduced(np.asarray(scene.normals, np.float64), scene.valid)
+    surface = _Surface(mask, scene.fov)
+    flipped = _surely_best(surface.votes(normals), surface.flips(normals))
+    found = None if flipped is None else _turned(flipped, OF_A_SURFACE, "normals")
+    if scene.lighting is not None or lamps is not None:
         matt = _Matt(cut(scene, strided_window(scene.valid, PIXELS)))
-        if matt.pixels.points is not None or not lamps.near.any():
-            return _of_lamps_and_normals(matt, flipped)
-    return None if flipped is None else _turned(flipped, OF_A_SURFACE, "normals")
+        if lamps is None or matt.pixels.points is not None or not lamps.near.any():
+            found = _of_lights_and_normals(matt, flipped) or found
+    return found
 
 
 def _turned(axes: str, why: str, what: str = "lamps") -> Contradiction:
@@ -113,37 +122,35 @@ def _turned(axes: str, why: str, what: str = "lamps") -> Contradiction:
     return Contradiction(what, said, remedy)
 
 
-def _of_others(which: str, why: str) -> Contradiction:
-    said = f"the lamps look like those of other pictures: with {which}, {why}"
-    return Contradiction("lamps", said, which)
+def _of_others(which: str, why: str, what: str = "lamps") -> Contradiction:
+    said = f"the {what} look like those of other pictures: with {which}, {why}"
+    return Contradiction(what, said, which)
 
 
-def _of_lamps_and_normals(matt: _Matt, flipped: str | None) -> Contradiction | None:
-    """Of lamps beside given normals, some of whose axes look flipped by their slopes, or none."""
-    given, _ = matt.left(matt.lamps)
-    others = {
-        axes: matt.left(replace(matt.lamps, places=matt.lamps.places * signs))[0]
-        for axes, signs in FLIPS.items()
-    } | {which: matt.left(lamps)[0] for which, lamps in matt.paired_otherwise()}
+def _of_lights_and_normals(matt: _Matt, flipped: str | None) -> Contradiction | None:
+    """Of lights beside given normals, some of whose axes look flipped by their slopes, or none."""
+    given, _ = matt.left()
+    others = {axes: matt.left(signs=signs)[0] for axes, signs in FLIPS.items()}
+    others |= {which: matt.left(order)[0] for which, order in matt.otherwise.items()}
     lower = {what: left for what, left in others.items() if _is_lower(left, given)}
     if not lower:
-        return None if flipped is None else _turned(flipped, OF_A_SURFACE, "normals")
+        return None
     best = min(lower, key=lambda what: lower[what].mean())
-    why = _times(given, lower[best])
+    why, what = _times(given, lower[best]), "lights" if matt.lamps is None else "lamps"
     if best not in FLIPS:
-        return _of_others(best, why)
+        return _of_others(best, why, what)
     if flipped is not None:
         return _turned(best, f"{OF_A_SURFACE}, and {why}", "normals")
-    return _turned(best, why)
+    return _turned(best, why, what)
 
 
 def _of_lamps(matt: _Matt) -> Contradiction | None:
     """Of lamps alone: the normals that they tell have to be those of a surface."""
-    given, normals = matt.left(matt.lamps)
+    given, normals = matt.left()
     surface = _Surface(matt.scene.valid, matt.scene.fov)
     others = surface.flips(normals)
-    for which, lamps in matt.paired_otherwise():
-        left, of_these = matt.left(lamps)
+    for which, order in matt.otherwise.items():
+        left, of_these = matt.left(order)
         if _is_lower(left, given):
             return _of_others(which, _times(given, left))
         if not _is_lower(given, left):
@@ -159,37 +166,52 @@ def _times(given: Array, other: Array) -> str:
 
 
 class _Matt:
-    """Matt surfaces under lamps, one in each picture, at some pixels of a scene."""
+    """Matt surfaces at some pixels of a scene, under one lamp in each picture, or harmonics."""
 
     def __init__(self, scene: Scene) -> None:
-        assert scene.lamps is not None
-        self.scene, self.lamps = scene, scene.lamps
+        self.scene, self.lamps = scene, scene.lamps if scene.lighting is None else None
         given = np.asarray(scene.normals, np.float64)
         self.pixels = LampPixels.of(scene, given, DEFAULT_MODEL, 1)
         grey, self._usable = grey_samples(self.pixels.samples, self.pixels.told)
         self._relative = grey / brightness(grey, self._usable)[:, None]
         self._patches = patches_of(scene.valid)
+        self._in_order = np.arange(len(scene.images))
+        self.otherwise = {
+            "those of the next pictures": np.roll(self._in_order, -1),
+            "those of the pictures before": np.roll(self._in_order, 1),
+            "those in reverse order": self._in_order[::-1],
+        }
+        """The same lights as of other pictures: which, in words, and their order."""
 
-    def paired_otherwise(self) -> Iterator[tuple[str, Lamps]]:
-        """The same lamps as of other pictures, and which, in words."""
-        for which, order in (
-            ("those of the next pictures", np.roll(self.lamps.pictures, -1)),
-            ("those of the pictures before", np.roll(self.lamps.pictures, 1)),
-            ("those in reverse order", self.lamps.pictures[::-1]),
-        ):
-            of_others = self.lamps.of_pictures(order.tolist())
-            yield which, replace(of_others, pictures=self.lamps.pictures)
+    def _shading(self, signs: ArrayLike) -> Array:
+        """(P, N): of white surfaces, with these signs of the axes of lights."""
+        if self.lamps is None:
+            assert self.scene.lighting is not None
+            basis = IRRADIANCE * sh_basis(self.pixels.normals * np.asarray(signs))
+            return np.asarray(np.maximum(basis @ self.scene.lighting.mean(axis=-1).T, 0.0))
+        lamps = replace(self.lamps, places=self.lamps.places * np.asarray(signs))
+        directions, near = lamps.at(self.pixels.points, len(self.pixels))
+        cosines = np.einsum("pkx,px->pk", directions, self.pixels.normals)
+        return np.asarray(np.maximum(cosines, 0.0) * near)
 
-    def left(self, lamps: Lamps) -> tuple[Array, Array]:
-        """Mean |residual| in each patch, of pixels' brightness; and normals (H, W, 3) if fitted."""
+    def left(
+        self, order: NDArray[np.intp] | None = None, signs: ArrayLike = (1.0, 1.0, 1.0)
+    ) -> tuple[Array, Array]:
+        """Mean |residual| in each patch, of pixels' brightness; and normals (H, W, 3) if fitted.
+
+        With lights in another order, or with other signs of their axes.
+        """
+        order = self._in_order if order is None else order
         relative, known = self._relative, self.scene.normals_known
         # A sample of a lamp behind the surface says nothing of its normal.
         counted = self._usable & (known | (relative > DARK))
-        weights, strengths = counted.astype(np.float64), np.ones(len(lamps))
+        weights, strengths = counted.astype(np.float64), np.ones(len(order))
         vectors = self.pixels.normals
         if known:
-            directions, near = lamps.at(self.pixels.points, len(self.pixels))
-            shading = np.maximum(np.einsum("pkx,px->pk", directions, vectors), 0.0) * near
+            shading = self._shading(signs)[:, order]
+        else:
+            assert self.lamps is not None
+            places = self.lamps.places[order]
         for _ in range(2 * ROUNDS):
             if known:
                 shown = shading * strengths
@@ -197,8 +219,8 @@ class _Matt:
                 albedo /= (weights * shown**2).sum(axis=1) + TINY
                 shown = albedo[:, None] * shading
             else:
-                vectors = solved(relative, weights, lamps.places * strengths[:, None])
-                shown = np.maximum(vectors @ lamps.places.T, 0.0)
+                vectors = solved(relative, weights, places * strengths[:, None])
+                shown = np.maximum(vectors @ places.T, 0.0)
             strengths = (weights * relative * shown).sum(axis=0)
             strengths /= (weights * shown**2).sum(axis=0) + TINY
             residuals = np.abs(relative - shown * strengths)

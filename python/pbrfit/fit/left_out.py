@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ from pbrfit.transport.decision import Kind
 
 Array = NDArray[np.float64]
 LightKind = Literal["sh", "lamps"]
+
+OF_PIXELS = ("errors", "between", "squares", "sizes")
+"""Fields of `LeftOut` by picture and pixel."""
 
 
 @dataclass(frozen=True)
@@ -99,14 +102,11 @@ class LeftOut:
     @classmethod
     def together(cls, folds: Sequence[LeftOut]) -> LeftOut:
         """Several folds of one explanation."""
-        return replace(
-            folds[0],
-            errors=np.concatenate([one.errors for one in folds]),
-            between=np.concatenate([one.between for one in folds]),
-            squares=np.concatenate([one.squares for one in folds]),
-            sizes=np.concatenate([one.sizes for one in folds]),
-            rounding=np.concatenate([one.rounding for one in folds]),
-        )
+        names = (*OF_PIXELS, "rounding")
+        of_all: dict[str, Any] = {
+            name: np.concatenate([getattr(one, name) for one in folds]) for name in names
+        }
+        return replace(folds[0], **of_all)
 
     @property
     def error(self) -> float:
@@ -163,13 +163,10 @@ class LeftOut:
 
     def without(self, hot: NDArray[np.bool_]) -> LeftOut:
         """As if some pixels (M, P) told nothing."""
-        return replace(
-            self,
-            errors=np.where(hot, np.nan, self.errors),
-            between=np.where(hot, np.nan, self.between),
-            squares=np.where(hot, np.nan, self.squares),
-            sizes=np.where(hot, np.nan, self.sizes),
-        )
+        told: dict[str, Any] = {
+            name: np.where(hot, np.nan, getattr(self, name)) for name in OF_PIXELS
+        }
+        return replace(self, **told)
 
     def is_worse(self, best: LeftOut, errors: float) -> bool:
         """Whether its score is higher by more than so many standard errors of the difference.

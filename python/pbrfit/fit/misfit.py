@@ -120,11 +120,10 @@ def design_effect(
     sum_sq: Array,
     inverse: Inverse,
     prior: GaussianPrior | None = None,
-    side: int = settings.PATCH_SIDE,
 ) -> float:
     """κ; `inverse` gives S⁻¹ v for v (M,), and `prior` is that of the pixels."""
     objective, layout = level.objective, level.objective.layout
-    patches = level.patches(side)
+    patches = level.patches(settings.PATCH_SIDE)
     if len(patches) < settings.PATCHES_MIN:
         return 1.0
     unknowns = layout.light_channels * layout.pictures * layout.coefficients

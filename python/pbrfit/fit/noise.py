@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
+from pbrfit.fit.normal_equations import by_unknowns, products
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, chunks
 from pbrfit.fit.tails import StudentT, Tails, likeliest
@@ -258,20 +259,15 @@ def _leverages(objective: Objective, x: Array) -> Array:
     """H, (N, P, C)."""
     everything = np.arange(objective.pixels, dtype=np.uint64)
     derivatives, _, weights = objective.problem.derivatives(objective.for_core(x), everything)
-    pixels, pictures, channels, rest = derivatives.shape
-    unknowns = channels + rest - 1
-    found = np.zeros((pixels, pictures, channels))
-    rows = np.zeros((pixels, pictures, channels, unknowns))
-    for channel in range(channels):
-        rows[:, :, channel, channel] = derivatives[:, :, channel, 0]
-        rows[:, :, channel, channels:] = derivatives[:, :, channel, 1:]
+    rows = by_unknowns(derivatives, objective.layout)
+    pixels, unknowns = len(rows), rows.shape[-1]
     weighted = rows * weights[..., None]
-    gram = np.einsum("pncd,pnce->pde", weighted, rows, optimize=True)
+    gram = products(rows, weights)
     gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(unknowns)
     gram += np.finfo(np.float64).tiny * np.eye(unknowns)
     solved = np.linalg.solve(gram, weighted.reshape(pixels, -1, unknowns).transpose(0, 2, 1))
     found = np.einsum("psd,pds->ps", rows.reshape(pixels, -1, unknowns), solved)
-    found = found.reshape(pixels, pictures, channels).transpose(1, 0, 2)
+    found = found.reshape(weights.shape).transpose(1, 0, 2)
     if objective.lighting is not None:
         found = found + objective.coefficients / pixels
     return np.asarray(np.minimum(found, settings.LEVERAGE_MAX))

@@ -22,11 +22,17 @@ WORKING_SET = 1 << 24
 """Bytes of the largest array that a piece of work may need; changes no result."""
 
 
-def ridged(matrices: Array) -> Array:
-    """Matrices (P, D, D) that can be inverted even where a pixel weighs next to nothing."""
-    trace = np.einsum("pii->p", matrices)[:, None, None]
-    least = RIDGE * trace + 1e-30  # of what is 0 altogether
-    return np.asarray(matrices + least * np.eye(matrices.shape[1]), np.float64)
+def inverted(matrices: Array, precision: Array) -> Array:
+    """Inverses of matrices (P, D, D) with a diagonal precision (D,), which is above 0.
+
+    Unknowns are brought to one scale: what no sample tells keeps its precision beside what many do.
+    """
+    whole = matrices + np.diag(precision)
+    scale = 1 / np.sqrt(np.einsum("pii->pi", whole))
+    products = scale[:, :, None] * scale[:, None, :]
+    whole *= products
+    np.einsum("pii->pi", whole)[:] = 1 + RIDGE
+    return np.asarray(np.linalg.inv(whole) * products, np.float64)
 
 
 def _scaled(matrices: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -233,12 +233,6 @@ class Objective:
         x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
         return squares
 
-    @property
-    def copies(self) -> float:
-        """How often each picture is there on average: 1 where none is the copy of another."""
-        images = self._scene.images
-        return len(images) / len({hash(image.tobytes()) for image in images})
-
     def value_and_grad(
         self, x: ArrayLike, out: NDArray[np.float64] | None = None
     ) -> tuple[float, NDArray[np.float64]]:

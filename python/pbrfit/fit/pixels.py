@@ -185,19 +185,10 @@ def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixe
     """For each of `NEIGHBOURS`, those of `pixels` that have a valid pixel there, and that pixel."""
     if not pixels.size:
         return
-    valid = objective.layout.valid
-    index = pixel_index(objective.layout)
-    rows, columns = (of_all[pixels] for of_all in np.nonzero(valid))
+    index = np.pad(pixel_index(objective.layout), 1, constant_values=-1)
+    rows, columns = (of_all[pixels] + 1 for of_all in np.nonzero(objective.layout.valid))
     for down, right in NEIGHBOURS:
-        there = rows + down, columns + right
-        inside = (
-            (there[0] >= 0)
-            & (there[0] < valid.shape[0])
-            & (there[1] >= 0)
-            & (there[1] < valid.shape[1])
-        )
-        other = np.full(len(pixels), -1)
-        other[inside] = index[there[0][inside], there[1][inside]]
+        other = index[rows + down, columns + right]
         found = other >= 0
         if found.any():
             yield pixels[found], other[found].astype(np.uint64)

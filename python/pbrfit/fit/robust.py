@@ -22,10 +22,11 @@ and R. E. Welsch, "Robust regression using iteratively reweighted least-squares"
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import Any
 
-from pbrfit._core import InputError
+import numpy as np
+from numpy.typing import NDArray
+
 from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN
 
 CAUCHY_SCALE = 2.385
@@ -49,32 +50,19 @@ def irls_weights(scale: float, residuals: NDArray[np.float32]) -> NDArray[np.flo
 
 
 def noise_sigma(
-    residuals: ArrayLike, weights: ArrayLike | None = None, *, unknowns: float = 0.0
+    residuals: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]] | None = None,
+    *,
+    unknowns: float = 0.0,
 ) -> float:
     """Standard deviation of the noise, from residuals of which some may be outliers.
 
-    Of residuals (N, P, C) those of weight (N, P, 1 or C) 0 are no data, and others count by theirs.
-    p, how many `unknowns` were fitted to them, is of a few pixels' residuals their own unknowns and
-    their share of the lights'; more than 90 % of the samples count as 90 %. If half of the
-    residuals are 0, so is σ.
+    Of residuals (N, P, C) those of weight (N, P, 1 or C) 0 are no data. p, how many `unknowns` were
+    fitted to them, is of a few pixels' residuals their own unknowns and their share of the lights';
+    more than 90 % of the samples count as 90 %. If half of the residuals are 0, so is σ.
     """
     sizes = np.abs(np.asarray(residuals, dtype=np.float64))
-    if sizes.ndim != 3:
-        raise InputError(f"residuals: expected shape (N, P, C), found {sizes.shape}")
-    each = np.ones(sizes.shape) if weights is None else np.asarray(weights, dtype=np.float64)
-    if each.shape not in (sizes.shape, (*sizes.shape[:2], 1)):
-        raise InputError(f"weights: expected shape {sizes.shape}, found {each.shape}")
-    each = np.broadcast_to(each, sizes.shape)
-    samples = int(np.count_nonzero(each))
-    if not samples:
-        raise InputError("residuals: expected samples of some weight, found none")
-    median = weighted_median(sizes.ravel(), each.ravel())
+    used = np.broadcast_to(True if weights is None else weights > 0, sizes.shape)
+    samples = int(np.count_nonzero(used))
     degrees = max(samples - unknowns, DEGREES_OF_FREEDOM_SHARE_MIN * samples)
-    return float(MEDIAN_TO_SIGMA * median * np.sqrt(samples / degrees))
-
-
-def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """Smallest of the values (M,) up to which half of the weight (M,) lies."""
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(below, below[-1] / 2)]])
+    return float(MEDIAN_TO_SIGMA * np.median(sizes[used]) * np.sqrt(samples / degrees))

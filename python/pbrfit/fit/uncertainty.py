@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.discrepancy import Discrepancy, prior_precision
-from pbrfit.fit.normal_equations import WORKING_SET, chunks, ridged
+from pbrfit.fit.normal_equations import WORKING_SET, chunks, inverted
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import taken
@@ -161,22 +161,20 @@ def _of_pixels(
     unknowns, v = matrices.shape[1], discrepancy.of_pixel
     rest = slice(c, unknowns)
     precision = prior_precision(unknowns, c, v)
-    matrices = ridged(matrices)
-    by_albedo = np.linalg.inv(matrices[:, :c, :c] + np.diag(precision[:c]))
+    alone = inverted(matrices, precision)
+    by_albedo = inverted(matrices[:, :c, :c], precision[:c])
     slopes = -by_albedo @ matrices[:, :c, rest]
-    curvature = matrices[:, rest, rest] + matrices[:, rest, :c] @ slopes
-    if posterior is None:
-        information = (curvature + np.diag(precision[rest])) / v
-    else:
-        information = curvature / v * posterior.unused[:, None, None].astype(np.float64)
+    of_rest = v * alone[:, rest, rest]
+    if posterior is not None:
+        curvature = np.linalg.inv(of_rest) - np.diag(precision[rest] / v)
+        information = curvature * posterior.unused[:, None, None].astype(np.float64)
         information += np.linalg.inv(_covariance(posterior, unknowns - c))
-    of_rest = np.linalg.inv(information)
+        of_rest = np.linalg.inv(information)
     whole = np.empty_like(matrices)
     whole[:, rest, rest] = of_rest
     whole[:, :c, rest] = slopes @ of_rest
     whole[:, rest, :c] = whole[:, :c, rest].transpose(0, 2, 1)
     whole[:, :c, :c] = v * by_albedo + whole[:, :c, rest] @ slopes.transpose(0, 2, 1)
-    alone = np.asarray(np.linalg.inv(matrices + np.diag(precision)), np.float64)
     variance = np.einsum("pii->pi", whole).copy()
     shade = np.maximum(values[:, :c], mean_albedo) * (discrepancy.misfit / settings.MEAN_RADIANCE)
     variance[:, :c] += np.square(shade)

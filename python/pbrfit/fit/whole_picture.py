@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import scale
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.estimator import discrepancy_of
+from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Normalization, Objective
@@ -139,6 +140,8 @@ class FitOutput:
     """Of samples; None where all weigh as given."""
     discrepancy: Discrepancy | None = None
     """How far samples are off; None where neither a prior nor the uncertainty asked for it."""
+    shown: Shown | None = None
+    """What independent lights show of a pixel; None where nobody asked."""
     surrounded: Surrounded | None = None
     recon_rmse: float | None = None
     """With surroundings or lamps, and the error with them: of all samples by their weights, each
@@ -201,6 +204,7 @@ def output_of(
         normals=normals,
         uncertainty=uncertainty,
         discrepancy=run.discrepancy,
+        shown=None if run.discrepancy is None else run.discrepancy.shown,
         status=ended[0],
         reason=ended[1],
         rows=tuple(run.rows),

@@ -10,6 +10,7 @@ import pytest
 
 from pbrfit.fit import causes
 from pbrfit.fit.discrepancy import Discrepancy
+from pbrfit.fit.independent_lights import NUMBERS_MIN, Shown
 from pbrfit.result.verdict import PARAMETERS, Verdict, level_of
 from pbrfit.scene.arrays import AT_LEAST
 from pbrfit.scene.scene import Scene
@@ -37,6 +38,7 @@ def said(scene: Scene, error: float = 0.2, **facts: Any) -> dict[str, Verdict]:
     given: dict[str, Any] = {
         "normals": scene.normals,
         "discrepancy": NOISE,
+        "shown": None,
         "transport": Transport(),
         "lighting": around(len(scene.images)),
         "albedo_scale": (0.0, 0.0, 0.0),
@@ -90,6 +92,14 @@ def test_few_pictures_are_counted(scene: Scene) -> None:
         scene, images=scene.images[:enough], names=scene.names[:enough], truth=None
     )
     assert "only" not in said(many, lighting=around(enough))["roughness"].cause
+
+
+@pytest.mark.parametrize(("numbers", "usable"), [(8.99, False), (9.01, True)])
+def test_maps_are_usable_where_enough_is_spare(scene: Scene, numbers: float, usable: bool) -> None:
+    shown = Shown((3, 3, 3), 9 / NUMBERS_MIN * 9 / numbers)
+    found = said(scene, 0.05, shown=shown)
+    assert all((one.level == "usable") == usable for one in found.values())
+    assert usable or found["albedo"].cause == "only 3 independent lights in 8 pictures"
 
 
 def test_clipping_is_named_from_a_share_on(scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""Normals and lamps that are given and contradict each other, or the pictures."""
+"""Normals and lights that are given and contradict each other, or the pictures."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.result.verdict import nothing_usable
 from pbrfit.synthetic import make_scene
 from planted_lamps import dome, far, planted, relief
+from scene_files import truth_of
 
 NEXT, REVERSED = "those of the next pictures", "those in reverse order"
 
@@ -73,6 +74,9 @@ def test_what_is_right_is_not_contradicted_and_what_is_wrong_is(seed: int, known
         assert found[1] == f"the other sign of {axes}" or not known
     assert said(paired(scene, np.roll(count, 1))) == ("lamps", NEXT)
     if known:
+        few = scene.of_pictures([0, 1, 2])
+        assert said(few) is None
+        assert said(turned(few, given.FLIPS["Y"])) == ("lamps", "the other sign of Y")
         assert said(paired(scene, count[::-1])) == ("lamps", REVERSED)
         assert said(turned(scene, given.FLIPS["X and Y"])) == ("lamps", "the other sign of X and Y")
         flipped = with_normals_flipped(scene, given.FLIPS["Y"])
@@ -114,6 +118,27 @@ def test_near_lamps_that_are_flipped_are_named() -> None:
     ).scene
     assert said(scene) is None
     assert said(turned(scene, given.FLIPS["Y"])) == ("lamps", "the other sign of Y")
+
+
+@pytest.mark.parametrize("kind", ["room", "furnished"])
+@pytest.mark.parametrize("pictures", [2, 5])
+def test_known_light_is_that_of_its_picture(kind: str, pictures: int) -> None:
+    scene = make_scene(kind, size=48, lights=pictures, held_out=1, noise=0.01, seed=pictures)
+    light = truth_of(scene).lighting
+    assert light is not None
+    assert said(replace(scene, lighting=light)) is None
+    assert said(replace(scene, lighting=np.roll(light, 1, axis=0))) == ("lights", NEXT)
+    of_y = np.where(np.isin(np.arange(16), [1, 4, 5, 9, 10, 11]), -1.0, 1.0)[:, None]
+    found = said(replace(scene, lighting=light * of_y))
+    assert found == ("lights", "the other sign of Y")
+
+
+@pytest.mark.parametrize(("share", "contradicted"), [(0.4, False), (0.6, True)])
+def test_most_normals_face_the_camera(share: float, contradicted: bool) -> None:
+    scene = make_scene("room", size=24, lights=2, held_out=1, seed=3)
+    away = np.arange(24)[:, None, None] < 24 * share
+    found = said(replace(scene, normals=np.where(away, -scene.normals, scene.normals)))
+    assert (found == ("normals", "the other sign of Z, which points to the viewer")) == contradicted
 
 
 def test_differences_count_from_three_standard_errors_on() -> None:

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from pbrfit import Objective, Scene
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.coarse import judged
-from pbrfit.fit.estimator import effect_of_all
 from pbrfit.fit.misfit import Misfit
-from pbrfit.fit.pixels import fit_all
 from pbrfit.synthetic import make_scene
 from scene_kinds import at_truth, known_lights
 
@@ -63,16 +61,6 @@ def test_what_neighbours_and_pictures_share_is_not_independent() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_wrong_field_of_view_is_no_noise(seed: int) -> None:
     assert left_at_truth(replace(room(seed), fov=90.0)).design_effect > 2
-
-
-def test_more_pixels_say_nothing_new_of_what_the_model_does_not_have() -> None:
-    for fov, least, most in ((60.0, 0.5, 4.0), (90.0, 3.0, 8.0)):
-        objective = Objective(scene := replace(room(size=64), fov=fov))
-        lights = judged(objective, x := at_truth(objective, scene))
-        shared, sum_sq = lights.shared, np.asarray(fit_all(objective, x, starts=2))
-        assert shared is not None
-        effect = effect_of_all(objective, x, sum_sq, shared)
-        assert least < effect / lights.misfit.design_effect < most
 
 
 def test_few_patches_tell_no_design_effect() -> None:

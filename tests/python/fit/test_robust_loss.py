@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 import reference
-from pbrfit.fit.robust import CAUCHY_SCALE, noise_sigma, weighted_median
+from pbrfit.fit.robust import CAUCHY_SCALE, noise_sigma
 
 
 def test_the_scale_is_95_percent_efficient() -> None:
@@ -57,11 +57,3 @@ def test_sigma_of_weighted_samples() -> None:
     assert noise_sigma(residuals, weights, unknowns=100) == pytest.approx(
         noise_sigma(residuals[2:5, 100:900, ::2], unknowns=100), rel=1e-12
     )
-
-
-def test_weighted_median_counts_like_copies() -> None:
-    rng = np.random.default_rng(2)
-    values, copies = rng.normal(size=101), rng.integers(0, 4, 101)
-    repeated = np.sort(np.repeat(values, copies))
-    expected = repeated[(len(repeated) - 1) // 2]
-    assert weighted_median(values, copies.astype(np.float64)) == expected

@@ -23,7 +23,7 @@ from pbrfit.fit.settings import MEAN_RADIANCE, SAMPLE_USES, SIGMA_MAX
 from pbrfit.fit.uncertainty import scale_deviation
 from pbrfit.io.images import read_channels, write_exr
 from pbrfit.result.uncertainty import Uncertainty, layer_names
-from pbrfit.result.verdict import PARAMETERS, deserved
+from pbrfit.result.verdict import PARAMETERS
 from pbrfit.synthetic import make_scene
 from scene_files import truth_of
 from scene_kinds import at_truth
@@ -178,18 +178,6 @@ def test_what_no_picture_shows_is_as_unsure_as_a_guess() -> None:
     sigma = objective.layout.whole(np.sqrt(found.variance).max(axis=1))
     assert sigma[8, 5] > 0.15
     assert sigma[8, 6] < 0.1
-
-
-def test_equal_lights_leave_materials_undetermined() -> None:
-    """N copies of one picture are one picture: any material has lights that explain it."""
-    scene, _, _ = scene_and_x()
-    images = np.broadcast_to(scene.images[:1], scene.images.shape).copy()
-    objective = Objective(dataclasses.replace(scene, images=images, truth=None))
-    x = objective.with_best_lights(np.full(objective.layout.maps.stop, 0.4))
-    found = estimated(objective, x)
-    assert found.verdicts["roughness"].level == "not determined"
-    error = found.verdicts["metallic"].expected_error
-    assert deserved("metallic", error) == "not determined"
 
 
 def test_fewer_samples_than_unknowns_determine_nothing() -> None:

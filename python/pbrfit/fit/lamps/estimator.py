@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.lamps import reference, surfaces
+from pbrfit.fit.lamps import scale as scale_by_highlights
 from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
 from pbrfit.fit.lamps.joint import (
     ALBEDO_MEAN,
@@ -28,12 +30,14 @@ from pbrfit.fit.lamps.joint import (
     minimize,
     offsets,
 )
-from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radiance
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.samples import FirstShape
+from pbrfit.fit.priors.population import METALLIC_DEVIATION
 from pbrfit.fit.run import Trace, material_errors
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
-from pbrfit.fit.settings import LAMP_PIXELS
+from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN, LAMP_PIXELS, MEAN_RADIANCE
+from pbrfit.fit.uncertainty import TWO_SIDED
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import view_directions
@@ -126,9 +130,6 @@ GIVEN_DEGREES = 5.0
 
 UNIFORM_VARIANCE = 1 / 12
 """Largest variance of albedo and roughness: that of a uniform distribution in [0, 1]."""
-
-INTERVAL_SIGMAS = 1.96
-"""Standard deviations on each side that hold 95 % of a normal distribution."""
 
 BY_HIGHLIGHTS = "by the highlights of dielectrics, around a mean albedo of 0.35"
 """What the scale between lamps and albedo rests on where there is no reference."""
@@ -645,11 +646,12 @@ class LampFit:
             basis = fit.directions(len(shared)).basis()
             fit.freedom = freedom
             inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
-            self._shared_covariance = basis @ inner @ basis.T
-            if self._reference is not None:
-                self._shared_covariance = reference.with_known_scale(
-                    self._shared_covariance, fit, self._reference.variance
-                )
+            found = basis @ inner @ basis.T
+            if self._reference is None:
+                found = scale_by_highlights.with_pulls(found, fit, self.scene.width)
+            else:
+                found = reference.with_known_scale(found, fit, self._reference.variance)
+            self._shared_covariance = found
         return self._shared_covariance
 
     # Output
@@ -674,13 +676,15 @@ class LampFit:
         status, reason = trace.ended(
             "lamps, ambient light and surfaces change no more", once if trace.out_of_time() else ""
         )
+        shown = self._shown(fit.pixels, squares / max(total, 1e-300))
         refined = self.free_normals and scene.normals_known
         why = "asked for" if refined else FROM_PICTURES if self.free_normals else "held"
         return FitOutput(
             materials=maps,
             lighting=fit.state.ambient * scale,
             normals=whole("normals"),
-            uncertainty=self._uncertainty(fit, bands, scale) if self.options.uncertainty else None,
+            uncertainty=self._uncertainty(fit, bands, shown) if self.options.uncertainty else None,
+            shown=shown,
             status=status,
             reason=reason,
             rows=(*trace.rows, row),
@@ -705,18 +709,30 @@ class LampFit:
         variances = np.concatenate([one.marginal[:, :2].sum(axis=1) for one in bands])
         return _map(np.degrees(np.minimum(np.sqrt(variances), np.pi / 2)), self.scene.valid)
 
+    def _shown(self, pixels: LampPixels, square: float) -> Shown:
+        """By pixels that leave this mean square of samples."""
+        unknowns = 4 + (self.options.metallic is None) + 2 * self.free_normals
+        spare = max(1 - unknowns / (3 * pixels.pictures), DEGREES_OF_FREEDOM_SHARE_MIN)
+        of_pictures = pixels.samples.swapaxes(0, 1), square / spare, pixels.weights.swapaxes(0, 1)
+        return Shown.by(*of_pictures, unknowns)
+
     def _uncertainty(
-        self, fit: JointLamps, bands: list[surfaces.Band], scale: float
+        self, fit: JointLamps, bands: list[surfaces.Band], shown: Shown
     ) -> Uncertainty:
-        valid = self.scene.valid
+        valid, scale = self.scene.valid, fit.pixels.scale
         covariance = self._covariance(fit)
-        scales = np.full(3, np.sqrt(max(_scale_variance(fit, covariance), 0)))
+        scales = np.full(3, scale_by_highlights.deviation(fit, covariance))
         if self._reference is not None:
             scales = np.sqrt(self._reference.variance)
         red, green, blue = scales.tolist()
         # By the data; of albedo and roughness it is known beside that they are in [0, 1].
         variances = np.concatenate([one.marginal for one in bands])[:, 2:]
+        if shown.is_nothing:
+            variances[:] = np.inf
+        dark = (variances[:, :3] >= UNIFORM_VARIANCE).all(axis=1)
         variances[:, :4] = np.minimum(variances[:, :4], UNIFORM_VARIANCE)
+        if self.options.metallic is None:
+            variances[dark, 4] = METALLIC_DEVIATION**2
         sigma = np.sqrt(variances)
         value = np.concatenate(
             [
@@ -724,7 +740,7 @@ class LampFit:
                 for one in bands
             ]
         )
-        reach = INTERVAL_SIGMAS * sigma
+        reach = TWO_SIDED * sigma
 
         def maps(values: Array) -> Materials:
             found = _map(values, valid)
@@ -779,15 +795,6 @@ def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
     directions, strengths = known.at(pixels.points, len(pixels))
     cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
     return colored_by(pixels, known, cosines, (cosines > 0).astype(np.float64))
-
-
-def _scale_variance(fit: JointLamps, covariance: Array) -> float:
-    """Of the mean logarithm of the lamps' colours."""
-    lamps = fit.state.lamps
-    slope = np.zeros(len(covariance))
-    count = 3 * len(lamps)
-    slope[count : 2 * count] = (1 / np.maximum(lamps.colors, 1e-12)).ravel() / count
-    return float(slope @ covariance @ slope)
 
 
 def _map(values: NDArray[Any], valid: NDArray[np.bool_], fill: float = np.nan) -> NDArray[Any]:

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.lamps.problem import (
-    MEAN_RADIANCE,
     LampPixels,
     LampState,
     Slopes,
@@ -33,6 +32,7 @@ from pbrfit.fit.lamps.problem import (
 )
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
 from pbrfit.fit.lamps.shared_step import Directions, step_of
+from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
 
 Array = NDArray[np.float64]
@@ -243,6 +243,24 @@ class JointLamps:
         flat = mixed.reshape(-1, mixed.shape[-1])
         eliminated = flat.T @ np.matmul(np.linalg.inv(own), mixed).reshape(flat.shape)
         return shared - eliminated, own, mixed
+
+    def part(self, rows: NDArray[np.intp]) -> JointLamps:
+        """Some of the pixels, as they are and with their weights."""
+        found = JointLamps(
+            self.pixels.of_rows(rows),
+            self.state.of_rows(rows),
+            self.noise,
+            self.prior.of_rows(rows),
+            self.freedom,
+        )
+        found.weights = self.weights[rows]
+        return found
+
+    def score(self) -> Array:
+        """(M,): half the gradient of the cost by what is shared, pixels solved for."""
+        _, gradient, own, mixed, of_pixels = self.system()
+        solved = np.linalg.solve(own, of_pixels[..., None])
+        return np.asarray(gradient - (mixed * solved).sum(axis=(0, 1)))
 
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""

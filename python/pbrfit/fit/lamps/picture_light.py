@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.lamps.problem import (
-    MEAN_RADIANCE,
     LampPixels,
     LampState,
     radiance,
@@ -22,6 +21,7 @@ from pbrfit.fit.lamps.problem import (
     tangents,
 )
 from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import spread_directions
 from pbrfit.model.reflection import Model

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
+from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
@@ -25,9 +26,6 @@ from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
-
-MEAN_RADIANCE = 0.4
-"""Mean of all samples in the unit that pictures are fitted in."""
 
 
 @dataclass(frozen=True, eq=False)

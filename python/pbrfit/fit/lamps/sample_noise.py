@@ -26,7 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.problem import MEAN_RADIANCE, LampPixels, LampState, radiance
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.settings import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
 

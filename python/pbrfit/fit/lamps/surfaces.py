@@ -17,7 +17,7 @@ the probability; where that is not near 0 or 1 the rest is fitted once more with
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ from pbrfit.fit.lamps.joint import (
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
+from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 
@@ -107,23 +108,34 @@ def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slic
         yield slice(start, start + size)
 
 
-def neighbour_means(values: Array, places: NDArray[np.intp], width: int) -> Array:
-    """(P, ...): means over the 3 × 3 pixels around each, of those that are there."""
-    from scipy.ndimage import uniform_filter
-
+def beside(
+    places: NDArray[np.intp], width: int, steps: Iterable[tuple[int, int]]
+) -> Iterator[NDArray[np.intp]]:
+    """(P,) for each step (rows, columns): which of the places lies there, -1 = none."""
     rows, columns = np.divmod(places, width)
-    first = int(rows.min())
-    shape = int(rows.max()) - first + 1, width
-    flat = values.reshape(len(values), -1)
-    there = np.zeros(shape)
-    there[rows - first, columns] = 1.0
-    counts = uniform_filter(there, 3, mode="constant")[rows - first, columns]
-    found = np.empty_like(flat)
-    for j in range(flat.shape[1]):
-        grid = np.zeros(shape)
-        grid[rows - first, columns] = flat[:, j]
-        found[:, j] = uniform_filter(grid, 3, mode="constant")[rows - first, columns] / counts
-    return found.reshape(values.shape)
+    rows = rows - rows.min() + 1
+    index = np.full((int(rows.max()) + 2, width + 2), -1, np.intp)
+    index[rows, columns + 1] = np.arange(len(places))
+    for down, right in steps:
+        yield index[rows + down, columns + 1 + right]
+
+
+def neighbour_means(
+    values: Array,
+    places: NDArray[np.intp],
+    width: int,
+    labels: NDArray[np.intp] | None = None,
+) -> Array:
+    """(P, ...): means over the 3 × 3 pixels around each: of those that are there, of its label."""
+    found, counts = np.zeros_like(values), np.zeros(len(values))
+    around = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
+    for other in beside(places, width, around):
+        alike = other >= 0
+        if labels is not None:
+            alike &= labels[other] == labels
+        found[alike] += values[other[alike]]
+        counts += alike
+    return found / counts.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior) -> Array:
@@ -199,13 +211,9 @@ def from_neighbours(
     width: int,
 ) -> tuple[LampState, Array]:
     """Surfaces of neighbours, where these surprise less than a pixel's own: (state, surprise)."""
-    index = np.full(int(pixels.places.max()) + width + 2, -1, np.intp)
-    index[pixels.places] = np.arange(len(pixels))
-    for step in (1, -1, width, -width):
-        at = pixels.places + step
-        of = np.where((at >= 0) & (at < len(index)), index[np.clip(at, 0, len(index) - 1)], -1)
-        own = np.arange(len(pixels))
-        source = np.where(of >= 0, of, own)
+    own = np.arange(len(pixels))
+    for other in beside(pixels.places, width, NEIGHBOURS):
+        source = np.where(other >= 0, other, own)
         moved = state.of_rows(source)
         trial = state.with_surface(moved.normals, moved.albedo, moved.roughness, moved.metallic)
         state, surprising = better_of(
@@ -342,7 +350,7 @@ def _with_metals(
     misfit = max(float(left_over), MISFIT_MIN)
     odds = -0.5 * INDEPENDENT * (metal_cost - cost) / misfit
     odds -= 0.5 * (log_determinant(metal_information) - log_determinant(information))
-    odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width)
+    odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
     chance = 1 / (1 + np.exp(-np.clip(odds + np.log(share / (1 - share)), -50, 50)))
     chance = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))

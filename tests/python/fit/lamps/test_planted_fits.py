@@ -12,12 +12,15 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from pbrfit import InputError, decompose
 from pbrfit.fit.lamps.estimator import LampFit, fit_lamps
 from pbrfit.fit.lamps.shape import first_shape, height_of
+from pbrfit.fit.lamps.surfaces import neighbour_means
 from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.model.lamps import Lamps
+from pbrfit.result.verdict import MARGIN
 from planted_lamps import (
     Planted,
     best_factor,
     colors,
+    dome,
     far,
     planted,
     relief,
@@ -155,6 +158,25 @@ def test_clipped_highlights_tell_no_less_than_others() -> None:
     found = fit_lamps(truth.scene, setup())
     assert truth.directions_off(lamps_of(found)).max() < 0.5
     assert truth.albedo_off(found.materials.albedo) < 0.02
+
+
+def test_the_scale_is_as_uncertain_as_it_is_off() -> None:
+    """By another reflection model, whose highlights tell other lamps."""
+    truth = planted(far(10, slant=36), size=24, shape=dome(24), metal=True)
+    found = fit_lamps(truth.scene, setup(model="paper"))
+    off = np.sqrt(np.mean((found.materials.albedo - truth.albedo)[truth.scene.valid] ** 2))
+    assert found.uncertainty is not None
+    assert 0.1 < off < MARGIN * found.uncertainty.verdicts["albedo"].expected_error
+
+
+def test_neighbours_are_those_of_a_segment() -> None:
+    places = np.delete(np.arange(12), 5)  # three rows of four, and a hole
+    labels = np.where(places % 4 < 2, 1, 2)
+    values = np.where(labels == 1, 1.0, 5.0) + (places == 0)
+    found = neighbour_means(values, places, 4, labels)
+    np.testing.assert_allclose(found[labels == 2], 5.0)
+    np.testing.assert_allclose(found[[0, 1]], 4 / 3)  # both see the first, and one below
+    assert (neighbour_means(values, places, 4)[labels == 2] < 5.0).any()
 
 
 @pytest.mark.slow
