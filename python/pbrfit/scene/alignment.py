@@ -19,7 +19,7 @@ common where they could make another.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,13 +38,6 @@ REACH = 24
 
 TILE = 96
 """Side of the tiles that are compared by themselves, in pixels at that size."""
-
-COARSE_SIDE = 128
-"""Longer side in pixels of averaged pictures on which large displacements and turns are found."""
-
-TURN_AGREEMENT, TURN_GAIN = 0.3, 0.2
-"""Agreement of edges after a turn, and by how much it has to be better than before: five times the
-most by which it was in any of 330 upright pictures of 25 sets."""
 
 _TILE_REACH = 12
 _WEAK = 0.03  # s: gradients of the logarithm below this fade out
@@ -174,18 +167,6 @@ def compare(reference: Field, field: Field, *, pixel: float = 1.0) -> Alignment 
     warp, moved = _tiles(reference, field)
     down, right = found.shift
     return Alignment((pixel * right, pixel * down), found.agreement, pixel * warp, moved, pixel)
-
-
-def best_turn(reference: Field, turns: Mapping[int, Field]) -> int:
-    """The turn by which the edges of a picture agree with those of a reference; 0 if none does.
-
-    `turns` are fields of the picture by quarter turns, 0 = as it is, of the size of the reference.
-    """
-    found = {k: shift_between(reference, field) for k, field in turns.items()}
-    agreement = {k: 0.0 if shift is None else shift.agreement for k, shift in found.items()}
-    best, *others = sorted(agreement, key=lambda k: -agreement[k])
-    apart = agreement[best] - max((agreement[k] for k in others), default=0.0)
-    return best if agreement[best] >= TURN_AGREEMENT and apart >= TURN_GAIN else 0
 
 
 MOST_SHIFT = 1.0

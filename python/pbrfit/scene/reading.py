@@ -30,8 +30,8 @@ from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
-from pbrfit.scene import alignment, known_lamps
 from pbrfit.scene import depth as scene_depth
+from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import (
     FIRST_FOV,
     SHAPE_PICTURES_MIN,
@@ -265,7 +265,7 @@ def load(
             inputs=dict(sorted(notes.inputs.items())),
             source=Source(folder.resolve(), options, named, full_size),
             model=model,
-            response=None if read.curve_told or changed else "srgb",
+            response=None if read.curve_told or changed or notes.how.color_matrix else "srgb",
         )
         return found if len(kept) == len(names) else found.of_pictures(kept)
     except InputError as error:
@@ -372,6 +372,8 @@ class Pictures:
             raise InputError(
                 f"{path}: expected the size of {notes.files.pictures[0].name}, "
                 f"{width} × {height} pixels, found {found[1]} × {found[0]}"
+                + "; option orientation as-stored turns none"
+                * (found[:2] == (width, height))
             )
         pixels, size = picture.pixels[self._window], self.size
         whole = size == pixels.shape[:2]
@@ -407,29 +409,6 @@ class Pictures:
             self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
         notes.inputs[notes.files.relative(path)] = picture.sha256
 
-    def turned(self, picture: images.Picture, upright: list[int]) -> images.Picture:
-        """A picture, turned by a quarter to the side on which its edges agree with those of others.
-
-        As it is where neither side agrees.
-        """
-        small = reduced_size(self.size, alignment.COARSE_SIDE)
-
-        def edges(pixels: NDArray[np.float32]) -> alignment.Field:
-            return alignment.edges(averaged_channels(pixels, small))
-
-        turns = {k: edges(np.rot90(picture.pixels, k)[self._window]) for k in (1, 3)}
-        reference = np.sum([edges(self.pixels[i]) for i in upright], axis=0)
-        k = alignment.best_turn(reference, turns)
-        if k == 0:
-            return picture
-        of_maps: dict[str, Any] = {
-            name: None if (of := getattr(picture, name)) is None else np.rot90(of, k)
-            for name in ("pixels", "alpha", "limits")
-        }
-        if picture.stored is not None:
-            of_maps["stored"] = replace(picture.stored, turned=not picture.stored.turned)
-        return replace(picture, **of_maps)
-
     def different(self, notes: _Notes) -> list[int]:
         """The first of each group of pictures that are equal, to the bit; others are told."""
         groups: dict[bytes, list[int]] = {}
@@ -446,33 +425,16 @@ class Pictures:
         return [of[0] for of in groups.values()]
 
 
-def _read_pictures(notes: _Notes, size: tuple[int, int] | None = None) -> Pictures:
-    """Read all pictures; `size` (height, width) is that of most, None = of the first.
-
-    Those whose width is the others' height are turned where their edges then agree.
-    """
-    how, paths, across = notes.how, notes.files.pictures, list[int]()
+def _read_pictures(notes: _Notes) -> Pictures:
+    how, paths = notes.how, notes.files.pictures
     read: Pictures | None = None
     for i, path in enumerate(paths):
         picture = how.picture(path)
-        found = picture.pixels.shape[0], picture.pixels.shape[1]
         if read is None:
-            notes.size = size or found
+            notes.size = picture.pixels.shape[0], picture.pixels.shape[1]
             read = Pictures(notes)
-        if found != notes.size and found[::-1] == notes.size:
-            across.append(i)
-        else:
-            read.put(i, picture)
+        read.put(i, picture)
     assert read is not None
-    if 2 * len(across) > len(paths):
-        return _read_pictures(notes, notes.size[::-1])
-    upright = [i for i in range(len(paths)) if i not in across]
-    for i in across:
-        read.put(i, read.turned(how.picture(paths[i]), upright))
-    if across:
-        names = listed(paths[i].name for i in across)
-        notes.assumed["turned"] = f"by a quarter, as edges say: {names}"
-        log.warning("%s: pictures turned %s", notes.folder, notes.assumed["turned"])
     for color, names_of in read.told["color"].items():
         alone = len(read.told["color"]) == 1
         notes.assumed["color" if alone else f"color of {', '.join(names_of)}"] = color

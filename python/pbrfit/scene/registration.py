@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import nearest_inside
 from pbrfit.scene import alignment
-from pbrfit.scene.alignment import COARSE_SIDE, TURN_AGREEMENT
 from pbrfit.scene.displacement import (
     COMPONENTS,
     LEAST_DISPLACEMENT,
@@ -39,8 +38,9 @@ log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
 
-SCREENING_SIDE = 64
-"""Longer side in pixels of the averaged pictures on which it is asked whether any is displaced."""
+COARSE_SIDE, SCREENING_SIDE = 128, 64
+"""Longer side in pixels of the averaged pictures on which large displacements are found, and on
+which it is asked whether there are any."""
 
 LEAST_SIDE = 24
 """Pixels along the shorter side, below which pictures are not registered: windows need some."""
@@ -97,24 +97,18 @@ class Placement:
     the picture in halves of its longer side."""
     left_out: str = ""
     """Why it is left out; empty if it is not."""
-    turn: int = 0
-    """Quarter turns, as `numpy.rot90` has them, that come before all that."""
 
     @property
     def in_line(self) -> bool:
         """Whether it stays as it is."""
-        return not self.affine.any() and not self.left_out and not self.turn
+        return not self.affine.any() and not self.left_out
 
     def in_words(self) -> str:
         """What was found and done, a sentence without its full stop."""
         if self.left_out:
             return f"{self.name} is left out: {self.left_out}"
-        turned = f"{self.name} was turned by {90 * self.turn} degrees clockwise"
-        if self.turn and not self.affine.any():
-            return f"{turned}, and turned back"
         down, right = self.affine[:, 0].round(1) + 0.0  # no -0.0
-        found = f"{turned}, and" if self.turn else f"{self.name} was"
-        found += f" shifted by ({right:.1f}, {down:.1f}) pixels"
+        found = f"{self.name} was shifted by ({right:.1f}, {down:.1f}) pixels"
         (yy, yx), (xy, xx) = self.affine[:, 1:]
         if yy or yx or xy or xx:
             most = np.hypot(*np.abs(self.affine[:, 1:]).sum(axis=1))
@@ -174,13 +168,7 @@ def register(scene: Scene) -> Registration:
     if min(scene.height, scene.width) < LEAST_SIDE:
         return Registration(hindrance=f"pictures below {LEAST_SIDE} pixels")
     with one_blas_thread():
-        turns = _Register(scene).turns()
-        found = _Register(_turned(scene, turns)).run()
-    if not any(turns):
-        return found
-    placements = found.placements or [Placement(name) for name in scene.names]
-    both = zip(placements, turns, strict=True)
-    return replace(found, placements=tuple(replace(one, turn=turn) for one, turn in both))
+        return _Register(scene).run()
 
 
 class _Register:
@@ -193,27 +181,6 @@ class _Register:
         self._reasons: dict[int, str] = {}
         self._affine = np.zeros((len(self._all), 2, 3))
         self._fields = [self._edges(i) for i in self._all]
-
-    def turns(self) -> list[int]:
-        """Quarter turns by which pictures agree with the others that do not as they are.
-
-        Found in rounds, as what was turned is then among the others; none where the median picture
-        does not agree with these in the end.
-        """
-        found = [0] * len(self._all)
-        possible = range(4) if self._small[0] == self._small[1] else (0, 2)
-        for _ in range(ROUNDS_MAX):
-            turned = [
-                {k: self._edges(i, turn=now + k) for k in possible} for i, now in enumerate(found)
-            ]
-            others = alignment.of_the_others([fields[0] for fields in turned])
-            further = list(map(alignment.best_turn, others, turned))
-            if not any(further):
-                pairs = zip(others, turned, strict=True)
-                usual = np.median([alignment.in_place(one, fields[0]) for one, fields in pairs])
-                return found if usual >= TURN_AGREEMENT else [0] * len(found)
-            found = [(now + k) % 4 for now, k in zip(found, further, strict=True)]
-        return [0] * len(found)
 
     def run(self) -> Registration:
         """How all pictures lie."""
@@ -268,8 +235,8 @@ class _Register:
             self._reasons.clear()
         return {i: one for i, one in found.items() if place[i].any()}
 
-    def _edges(self, i: int, affine: Array | None = None, turn: int = 0) -> alignment.Field:
-        """Edges of picture i averaged down, taken from x + u(x), after some quarter turns."""
+    def _edges(self, i: int, affine: Array | None = None) -> alignment.Field:
+        """Edges of picture i averaged down, taken from x + u(x)."""
         from scipy.ndimage import map_coordinates
 
         grey, used = self._pictures.of(i, self._small)
@@ -278,7 +245,7 @@ class _Register:
             places = _displaced(self._small, affine / pixel)
             grey = map_coordinates(grey, places, order=3, mode="nearest")
             used = map_coordinates(used.astype(np.float32), places, order=1) > 0.999
-        return alignment.edges(np.rot90(grey, turn)[..., None], np.rot90(used, turn))
+        return alignment.edges(grey[..., None], used)
 
     def _neighbours_agree(self, i: int) -> bool:
         """Whether a picture shows more than noise."""
@@ -419,7 +386,6 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
     Between pixels by cubic splines in linear radiance; whole shifts are exact. Samples that come
     from outside, or from one that has no weight, get weight 0.
     """
-    scene = _turned(scene, [one.turn for one in registration.placements])
     kept = [i for i, one in enumerate(registration.placements) if not one.left_out]
     moved = [(to, registration.placements[i].affine) for to, i in enumerate(kept)]
     moved = [(to, affine) for to, affine in moved if affine.any()]
@@ -435,19 +401,6 @@ def put_back(scene: Scene, registration: Registration) -> Scene:
         if limits is not None:
             limits[to] = _touched(limits[to], affine)
     return scene.of_pictures(kept, images=images, weights=weights, limits=limits)
-
-
-def _turned(scene: Scene, turns: Sequence[int]) -> Scene:
-    """The scene with each picture turned by some quarters, as `numpy.rot90` has them."""
-    if not any(turns):
-        return scene
-    # A pixel without a normal has none, though a picture that is turned now tells of it.
-    changed: dict[str, Any] = {"mask": scene.valid}
-    for name in ("images", "weights", "limits"):
-        arrays = getattr(scene, name)
-        if arrays is not None and arrays.strides[0]:  # else they are of places, not of a picture
-            changed[name] = np.stack([np.rot90(a, k) for a, k in zip(arrays, turns, strict=True)])
-    return replace(scene, **changed)
 
 
 def _resampled(

@@ -115,17 +115,3 @@ def test_others_are_all_but_one() -> None:
     for i, found in enumerate(alignment.of_the_others(fields)):
         rest = [field for j, field in enumerate(fields) if j != i]
         np.testing.assert_allclose(found, np.mean(rest, axis=0), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("agreement", "turn"),
-    [((0.0, 0.28), 0), ((0.0, 0.32), 2), ((0.25, 0.43), 0), ((0.25, 0.47), 2), ((0.65, 0.0), 0)],
-)
-def test_a_turn_counts_that_is_sure_and_far_from_others(
-    agreement: tuple[float, float], turn: int
-) -> None:
-    """Of fields that agree with the reference by so much, as they are and turned by a half."""
-    phases = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, 64, 64))
-    reference, other = np.exp(1j * phases).astype(np.complex64)
-    fields = [np.float32(a) * reference + np.float32((1 - a * a) ** 0.5) * other for a in agreement]
-    assert alignment.best_turn(reference, dict(zip((0, 2), fields, strict=True))) == turn

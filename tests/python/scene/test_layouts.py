@@ -18,7 +18,6 @@ from pbrfit.io import images
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import PERSPECTIVE_OFF, read_pictures
-from pbrfit.synthetic import make_scene
 from scene_files import LIGHTS, SIZE, room, write_exr, write_folder, write_integers
 
 NAMES = [f"{i + 1:03d}" for i in range(LIGHTS)]
@@ -214,34 +213,14 @@ def test_equal_pictures_count_once_and_are_named(
     assert scene_folder.digests(folder) == scene.inputs
 
 
-def wide(folder: Path, turns: dict[int, int]) -> Path:
-    """Pictures of 72 × 48 pixels, some of them turned."""
-    made = make_scene("furnished", size=72, lights=5, noise=0.01, seed=3)
-    (folder / "images").mkdir(parents=True)
-    for i, image in enumerate(made.images[:, :48]):
-        write_exr(folder / "images" / f"{i}.exr", np.rot90(image, turns.get(i, 0)))
-    return folder
-
-
-@pytest.mark.parametrize("turns", [{1: 1}, {0: 3}, {0: 1, 2: 3}])
-def test_pictures_on_their_side_are_turned_as_their_edges_say(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, turns: dict[int, int]
-) -> None:
-    upright = Scene.load(wide(tmp_path / "upright", {}))
-    turned = Scene.load(wide(tmp_path / "turned", turns))
-    np.testing.assert_array_equal(turned.images, upright.images)
-    if 0 not in turns:  # else the crop is held against the first picture as it is
-        part = Scene.load(tmp_path / "turned", crop=(8, 4, 60, 40))
-        np.testing.assert_array_equal(part.images, upright.images[:, 4:44, 8:68])
-    assert "turned by a quarter" in caplog.text
-    assert turned.assumed["turned"].endswith(", ".join(f"{i}.exr" for i in turns))
-
-
-def test_a_picture_of_something_else_on_its_side_is_refused(tmp_path: Path) -> None:
-    folder = wide(tmp_path / "scene", {})
-    noise = np.random.default_rng(0).uniform(0.1, 1, (72, 48, 3)).astype(np.float32)
-    write_exr(folder / "images" / "2.exr", noise)
-    with pytest.raises(InputError, match=r"2.exr: expected the size of 0.exr, 72 × 48 pixels"):
+def test_a_picture_on_its_side_is_refused(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "scene")
+    wide = np.stack([room().images[0][:9], room().images[1][:9]])
+    for name, image in zip(room().names, wide, strict=False):
+        write_exr(folder / "images" / f"{name}.exr", image)
+    write_exr(folder / "images" / f"{room().names[1]}.exr", np.rot90(wide[1]))
+    hint = "orientation as-stored turns none"
+    with pytest.raises(InputError, match=rf"_01.exr: expected the size of light_00.exr, .*{hint}"):
         Scene.load(folder)
 
 

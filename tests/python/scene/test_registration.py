@@ -304,24 +304,3 @@ def test_the_command_names_a_shifted_picture(
     result = pbrfit.Result.load(out)
     assert "light_02" in result.assumed["alignment"]
     done("report", out, "--out", tmp_path / "page.html")
-
-
-@pytest.mark.parametrize("turns", [(0, 2, 0, 0, 0, 0, 0, 0), (1, 0, 0, 0, 2, 3, 0, 0)])
-def test_turned_pictures_are_turned_back(turns: tuple[int, ...]) -> None:
-    one = scene()
-    given = np.stack([np.rot90(image, -k) for image, k in zip(one.images, turns, strict=True)])
-    weights = np.ones(given.shape[:3], np.float32)
-    for of_picture, k in zip(weights, turns, strict=True):
-        np.rot90(of_picture, k)[3, 4] = 0
-    found = aligned(replace(one, images=given, weights=weights))
-    np.testing.assert_array_equal(found.images, one.images)
-    assert found.weights is not None
-    assert np.argwhere(found.weights[..., 0] == 0)[:, 1:].tolist() == [[3, 4]] * len(turns)
-    said = [f"{one.names[i]} was turned by {90 * k} deg" for i, k in enumerate(turns) if k]
-    assert all(one in found.assumed["alignment"] for one in said)
-    assert found.assumed["alignment"].count("turned back") == len(said)
-
-
-@pytest.mark.parametrize("kind", ["spheres", "detailed", "textured", "room"])
-def test_light_alone_turns_nothing(kind: str) -> None:
-    assert not any(one.turn for one in register(scene(kind, size=48)).placements)
