@@ -197,9 +197,9 @@ def test_the_scale_is_that_of_the_lights(disturbance: Any) -> None:
 
 
 def test_the_scale_is_that_of_pictures_as_they_were_corrected() -> None:
-    of = made("vignetting")
-    numbers = [0.0, 0.0, 0.0, 0.3, 0.055]  # -ln(1 - 0.3 rho^2) to 1 % in the corners
-    camera = SimpleNamespace(correction=Correction(1.0, tuple(numbers)))
+    of = made("gamma")
+    white = float(np.quantile(made("noise").scene.images, disturbances.UNCLIPPED))
+    camera = SimpleNamespace(correction=Correction(white, (-0.1, 0.0, 0.0)))
     assert np.abs(scale_errors(of)).min() > 0.05
     np.testing.assert_allclose(scale_errors(of, camera=camera), 0, atol=2e-3)
 

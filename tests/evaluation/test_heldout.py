@@ -146,8 +146,8 @@ def test_light_is_best_in_values_of_the_file() -> None:
 def test_curve_undoes_what_a_fit_corrected(tmp_path: Path) -> None:
     [source] = sources.find_sources(write_set(tmp_path / "bump", "MIT"))
     scene = sources.opened(source, SIZE).scene
-    seen = scene.through(40.0, Correction(0.3, (0.2, -0.1, 0.15, 0.3, 0.1)))
-    of = light.target(seen, 2, EVERY, light.curve_of(seen, EVERY))
+    seen = scene.through(40.0, Correction(0.3, (0.2, -0.1, 0.15)))
+    of = light.target(seen, 2, EVERY, light.curve_of(seen))
     assert np.abs(of.radiance - scene.images[2].reshape(-1, 3)).max() > 0.05
     np.testing.assert_allclose(of.shown(of.radiance), of.values, rtol=1e-4)
 

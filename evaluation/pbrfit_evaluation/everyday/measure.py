@@ -105,7 +105,7 @@ def scale_errors(result: Result, made: Disturbed) -> Array:
     expected = made.expected[kept]
     if result.camera is not None and result.camera.correction is not None:
         # Lights are those of pictures that it has undone.
-        expected = result.camera.correction.applied(expected, made.scene.radius_squared)
+        expected = result.camera.correction.applied(expected)
     used = np.isfinite(expected) & made.scene.valid[..., None]
     lit, expected = (np.where(used, of, 0.0) for of in (lit, expected))
     axes = (0, 1, 2)

@@ -69,7 +69,7 @@ def _read(
         normals[valid] = found
         shading = np.maximum(lamps[list(pictures)] @ found.T, 0.0)
         tried = [[(one[:, None] * albedo)[None]] for one in shading]
-    curve, scores = curve_of(scene, valid), []
+    curve, scores = curve_of(scene), []
     for i, of_picture in zip(pictures, tried, strict=True):
         of = target(scene, i, valid, curve)
         shown = [of.explained(partial(combination, planes)) for planes in of_picture]

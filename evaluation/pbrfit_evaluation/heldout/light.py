@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -21,7 +21,6 @@ from pbrfit.model.geometry import view_directions
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, shade
 from pbrfit.result.result import Result
-from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -114,24 +113,19 @@ def target(scene: Scene, picture: int, used: Mask, curve: Curve | None) -> Targe
     return Target(np.where(known, values, 0.0), np.where(known, radiance, 0.0), counted, curve)
 
 
-def curve_of(scene: Scene, used: Mask) -> Curve | None:
-    """From radiance at the pixels `used` to values of the scene's files: its correction undone."""
+def curve_of(scene: Scene) -> Curve | None:
+    """From radiance to values of the scene's files: its correction undone."""
     correction = scene.correction
     encoded = scene.response == "srgb"
     if correction is None:
         return (lambda radiance: np.asarray(scene.file_values(radiance))) if encoded else None
-    # The curve alone, as a table of its gain; vignetting is a factor a pixel.
-    even = Correction(correction.reference, (*correction.numbers[:3], 0.0, 0.0))
-    samples = correction.reference * np.geomspace(1e-4, 1e4, KNOTS)[:, None]
-    arriving = even.applied(samples, np.zeros(KNOTS))
-    gains, knots = (arriving / samples)[:, 0], np.log(arriving[:, 0])
-    flat = replace(correction, numbers=(0.0, 0.0, 0.0, *correction.numbers[3:]))
-    vignetting = flat.applied(np.ones((int(used.sum()), 1)), scene.radius_squared[used])
+    samples = correction.reference * np.geomspace(1e-4, 1e4, KNOTS)
+    arriving = correction.applied(samples)
+    gains, knots = arriving / samples, np.log(arriving)
 
     def curve(radiance: Array) -> Array:
-        film = radiance / vignetting
-        level = np.log(np.maximum(film, arriving[0, 0]))
-        return np.asarray(scene.file_values(film / np.interp(level, knots, gains)), np.float64)
+        level = np.log(np.maximum(radiance, arriving[0]))
+        return np.asarray(scene.file_values(radiance / np.interp(level, knots, gains)), np.float64)
 
     return curve
 
@@ -210,7 +204,7 @@ def explained_by(
         solve = lamp(result, used, ambient_terms(result), threads)
     else:
         solve = harmonics(result.materials, result.normals, result.fov, used, result.model)
-    curve = curve_of(scene, used)
+    curve = curve_of(scene)
     scores = []
     for i in pictures:
         shown = np.zeros((int(scene.valid.sum()), 3))

@@ -419,7 +419,7 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) 
         log.warning("%s", one.in_words())
         assumed[one.what] = "; ".join(filter(None, (assumed.get(one.what), one.in_words())))
     if camera.correction is not None:
-        assumed |= camera.correction.in_words()
+        assumed["response"] = camera.correction.in_words()
     if model is not None:
         assumed["model"] = f"{model}, asked for"
         if scene.model not in (None, model):

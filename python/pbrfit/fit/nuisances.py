@@ -37,7 +37,7 @@ from pbrfit.fit.normal_equations import as_in_x, by_unknowns, products, whitenin
 from pbrfit.fit.objective import Objective
 from pbrfit.result.camera import Camera
 from pbrfit.scene.arrays import FIRST_FOV
-from pbrfit.scene.correction import SLOPES, Correction
+from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def _of_correction(index: int, sigma: float) -> Nuisance:
     return Nuisance(of, put, 0.0, sigma, index)
 
 
-RESPONSE = tuple(map(_of_correction, SLOPES, settings.RESPONSE_SIGMAS))
+RESPONSE = tuple(_of_correction(*one) for one in enumerate(settings.RESPONSE_SIGMAS))
 
 
 @dataclass(eq=False)

@@ -457,10 +457,7 @@ class Objective:
         shown = self.problem.residuals(self.for_core(x), everything).astype(np.float64)
         for i in range(self.layout.pictures):
             shown[i] = (shown[i] + self._image(i)) * self._units[i]
-        scene = self._scene
-        places = np.flatnonzero(scene.valid) if self._places is None else self._places
-        rho = scene.radius_squared[np.divmod(places, scene.width)]
-        found, slope = correction.directions(shown, rho)
+        found, slope = correction.directions(shown)
         units = self._by_picture
         return [(one / units).transpose(1, 0, 2) for one in found], slope.transpose(1, 0, 2)
 

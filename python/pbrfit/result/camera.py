@@ -29,7 +29,7 @@ class Camera:
     contradicted: bool = False
     """Whether the pictures fit far better with another than was given."""
     correction: Correction | None = None
-    """Tone curve and vignetting that were undone in the pictures; None = nothing."""
+    """The tone curve that was undone in the pictures; None = nothing."""
     response: Curve | None = None
     """The curve that the files' values were decoded by, where the fit decided; None = as the scene
     said."""

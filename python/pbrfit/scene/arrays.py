@@ -21,7 +21,7 @@ from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
-from pbrfit.scene.correction import Correction, radius_squared
+from pbrfit.scene.correction import Correction
 from pbrfit.scene.depth import checked_depth
 from pbrfit.scene.options import Source
 from pbrfit.scene.plateaus import plateaus
@@ -132,8 +132,7 @@ class SceneArrays:
     fov_known
         Whether somebody told the field of view; False where `fov` is a number to start from.
     correction
-        What undoes the camera's tone curve and vignetting in `samples`; None = nothing. A fit finds
-        it.
+        What undoes the camera's tone curve in `samples`; None = nothing. A fit finds it.
     lamps
         Known lamps of the pictures, whose colours may be unknown; None = unknown.
     normals_known
@@ -355,8 +354,7 @@ class SceneArrays:
         if self.weights is not None:
             samples[at(self.weights[picture]) == 0] = 0
         if self.correction is not None:
-            corrected = self.correction.applied(samples, at(self.radius_squared))
-            samples = corrected.astype(self.images.dtype)
+            samples = self.correction.applied(samples).astype(self.images.dtype)
         return samples
 
     def channel_weights(
@@ -454,16 +452,11 @@ class SceneArrays:
             truth=truth,
         )
 
-    @lazy
-    def radius_squared(self) -> NDArray[np.float64]:
-        """(H, W): squared distance of pixels from the middle, 1 in the corners."""
-        return radius_squared(self.height, self.width)
-
     def picture(self, i: int, rows: slice) -> NDArray[np.floating[Any]]:
         """Some rows of a picture, (h, W, 3), corrected."""
         if self.correction is None:
             return self.images[i, rows]
-        return self.correction.applied(self.images[i, rows], self.radius_squared[rows])
+        return self.correction.applied(self.images[i, rows])
 
     def mean_brightness(self) -> float:
         """Of all samples, as they came."""

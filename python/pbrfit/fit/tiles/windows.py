@@ -103,11 +103,6 @@ class PartialScene(Scene):
         )
 
     @lazy
-    def radius_squared(self) -> NDArray[np.float64]:
-        """(h, w): squared distance of pixels from the middle of the whole, 1 in its corners."""
-        return self.window.of(self.whole.radius_squared)
-
-    @lazy
     def grey(self) -> bool:
         """Whether the pictures, and the lights if they are known, have three equal channels."""
         return self.whole.grey and (self.lighting is None or equal_channels(self.lighting))
