@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import any_array
-from pbrfit.io.resampling import area_shares
+from pbrfit.io.resampling import at_centres, averaged
 from pbrfit.model.depth_normals import DEPTH_MAX, from_depth
 from pbrfit.model.geometry import angles_between
 
@@ -48,8 +48,8 @@ which on it is a far plane: what lies there is seen in the same direction from e
 within 1/10 radian."""
 
 SAME_SURFACE = 0.1
-"""Relative difference of inverse depth from the median within which samples of a pixel that is
-averaged down are one surface; others lie beyond a jump."""
+"""Relative difference of inverse depth within which samples of a pixel that is averaged down are of
+the surface under its centre; others lie beyond a jump."""
 
 
 def checked_depth(
@@ -185,39 +185,16 @@ def reduced(depth: NDArray[np.floating[Any]], size: tuple[int, int]) -> Depth:
     """Depth (H, W) averaged down to (height, width), nowhere across a jump.
 
     Inverse depth is linear on a plane, so its mean over the area of a new pixel is that at the
-    centre. The mean is of the samples within `SAME_SURFACE` of the median: those of the surface
-    that has most of the pixel. NaN where no part of a new pixel has depth.
+    centre. The mean is of the samples within `SAME_SURFACE` of the one under the centre, of all
+    where that is unknown. NaN where no part of a new pixel has depth.
     """
-    rows, columns = (_parts(old, new) for old, new in zip(depth.shape, size, strict=True))
-    values = np.array(
-        [[1.0 / depth[np.ix_(row, column)] for column, _ in columns] for row, _ in rows]
-    ).reshape(-1, *size)
-    shares = np.array(
-        [[np.outer(down, across) for _, across in columns] for _, down in rows]
-    ).reshape(-1, *size)
-    values[shares == 0] = np.nan
-    known = np.isfinite(values)
-    ordered = np.sort(values, axis=0)  # NaN last
-    middle = (np.maximum(known.sum(axis=0), 1) - 1) // 2
-    median = np.take_along_axis(ordered, middle[None], axis=0)
-    near = known & (np.abs(values - median) <= SAME_SURFACE * median)
-    weights = np.where(near, shares, 0.0)
-    total = weights.sum(axis=0)
-    mean = np.where(near, values, 0.0) * weights
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found: Depth = (total / mean.sum(axis=0)).astype(np.float32)
-    found[total == 0] = np.nan
-    return found
-
-
-def _parts(old: int, new: int) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
-    """Along one side the k-th old sample of each new one, for every k, and its share there."""
-    table = area_shares(old, new)
-    first = table.indptr[:-1]
-    counts = np.diff(table.indptr)
-    found = []
-    for k in range(int(counts.max())):
-        place = first + np.minimum(k, counts - 1)
-        share = np.where(k < counts, table.data[place], 0.0)
-        found.append((table.indices[place].astype(np.intp), share))
-    return found
+    inverse = 1.0 / depth
+    under = (
+        ((np.arange(f) + 0.5) * s / f).astype(int) for f, s in zip(depth.shape, size, strict=True)
+    )
+    centre = at_centres(inverse, size)[np.ix_(*under)]
+    near = np.isfinite(inverse) & ~(np.abs(inverse - centre) > SAME_SURFACE * centre)
+    total = averaged(np.where(near, inverse, 0.0), size)
+    share = averaged(near.astype(np.float64), size)
+    found = np.divide(share, total, out=np.full(size, np.nan), where=total > 0)
+    return np.asarray(found, np.float32)
