@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pbrfit.io.color import encode_srgb
-from pbrfit.scene import alignment
+from pbrfit.registration import alignment
 from pbrfit_evaluation import review
 from pbrfit_evaluation.review.damage import AREA, REPAINTS, SEEN, damaged
 from pbrfit_evaluation.review.figures import Rate

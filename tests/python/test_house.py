@@ -21,6 +21,7 @@ FLOORS = (
     ("io",),
     ("model",),
     ("scene",),
+    ("registration",),
     ("transport",),
     ("result",),
     ("fit",),

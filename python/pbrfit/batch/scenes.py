@@ -108,10 +108,10 @@ def decompose_scene(
     from pbrfit.batch.unchanged import check_model, kept
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
+    from pbrfit.registration.placement import aligned
     from pbrfit.result import advice
     from pbrfit.result.data import Status
     from pbrfit.result.result import RESULT_FOLDER
-    from pbrfit.scene.registration import aligned
     from pbrfit.scene.scene import Scene
 
     address_space.reserve_blas()

@@ -36,6 +36,7 @@ from pbrfit.model.reflection import (
     render_rows,
     whole_number,
 )
+from pbrfit.registration.placement import aligned
 from pbrfit.result import metrics
 from pbrfit.result.data import storable_segments
 from pbrfit.result.history import History
@@ -44,7 +45,6 @@ from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import FOV_CONTRADICTED, capped, doubted
 from pbrfit.scene import exposure
-from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 

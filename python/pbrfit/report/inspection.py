@@ -12,11 +12,11 @@ from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.normal_files import UNCERTAINTY
 from pbrfit.model import geometry
 from pbrfit.model.reflection import DEFAULT_MODEL, chosen_model
+from pbrfit.registration.placement import register
 from pbrfit.result.options import SOLVERS, Priors
 from pbrfit.result.refinement import hindrance
 from pbrfit.scene import known_lamps
 from pbrfit.scene.depth import compared
-from pbrfit.scene.registration import register
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.room import counted, name_of
 from pbrfit.transport.scenery import Scenery

@@ -174,7 +174,7 @@ class FitOptions:
         Seed of what is drawn at random, which is nothing now: it changes no result.
     align
         `"auto"`: pictures that are out of line with the others are put back, by a shift or an
-        affine map, and pictures of something else left out (`pbrfit.scene.registration`);
+        affine map, and pictures of something else left out (`pbrfit.registration.placement`);
         `"off"`: pictures are taken as they are. `Result.assumed` says what was done.
     model
         How surfaces reflect light (docs/model.md): "paper", its eq. 12; "principled", the BRDF of

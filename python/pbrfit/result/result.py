@@ -32,6 +32,7 @@ from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
+from pbrfit.registration.placement import IN_LINE, aligned
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
 from pbrfit.result.held_out import HeldOut
@@ -43,7 +44,6 @@ from pbrfit.result.relighting import Light, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.folder import HEIGHT_FILE, is_scene
 from pbrfit.scene.options import ReadOptions, Source
-from pbrfit.scene.registration import IN_LINE, aligned
 from pbrfit.scene.scene import Scene
 from pbrfit.scene.writing import write_height
 from pbrfit.transport.decision import Transport

@@ -13,10 +13,10 @@ import pytest
 from pbrfit import InputError, Scene
 from pbrfit.io.images import write_exr
 from pbrfit.model.lamps import Lamps
+from pbrfit.registration.placement import Placement, Registration, put_back
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene import known_lamps
-from pbrfit.scene.registration import Placement, Registration, put_back
 from scene_files import SIZE, room, run, write_folder
 
 LP = "3\nlight_01.jpg 0.6 0 0.8\nlight_00.jpg 0 0.6 0.8\nlight_02.jpg 0 0 1\n"

@@ -7,7 +7,7 @@ Alone, against the photograph (`Reviewer.picture`):
 - *exposure*: enough of it is neither clipped nor black;
 - *copy*: it is not the photograph again with another tone curve;
 - *edges*: its edges are those of the photograph, wherever the light comes from;
-- *shift*, *warp*: and they are where the photograph has them (`pbrfit.scene.alignment`).
+- *shift*, *warp*: and they are where the photograph has them (`pbrfit.registration.alignment`).
 
 With the photograph and the other pictures (`Reviewer.together`), which tell what is albedo and what
 light:
@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.acquire.review import illumination, structure
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
-from pbrfit.scene import alignment
-from pbrfit.scene.alignment import Alignment
+from pbrfit.registration import alignment
+from pbrfit.registration.alignment import Alignment
 
 USABLE_SHARE_MIN = 0.2
 """Share of pixels that are neither clipped nor black, below which a picture is refused."""
@@ -49,7 +49,7 @@ picture is the photograph again."""
 EDGE_CORRELATION_MIN = 0.15
 EDGE_CORRELATION_TOGETHER_MIN = 0.4
 """Correlation of edges below which a picture is refused: with the photograph, and with what the
-others share, which relief under one lamp does not blur; see `pbrfit.scene.alignment`."""
+others share, which relief under one lamp does not blur; see `pbrfit.registration.alignment`."""
 
 DISPLACED_SHARE_TOGETHER_MAX = 0.07
 """Share of the edges that lie in displaced tiles, compared with what the others share, above which

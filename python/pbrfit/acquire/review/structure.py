@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.resampling import averaged
-from pbrfit.scene.alignment import gradient
+from pbrfit.registration.alignment import gradient
 
 _FLOOR = 0.02  # ε, of white
 _NOISE = 0.02  # s₀, gradient of a logarithm

@@ -16,9 +16,9 @@ from pbrfit.fit.run import Progress
 from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import chosen_model, whole_number
+from pbrfit.registration.placement import aligned
 from pbrfit.result.options import FitOptions
 from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
-from pbrfit.scene.registration import aligned
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -15,10 +15,10 @@ from scipy.ndimage import map_coordinates
 
 import pbrfit
 from command_runs import done
+from pbrfit.registration import displacement, placement
+from pbrfit.registration.placement import Placement, Registration, aligned, put_back, register
 from pbrfit.result.metrics import rmse
-from pbrfit.scene import displacement, registration
 from pbrfit.scene.arrays import AT_MOST
-from pbrfit.scene.registration import Placement, Registration, aligned, put_back, register
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from scene_files import write_integers
@@ -257,7 +257,7 @@ def test_bodies_whose_edges_are_of_light_are_not_registered() -> None:
 
 
 def test_small_pictures_are_not_judged() -> None:
-    for size, judged in ((registration.LEAST_SIDE - 1, False), (registration.LEAST_SIDE, True)):
+    for size, judged in ((placement.LEAST_SIDE - 1, False), (placement.LEAST_SIDE, True)):
         one = make_scene("furnished", size=size, lights=6, held_out=1, seed=1)
         found = register(with_picture(one, np.roll(one.images[MOVED], 3, axis=1)))
         assert bool(found.placements) == judged

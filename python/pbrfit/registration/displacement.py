@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.resampling import averaged_channels
-from pbrfit.scene import alignment
+from pbrfit.registration import alignment
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from pbrfit.scene import alignment
-from pbrfit.scene.alignment import Alignment
+from pbrfit.registration import alignment
+from pbrfit.registration.alignment import Alignment
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 

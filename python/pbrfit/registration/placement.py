@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.materials import nearest_inside
-from pbrfit.scene import alignment
-from pbrfit.scene.displacement import (
+from pbrfit.registration import alignment
+from pbrfit.registration.displacement import (
     COMPONENTS,
     LEAST_DISPLACEMENT,
     LEAST_SHARE,
