@@ -62,18 +62,17 @@ def rounds(
     at_most: int = settings.COARSE_ROUNDS_MAX,
     dielectric: int = 0,
     nuisances: Nuisances | None = None,
-    noise: NoiseModel | None = None,
 ) -> Lights:
     """Rounds of materials and joint steps of a level's pixels, whose x changes.
 
     `normals` is for an objective that has them free. Without, pixels have a prior around a
     dielectric of middle roughness in the first rounds, as many as `dielectric` says. `nuisances`
-    are fitted too; the level's objective then sees through what they were found to be. `noise` of
-    samples weighs them from the start, where x has been found with it.
+    are fitted too; the level's objective then sees through what they were found to be.
     """
     objective = level.objective
     everything = np.arange(objective.pixels, dtype=np.uint64)
-    shared = None
+    shared: SharedFit | None = None
+    noise: NoiseModel | None = None
     if objective.lighting is not None:
         shared = SharedFit(LightPrior.around(objective, x))
     left, weight, last, exact = Misfit(np.inf), np.inf, np.inf, False
@@ -82,7 +81,7 @@ def rounds(
         given = copy(objective)  # whose camera changes
         level = replace(level, objective=given)
     for number in range(at_most):
-        if number >= settings.ROBUST_ROUND or noise is not None:
+        if number >= settings.ROBUST_ROUND:
             weighed = _weighed(run, given, level.objective, x, noise)
             level = replace(level, objective=weighed)
             if shared is not None:
@@ -114,8 +113,7 @@ def rounds(
             normals.learn(objective, x, fixed, left.variance)
         deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
         # Before the camera moves, whose step pixels have to follow first.
-        told = number >= settings.ROBUST_ROUND - 1 or noise is not None
-        if run.options.robust == "auto" and told:
+        if run.options.robust == "auto" and number >= settings.ROBUST_ROUND - 1:
             noise = estimated(objective, x)
             deviance = noise.deviance(given, x)
         if nuisances is not None:

@@ -580,17 +580,12 @@ class _Comparison:
         setup = self._setup_with(priors=priors, robust=kind.robust)
         if kind.other_fov:
             scene = replace(scene, fov_known=False)
-
-        def make(of: Scene, free_normals: bool) -> Objective:
-            return setup.objective(of, free_normals=free_normals)
-
-        objective = make(scene, False)
+        objective = setup.objective(scene)
         if among is not None:
             objective = objective.among(among)
         run = setup.run(scene, objective)
-        found = refined_fit.fit(
-            run, objective.start(), make, start_given=False, refines=kind.free_normals
-        )
+        start, refines = objective.start(), kind.free_normals
+        found = refined_fit.fit(run, start, setup.objective, start_given=False, refines=refines)
         run, scene = found.run, found.run.scene
         materials, _ = run.objective.unpack(found.x)
         valid, camera = scene.valid, run.camera

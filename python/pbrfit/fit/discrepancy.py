@@ -36,11 +36,11 @@ from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.light_modes import light_modes
 from pbrfit.fit.normal_equations import inverted
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout, pixel_index
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import Pixels, fit_all
 from pbrfit.fit.priors.population import METALLIC_DEVIATION, ROUGHNESS_DEVIATION
 from pbrfit.fit.priors.posterior import Pooling
-from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.sampling import evenly_spaced, pairs_apart, pixel_index
 
 Array = NDArray[np.float64]
 
@@ -151,19 +151,12 @@ def find(
 
 def neighbours(layout: ParameterLayout) -> Pixels:
     """(2, Q): pairs of pixels of a segment, a sixteenth of the picture apart, evenly spread."""
-    index = pixel_index(layout)
-    step = max(1, round(max(index.shape) / settings.MISFIT_STEPS))
-    found = []
-    for down, right in ((0, step), (step, 0)):
-        here = index[: index.shape[0] - down, : index.shape[1] - right].ravel()
-        there = index[down:, right:].ravel()
-        both = (here >= 0) & (there >= 0)
+    step, found = max(1, round(max(layout.valid.shape) / settings.MISFIT_STEPS)), []
+    for pairs in pairs_apart(pixel_index(layout.valid), step):
         if layout.segments is not None:
-            both[both] = layout.segments[here[both]] == layout.segments[there[both]]
-        pairs = np.stack([here[both], there[both]])
-        if pairs.size:
-            found.append(pairs[:, evenly_spaced(pairs.shape[1], settings.MISFIT_PAIRS)])
-    return np.concatenate(found, axis=1).astype(np.uint64) if found else np.zeros((2, 0), np.uint64)
+            pairs = pairs[:, np.equal(*layout.segments[pairs])]
+        found.append(pairs[:, evenly_spaced(pairs.shape[1], settings.MISFIT_PAIRS)])
+    return np.concatenate(found, axis=1).astype(np.uint64)
 
 
 def _shared(objective: Objective, x: Array, pairs: NDArray[np.intp]) -> float:

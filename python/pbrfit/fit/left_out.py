@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.estimator import Found
+from pbrfit.fit.sampling import pairs_apart, pixel_index
 from pbrfit.io.color import Curve
 from pbrfit.result.options import Loss
 from pbrfit.transport.decision import Kind
@@ -193,15 +194,7 @@ def patches_of(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 def pairs_of(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
     """(R, 2): pairs of valid pixels beside or below each other."""
-    index = np.full(valid.shape, -1, np.intp)
-    index[valid] = np.arange(np.count_nonzero(valid))
-    pairs = np.concatenate(
-        [
-            np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1),
-            np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1),
-        ]
-    )
-    return np.asarray(pairs[(pairs >= 0).all(axis=1)])
+    return np.concatenate(pairs_apart(pixel_index(valid)), axis=1).T
 
 
 def mean_of_channels(values: Array) -> Array:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import ParameterLayout, pixel_index
-from pbrfit.fit.sampling import stride
+from pbrfit.fit.sampling import pixel_index, stride
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +25,11 @@ class Level:
 
     @classmethod
     def of(cls, objective: Objective, at_most: int) -> Level:
-        """About so many of an objective's pixels at most."""
-        pixels, index = strided_subset(objective.layout, at_most)
-        return cls(objective.restricted(pixels), pixels, index)
+        """About so many of an objective's pixels at most; see `stride`."""
+        step, row, column = stride(objective.layout.valid, at_most)
+        found = pixel_index(objective.layout.valid)[row::step, column::step]
+        pixels = found[found >= 0].astype(np.uint64)
+        return cls(objective.restricted(pixels), pixels, pixel_index(found >= 0))
 
     def patches(self, side: int = settings.PATCH_SIDE) -> list[NDArray[np.uint64]]:
         """Positions in `pixels` of square pieces of the picture, of so many pixels a side."""
@@ -37,19 +38,3 @@ class Level:
         order = np.argsort(patch, kind="stable").astype(np.uint64)
         starts = np.flatnonzero(np.diff(patch[order], prepend=-1))
         return [np.sort(of_patch) for of_patch in np.split(order, starts[1:])]
-
-
-def strided_subset(
-    layout: ParameterLayout, at_most: int
-) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
-    """Valid pixels in every s-th row and column, about `at_most` at most, and where they stand.
-
-    The latter is by row and column the position in the former, or −1 where the pixel there is not
-    valid.
-    """
-    step, row, column = stride(layout.valid, at_most)
-    found = pixel_index(layout)[row::step, column::step]
-    inside = found >= 0
-    index = np.full(found.shape, -1)
-    index[inside] = np.arange(np.count_nonzero(inside))
-    return found[inside].astype(np.uint64), index

@@ -16,13 +16,6 @@ ORDER_2 = 9
 """Coefficients of a light of order 2; those from here on are band 3."""
 
 
-def pixel_index(layout: ParameterLayout) -> NDArray[np.intp]:
-    """(H, W): the place of each valid pixel in a plane of x, −1 elsewhere."""
-    index = np.full(layout.valid.shape, -1)
-    index[layout.valid] = np.arange(layout.pixels)
-    return index
-
-
 @dataclass(frozen=True, eq=False)
 class ParameterLayout:
     """Where the unknowns of a scene lie in x.

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import slices
+from pbrfit.fit.sampling import beside, slices
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
@@ -173,22 +172,10 @@ def retry_outliers(
             objective, x, chunk, steps=steps, starts=settings.RETRY_STARTS, nodes=RETRY_NODES
         )
         place(objective, x, chunk, found)
-    for pixels, others in _beside(objective, outlying):
-        for chunk, neighbours in zip(pieces(pixels), pieces(others), strict=True):
+    valid = objective.layout.valid
+    for others in beside(np.flatnonzero(valid), valid.shape[1], NEIGHBOURS):
+        for chunk in pieces(outlying[others[outlying] >= 0]):
             if stop():
                 return
-            beside = taken(objective, x, neighbours)
-            try_from(objective, x, sum_sq, chunk, beside, steps=settings.DESCENT_STEPS)
-
-
-def _beside(objective: Objective, pixels: Pixels) -> Iterator[tuple[Pixels, Pixels]]:
-    """For each of `NEIGHBOURS`, those of `pixels` that have a valid pixel there, and that pixel."""
-    if not pixels.size:
-        return
-    index = np.pad(pixel_index(objective.layout), 1, constant_values=-1)
-    rows, columns = (of_all[pixels] + 1 for of_all in np.nonzero(objective.layout.valid))
-    for down, right in NEIGHBOURS:
-        other = index[rows + down, columns + right]
-        found = other >= 0
-        if found.any():
-            yield pixels[found], other[found].astype(np.uint64)
+            materials = taken(objective, x, others[chunk].astype(np.uint64))
+            try_from(objective, x, sum_sq, chunk, materials, steps=settings.DESCENT_STEPS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from itertools import product
 
 import numpy as np
@@ -68,6 +69,33 @@ def stride(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int, int]:
             return step, row, column
         # A long and narrow picture has more pixels in every s-th row and column than a square.
         step += 1
+
+
+def pixel_index(valid: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(H, W): which of the valid pixels each is, row by row; −1 where it is none."""
+    return np.where(valid, np.cumsum(valid).reshape(valid.shape) - 1, -1)
+
+
+def pairs_apart(index: NDArray[np.intp], step: int = 1) -> tuple[NDArray[np.intp], ...]:
+    """(2, Q) pixels of an index (H, W) and those as many columns to the right; the same below."""
+    found = []
+    for down, right in ((0, step), (step, 0)):
+        here = index[: index.shape[0] - down, : index.shape[1] - right].ravel()
+        there = index[down:, right:].ravel()
+        found.append(np.stack([here, there])[:, (here >= 0) & (there >= 0)])
+    return tuple(found)
+
+
+def beside(
+    places: NDArray[np.intp], width: int, steps: Iterable[tuple[int, int]]
+) -> Iterator[NDArray[np.intp]]:
+    """(P,) for each step (rows, columns): which of the places lies there, −1 = none."""
+    rows, columns = np.divmod(places, width)
+    rows = rows - rows.min() + 1
+    index = np.full((int(rows.max()) + 2, width + 2), -1, np.intp)
+    index[rows, columns + 1] = np.arange(len(places))
+    for down, right in steps:
+        yield index[rows + down, columns + 1 + right]
 
 
 def slices(count: int, size: int) -> list[slice]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ class FitSetup:
         )
 
     def objective(
-        self, scene: Scene, *, free_normals: bool = False, units: Normalization | None = None
+        self, scene: Scene, free_normals: bool = False, *, units: Normalization | None = None
     ) -> Objective:
         """What is minimised."""
         options = self.options
@@ -246,11 +247,8 @@ def fit_pixels(
     `units` as for `Objective`.
     """
     units = units or Normalization.of(scene, setup.options.equal_exposures)
-
-    def make(of: Scene, free_normals: bool) -> Objective:
-        return setup.objective(of, free_normals=free_normals, units=units)
-
-    objective = make(scene, False)
+    make = partial(setup.objective, units=units)
+    objective = make(scene)
     run, x = setup.run(scene, objective), _start_of(objective, start)
     found = refined_fit.fit(run, x, make, start_given=start is not None, refines=setup.refines)
     asked, why = setup.options.refine_normals, setup.why_normals

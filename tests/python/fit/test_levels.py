@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pbrfit import Objective, Scene
-from pbrfit.fit.levels import Level, strided_subset
-from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.levels import Level
 from pbrfit.fit.pixels import taken
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
 from pbrfit.fit.settings import NOISE_PIXELS_MAX, PATCH_SIDE
@@ -29,9 +28,9 @@ def noisy() -> Scene:
 # --- Every s-th row and column ---
 
 
-def layout(valid: NDArray[np.bool_]) -> ParameterLayout:
-    known: Any = SimpleNamespace(valid=valid, pixels=int(np.count_nonzero(valid)))
-    return known  # type: ignore[no-any-return]
+def level_of(valid: NDArray[np.bool_], at_most: int) -> Level:
+    whole: Any = SimpleNamespace(layout=SimpleNamespace(valid=valid), restricted=lambda _: None)
+    return Level.of(whole, at_most)
 
 
 def holed(height: int, width: int) -> NDArray[np.bool_]:
@@ -42,7 +41,8 @@ def holed(height: int, width: int) -> NDArray[np.bool_]:
 
 def check_subset(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int]:
     """The subset's pixels lie where its index says, all that are there; how many, and its step."""
-    pixels, index = strided_subset(layout(valid), at_most)
+    level = level_of(valid, at_most)
+    pixels, index = level.pixels, level.index
     assert pixels.dtype == np.uint64
     assert np.all(np.diff(pixels.astype(int)) > 0)
     np.testing.assert_array_equal(np.sort(index[index >= 0]), np.arange(len(pixels)))
@@ -86,11 +86,11 @@ def test_a_subset_of_a_long_picture_has_no_more_pixels_than_others(shape: tuple[
 @pytest.mark.parametrize(("height", "width"), [(32, 32), (20, 37), (8, 8), (3, 50)])
 def test_patches_are_squares_that_cover_a_level_once(height: int, width: int) -> None:
     valid = holed(height, width) if height > 4 else np.ones((height, width), bool)
-    pixels, index = strided_subset(layout(valid), 10**6)
-    patches = Level(None, pixels, index).patches()  # type: ignore[arg-type]
+    level = level_of(valid, 10**6)
+    patches = level.patches()
     assert len(patches) == -(-height // PATCH_SIDE) * -(-width // PATCH_SIDE)
-    np.testing.assert_array_equal(np.sort(np.concatenate(patches)), np.arange(len(pixels)))
-    places = np.stack([*np.nonzero(index >= 0)])
+    np.testing.assert_array_equal(np.sort(np.concatenate(patches)), np.arange(len(level.pixels)))
+    places = np.stack([*np.nonzero(level.index >= 0)])
     for patch in patches:
         assert (np.diff(patch.astype(int)) > 0).all()
         here = places[:, patch.astype(int)] // PATCH_SIDE

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
-from pbrfit.fit.parameters import ParameterLayout, pixel_index
+from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_ALONE, NORMALS_OFFSET_SIGMA_RANGE
 
 Array = NDArray[np.float64]
 
 VARIANCE = 0.7
-
-
-def layout(valid: NDArray[np.bool_]) -> ParameterLayout:
-    known: Any = SimpleNamespace(valid=valid, pixels=int(np.count_nonzero(valid)))
-    return known  # type: ignore[no-any-return]
 
 
 def unit(vectors: Array) -> Array:
@@ -45,7 +37,7 @@ def holed(height: int, width: int) -> NDArray[np.bool_]:
 @pytest.fixture
 def prior() -> TangentOffsetPrior:
     """Of 5 × 6 pixels with holes, bent, some pairs of them half let go."""
-    found = around(pixel_index(layout(holed(5, 6))), bend=0.2)
+    found = around(pixel_index(holed(5, 6)), bend=0.2)
     robust = np.random.default_rng(0).uniform(0.2, 1, len(found.pairs))
     return TangentOffsetPrior(found, sigma=0.15, robust_weights=robust)
 

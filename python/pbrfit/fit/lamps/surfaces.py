@@ -17,7 +17,7 @@ the probability; where that is not near 0 or 1 the rest is fitted once more with
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +34,7 @@ from pbrfit.fit.lamps.joint import (
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
 from pbrfit.fit.pixels import NEIGHBOURS
-from pbrfit.fit.sampling import slices
+from pbrfit.fit.sampling import beside, slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 
 Array = NDArray[np.float64]
@@ -106,18 +106,6 @@ def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slic
         size += count
     if size:
         yield slice(start, start + size)
-
-
-def beside(
-    places: NDArray[np.intp], width: int, steps: Iterable[tuple[int, int]]
-) -> Iterator[NDArray[np.intp]]:
-    """(P,) for each step (rows, columns): which of the places lies there, -1 = none."""
-    rows, columns = np.divmod(places, width)
-    rows = rows - rows.min() + 1
-    index = np.full((int(rows.max()) + 2, width + 2), -1, np.intp)
-    index[rows, columns + 1] = np.arange(len(places))
-    for down, right in steps:
-        yield index[rows + down, columns + 1 + right]
 
 
 def neighbour_means(

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
+from pbrfit.fit.sampling import pairs_apart
 
 Array = NDArray[np.float64]
 
@@ -47,11 +48,7 @@ class Neighbourhood:
         Where the given normals (P, 3) of a pair are twice as unsure as the mean by `normal_sigma`
         (P,), in any unit, their changes may differ twice as far.
         """
-        beside = np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()], axis=-1)
-        below = np.stack([index[:-1].ravel(), index[1:].ravel()], axis=-1)
-        pairs = np.concatenate([beside, below])
-        pairs = pairs[(pairs >= 0).all(axis=1)]
-        first, second = pairs.T
+        first, second = pairs = np.concatenate(pairs_apart(index), axis=1)
         difference = normals[first] - normals[second]
         weights = np.exp(
             -np.einsum("ed,ed->e", difference, difference) / settings.NORMALS_EDGE_SCALE
@@ -60,7 +57,7 @@ class Neighbourhood:
             mean = normal_sigma.mean()
             of_pairs = 0.5 * (normal_sigma[first] + normal_sigma[second])
             weights /= (np.maximum(of_pairs, settings.NORMALS_GIVEN_SIGMA_MIN * mean) / mean) ** 2
-        return cls(pairs, weights, len(normals))
+        return cls(pairs.T, weights, len(normals))
 
     def sums(self, values: Array, weights: Array) -> Array:
         """Σ over the neighbours of each pixel of `weights` (E,) times their `values` (P, ·)."""

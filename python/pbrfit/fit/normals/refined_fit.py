@@ -29,8 +29,8 @@ from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.parameters import pixel_index
 from pbrfit.fit.run import Run
+from pbrfit.fit.sampling import pixel_index
 from pbrfit.result.data import Status
 from pbrfit.result.options import ROBUST_LOSSES
 from pbrfit.scene.scene import Scene
@@ -96,7 +96,7 @@ def _start(
     start[layout.maps.stop :] = x[held.maps.stop :]
     if normals is not None:
         start_from_offsets(free, start, tangent_offsets_between(given, normals))
-    return start, TangentOffsetPrior(Neighbourhood.of(pixel_index(layout), given, sigma))
+    return start, TangentOffsetPrior(Neighbourhood.of(pixel_index(layout.valid), given, sigma))
 
 
 def _given(scene: Scene) -> tuple[Array, Array | None]:

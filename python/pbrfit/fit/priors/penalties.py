@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.parameters import ParameterLayout, pixel_index
+from pbrfit.fit.parameters import ParameterLayout
+from pbrfit.fit.sampling import pairs_apart, pixel_index
 from pbrfit.result.options import Priors
 
 SMOOTHNESS_STEP = 0.01
@@ -184,13 +185,8 @@ def tied_neighbours(layout: ParameterLayout) -> NDArray[np.int64]:
 
     Both pixels are in the same segment, or one of them is unclassified.
     """
-    index = pixel_index(layout)
-    labels = np.zeros(layout.valid.shape, dtype=np.int64)
-    if layout.segments is not None:
-        labels[layout.valid] = layout.segments
-    found = []
-    for first, second in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
-        a, b = labels[first], labels[second]
-        tied = layout.valid[first] & layout.valid[second] & ((a == b) | (a == 0) | (b == 0))
-        found.append(np.stack([index[first][tied], index[second][tied]]))
-    return np.concatenate(found, axis=1)
+    found = np.concatenate(pairs_apart(pixel_index(layout.valid))[::-1], axis=1)
+    if layout.segments is None:
+        return found
+    a, b = layout.segments[found]
+    return found[:, (a == b) | (a == 0) | (b == 0)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,10 @@ from pbrfit.fit import settings, uncertainty
 from pbrfit.fit.estimator import discrepancy_of
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.normals.refined_fit import PixelFit
-from pbrfit.fit.objective import Normalization, Objective, valid_values
-from pbrfit.fit.parameters import ParameterLayout, pixel_index
+from pbrfit.fit.objective import Normalization, valid_values
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.run import Run, SharedState, material_errors
+from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.tiles.windows import Tile, Window, cut, cut_maps, strided_window, tiles
 from pbrfit.fit.whole_picture import (
     FitOutput,
@@ -189,11 +191,8 @@ def _fit_tile(
     if subset.shared_state.material is None:  # there was no time or no use for it
         options = replace(options, priors=replace(options.priors, material=0.0))
     setup = replace(setup, options=options, progress=None)
-
-    def make(of: Scene, free_normals: bool) -> Objective:
-        return setup.objective(of, free_normals=free_normals, units=units)
-
-    objective = make(part, False)
+    make = partial(setup.objective, units=units)
+    objective = make(part)
     run = setup.run(part, objective, subset.shared_state)
     run.unmeasured = subset.run.unmeasured
     near, normals = subset.nearest.at(tile.outer)
@@ -220,7 +219,7 @@ class _Maps:
         if uncertain:
             unknowns = layout.maps.stop // layout.pixels
             self.spread = uncertainty.Spread.empty(layout.pixels, unknowns, layout.channels)
-            self._number = pixel_index(layout).astype(np.int32)
+            self._number = pixel_index(layout.valid).astype(np.int32)
 
     def put(self, tile: Tile, found: PixelFit, shared_state: SharedState) -> None:
         """Keep what a tile found inside, with its posteriors."""
