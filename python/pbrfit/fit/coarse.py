@@ -70,7 +70,6 @@ def rounds(
     are fitted too; the level's objective then sees through what they were found to be.
     """
     objective = level.objective
-    everything = np.arange(objective.pixels, dtype=np.uint64)
     shared: SharedFit | None = None
     noise: NoiseModel | None = None
     if objective.lighting is not None:
@@ -93,7 +92,8 @@ def rounds(
             prior = normals.prior(objective, x, number)
             fixed = GaussianPrior(prior.prior_mean(x), prior.precision)
         elif number < dielectric:
-            prior = fixed = dielectric_prior(objective, objective.put_best_albedo(x, everything))
+            sum_sq = objective.put_best_albedo(x, objective.everything)
+            prior = fixed = dielectric_prior(objective, sum_sq)
         elif objective.transfer is not None and objective.metallic is not None:
             prior = fixed = pure_prior(objective, x, left)
         sum_sq = fit_level(objective, x, fixed)
@@ -179,10 +179,9 @@ def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
     witnesses: none adds more than `PURE_EVIDENCE_MAX`. Pixels without a segment are witnesses of
     themselves alone, and of any roughness.
     """
-    everything = np.arange(objective.pixels, dtype=np.uint64)
     nodes = np.linspace(*settings.PURE_ROUGHNESS_NODES)
     grid = objective.problem.material_grid(
-        objective.for_core(x), everything, nodes, np.array([0.0, 1.0])
+        objective.for_core(x), objective.everything, nodes, np.array([0.0, 1.0])
     ).astype(np.float64)
     best = grid.min(axis=(1, 2))
     variance = misfit.variance(objective, best)

@@ -536,10 +536,9 @@ class _Comparison:
         objective = self._objective(one).among(self._among(kind, [picture]))
         maps = [objective.layout.whole(of) for of in fit.materials]
         x = objective.with_best_lights(objective.pack(*maps))
-        everything = np.arange(objective.pixels, dtype=np.uint64)
-        rendered = objective.pictures(everything) + objective.problem.residuals(
-            objective.for_core(x), everything
-        )
+        everything = objective.everything
+        residuals = objective.problem.residuals(objective.for_core(x), everything)
+        rendered = objective.pictures(everything) + residuals
         return np.broadcast_to((rendered * objective._by_picture)[0], (objective.pixels, 3))
 
     def _pixels(

@@ -131,7 +131,7 @@ def find(
     variance = max(float(sum_sq.sum()) / freedom, settings.NOISE_VARIANCE_MIN)
     maps = objective.layout.maps.stop
     shown = Shown.by(
-        few.pictures(np.arange(few.pixels, dtype=np.uint64)),
+        few.pictures(few.everything),
         variance,
         few.sample_weights,
         maps / objective.pixels + 2 * refined,
@@ -161,8 +161,8 @@ def neighbours(layout: ParameterLayout) -> Pixels:
 
 def _shared(objective: Objective, x: Array, pairs: NDArray[np.intp]) -> float:
     """c, from pairs (2, Q) of the objective's pixels."""
-    everything = np.arange(objective.pixels, dtype=np.uint64)
-    residuals = objective.problem.residuals(objective.for_core(x), everything).astype(np.float64)
+    of_core = objective.problem.residuals(objective.for_core(x), objective.everything)
+    residuals = of_core.astype(np.float64)
     weighed = objective.sample_weights
     weights = np.broadcast_to(1.0 if weighed is None else weighed, residuals.shape)
     one, other = pairs
@@ -182,13 +182,12 @@ def _light_share(objective: Objective, x: Array, variance: float, modes: Array) 
     """φ, the mean over pixels and both values; 0 where nothing may move."""
     if not len(modes):
         return 0.0
-    everything = np.arange(objective.pixels, dtype=np.uint64)
     for_core, channels = objective.for_core(x), objective.channels
-    matrices, _, _ = objective.problem.normal_equations(for_core, everything)
+    matrices, _, _ = objective.problem.normal_equations(for_core, objective.everything)
     precision = prior_precision(matrices.shape[1], channels, variance)
     alone = inverted(matrices, precision)
     own = np.einsum("pii->pi", alone)
-    moves = objective.problem.moves_with_lights(for_core, everything, alone, modes)
+    moves = objective.problem.moves_with_lights(for_core, objective.everything, alone, modes)
     return float(np.nan_to_num(moves / own)[:, channels:].mean())
 
 

@@ -176,8 +176,9 @@ class JointFit:
 
     def _system(self) -> tuple[Array, Callable[[Array], Array]] | None:
         """The gradient s of all pixels, in order, and S v; None if stopped."""
-        few, end = self._few, self.lights.mean.size
-        kept = few.system(self, few.objective.problem.kept_system)
+        few, end, at = self._few, self.lights.mean.size, self._few.objective
+        part, options = few.at(self)
+        kept = at.problem.kept_system(at.for_core(part), at.everything, **options)
         gradient = kept.gradient
         if few.is_part:
             gradient, for_core = np.zeros(len(gradient)), self.objective.for_core(self.x)
@@ -347,7 +348,7 @@ class _Sample:
         """At most so many of a fit's pixels."""
         objective = fit.objective
         if objective.pixels <= at_most:
-            return cls(np.arange(objective.pixels, dtype=np.uint64), objective, None, 1.0)
+            return cls(objective.everything, objective, None, 1.0)
         cluster = np.zeros(objective.pixels, np.intp)
         if fit.prior is not None and fit.prior.cluster is not None:
             cluster = fit.prior.cluster
@@ -363,17 +364,10 @@ class _Sample:
         """Whether there are others."""
         return self.shares is not None
 
-    def system(self, fit: JointFit, make: Callable[..., Any]) -> Any:
-        """What a method of the core makes of these pixels where the fit is."""
-        part, options = self.at(fit)
-        everything = np.arange(len(self.pixels), dtype=np.uint64)
-        return make(self.objective.for_core(part), everything, **options)
-
     def at(self, fit: JointFit) -> tuple[Array, dict[str, Any]]:
         """Their x, and the options for the core."""
         part = fit.objective.part_of(fit.x, self.pixels) if self.is_part else fit.x
-        everything = np.arange(len(self.pixels), dtype=np.uint64)
-        options = fit.options(self.objective, part, everything, self.pixels)
+        options = fit.options(self.objective, part, self.objective.everything, self.pixels)
         if self.shares is not None and "precision" in options:
             options["precision"] = options["precision"] * self.shares[:, None]
         return part, options

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pbrfit.fit.run import Run
 from pbrfit.fit.settings import (
     DATA_SHARE_OF_ITERATIONS,
-    LBFGS_PAIRS,
     LBFGS_STAGES,
     LBFGS_STAGES_GIVEN_START,
     ROBUST_STAGES_GIVEN_START,
@@ -103,7 +102,6 @@ def by_scipy(
                 options={
                     "maxiter": iterations,
                     "maxfun": 10**9,  # iterations and time are the limits
-                    "maxcor": LBFGS_PAIRS,
                     # The loss is a mean, so its gradient entries are tiny: scipy's absolute
                     # tolerances would stop at once. Run on until no step lowers the loss.
                     "ftol": 0.0,

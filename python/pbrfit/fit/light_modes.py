@@ -54,8 +54,7 @@ def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) ->
         problem, for_core = few.combined(part, basis)
         alone = np.broadcast_to(alone.mean(axis=0), (basis.shape[2], *alone.shape[1:]))
     rank = basis.shape[2]
-    everything = np.arange(few.pixels, dtype=np.uint64)
-    left, _ = problem.schur_complement(for_core, everything, mono=channels < layout.channels)
+    left, _ = problem.schur_complement(for_core, few.everything, mono=channels < layout.channels)
     # T with Tᵀ G T = 1, a block for each light in a channel.
     blocks = np.einsum("nckcl->cnkl", alone.reshape(rank, channels, k, channels, k))
     sizes, directions = np.linalg.eigh(blocks.reshape(-1, k, k))

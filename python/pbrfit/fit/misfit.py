@@ -54,14 +54,9 @@ class Misfit:
     """As of `NoiseModel`: what pictures share, which residuals do not show."""
 
     @property
-    def of_lights(self) -> float:
-        """κ s², no less than s²: the variance that lights are uncertain by."""
-        return self.variance * max(self.design_effect, 1.0)
-
-    @property
     def of_camera(self) -> float:
-        """The same, times what pictures share: they all see through one camera."""
-        return self.of_lights * self.picture_effect
+        """κ s², no less than s², times what pictures share: they all see through one camera."""
+        return self.variance * max(self.design_effect, 1.0) * self.picture_effect
 
     def in_words(self) -> str:
         """For a stage's note."""
@@ -88,8 +83,7 @@ def degrees_of_freedom(objective: Objective) -> float:
 def residuals(objective: Objective, x: Array) -> Array:
     """(P, samples), times the square roots of their weights."""
     count = objective.pixels
-    everything = np.arange(count, dtype=np.uint64)
-    found = objective.problem.residuals(objective.for_core(x), everything)
+    found = objective.problem.residuals(objective.for_core(x), objective.everything)
     of_pixels = found.transpose(1, 0, 2).reshape(count, -1).astype(np.float64)
     weights = objective.sample_weights
     if weights is not None:

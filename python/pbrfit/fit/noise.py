@@ -85,11 +85,6 @@ class NoiseModel:
         """How much larger the variance of a pixel's materials is than by independent samples."""
         return 1 + (len(self.variances) - 1) * self.file_correlation * float(self.shares[3])
 
-    @property
-    def least_variance(self) -> float:
-        """What V over w is at least: that of a sample of weight 1."""
-        return float(self.variances.min() * self.shares[0] / self.tails.largest_weight)
-
     def weights(
         self, objective: Objective, x: Array | None, *, first: bool = False
     ) -> NDArray[np.float32] | None:
@@ -103,6 +98,8 @@ class NoiseModel:
             return None
         wide = StudentT(min(self.tails.freedom, settings.NOISE_FREEDOM_START))
         tails = wide if first and self.has_outliers else self.tails
+        # What V over w is at least: that of a sample of weight 1.
+        least = float(self.variances.min() * self.shares[0] / self.tails.largest_weight)
         found = np.empty((len(self.variances), objective.pixels, objective.channels), np.float32)
         for pixels in chunks(objective.pixels):
             samples = _Samples.of(objective, pixels, x)
@@ -112,7 +109,7 @@ class NoiseModel:
             if samples.limits is not None:  # a hot pixel at its maximum must not pull
                 bounded = samples.limits > 0
                 weights[bounded] = wide.weights(squares[bounded]) / wide.largest_weight
-            weights *= self.least_variance / variances
+            weights *= least / variances
             weights[~samples.used | samples.satisfied()] = 0.0
             found[:, pixels] = weights
         return found
@@ -192,7 +189,7 @@ def estimated(objective: Objective, x: Array, *, outliers: bool = False) -> Nois
     Without `outliers` no sample is taken for one: sound ones may be as far from an x that is on its
     way, and Student's t lets go of none.
     """
-    samples = _Samples.of(objective, np.arange(objective.pixels, dtype=np.uint64), x)
+    samples = _Samples.of(objective, objective.everything, x)
     used, of_file = samples.ordinary, samples.of_file
     counts = used.sum(axis=(1, 2))
     mean_radiance = max(float(samples.radiance[used].mean()), settings.NOISE_SIGMA_MIN)
@@ -257,8 +254,8 @@ def _shares(features: Array, squares: Array, shape: Array) -> Array:
 
 def _leverages(objective: Objective, x: Array) -> Array:
     """H, (N, P, C)."""
-    everything = np.arange(objective.pixels, dtype=np.uint64)
-    derivatives, _, weights = objective.problem.derivatives(objective.for_core(x), everything)
+    for_core = objective.for_core(x)
+    derivatives, _, weights = objective.problem.derivatives(for_core, objective.everything)
     rows = by_unknowns(derivatives, objective.layout)
     pixels, unknowns = len(rows), rows.shape[-1]
     weighted = rows * weights[..., None]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.sampling import slices
 
 Array = NDArray[np.float64]
 
@@ -17,9 +19,6 @@ RIDGE = 1e-12
 SCHUR_RIDGE = 1e-13
 """Share of the largest diagonal entry that is added to the diagonal of the lights' system: they may
 have directions that no pixel sees."""
-
-WORKING_SET = 1 << 24
-"""Bytes of the largest array that a piece of work may need; changes no result."""
 
 
 def inverted(matrices: Array, precision: Array) -> Array:
@@ -35,11 +34,11 @@ def inverted(matrices: Array, precision: Array) -> Array:
     return np.asarray(np.linalg.inv(whole) * products, np.float64)
 
 
-def _scaled(matrices: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Matrices S A S + ridge of unit diagonal, and the diagonal of S (P, D).
+def whitening(matrices: Array, held: NDArray[np.bool_]) -> Array:
+    """U with U A Uᵀ = 1 for A (P, D, D); 0 for what is held.
 
-    An unknown in which radiance is flat would spoil the others without this. S is 0 for those that
-    are held and for those on which radiance does not depend.
+    A is scaled to S A S of unit diagonal: an unknown in which radiance is flat would spoil the
+    others without. S is 0 for those that are held and for those on which radiance does not depend.
     """
     diagonal = np.einsum("pii->pi", matrices)
     used = ~held & (diagonal > np.finfo(np.float64).tiny)
@@ -47,12 +46,6 @@ def _scaled(matrices: Array, held: NDArray[np.bool_]) -> tuple[Array, Array]:
     np.divide(1, np.sqrt(diagonal, where=used, out=scale), where=used, out=scale)
     scaled = matrices * scale[:, :, None] * scale[:, None, :]
     np.einsum("pii->pi", scaled)[:] = 1 + RIDGE
-    return scaled, scale
-
-
-def whitening(matrices: Array, held: NDArray[np.bool_]) -> Array:
-    """U with U A Uᵀ = 1 for A (P, D, D); 0 for what is held."""
-    scaled, scale = _scaled(matrices, held)
     # A⁻¹ = S (L Lᵀ)⁻¹ S with Cholesky's L, so U = L⁻¹ S.
     return np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)) * scale[:, None, :])
 
@@ -62,34 +55,23 @@ def albedo_solved_for(objective: Objective, x: Array) -> tuple[Array, Array]:
 
     P projects on what albedos between their bounds can do.
     """
-    pixels, c = np.arange(objective.pixels, dtype=np.uint64), objective.channels
+    pixels, c = objective.everything, objective.channels
     matrices, gradient, _ = objective.problem.normal_equations(objective.for_core(x), pixels)
     across, diagonal = matrices[:, :c, c:], np.einsum("pii->pi", matrices[:, :c, :c])
-    free = ~held_at_bounds(x, objective.layout)[:, :c] & (diagonal > 0)
+    albedo = x[objective.albedo].reshape(c, -1).T
+    free = (albedo > 0) & (albedo < 1) & (diagonal > 0)
     inverse = np.divide(1, diagonal, out=np.zeros_like(diagonal), where=free)
     left = matrices[:, c:, c:] - np.einsum("pca,pc,pcb->pab", across, inverse, across)
     return left, gradient[:, c:] - np.einsum("pca,pc,pc->pa", across, inverse, gradient[:, :c])
 
 
-def held_at_bounds(x: Array, layout: ParameterLayout) -> NDArray[np.bool_]:
-    """(P, D): unknowns of pixels that lie on a bound."""
-    materials = x[layout.maps].reshape(-1, layout.pixels).T
-    return (materials <= 0) | (materials >= 1)
-
-
-def chunks(count: int, bytes_each: int) -> list[slice]:
-    """Ranges of pixels that need no more than the working set; at least one pixel each."""
-    return slices(count, max(1, WORKING_SET // bytes_each))
-
-
 def known_materials(objective: Objective, x: Array) -> Array:
     """(N, light channels K, light channels K): information on the lights if materials are known."""
     layout = objective.layout
-    everything = np.arange(objective.pixels, dtype=np.uint64)
     for_core = objective.for_core(x)
     channels, k = layout.light_channels, layout.coefficients
     found = np.zeros((layout.pictures, channels, k, channels, k))
-    _, by_light, weights = objective.problem.derivatives(for_core, everything)
+    _, by_light, weights = objective.problem.derivatives(for_core, objective.everything)
     for c in range(layout.channels):
         w = by_light[:, c]
         products = (w[:, :, None] * w[:, None, :]).reshape(len(w), -1)
@@ -124,22 +106,19 @@ def as_in_x(moves: Array, layout: ParameterLayout) -> Array:
     return moves.reshape(shape).transpose(1, 2, 0).ravel()
 
 
-class Cholesky:
-    """Solves with the matrix of some pixels, damped by a share of its `diagonal`.
+def solver_of(matrix: Array, damping: float) -> Callable[[Array], Array]:
+    """Solves with a matrix, which is lost, damped by a share of its diagonal.
 
-    Raises LinAlgError if the matrix is not positive definite, which rounding can do to it.
+    Where it is not positive definite for rounding, next to nothing is known of the lights, and its
+    diagonal stands for it.
     """
+    from scipy.linalg import cho_factor, cho_solve
 
-    def __init__(self, matrix: Array, damping: float) -> None:
-        from scipy.linalg import cho_factor
-
-        diagonal = np.einsum("ii->i", matrix)
-        self.diagonal = diagonal.copy()
-        diagonal += damping * np.abs(diagonal) + SCHUR_RIDGE * diagonal.max() + np.finfo(float).tiny
-        self._factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
-
-    def solve(self, right: Array) -> Array:
-        """The vector that the matrix takes to `right`."""
-        from scipy.linalg import cho_solve
-
-        return np.asarray(cho_solve(self._factor, right, check_finite=False))
+    diagonal = np.einsum("ii->i", matrix)
+    sizes = np.abs(diagonal) + np.finfo(float).tiny
+    diagonal += damping * np.abs(diagonal) + SCHUR_RIDGE * diagonal.max() + np.finfo(float).tiny
+    try:
+        factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        return partial(np.multiply, 1 / sizes)
+    return partial(cho_solve, factor, check_finite=False)

@@ -101,9 +101,6 @@ class Nuisances:
     """With the numbers as they are now."""
     fitted: Sequence[Nuisance]
     information: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    slope: Array = field(default_factory=lambda: np.zeros(0))
-    pixels: NDArray[np.uint64] = field(default_factory=lambda: np.zeros(0, np.uint64))
-    """Of the level."""
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     step: Array = field(default_factory=lambda: np.zeros(0))
     """(J, J), and δθ (J,) of the last step, before it was shortened."""
@@ -178,7 +175,7 @@ class Nuisances:
         means = np.array([one.mean for one in self.fitted])
         gradient, information = _resolved(gram[1:, 0], gram[1:, 1:], sizes[1:])
         slope = gradient + precision * (self.values - means)
-        self.slope, self.information = slope, information + np.diag(precision)
+        self.information = information + np.diag(precision)
         inverse = np.linalg.inv(self.information)
         self.step, self.covariance = -(inverse @ slope), np.asarray(variance * inverse)
         gain = float(slope @ inverse @ slope)
@@ -216,13 +213,12 @@ class Nuisances:
 
     def _by_camera(self, objective: Objective, x: Array, j: int) -> Array:
         """d_j, (P, N, C), by central differences."""
-        everything = np.arange(objective.pixels, dtype=np.uint64)
         step = settings.NUISANCE_DIFFERENCE * np.eye(len(self.fitted))[j]
         sides = []
         for by in (step, -step):
             other = copy.copy(objective)
             other.see(self.moved(by))
-            sides.append(other.problem.residuals(objective.for_core(x), everything))
+            sides.append(other.problem.residuals(objective.for_core(x), objective.everything))
         change = sides[0].astype(np.float64) - sides[1]
         return change.transpose(1, 0, 2) / (2 * settings.NUISANCE_DIFFERENCE)
 
@@ -246,8 +242,7 @@ def _eliminated(
 
     Unknowns on a bound that the slope by r pushes against are held.
     """
-    layout, count = objective.layout, objective.pixels
-    everything = np.arange(count, dtype=np.uint64)
+    layout, count, everything = objective.layout, objective.pixels, objective.everything
     for_core = objective.for_core(x)
     by_material, by_light, weights = objective.problem.derivatives(for_core, everything)
     residuals = objective.problem.residuals(for_core, everything).transpose(1, 0, 2)

@@ -174,6 +174,11 @@ class Objective:
         return self.weights if self._factors is None else self._factors
 
     @property
+    def everything(self) -> NDArray[np.uint64]:
+        """(P,): indices of all pixels, as the core takes them."""
+        return np.arange(self.pixels, dtype=np.uint64)
+
+    @property
     def bounds(self) -> NDArray[np.float64]:
         """(size, 2): [0, 1] for materials, infinite for the rest. Made anew: it is large."""
         bounds = np.empty((self.size, 2))
@@ -319,8 +324,8 @@ class Objective:
         """
         if self.robust is None:
             return self
-        pixels = np.arange(self.pixels, dtype=np.uint64)
-        factors = irls_weights(self.robust[1], self.problem.residuals(self.for_core(x), pixels))
+        residuals = self.problem.residuals(self.for_core(x), self.everything)
+        factors = irls_weights(self.robust[1], residuals)
         if self.sample_weights is not None:
             factors *= self.sample_weights
         found = copy.copy(self)
@@ -355,7 +360,7 @@ class Objective:
 
     def _ordinary(self) -> NDArray[np.float32] | None:
         """(N, P, C): weights as given, 0 at limits; None where no sample is at one."""
-        limits = self.limits(np.arange(self.pixels, dtype=np.uint64))
+        limits = self.limits(self.everything)
         if limits is None:
             return None
         found: NDArray[np.float32] = (limits == 0).astype(np.float32)
@@ -453,8 +458,7 @@ class Objective:
         self, x: NDArray[np.float64], correction: Correction
     ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
         """As `Correction.directions` at what the model shows, (P, N, C), in units of x."""
-        everything = np.arange(self.pixels, dtype=np.uint64)
-        shown = self.problem.residuals(self.for_core(x), everything).astype(np.float64)
+        shown = self.problem.residuals(self.for_core(x), self.everything).astype(np.float64)
         for i in range(self.layout.pictures):
             shown[i] = (shown[i] + self._image(i)) * self._units[i]
         found, slope = correction.directions(shown)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
-from pbrfit.fit.normal_equations import Cholesky, known_materials
+from pbrfit.fit.normal_equations import known_materials, solver_of
 from pbrfit.fit.objective import Objective
 
 Array = NDArray[np.float64]
@@ -61,14 +60,13 @@ class Preconditioner:
         for_core = objective.for_core(x)
         if basis is not None:
             problem, for_core = objective.combined(x, basis)
-        everything = np.arange(objective.pixels, dtype=np.uint64)
-        matrix, _ = problem.schur_complement(for_core, everything, **options)
+        matrix, _ = problem.schur_complement(for_core, objective.everything, **options)
         matrix *= times
         end = len(matrix) - len(others)
         matrix[:end, :end] += lights.matrix(basis)
         np.einsum("ii->i", matrix)[end:] += others + np.finfo(float).tiny
         matrix /= lights.pixels
-        in_span = _solver(matrix)
+        in_span = solver_of(matrix, settings.PRECONDITIONER_DAMPING)
         if basis is None:
             return cls(in_span)
         blocks = times * known_materials(objective, x) + lights.of_pictures()
@@ -92,15 +90,6 @@ class Preconditioner:
         inside = solved[:count].reshape(channels, rank, -1)
         found = found + self.basis @ (inside - self.basis.transpose(0, 2, 1) @ found)
         return np.concatenate([found.ravel(), solved[count:]])
-
-
-def _solver(matrix: Array) -> Solve:
-    diagonal = np.abs(np.einsum("ii->i", matrix)) + np.finfo(float).tiny
-    try:
-        return Cholesky(matrix, settings.PRECONDITIONER_DAMPING).solve
-    except np.linalg.LinAlgError:
-        # Rounding decides where next to nothing is known of the lights.
-        return partial(np.multiply, 1 / diagonal)
 
 
 def conjugate_gradients(

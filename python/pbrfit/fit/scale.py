@@ -81,7 +81,6 @@ def refer(
     """X with lights whose scale gives the pixels at (column, row) the albedo that is the third."""
     x, (column, row, value) = x.copy(), white
     region = reference_region(objective.layout.valid, column, row)
-    everything = np.arange(objective.pixels, dtype=np.uint64)
     held = None if prior is None else GaussianPrior(prior.prior_mean(x), prior.precision)
     means, moved = np.empty(0), np.zeros(objective.layout.light_channels)
     for _ in range(settings.WHITE_STEPS_MAX):
@@ -99,7 +98,8 @@ def refer(
         x[objective.layout.lighting] += as_in_x(step @ directions, objective.layout)
         moved += step
         fit_all(objective, x, starts=0, prior=held)
-    matrices, _, sum_sq = objective.problem.normal_equations(objective.for_core(x), everything)
+    for_core = objective.for_core(x)
+    matrices, _, sum_sq = objective.problem.normal_equations(for_core, objective.everything)
     noise = misfit.variance(objective, sum_sq)
     own = np.einsum("pcc->pc", matrices[region, : objective.channels, : objective.channels])
     of_pixels = noise / np.maximum(own, np.finfo(np.float64).tiny).sum(axis=0)
@@ -145,10 +145,9 @@ def checked_white(
 def reference_in_words(white: tuple[float, float, float], pixels: int, moved: Array) -> str:
     """What a scale rests on: a reference of so many pixels, by which lights have moved (C,)."""
     column, row, value = white
-    return (
-        f"by the reference at x {column:g}, y {row:g}: {pixels} pixels of albedo {value:g}; "
-        f"lights {_percent(moved)}"
-    )
+    by = ", ".join(f"{100 * share:+.2g} %" for share in moved)
+    at = f"x {column:g}, y {row:g}"
+    return f"by the reference at {at}: {pixels} pixels of albedo {value:g}; lights {by}"
 
 
 def reference_region(valid: NDArray[np.bool_], column: float, row: float) -> Pixels:
@@ -165,9 +164,7 @@ def _at_end(
     """A joint fit of some pixels that ended at x, s² of a pixel's likelihood, and the pixels."""
     pixels = evenly_spaced(objective.pixels, at_most)
     few, part = objective.restricted(pixels), objective.part_of(x, pixels)
-    _, _, sum_sq = few.problem.normal_equations(
-        few.for_core(part), np.arange(few.pixels, dtype=np.uint64)
-    )
+    _, _, sum_sq = few.problem.normal_equations(few.for_core(part), few.everything)
     noise = misfit.variance(few, sum_sq)
     if prior is None:
         shape = few.pixels, len(few.layout.roughness_metallic)
@@ -254,7 +251,3 @@ def measures(objective: Objective, x: Array) -> Array:
     for channel, size in enumerate(sizes):
         found[channel, channel] = weighed[channel] / max(size, np.finfo(np.float64).tiny)
     return found.reshape(len(lights), -1)
-
-
-def _percent(shares: Array, sign: str = "+") -> str:
-    return ", ".join(f"{100 * share:{sign}.2g} %" for share in shares)

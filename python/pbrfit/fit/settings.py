@@ -276,7 +276,8 @@ COMPARE_PATCHES = 8
 larger than most shadows and highlights."""
 
 COMPARE_ERRORS_MIN = 2.0
-"""Standard errors of a difference of scores from which on it counts: two, as is usual."""
+"""Standard errors of a difference of scores, or between surroundings of left-out pixels, from which
+on it counts: two, as is usual."""
 
 COMPARE_DROPPED_ERRORS = 4.0
 """The same for an explanation that is dropped after some of the left-out pictures: others may
@@ -325,9 +326,6 @@ DATA_SHARE_OF_ITERATIONS = 0.5
 EXACT_RMSE = 1e-6
 """Root mean square residual, at mean radiance 0.4, up to which pictures count as explained to the
 last digit. Rounding to float32 leaves 1e-8."""
-
-LBFGS_PAIRS = 10
-"""Pairs of steps and gradients that L-BFGS remembers; scipy's default."""
 
 TRAP_ROUGHNESS = 0.1
 """Roughness below which the first stages of L-BFGS do not go. Band weights and G1 depend on r⁴, so
@@ -436,9 +434,6 @@ WHITE_ALBEDO_MIN = 1e-3
 STRIDED_SUBSET_EXCESS = 1.25
 """Times as many pixels as wanted that a strided subset may have."""
 
-NORMALS_PIXEL_STEPS = 12
-"""Steps of a pixel by itself from such a start."""
-
 NORMALS_ROUNDS_OF_PASSES = (3, COARSE_ROUNDS_MAX)
 """Rounds of the coarse level with free normals, at most, in two passes: from the first one's lights
 all else starts once more, which on nine rooms halved the errors."""
@@ -471,10 +466,6 @@ TRANSPORT_RAYS = 2048
 TRANSPORT_ROUNDS = 4
 TRANSPORT_NEAR_ROUNDS = 1
 """Rounds of joint steps for an alternative; and where lights begin at those of one like it."""
-
-TRANSPORT_ERRORS_MIN = 2.0
-"""Standard errors of the paired differences of left-out pixels from which one alternative is
-better: two, as is usual."""
 
 NORMALS_DIELECTRIC_ROUNDS = 3
 """First rounds of a search, in which metallic has a prior around 0 in place of the fitted one."""

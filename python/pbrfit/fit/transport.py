@@ -5,7 +5,7 @@ of pixels, of some hundred each, judge: lights are fitted to the first together 
 then pixels of the second, with these lights, find their best materials, and what is left of them is
 the score: the mean over pixels of ln(Σ residual²/Σ radiance²). A pixel has five unknowns whatever
 surroundings are, and the lights know nothing of it, so more freedom gains nothing by itself. One
-alternative is better where the mean of the paired differences is more than `TRANSPORT_ERRORS_MIN`
+alternative is better where the mean of the paired differences is more than `COMPARE_ERRORS_MIN`
 of its standard errors below 0, with Bonferroni's correction for the number that are tried.
 
 Whether the pictures are explained better with the surroundings that are found than without is
@@ -120,7 +120,7 @@ class _Trial:
 
         difference = self.left - other.left
         error = float(difference.std(ddof=1)) / np.sqrt(len(difference))
-        errors = ndtri(ndtr(-settings.TRANSPORT_ERRORS_MIN) / tried)
+        errors = ndtri(ndtr(-settings.COMPARE_ERRORS_MIN) / tried)
         return bool(difference.mean() < errors * error)
 
 

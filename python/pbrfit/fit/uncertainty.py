@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.discrepancy import Discrepancy, prior_precision
-from pbrfit.fit.normal_equations import WORKING_SET, chunks, inverted
+from pbrfit.fit.normal_equations import inverted
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import taken
@@ -41,6 +41,7 @@ from pbrfit.fit.priors.population import (
     ROUGHNESS_DEVIATION,
 )
 from pbrfit.fit.priors.posterior import Distributions, Grid, Posterior
+from pbrfit.fit.sampling import slices
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.result.verdict import by_deviations
@@ -48,9 +49,9 @@ from pbrfit.threads import in_pieces, one_blas_thread
 
 Array = NDArray[np.float64]
 
-PIECES_MIN = 16
+PIECES_MIN, WORKING_SET = 16, 1 << 24
 """Pieces that the pixels are taken in, at least, so that their matrices take little memory beside
-the pictures."""
+the pictures; and bytes of the largest array of a piece."""
 
 TWO_SIDED = 1.96
 """Deviations of a normal distribution on each side that hold 0.95 of it."""
@@ -84,38 +85,10 @@ class Spread:
 
 
 @one_blas_thread()
-def estimate(
-    objective: Objective,
-    x: Array,
-    discrepancy: Discrepancy,
-    posterior: Posterior | None,
-    scale_deviation: Array,
-) -> Uncertainty:
-    """Uncertainty of a fit that ended at x.
-
-    `posterior` of all pixels that the fit has used; None = it had no prior. `scale_deviation` by
-    channel, 0 where lights are known.
-    """
-    return of_spread(
-        spread(objective, x, discrepancy, posterior),
-        objective.layout,
-        discrepancy,
-        scale_deviation,
-        noise=noise_of(objective, discrepancy),
-    )
-
-
-def noise_of(objective: Objective, discrepancy: Discrepancy) -> float | None:
-    """Deviation of a sample in picture units; None where samples are no more than unknowns."""
-    if objective.samples <= objective.size:
-        return None
-    return float(np.sqrt(discrepancy.variance)) * objective.scale
-
-
 def spread(
     objective: Objective, x: Array, discrepancy: Discrepancy, posterior: Posterior | None
 ) -> Spread:
-    """Of all pixels of a fit; without a posterior that of no prior."""
+    """Of all pixels of a fit that ended at x; without a posterior that of no prior."""
     layout = objective.layout
     unknowns = layout.maps.stop // layout.pixels
     found = Spread.empty(layout.pixels, unknowns, layout.channels)
@@ -127,6 +100,7 @@ def spread(
     mean_albedo = x[objective.albedo].reshape(layout.channels, -1).mean(axis=1)
     lights = np.ascontiguousarray(objective.lights(x))
     bytes_each = max(8 * 4 * unknowns**2, PIECES_MIN * WORKING_SET // layout.pixels)
+    pieces = slices(layout.pixels, max(1, WORKING_SET // bytes_each))
 
     def fill(chunk: slice) -> None:
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
@@ -137,7 +111,7 @@ def spread(
             own = distributions.posterior(grid.of_piece(pixels), labels[chunk])
         found.put(chunk, _of_pixels(objective, x, discrepancy, own, pixels, mean_albedo, lights))
 
-    in_pieces(objective.threads, fill, chunks(layout.pixels, bytes_each))
+    in_pieces(objective.threads, fill, pieces)
     return found
 
 
@@ -244,10 +218,15 @@ def of_spread(
     layout: ParameterLayout,
     discrepancy: Discrepancy,
     scale_deviation: Array,
-    *,
-    noise: float | None,
+    objective: Objective,
 ) -> Uncertainty:
-    """The uncertainty, with the scale's in it."""
+    """The uncertainty, with the scale's by channel in it, 0 where lights are known.
+
+    Noise is that of the objective, in picture units, if it has more samples than unknowns.
+    """
+    noise = None
+    if objective.samples > objective.size:
+        noise = float(np.sqrt(discrepancy.variance)) * objective.scale
     c = layout.channels
     largest = np.square([ROUGHNESS_DEVIATION, METALLIC_DEVIATION])[: found.by_scale.shape[1]]
     more = np.empty_like(found.variance)

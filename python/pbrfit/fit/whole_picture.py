@@ -20,7 +20,7 @@ from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Progress, Run, SharedState
 from pbrfit.fit.transport import Surrounded
-from pbrfit.fit.uncertainty import estimate, scale_deviation
+from pbrfit.fit.uncertainty import Spread, of_spread, scale_deviation, spread
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
@@ -162,9 +162,9 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     seconds = run.elapsed
     uncertainty = None
     if setup.options.uncertainty:
-        run.discrepancy = found_off = run.discrepancy or discrepancy_of(run, run.objective, x)
-        deviation = scale_deviation_of(run, found_off)
-        uncertainty = estimate(run.objective, x, found_off, run.posterior, deviation)
+        run.discrepancy = run.discrepancy or discrepancy_of(run, run.objective, x)
+        found_spread = spread(run.objective, x, run.discrepancy, run.posterior)
+        uncertainty = uncertainty_of(run, found_spread, run.objective.layout)
     materials, lighting = run.objective.unpack(x)
     return output_of(
         run,
@@ -230,13 +230,17 @@ def recon_among(run: Run, x: Array) -> float:
     return given.residual_rmse(given.data_value_and_grad(x)[0])
 
 
-def scale_deviation_of(run: Run, discrepancy: Discrepancy) -> Array:
-    """Relative deviation of the common scale by channel; 0 where lights are known."""
+def uncertainty_of(run: Run, found: Spread, layout: ParameterLayout) -> Uncertainty:
+    """Of pixels of a layout, with what the run knows of the common scale."""
+    assert run.discrepancy is not None
     if run.objective.lighting is None:
-        return np.zeros(1)
-    if run.scale is None:
-        return scale_deviation(None, discrepancy, referred=False)
-    return scale_deviation(run.scale.deviation, discrepancy, referred=run.scale.referred)
+        deviation = np.zeros(1)
+    elif run.scale is None:
+        deviation = scale_deviation(None, run.discrepancy, referred=False)
+    else:
+        own, referred = run.scale.deviation, run.scale.referred
+        deviation = scale_deviation(own, run.discrepancy, referred=referred)
+    return of_spread(found, layout, run.discrepancy, deviation, run.objective)
 
 
 def fit_pixels(

@@ -48,7 +48,7 @@ def test_noise_is_independent(seed: int, size: int) -> None:
     assert left.variance == pytest.approx((NOISE / Objective(scene).scale) ** 2, rel=0.1)
     assert left.independent_share > 0.95
     assert 0.5 < left.design_effect < 1.2
-    assert left.of_likelihood == pytest.approx(left.of_lights, rel=0.05)
+    assert left.of_likelihood == pytest.approx(left.of_camera, rel=0.05)
 
 
 def test_what_neighbours_and_pictures_share_is_not_independent() -> None:

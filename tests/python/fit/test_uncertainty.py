@@ -95,7 +95,11 @@ def stacked(maps: pbrfit.Materials, objective: Objective) -> Array:
 def estimated(objective: Objective, x: Array, **scale: Array) -> Uncertainty:
     """The uncertainty of x without a prior, and by default of a scale that is known."""
     found = discrepancy.find(objective, x)
-    return uncertainty.estimate(objective, x, found, None, scale.get("scale", np.zeros(1)))
+    spread, of_scale = (
+        uncertainty.spread(objective, x, found, None),
+        scale.get("scale", np.zeros(1)),
+    )
+    return uncertainty.of_spread(spread, objective.layout, found, of_scale, objective)
 
 
 OPTIONS: tuple[dict[str, Any], ...] = (

@@ -199,7 +199,7 @@ def albedo_cost(length: Array, places: Places) -> tuple[float, Array]:
     logs = np.log(length * places.brightness)
     first, second = places.pairs.T
     residual = logs[first] - logs[second]
-    scale = _cauchy_scale(residual, ALBEDO_SPREAD_MIN)
+    scale = _cauchy_scale(residual)
     cost = np.log(scale) + np.log1p((residual / scale) ** 2).mean()
     push = 2 * residual / (scale**2 + residual**2) / len(residual)
     slope = np.zeros(len(logs))
@@ -208,17 +208,17 @@ def albedo_cost(length: Array, places: Places) -> tuple[float, Array]:
     return places.blocks * float(cost), places.blocks * slope
 
 
-def _cauchy_scale(residuals: Array, least: float) -> float:
+def _cauchy_scale(residuals: Array) -> float:
     """Most likely scale s of Cauchy's distribution for residuals: the mean of 1/(1 + (r/s)²) is ½.
 
     By Newton's method in ln s.
     """
     squared: Array = residuals**2
-    scale = max(float(np.median(np.abs(residuals))), least)
+    scale = max(float(np.median(np.abs(residuals))), ALBEDO_SPREAD_MIN)
     for _ in range(6):
         share = scale**2 / (scale**2 + squared)
         step = (0.5 - float(np.mean(share))) / max(float(np.mean(2 * share * (1 - share))), 1e-3)
-        scale = max(scale * float(np.exp(np.clip(step, -1.0, 1.0))), least)
+        scale = max(scale * float(np.exp(np.clip(step, -1.0, 1.0))), ALBEDO_SPREAD_MIN)
     return scale
 
 
@@ -287,21 +287,16 @@ class Minimum:
     ----------
     normals, lamps
         (3, 3): what b and s are multiplied by, in rows.
-    parts
-        Negative log likelihood, but for a constant, of each cue.
+    cost
+        Negative log likelihood, but for a constant, of all cues.
     slope
-        (3, 3), of their sum by C.
+        (3, 3), of it by C.
     """
 
     normals: Array
     lamps: Array
-    parts: dict[str, float]
+    cost: float
     slope: Array
-
-    @property
-    def cost(self) -> float:
-        """Negative log likelihood but for a constant."""
-        return sum(self.parts.values())
 
     @classmethod
     def at(cls, C: Array, places: Places) -> Minimum:
@@ -311,22 +306,23 @@ class Minimum:
         sign = 1.0 if (facing > 0).mean() >= 0.5 else -1.0
         normals, albedo = unit_and_length(sign * places.vectors @ inverse)
         directions, strengths = unit_and_length(sign * places.lamps @ C)
-        parts = {}
-        parts["integrability"], slope = integrability_cost(C, places)
-        parts["albedo"], by_albedo = albedo_cost(albedo, places)
-        parts["strengths"], by_strengths = strength_cost(strengths)
-        parts["visible"], by_visible = visible_cost(normals, places)
-        parts["lamps in front"], by_front = front_cost(directions)
+        of_surface, slope = integrability_cost(C, places)
+        of_albedo, by_albedo = albedo_cost(albedo, places)
+        of_strengths, by_strengths = strength_cost(strengths)
+        of_visible, by_visible = visible_cost(normals, places)
+        of_front, by_front = front_cost(directions)
+        cost = of_surface + of_albedo + of_strengths + of_visible + of_front
         by_inverse = places.vectors.T @ _by_vectors(normals, albedo, by_visible, by_albedo)
         by_lamps = places.lamps.T @ _by_vectors(directions, strengths, by_front, by_strengths)
         if len(places.outline_vectors):
             at_edge, length = unit_and_length(sign * places.outline_vectors @ inverse)
-            parts["outline"], by_edge = outline_cost(at_edge, places)
+            of_edge, by_edge = outline_cost(at_edge, places)
+            cost += of_edge
             by_edge = _by_vectors(at_edge, length, by_edge, np.zeros(len(length)))
             by_inverse = by_inverse + places.outline_vectors.T @ by_edge
         # d C⁻ᵀ = -C⁻ᵀ dCᵀ C⁻ᵀ
         slope = slope + sign * (by_lamps - inverse @ by_inverse.T @ inverse)
-        return cls(sign * inverse, sign * C, parts, slope)
+        return cls(sign * inverse, sign * C, cost, slope)
 
 
 def _by_vectors(unit: Array, length: Array, by_unit: Array, by_log: Array) -> Array:

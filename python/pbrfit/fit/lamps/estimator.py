@@ -20,7 +20,12 @@ from pbrfit._core import InputError
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.lamps import reference, surfaces
 from pbrfit.fit.lamps import scale as scale_by_highlights
-from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps
+from pbrfit.fit.lamps.given_normals import (
+    colored_by,
+    far_lamps,
+    near_lamps,
+    of_usual_scale,
+)
 from pbrfit.fit.lamps.joint import (
     ALBEDO_MEAN,
     ROUGHNESS_MIN,
@@ -71,11 +76,9 @@ the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 COMPARED_PIXELS = 250
 """Pixels that find lamps where explanations are compared: these have eight numbers each."""
 
-CONTINUED_ROUND = 2
-"""Round that a fit begins with which goes on from what others have found."""
-
 HELD_ROUNDS = 2
-"""First rounds, in which lamps stay as diffuse shading has them but for their scale."""
+"""First rounds, in which lamps stay as diffuse shading has them but for their scale. A fit which
+goes on from what others have found begins after them."""
 
 LOOK_LAST = 4
 """From which round on normals are no longer sought at highlights, and roughness near what it is."""
@@ -347,7 +350,7 @@ class LampFit:
         if not self.trace.rows:
             self._record(fit)
         told = known is not None and known.colored
-        first = 0 if self.begin is None else CONTINUED_ROUND
+        first = 0 if self.begin is None else HELD_ROUNDS
         for number in range(first, self.rounds):
             if self.trace.left <= 0 or (number > first and self.trace.out_of_time()):
                 break  # lamps as they began leave too much to be a result
@@ -639,7 +642,7 @@ class LampFit:
     def _covariance(self, fit: JointLamps) -> Array:
         """(M, M): of what all pixels share."""
         if self._shared_covariance is None:
-            shared, _, _ = fit.information()
+            shared = fit.information()
             # Looks have found the scale where steps have not, and it is as uncertain.
             freedom = fit.freedom
             fit.freedom = replace(freedom, scale=True)
@@ -761,8 +764,7 @@ class LampFit:
 def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Array]:
     """Lamps and albedos (P, 3) that are known up to a factor a channel, in the pictures' units.
 
-    On the whole lamps are grey, as in pictures whose white was balanced, and the mean albedo is
-    `ALBEDO_MEAN`.
+    See `of_usual_scale`.
     """
     cosines = np.maximum(pixels.normals @ lamps.places.T, 0)
     shown = cosines[..., None] * lamps.colors[None] * albedo[:, None]
@@ -772,10 +774,7 @@ def balanced(pixels: LampPixels, lamps: Lamps, albedo: Array) -> tuple[Lamps, Ar
         [np.median(ratio[..., c][lit[..., c]]) if lit[..., c].any() else 1.0 for c in range(3)]
     )
     albedo = np.maximum(albedo * factor, 1e-9)
-    tint = np.exp(np.log(np.maximum(lamps.colors, 1e-9)).mean(axis=0))
-    colors, albedo = lamps.colors / tint, albedo * tint
-    mean = max(float(albedo.mean()), 1e-9) / ALBEDO_MEAN
-    return replace(lamps, colors=colors * mean), np.clip(albedo / mean, 0.01, 0.95)
+    return of_usual_scale(lamps, np.maximum(lamps.colors, 1e-9), albedo)
 
 
 def albedo_under(pixels: LampPixels, lamps: Lamps) -> Array:

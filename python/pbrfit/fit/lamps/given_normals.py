@@ -14,6 +14,7 @@ least, a median. A pixel that is dark and should not be, or the reverse, counts 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,13 +252,16 @@ def colored_by(
     known = usable.any(axis=1)
     middle = [np.median(of_pixels[known[:, c], c]) if known[:, c].any() else 0.0 for c in range(3)]
     albedo = np.exp(np.where(known, of_pixels, middle))
-    colors = np.exp(of_lamps)
-    # What both share: the tint, so that the lamps are grey on the whole, as of pictures whose white
-    # was balanced, and the scale, so that the mean albedo is what it mostly is.
+    return of_usual_scale(lamps, np.exp(of_lamps), albedo)
+
+
+def of_usual_scale(lamps: Lamps, colors: Array, albedo: Array) -> tuple[Lamps, Array]:
+    """Lamps with colours (K, 3), and albedos (P, 3), of which data tell the product a channel.
+
+    On the whole lamps are grey, as in pictures whose white was balanced, and the mean albedo is
+    `ALBEDO_MEAN`.
+    """
     tint = np.exp(np.log(colors).mean(axis=0))
     albedo, colors = albedo * tint, colors / tint
     mean = max(float(albedo.mean()), TINY) / ALBEDO_MEAN
-    found = Lamps(
-        lamps.pictures, lamps.places, lamps.near, colors * mean, lamps.axes, lamps.exponents
-    )
-    return found, np.clip(albedo / mean, 0.01, 0.95)
+    return replace(lamps, colors=colors * mean), np.clip(albedo / mean, 0.01, 0.95)

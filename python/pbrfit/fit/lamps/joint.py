@@ -23,13 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.lamps.problem import (
-    LampPixels,
-    LampState,
-    Slopes,
-    slopes,
-    tangents,
-)
+from pbrfit.fit.lamps.problem import LampPixels, LampState, Slopes, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
 from pbrfit.fit.lamps.shared_step import Directions, step_of
 from pbrfit.fit.settings import MEAN_RADIANCE
@@ -237,12 +231,12 @@ class JointLamps:
             self.damping = min(self.damping * 8, 1e6)
         return 0.0
 
-    def information(self) -> tuple[Array, Array, Array]:
-        """S (M, M) of the lights with pixels eliminated, undamped; A (P, 6, 6) and B (P, 6, M)."""
+    def information(self) -> Array:
+        """S (M, M) of the lights with pixels eliminated, undamped."""
         shared, _, own, mixed, _ = self.system()
         flat = mixed.reshape(-1, mixed.shape[-1])
         eliminated = flat.T @ np.matmul(np.linalg.inv(own), mixed).reshape(flat.shape)
-        return shared - eliminated, own, mixed
+        return np.asarray(shared - eliminated)
 
     def part(self, rows: NDArray[np.intp]) -> JointLamps:
         """Some of the pixels, as they are and with their weights."""

@@ -58,9 +58,10 @@ class Outline:
 
 def outline(mask: Mask, views: Array) -> Outline:
     """Outline of a mask (H, W) seen along views (H, W, 3); of length 0 if it has none."""
-    none = np.zeros(0, np.intp)
+    nowhere = np.zeros(0, np.intp)
+    none = Outline(nowhere, nowhere, np.zeros((0, 3)))
     if mask.all() or not mask.any():
-        return Outline(none, none, np.zeros((0, 3)))
+        return none
     distance = np.asarray(distance_transform_edt(mask)) - 0.5
     rows, columns = np.nonzero(mask & (distance >= NEAREST) & (distance <= FARTHEST))
     blurred = gaussian_filter(mask.astype(np.float64), SMOOTHING, mode="nearest")
@@ -70,7 +71,7 @@ def outline(mask: Mask, views: Array) -> Outline:
     clear = length > 0.02  # of a pixel's step; smaller where thin parts have two outlines
     rows, columns, slope = rows[clear], columns[clear], slope[clear] / length[clear, None]
     if len(rows) < OUTLINE_MIN:
-        return Outline(none, none, np.zeros((0, 3)))
+        return none
     view = views[rows, columns]
     outward = np.concatenate([slope, np.zeros((len(rows), 1))], axis=1)
     outward -= np.einsum("ei,ei->e", outward, view)[:, None] * view

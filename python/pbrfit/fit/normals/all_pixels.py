@@ -75,11 +75,10 @@ def start_from_offsets(objective: Objective, x: Array, offsets: Array) -> None:
     Each with its best albedo, and roughness and metallic as they are.
     """
     assert objective.tangent_offsets is not None
-    everything = np.arange(objective.pixels, dtype=np.uint64)
-    before = objective.put_best_albedo(x, everything)
+    before = objective.put_best_albedo(x, objective.everything)
     other = x.copy()
     other[objective.tangent_offsets] = offsets.T.ravel()
-    better = objective.put_best_albedo(other, everything) < before
+    better = objective.put_best_albedo(other, objective.everything) < before
     maps = slice(0, objective.layout.maps.stop)
     planes = x[maps].reshape(-1, objective.pixels)
     planes[:, better] = other[maps].reshape(-1, objective.pixels)[:, better]
@@ -110,7 +109,7 @@ def refine_all(
             np.concatenate([free, offset_mean], axis=1),
             np.concatenate([free, offset_precision], axis=1),
         )
-        starts, steps = (0, 0) if number else (1, settings.NORMALS_PIXEL_STEPS)
+        starts, steps = (0, 0) if number else (1, settings.DESCENT_STEPS)
         if fit_all(objective, x, starts=starts, steps=steps, prior=pixel_prior, stop=stop) is None:
             return False
         prior = prior.fitted(

@@ -69,12 +69,6 @@ class Neighbourhood:
             ) + np.bincount(second, weights * values[first, column], minlength=self.count)
         return found
 
-    def squared_differences(self, values: Array) -> Array:
-        """|v_second − v_first|² of each pair, (E,), for `values` (P, 2)."""
-        first, second = self.pairs.T
-        difference = values[second] - values[first]
-        return np.asarray(np.einsum("ed,ed->e", difference, difference))
-
 
 @dataclass(frozen=True, eq=False)
 class TangentOffsetPrior:
@@ -91,15 +85,10 @@ class TangentOffsetPrior:
         of_pairs = self.neighbourhood.weights / self.sigma**2
         return of_pairs if self.robust_weights is None else of_pairs * self.robust_weights
 
-    @property
-    def _own_weights(self) -> Array:
-        ones = np.ones((self.neighbourhood.count, 1))
-        of_pairs = self.neighbourhood.sums(ones, self._weights)[:, 0]
-        return of_pairs + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
-
     def conditional(self, offsets: Array, variance: float) -> tuple[Array, Array]:
         """Mean (P, 2) and precision (P, 2) of each pixel's offset while the others stay."""
-        own = self._own_weights[:, None]
+        of_pairs = self.neighbourhood.sums(np.ones((len(offsets), 1)), self._weights)
+        own = of_pairs + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
         mean = self.neighbourhood.sums(offsets, self._weights) / own
         return mean, np.repeat(variance * own, 2, axis=1)
 
@@ -108,7 +97,8 @@ class TangentOffsetPrior:
         first, second = self.neighbourhood.pairs.T
         if not len(first):
             return self
-        squared = self.neighbourhood.squared_differences(offsets)
+        difference = offsets[second] - offsets[first]
+        squared = np.einsum("ed,ed->e", difference, difference)
         squared = squared + variances[first] + variances[second]
         robust_weights = 1 / (
             1 + squared / (2 * settings.NORMALS_HALF_WEIGHT_STEP**2 * self.sigma**2)

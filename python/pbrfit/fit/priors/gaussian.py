@@ -75,22 +75,14 @@ class GaussianPrior:
 
     def value_and_grad(self, x: Array, gradient: Array) -> float:
         """See `Penalty`."""
-        total = 0.0
+        total, offsets = 0.0, None if self.cluster is None else self.offsets(x)
         for f, block in enumerate(self.blocks):
-            precision = self.precision[:, f]
-            deviation = x[block] - self.mean[:, f]
-            if self.cluster is None:
-                # Rounds otherwise than below: two orders of multiplication, each of which results
-                # rest on.
-                scaled = precision * deviation
-                total += float((scaled * deviation).sum())
-                gradient[block] += 2 * self.factor * scaled
-                continue
-            totals = self.cluster_precision[:, f]
-            sums = np.bincount(self.cluster, weights=precision * deviation, minlength=self.clusters)
-            offsets = sums / ((1 + OFFSET_PRECISION_SHARE) * totals)
-            deviation -= offsets[self.cluster]
-            total += float((precision * deviation**2).sum())
-            total += OFFSET_PRECISION_SHARE * float((totals * offsets**2).sum())
+            precision, deviation = self.precision[:, f], x[block] - self.mean[:, f]
+            of_offsets = 0.0
+            if offsets is not None:
+                deviation -= offsets[self.cluster, f]
+                of_clusters = self.cluster_precision[:, f] * offsets[:, f] ** 2
+                of_offsets = OFFSET_PRECISION_SHARE * float(of_clusters.sum())
+            total = total + float((precision * deviation**2).sum()) + of_offsets
             gradient[block] += 2 * self.factor * precision * deviation
         return self.factor * total

@@ -40,6 +40,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,6 @@ from pbrfit.fit.sampling import evenly_spaced_over
 from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
-Pixels = NDArray[np.uint64]
 Stop = Callable[[], bool]
 
 
@@ -90,7 +90,7 @@ class FittedPrior:
             return None
         prior = self.around(posterior, objective)
         x = x.copy()
-        _put_all(objective, x, prior.mean)
+        _put(objective, x, prior.mean)
         return x, replace(prior, cluster=None), posterior
 
     def around(self, posterior: Posterior, objective: Objective) -> GaussianPrior:
@@ -127,7 +127,7 @@ def fit_prior(
         return None
     fitted = FittedPrior(distributions, variance, strength, counted_once)
     prior = fitted.around(posterior, objective)
-    _put_all(objective, x, prior.mean)
+    _put(objective, x, prior.mean)
     return x, prior, posterior, fitted
 
 
@@ -171,9 +171,8 @@ def with_lights(
             break
         pixels = evenly_spaced_over(labels_of(objective), at_most)
         few, part = objective.restricted(pixels), objective.part_of(x, pixels)
-        everything, labels = np.arange(few.pixels, dtype=np.uint64), labels_of(few)
-        grid = Grid(few, part, variance)
-        likelihood = grid.likelihood(everything)
+        grid, labels = Grid(few, part, variance), labels_of(few)
+        likelihood = grid.likelihood(few.everything)
         distributions = Distributions.of(likelihood, labels, grid)
         posterior = distributions.posterior(likelihood, labels)
         if sigma_min == 0:
@@ -181,8 +180,7 @@ def with_lights(
             posterior = _with_spread(few, part, posterior, variance)
             sigma_min = settings.SPREAD_MIN
         prior = posterior.prior(sigma_min, strength * variance, few)
-        _put(few, part, everything, prior.mean)
-        sum_sq = few.put_best_albedo(part, everything)
+        sum_sq = _put(few, part, prior.mean)
         fit = shared.joint_fit(few, part, sum_sq, prior=prior, stop=stop)
         minimize(fit, steps, settings.GAIN_MIN)
         x[objective.layout.maps.stop :] = part[few.layout.maps.stop :]
@@ -201,9 +199,8 @@ def _with_spread(objective: Objective, x: Array, groups: Posterior, variance: fl
     (the estimate by moments of a meta-analysis; R. DerSimonian and N. Laird, Controlled Clinical
     Trials 7, 1986).
     """
-    x, everything = x.copy(), np.arange(objective.pixels, dtype=np.uint64)
-    _put(objective, x, everything, groups.gaussian(1.0, 1.0, objective)[0])
-    objective.put_best_albedo(x, everything)
+    x = x.copy()
+    _put(objective, x, groups.mean)
     own, gradient = albedo_solved_for(objective, x)
     h, u = own[:, 0, 0], gradient[:, 0]  # times the variance
     _, cluster = np.unique(groups.cluster, return_inverse=True)
@@ -218,14 +215,11 @@ def _with_spread(objective: Objective, x: Array, groups: Posterior, variance: fl
     return groups._replace(variance=found)
 
 
-def _put_all(objective: Objective, x: Array, values: Array) -> None:
-    """Give all pixels of x these roughness and metallic (P, F), and their best albedo."""
-    everything = np.arange(objective.pixels, dtype=np.uint64)
-    _put(objective, x, everything, values)
-    objective.put_best_albedo(x, everything)
+def _put(objective: Objective, x: Array, values: NDArray[np.floating[Any]]) -> Array:
+    """Give pixels of x these roughness and metallic (P, 1 or 2) with their best albedo.
 
-
-def _put(objective: Objective, x: Array, pixels: Pixels, values: Array) -> None:
-    """Give some pixels of x these roughness and metallic (Q, F)."""
-    for block, of_block in zip(objective.layout.roughness_metallic, values.T, strict=True):
-        x[block][pixels] = of_block
+    Returned is the sum of squared residuals of each, (P,).
+    """
+    for block, of_block in zip(objective.layout.roughness_metallic, values.T, strict=False):
+        x[block] = of_block
+    return objective.put_best_albedo(x, objective.everything)

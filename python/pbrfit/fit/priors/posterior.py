@@ -100,16 +100,11 @@ class Grid:
         parts = in_pieces(self.objective.threads, of_piece, pieces)
         return Likelihood(*map(np.concatenate, zip(*parts, strict=True)))
 
-    def _sum_sq(self, pixels: Pixels) -> NDArray[np.float32]:
-        """Least Σ ω (I − T)² of each node, (Q, nodes)."""
-        sum_sq = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
-        return sum_sq.reshape(len(pixels), -1)
-
     def of_piece(self, pixels: Pixels) -> Likelihood:
         """The same of few enough pixels."""
-        excess = self._sum_sq(pixels)
-        least = excess.min(axis=1, keepdims=True)
-        excess -= least
+        of_core = self._problem.material_grid(self._x, pixels, ROUGHNESS_NODES, self._metallic)
+        excess = of_core.reshape(len(pixels), -1)  # least Σ ω (I − T)² of each node
+        excess -= excess.min(axis=1, keepdims=True)
         excess /= np.float32(2 * self._variance)
         # σ of roughness, from the curvature of its profile at the best node.
         profile = _least(excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1))
@@ -122,7 +117,7 @@ class Grid:
         share = 1 / (1 + sharpness)  # η
         excess *= -share
         np.exp(excess, out=excess)
-        return Likelihood(excess, (sharpness * share)[:, 0], least[:, 0])
+        return Likelihood(excess, (sharpness * share)[:, 0])
 
 
 def _least(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -140,8 +135,6 @@ class Likelihood(NamedTuple):
     """A, (Q, nodes); 1 at the best node of each pixel."""
     unused: NDArray[np.float32]
     """1 − η, (Q,)."""
-    least: NDArray[np.float32]
-    """Σ ω (I − T)² at the best node, (Q,)."""
 
 
 class Posterior(NamedTuple):
@@ -164,23 +157,12 @@ class Posterior(NamedTuple):
         """Of some pixels."""
         return Posterior(*(of_all[pixels] for of_all in self))  # type: ignore[arg-type]
 
-    def gaussian(
-        self, sigma_min: float, variance: float, objective: Objective
-    ) -> tuple[Array, Array]:
-        """Mean and precision of the unknown ones of roughness and metallic, each (P, F).
-
-        `variance` is s² times the strength.
-        """
-        used = slice(len(objective.layout.roughness_metallic))
-        precision = variance / (sigma_min**2 + self.variance[:, used].astype(np.float64))
-        return self.mean[:, used].astype(np.float64), precision
-
     def prior(self, sigma_min: float, variance: float, objective: Objective) -> GaussianPrior:
-        """See `gaussian`."""
+        """On the unknown ones of roughness and metallic; `variance` is s² times the strength."""
         _, cluster = np.unique(self.cluster, return_inverse=True)
         blocks, factor = objective.layout.roughness_metallic, 1 / objective.total_weight
-        mean, precision = self.gaussian(sigma_min, variance, objective)
-        return GaussianPrior(mean, precision, cluster, blocks, factor)
+        mean, own = (of[:, : len(blocks)].astype(np.float64) for of in (self.mean, self.variance))
+        return GaussianPrior(mean, variance / (sigma_min**2 + own), cluster, blocks, factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,8 +225,7 @@ class Distributions:
 
     def of_all(self, grid: Grid, stop: Stop = lambda: False) -> Posterior | None:
         """The posterior of all pixels of the grid's objective; None if stopped before."""
-        labels = labels_of(grid.objective)
-        everything = np.arange(len(labels), dtype=np.uint64)
+        labels, everything = labels_of(grid.objective), grid.objective.everything
 
         def of_piece(chunk: slice) -> Posterior | None:
             if stop():

@@ -24,7 +24,7 @@ from pbrfit.fit.whole_picture import (
     Start,
     fit_pixels,
     output_of,
-    scale_deviation_of,
+    uncertainty_of,
 )
 from pbrfit.model.materials import Materials
 from pbrfit.result.data import Stage, Status
@@ -87,15 +87,6 @@ def fit_tiles(
     truth = scene.truth
     errors = {} if truth is None else material_errors(maps.materials, truth.materials)
     clock.rows.append(HistoryRow(seconds, clock.iteration, clock.evaluations, mean, rmse, **errors))
-    deviations, discrepancy = None, subset.shared_state.discrepancy
-    if maps.spread is not None and discrepancy is not None:
-        deviations = uncertainty.of_spread(
-            maps.spread,
-            layout,
-            discrepancy,
-            scale_deviation_of(clock, discrepancy),
-            noise=uncertainty.noise_of(clock.objective, discrepancy),
-        )
     return output_of(
         clock,
         setup,
@@ -104,7 +95,7 @@ def fit_tiles(
         materials=maps.materials,
         lighting=subset.lighting,
         normals=maps.normals,
-        uncertainty=deviations,
+        uncertainty=None if maps.spread is None else uncertainty_of(clock, maps.spread, layout),
         seconds=seconds,
         recon_rmse=None if setup.surrounded is None else rmse,
     )
@@ -197,7 +188,7 @@ def _fit_tile(
     run.unmeasured = subset.run.unmeasured
     near, normals = subset.nearest.at(tile.outer)
     x = objective.pack(near.albedo, near.roughness, near.metallic)
-    objective.put_best_albedo(x, np.arange(objective.pixels, dtype=np.uint64))
+    objective.put_best_albedo(x, objective.everything)
     if run.out_of_time():
         return PixelFit(run, x, Status.TIME_LIMIT, "")
     refined = subset.refinement.refined
