@@ -134,13 +134,13 @@ def rounds(
         sum_sq = fit_level(objective, x, fixed)
     if noise is not None:
         noise = estimated(objective, x, outliers=True)
-        if noise.has_outliers:
+        if noise.tails.has_outliers:
             objective = _weighed(run, given, objective, x, noise)
             level = replace(level, objective=objective)
             sum_sq = fit_level(objective, x, fixed)
             if shared is not None:
                 shared.stale = True
-    if nuisances is not None or (noise is not None and noise.has_outliers):
+    if nuisances is not None or (noise is not None and noise.tails.has_outliers):
         left = _left(level, x, sum_sq, shared, noise, fixed)
     if nuisances is not None:
         nuisances.judge(left)

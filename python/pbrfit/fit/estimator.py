@@ -44,8 +44,6 @@ from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
-AS_FAR = "; all pixels were fitted once, under the lights so far"
-
 
 def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]:
     """X of a fit from x by the solver of the options, and why it ended.
@@ -81,7 +79,7 @@ def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
         if run.goes_on:
             x = fit_all_pixels(run, x, lights, prior)
     if len(run.rows) == rows:  # lights without materials that were fitted under them
-        ended = run.ended("", AS_FAR)
+        ended = run.ended("", "; all pixels were fitted once, under the lights so far")
         return fit_once(run, start, x), *ended
     return x, *run.ended("no joint step lowers the sum further")
 
@@ -173,9 +171,12 @@ def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | 
     rule are chosen by the lights that were found with it.
     """
     objective, x = run.objective, lights.x
+    strength = run.options.priors.material_strength
     with run.stage("material prior") as notes:
         if lights.shared is not None and not lights.exact:
-            lights = _with_prior(run, lights)
+            weighed, variance = reweighted(run, objective, x), lights.misfit.of_likelihood
+            moved = with_lights(weighed, x, strength, variance, lights.shared, run.out_of_time)
+            lights = replace(lights, x=moved)
         found = _fitted_prior(run, lights, notes)
         if found is None:
             notes.append("stopped before all pixels had theirs")
@@ -189,15 +190,6 @@ def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | 
         run.iteration += 1
         run.record(x, loss)
     return x, prior
-
-
-def _with_prior(run: Run, lights: Lights) -> Lights:
-    """Lights as they are with the material prior."""
-    assert lights.shared is not None
-    strength, variance = run.options.priors.material_strength, lights.misfit.of_likelihood
-    objective = reweighted(run, run.objective, lights.x)
-    x = with_lights(objective, lights.x, strength, variance, lights.shared, run.out_of_time)
-    return replace(lights, x=x)
 
 
 def discrepancy_of(run: Run, objective: Objective, x: Array) -> Discrepancy:

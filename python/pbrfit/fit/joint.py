@@ -249,10 +249,9 @@ class JointFit:
         right: Array,
         product: Callable[[Array], Array],
         enough: float,
-        ratio: float | None = None,
+        ratio: float = settings.CG_ERROR_RATIO,
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
-        ratio = settings.CG_ERROR_RATIO if ratio is None else ratio
         moves, number = conjugate_gradients(
             right,
             product,

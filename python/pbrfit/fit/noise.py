@@ -76,11 +76,6 @@ class NoiseModel:
         return np.asarray(found * self.variances[:, None, None])
 
     @property
-    def has_outliers(self) -> bool:
-        """Whether some samples say nothing."""
-        return self.tails.has_outliers
-
-    @property
     def picture_effect(self) -> float:
         """How much larger the variance of a pixel's materials is than by independent samples."""
         return 1 + (len(self.variances) - 1) * self.file_correlation * float(self.shares[3])
@@ -97,7 +92,7 @@ class NoiseModel:
         if self.is_even and not objective.has_limits:
             return None
         wide = StudentT(min(self.tails.freedom, settings.NOISE_FREEDOM_START))
-        tails = wide if first and self.has_outliers else self.tails
+        tails = wide if first and self.tails.has_outliers else self.tails
         # What V over w is at least: that of a sample of weight 1.
         least = float(self.variances.min() * self.shares[0] / self.tails.largest_weight)
         found = np.empty((len(self.variances), objective.pixels, objective.channels), np.float32)

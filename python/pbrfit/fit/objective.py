@@ -495,8 +495,7 @@ class Objective:
             factors = None if factors is None else factors * shares.astype(np.float32)[:, None]
             found.layout = replace(found.layout, weighted=True)
         found.weights, found._factors = weights, factors
-        places = np.flatnonzero(self._scene.valid) if self._places is None else self._places
-        found._places = places[pixels]
+        found._places = self._all_places()[pixels]
         found.transfer = None if self.transfer is None else self.transfer.of(pixels)
         found.problem = found._problem(found.sample_weights)
         return found

@@ -37,6 +37,7 @@ class StudentT:
     """ν."""
 
     has_outliers = False
+    """Whether some samples say nothing."""
 
     @property
     def is_normal(self) -> bool:

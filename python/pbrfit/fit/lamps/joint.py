@@ -95,7 +95,6 @@ def fit_surfaces(
     *,
     iterations: int,
     free_normals: bool,
-    free_metallic: bool = False,
     free_roughness: bool = True,
 ) -> tuple[LampState, Array, Array]:
     """The best surface of each pixel under the lights of a state; their costs and information."""
@@ -120,7 +119,7 @@ def fit_surfaces(
         prior.mean,
         prior.precision,
         free_normals,
-        free_metallic,
+        False,  # metallic waits
         free_roughness,
         iterations,
         pixels.threads,

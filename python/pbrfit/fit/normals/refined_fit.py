@@ -152,7 +152,7 @@ def _refine(
     with run.stage("normals of all pixels"):
         if not refine_all(free, free_x, prior, noise, run.out_of_time):
             return None
-    run, ended = _fit_held(run, run.scene, free, free_x, make)
+    run, ended = _fit_held(run, free, free_x, make)
     if run.out_of_time():  # perhaps after the fit that has ended
         ended = run.ended("")
     if run.objective.lighting is None and free.lighting is not None:
@@ -162,11 +162,7 @@ def _refine(
 
 
 def _fit_held(
-    run: Run,
-    scene: Scene,
-    free: Objective,
-    free_x: Array,
-    make: Callable[[Scene, bool], Objective],
+    run: Run, free: Objective, free_x: Array, make: Callable[[Scene, bool], Objective]
 ) -> tuple[Run, tuple[Status, str]]:
     """Fit materials with all priors, normals and lights held at those of an x of `free`.
 
@@ -176,7 +172,7 @@ def _fit_held(
     squares only: where more was asked of lights, they are fitted once more.
     """
     options = run.options
-    scene = replace(scene, normals=free.layout.whole(free.normals(free_x)))
+    scene = replace(run.scene, normals=free.layout.whole(free.normals(free_x)))
     if free.lighting is not None:
         of_lights = make(scene, False)
         if free.sample_weights is not None:
@@ -200,6 +196,7 @@ def _fit_held(
 
 def _held_x(free: Objective, free_x: Array, held: Objective) -> Array:
     """What an objective with held normals, and perhaps lights, has of an x of `free`."""
-    lights = free.layout.lighting if held.lighting is not None else None
-    parts = [free_x[free.layout.materials]] + ([] if lights is None else [free_x[lights]])
-    return np.concatenate(parts)
+    materials = free_x[free.layout.materials]
+    if held.lighting is None:
+        return materials.copy()
+    return np.concatenate([materials, free_x[free.layout.lighting]])

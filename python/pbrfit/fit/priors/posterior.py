@@ -92,12 +92,9 @@ class Grid:
 
     def likelihood(self, pixels: Pixels) -> Likelihood:
         """Of some pixels."""
-
-        def of_piece(piece: slice) -> Likelihood:
-            return self.of_piece(pixels[piece])
-
         pieces = slices(len(pixels), settings.PIXELS_AT_ONCE)
-        parts = in_pieces(self.objective.threads, of_piece, pieces)
+        threads = self.objective.threads
+        parts = in_pieces(threads, lambda piece: self.of_piece(pixels[piece]), pieces)
         return Likelihood(*map(np.concatenate, zip(*parts, strict=True)))
 
     def of_piece(self, pixels: Pixels) -> Likelihood:
