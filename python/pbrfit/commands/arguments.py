@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, get_args
@@ -14,6 +14,7 @@ from pbrfit.commands.messages import complain as complain
 from pbrfit.commands.messages import message_of as message_of
 from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
 from pbrfit.commands.progress import progress_bar as progress_bar
+from pbrfit.io.quoting import visible
 
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
@@ -60,6 +61,13 @@ def add_scene(parser: argparse.ArgumentParser, *, pictures: bool = False) -> Non
 def scene_named(paths: Sequence[Path]) -> Path | tuple[Path, ...]:
     """What `Scene.load` takes of a folder, or of files that were named one by one."""
     return tuple(paths) if len(paths) > 1 or paths[0].is_file() else paths[0]
+
+
+def tell(options: argparse.Namespace, lines: Iterable[str]) -> None:
+    """Print what was done, if `--quiet` was not given; an output that is there is no failure."""
+    if not options.quiet:
+        with unread_is_no_failure():
+            print(*map(visible, lines), sep="\n")
 
 
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:

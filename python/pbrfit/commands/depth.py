@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,9 @@ from pbrfit.commands.network_options import (
     SAMPLER,
     SHOWN,
     Flags,
+    add_source,
     asked_for,
     checkpoint,
-    source,
 )
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.io.depth_files import DEPTH_FILES, METRES
@@ -65,15 +64,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "extra packages pbrfit[diffusion], depth-anything pbrfit[segment]."
     )
     cli.add_scene(parser)
-    parser.add_argument(
-        "--from",
-        dest="source",
-        metavar="marigold|depth-anything|normals|FILE",
-        type=source(("marigold", "depth-anything", "normals")),
-        default="marigold",
-        help="marigold, depth-anything: a network's estimate; normals: their integral; FILE: a map "
-        "that is there already (EXR, .npy, PNG or TIFF), in any unit",
+    said = (
+        "marigold, depth-anything: a network's estimate; normals: their integral; FILE: a map that "
+        "is there already (EXR, .npy, PNG or TIFF), in any unit"
     )
+    add_source(parser, ("marigold", "depth-anything", "normals"), said)
     cli.add_flags(
         parser,
         fov=field_of_view(cli.number, "scene.toml, EXIF, else 60"),
@@ -92,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     completion.check_none(options.scene, DEPTH_FILES, "depth", overwrite=options.overwrite)
     surface = read_surface(options.scene, ReadOptions(fov=options.fov))
     kind = options.source if options.source in FLAGS else "file"
-    given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
+    given = asked_for(options, FLAGS, kind)
     shown: NDArray[np.uint8] = np.zeros((*surface.size, 3), np.uint8)  # only its size matters
     if kind in ("marigold", "depth-anything"):
         space = given.pop("color_space", None)
@@ -106,10 +101,6 @@ def run(options: argparse.Namespace) -> int:
     if surface.normals is not None:
         checked_depth(found.depth, surface.normals, surface.fov)  # as reading the scene will
     path = completion.add_depth(options.scene, found.depth, overwrite=options.overwrite)
-    if not options.quiet:
-        with cli.unread_is_no_failure():
-            print(f"{path}: {in_words(found.depth)}")
-            for remark in found.remarks:
-                print(f"  {remark}")
-            print(f"look at it: pbrfit inspect {shlex.quote(str(options.scene))}")
+    lines = [f"{path}: {in_words(found.depth)}", *(f"  {remark}" for remark in found.remarks)]
+    cli.tell(options, [*lines, f"look at it: pbrfit inspect {shlex.quote(str(options.scene))}"])
     return cli.DONE

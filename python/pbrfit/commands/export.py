@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from pbrfit._core import InputError
@@ -12,7 +13,6 @@ from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io.output import check_free
-from pbrfit.io.quoting import visible
 from pbrfit.result.result import Result
 
 
@@ -63,16 +63,14 @@ def run(options: argparse.Namespace) -> int:
     asked = {name: getattr(options, name) for name in names}
     result = Result.load(options.result)
     exported = export_result(result, options.out, height=not options.no_height, **asked)
-    if not options.quiet:
-        with cli.unread_is_no_failure():
-            _print_files(exported, options.out)
+    cli.tell(options, _listed(exported, options.out))
     return cli.DONE
 
 
-def _print_files(exported: Exported, out: Path) -> None:
-    """List the files; panoramas, of which there may be many, in one line."""
+def _listed(exported: Exported, out: Path) -> Iterator[str]:
+    """The files; panoramas, of which there may be many, in one line."""
     total = sum(file.size for file in exported.files)
-    print(f"{out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB")
+    yield f"{out}: {len(exported.files) + 1} files, {total / 1e6:.2f} MB"
     of_lights = {f"lights/{light.file}" for light in exported.panoramas}
     lines = [
         (file.path, file.size, file.holds) for file in exported.files if file.path not in of_lights
@@ -87,4 +85,4 @@ def _print_files(exported: Exported, out: Path) -> None:
     lines.append((f"lights/*.exr ({len(of_lights)})", size, f"a panorama a light{remark}"))
     width = max(len(path) for path, _, _ in lines)
     for path, size, holds in lines:
-        print(visible(f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}"))
+        yield f"{path:<{width}}{size / 1e3:>10.1f} kB  {holds}"

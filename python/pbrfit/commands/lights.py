@@ -12,10 +12,9 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import Flags, asked_for, source
+from pbrfit.commands.network_options import Flags, add_source, asked_for
 from pbrfit.commands.scene_options import STORED, field_of_view
 from pbrfit.io.output import new_file
-from pbrfit.io.quoting import visible
 from pbrfit.model.lamps import Lamps
 from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene import ball as balls
@@ -59,14 +58,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "says: .lp (reflectance transformation imaging), .csv, .txt or .json."
     )
     cli.add_scene(parser)
-    parser.add_argument(
-        "--from",
-        dest="source",
-        metavar="ball|FILE",
-        type=source(("ball",)),
-        default="ball",
-        help="ball: one that is seen in the pictures; FILE: .lp, .csv, .txt or .json",
-    )
+    said = "ball: one that is seen in the pictures; FILE: .lp, .csv, .txt or .json"
+    add_source(parser, ("ball",), said)
     cli.add_flags(
         parser,
         preview=cli.value(
@@ -82,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     """Write lamps, and say where they are."""
     completion.check_no_lamps(options.scene, overwrite=options.overwrite)
     kind = "ball" if options.source == "ball" else "file"
-    given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
+    given: dict[str, Any] = asked_for(options, FLAGS, kind)
     if kind == "file":
         names = locate(options.scene).names
         lamps, said = known_lamps.load(Path(options.source), names)
@@ -95,13 +88,8 @@ def run(options: argparse.Namespace) -> int:
         with new_file(options.preview, overwrite=True) as temporary:
             temporary.write_bytes(png)
     path = completion.add_lamps(options.scene, lamps, overwrite=options.overwrite)
-    if not options.quiet:
-        with cli.unread_is_no_failure():
-            print(f"{path}: {lines[0]}")
-            for line in lines[1:]:
-                print(visible(line))
-            if options.preview is not None:
-                print(f"look at them: {options.preview}")
+    look = [] if options.preview is None else [f"look at them: {options.preview}"]
+    cli.tell(options, [f"{path}: {lines[0]}", *lines[1:], *look])
     return cli.DONE
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.acquire.weights import Device, Offload, Precision
-from pbrfit.commands.arguments import Flag, choice, positive, value, whole_number
+from pbrfit.commands.arguments import Flag, add_flags, choice, positive, value, whole_number
 from pbrfit.commands.scene_options import COLOR_SPACE
 
 Flags = Mapping[str, Flag]
@@ -68,31 +68,31 @@ def source(names: Sequence[str], prefixes: Sequence[str] = ()) -> Callable[[str]
     return read
 
 
+def add_source(
+    parser: argparse.ArgumentParser, names: Sequence[str], said: str, prefixes: Sequence[str] = ()
+) -> None:
+    """Add `--from`, by default the first of the names; the others as of `source`."""
+    forms = "|".join([*names, *(f"{prefix}FILE" for prefix in prefixes), "FILE"])
+    kind = source(names, prefixes)
+    flag = value(forms, kind, said, dest="source", default=names[0])
+    add_flags(parser, **{"from": flag})
+
+
 NORMAL_SOURCES = "marigold|flat|depth:FILE|FILE"
 normal_source = source(("marigold", "flat"), ("depth:",))
 """Reader of a source of normals, and how help shows it."""
 
 
-def asked_for(
-    options: argparse.Namespace, flags: Mapping[str, Flags], kind: str, flag: str
-) -> dict[str, Any]:
-    """Options that were given, all of them for a source of this kind.
+def asked_for(options: argparse.Namespace, flags: Mapping[str, Flags], kind: str) -> dict[str, Any]:
+    """Options of `--from` that were given, those that are not None.
 
-    Raises InputError if an option of another kind was given: it would be ignored.
-
-    Parameters
-    ----------
-    options
-        As parsed; what was not given is None.
-    flags
-        Options, by the kinds of source that they are for.
-    kind
-        Of the source that was asked for.
-    flag
-        That asked for it, with its value, for the message.
+    `flags` are options by the kinds of source that they are for. Raises InputError if an option was
+    given that sources of this kind do not have: it would be ignored.
     """
     for name in (name for others in flags.values() for name in others):
         if name not in flags[kind] and getattr(options, name) is not None:
-            raise InputError(f"--{name.replace('_', '-')}: has no meaning with {flag}")
+            raise InputError(
+                f"--{name.replace('_', '-')}: has no meaning with --from {options.source}"
+            )
     values = {name: getattr(options, name) for name in flags[kind]}
     return {name: value for name, value in values.items() if value is not None}

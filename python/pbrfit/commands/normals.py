@@ -7,7 +7,6 @@ import dataclasses
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,9 @@ from pbrfit.commands.network_options import (
     SAMPLER,
     SHOWN,
     Flags,
+    add_source,
     asked_for,
     checkpoint,
-    source,
 )
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
 from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
@@ -104,16 +103,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "pixels. marigold needs the extra packages pbrfit[diffusion]."
     )
     cli.add_scene(parser)
-    parser.add_argument(
-        "--from",
-        dest="source",
-        metavar="marigold|pictures|flat|depth:FILE|FILE",
-        type=source(("marigold", "pictures", "flat"), ("depth:",)),
-        default="marigold",
-        help="marigold: a network's estimate; pictures: from three or more pictures under lamps; "
-        "flat: every surface faces the camera; depth:FILE: from a depth map; FILE: normals that "
-        "are there already",
+    said = (
+        "marigold: a network's estimate; pictures: from three or more pictures under lamps; flat: "
+        "every surface faces the camera; depth:FILE: from a depth map; FILE: normals that are "
+        "there already"
     )
+    add_source(parser, ("marigold", "pictures", "flat"), said, ("depth:",))
     cli.add_flags(parser, overwrite=cli.switch("replace existing normals and weights"))
     cli.add_quiet(parser, "no progress bar, no summary")
     for kind, title in TITLES.items():
@@ -135,15 +130,9 @@ def run(options: argparse.Namespace) -> int:
         weights=found.weights,
         overwrite=options.overwrite,
     )
-    if not options.quiet:
-        with cli.unread_is_no_failure():
-            print(f"{paths[0]}: {said}")
-            for line in _facts(found):
-                print(f"  {line}")
-            if len(paths) > 1:
-                print(f"{paths[1]}: {_of_weights(found)}")
-            scene = shlex.quote(str(options.scene))
-            print(f"look at them: pbrfit inspect {scene} --preview normals_preview.png")
+    lines = [f"{paths[0]}: {said}", *(f"  {line}" for line in _facts(found))]
+    lines += [f"{path}: {_of_weights(found)}" for path in paths[1:]]
+    cli.tell(options, [*lines, _look_at(options.scene)])
     return cli.DONE
 
 
@@ -151,7 +140,7 @@ def _run_pictures(options: argparse.Namespace) -> int:
     """The same, of normals that pictures under lamps tell."""
     folder, overwrite = options.scene, options.overwrite
     completion.check_normals_can_be_added(folder, overwrite=overwrite, height=True)
-    given: dict[str, Any] = asked_for(options, FLAGS, "pictures", "--from pictures")
+    given = asked_for(options, FLAGS, "pictures")
     threads = given.pop("threads", 0)
     count = len(scene_folder.find_pictures(folder))
     if count < SHAPE_PICTURES_MIN:
@@ -173,16 +162,17 @@ def _run_pictures(options: argparse.Namespace) -> int:
         height=found.height,
         overwrite=overwrite,
     )
-    if not options.quiet:
-        with cli.unread_is_no_failure():
-            print(f"{paths[0]}: from {count} pictures under lamps")
-            for line in _of_pictures(found, scene.valid):
-                print(f"  {line}")
-            low, high = np.nanpercentile(found.height, [0, 100])
-            print(f"{paths[1]}: from {low:.3g} to {high:.3g} pixels")
-            scene_said = shlex.quote(str(folder))
-            print(f"look at them: pbrfit inspect {scene_said} --preview normals_preview.png")
+    low, high = np.nanpercentile(found.height, [0, 100])
+    lines = [f"{paths[0]}: from {count} pictures under lamps"]
+    lines += [f"  {line}" for line in _of_pictures(found, scene.valid)]
+    lines.append(f"{paths[1]}: from {low:.3g} to {high:.3g} pixels")
+    cli.tell(options, [*lines, _look_at(folder)])
     return cli.DONE
+
+
+def _look_at(scene: Path) -> str:
+    command = f"pbrfit inspect {shlex.quote(str(scene))} --preview normals_preview.png"
+    return f"look at them: {command}"
 
 
 def _of_pictures(found: PictureNormals, valid: NDArray[np.bool_]) -> list[str]:
@@ -210,7 +200,7 @@ def _of_pictures(found: PictureNormals, valid: NDArray[np.bool_]) -> list[str]:
 def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
     """The normals, and where they come from in words."""
     kind = kind_of(options.source)
-    given: dict[str, Any] = asked_for(options, FLAGS, kind, f"--from {options.source}")
+    given = asked_for(options, FLAGS, kind)
     if kind == "marigold":
         space = given.pop("color_space", None)
         srgb8, what = shown_to_network(options.scene, given.pop("picture", None), space)

@@ -122,10 +122,8 @@ def run(options: argparse.Namespace) -> int:
                 yield frame
 
         _write(options, kind, frames(), screen)
-    if not options.quiet:
-        with cli.unread_is_no_failure():
-            for topic, fact in (*said, *_facts_of_output(options, kind, result, screen)):
-                print(f"{topic:<12}{fact}")
+    facts = (*said, *_facts_of_output(options, kind, result, screen))
+    cli.tell(options, (f"{topic:<12}{fact}" for topic, fact in facts))
     return cli.DONE
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import DONE, add_flags, add_quiet, add_result, value
+from pbrfit.commands.arguments import DONE, add_flags, add_quiet, add_result, tell, value
 from pbrfit.report import write_report
 from pbrfit.result.result import Result
 
@@ -22,7 +22,6 @@ def run(options: argparse.Namespace) -> int:
     """Write the page."""
     result = Result.load(options.result)
     write_report(result, options.out, options.scene, options.overwrite)
-    if not options.quiet:
-        size = options.out.stat().st_size / 1e6
-        print(f"{options.out}: {size:.1f} MB, open it in a browser")
+    size = options.out.stat().st_size / 1e6
+    tell(options, [f"{options.out}: {size:.1f} MB, open it in a browser"])
     return DONE

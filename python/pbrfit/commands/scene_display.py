@@ -10,7 +10,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -82,7 +82,7 @@ class SceneDisplay:
         """Tell that a scene has ended."""
         self.ended += 1
         outcome = attempt.value
-        with self._above_the_bar():
+        with nullcontext() if self._bar is None else self._bar.external_write_mode():
             repeat_log(attempt.said)
             if attempt.error is not None:
                 self.failed.append(task)
@@ -128,12 +128,6 @@ class SceneDisplay:
         if self.failed:
             names = ", ".join(str(task.scene) for task in self.failed)
             complain(f"{len(self.failed)} of {self._scenes} scenes failed: {names}")
-
-    def _above_the_bar(self) -> AbstractContextManager[object]:
-        if self._bar is None:
-            return nullcontext()
-        above: AbstractContextManager[object] = self._bar.external_write_mode()
-        return above
 
 
 def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from pbrfit.acquire import segments
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import DEVICE, SHOWN, Flags, asked_for, checkpoint, source
+from pbrfit.commands.network_options import DEVICE, SHOWN, Flags, add_source, asked_for, checkpoint
 from pbrfit.scene import completion
 from pbrfit.scene.folder import SEGMENT_FILE
 
@@ -37,14 +37,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "lies on top. sam2 needs the extra packages pbrfit[segment]."
     )
     cli.add_scene(parser)
-    parser.add_argument(
-        "--from",
-        dest="source",
-        metavar="sam2|FILE",
-        type=source(("sam2",)),
-        default="sam2",
-        help="sam2: a network's; FILE: a picture of ids, which may be larger",
-    )
+    said = "sam2: a network's; FILE: a picture of ids, which may be larger"
+    add_source(parser, ("sam2",), said)
     cli.add_flags(parser, overwrite=cli.switch("replace existing segments"))
     cli.add_quiet(parser, "no summary")
     cli.add_flags(parser.add_argument_group("--from sam2"), **SAM2)
@@ -54,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     """Write `segments.png`."""
     completion.check_none(options.scene, [SEGMENT_FILE], "segments", overwrite=options.overwrite)
     kind = "sam2" if options.source == "sam2" else "file"
-    given = asked_for(options, FLAGS, kind, f"--from {options.source}")
+    given = asked_for(options, FLAGS, kind)
     if kind == "sam2":
         space = given.pop("color_space", None)
         picture, _ = shown_to_network(options.scene, given.pop("picture", None), space)
@@ -62,11 +56,7 @@ def run(options: argparse.Namespace) -> int:
         picture = np.zeros((*completion.picture_size(options.scene), 3), np.uint8)
     ids, record = segments.segment(options.source, picture, **given)
     path = completion.add_segments(options.scene, ids, overwrite=options.overwrite)
-    if not options.quiet:
-        count = record["segments"]
-        with cli.unread_is_no_failure():
-            print(
-                f"{path}: {count} segment{'s' if count != 1 else ''}, "
-                f"{100 * np.mean(ids > 0):.0f} % of the picture"
-            )
+    count = record["segments"]
+    segmented = f"{count} segment{'s' if count != 1 else ''}"
+    cli.tell(options, [f"{path}: {segmented}, {100 * np.mean(ids > 0):.0f} % of the picture"])
     return cli.DONE
