@@ -26,35 +26,28 @@ def view_directions(
     rows: slice = slice(None),
     columns: slice = slice(None),
 ) -> NDArray[np.float64]:
-    """Unit vectors from the surface seen in each pixel to the camera.
+    """Unit vectors v from the surface seen in each pixel to the camera.
 
-    Parameters
-    ----------
-    height, width
-        Size of the picture in pixels.
-    fov
-        Horizontal field of view in degrees, 0 <= fov < 180; 0 is orthographic.
-    rows, columns
-        Which of the picture's pixels are wanted.
-
-    Returns
-    -------
-    (height, width, 3) float64, camera space, or as many rows and columns as are wanted. The ray
-    through a pixel's centre runs along -v.
-
-    Raises
-    ------
-    InputError
-        If fov is outside [0, 180).
+    Of a picture of `height` × `width` pixels, `rows` and `columns` are those that are wanted.
+    Returns (height, width, 3) float64, camera space, or as many rows and columns as are wanted. The
+    ray through a pixel's centre runs along -v. Raises InputError if fov, in degrees, is outside
+    [0, 180).
     """
     check_fov(fov)
+    return views_at((height, width), fov, np.arange(width)[columns], np.arange(height)[rows, None])
+
+
+def views_at(size: tuple[int, int], fov: float, columns: Any, rows: Any) -> NDArray[np.float64]:
+    """Those vectors (..., 3) at places of a picture of `size` (height, width), also between pixels.
+
+    `columns` and `rows` (...) are x and y in pixels; the centre of the first pixel is at 0, 0.
+    """
+    height, width = size
     half_width = math.tan(math.radians(fov) / 2)
-    x = ((2 * np.arange(width) + 1 - width) / width * half_width)[columns]
-    y = ((height - 1 - 2 * np.arange(height)) / width * half_width)[rows]
-    view = np.empty((len(y), len(x), 3))
-    view[..., 0] = -x
-    view[..., 1] = -y[:, None]
-    view[..., 2] = 1.0
+    x = (2 * np.asarray(columns) + 1 - width) / width * half_width
+    y = (height - 1 - 2 * np.asarray(rows)) / width * half_width
+    view = np.empty((*np.broadcast_shapes(x.shape, y.shape), 3))
+    view[..., 0], view[..., 1], view[..., 2] = -x, -y, 1.0
     view /= np.linalg.norm(view, axis=-1, keepdims=True)
     return view
 

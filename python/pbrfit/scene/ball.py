@@ -164,25 +164,25 @@ def sphere_normals(
     They are at `columns` and `rows` (...), x and y in pixels, of a picture of `size` (height,
     width) and a horizontal field of view `fov` in degrees, 0 = orthographic.
     """
-    rays = _rays(size, fov, columns, rows)
+    views = geometry.views_at(size, fov, columns, rows)
     if fov == 0:
         across = np.stack(np.broadcast_arrays(columns - ball.x, ball.y - rows), axis=-1)
         across /= ball.radius
         squared = 1 - (across**2).sum(axis=-1, keepdims=True)
         normals = np.concatenate([across, np.sqrt(np.maximum(squared, 0.0))], axis=-1)
-        return np.where(squared >= 0, normals, np.nan), -rays
+        return np.where(squared >= 0, normals, np.nan), views
     around = np.linspace(0, 2 * np.pi, OUTLINE_ANGLES, endpoint=False)
     right, down = ball.radius * np.cos(around), ball.radius * np.sin(around)
-    outline = _rays(size, fov, ball.x + right, ball.y + down)
+    outline = -geometry.views_at(size, fov, ball.x + right, ball.y + down)
     # Rays of a cone end in a plane, whose normal is its axis.
     middle = outline.mean(axis=0)
     axis = np.linalg.svd(outline - middle)[2][2]
     axis *= np.sign(axis @ middle)
     distance = 1 / np.sqrt(1 - (axis @ middle) ** 2)
-    along = rays @ axis
+    along = -views @ axis
     with np.errstate(invalid="ignore"):
         t = distance * along - np.sqrt(1 - distance**2 * (1 - along**2))
-    return np.asarray(t[..., None] * rays - distance * axis), -rays
+    return np.asarray(-t[..., None] * views - distance * axis), views
 
 
 def lights_of_balls(
@@ -215,16 +215,6 @@ def lights_of_balls(
         np.mean([[one.residual for one in row] for row in found], axis=0),
         np.array([[one.place for one in row] for row in found]).swapaxes(0, 1),
     )
-
-
-def _rays(size: tuple[int, int], fov: float, columns: Any, rows: Any) -> Array:
-    """Unit vectors from the camera through places of the picture, as `view_directions` has them."""
-    height, width = size
-    half_width = np.tan(np.radians(fov) / 2)
-    x = (2 * np.asarray(columns, np.float64) + 1 - width) / width * half_width
-    y = (height - 1 - 2 * np.asarray(rows, np.float64)) / width * half_width
-    rays = np.stack([x, y, np.full(x.shape, -1.0)], axis=-1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
 def _brightness(image: NDArray[np.floating[Any]]) -> Array:
