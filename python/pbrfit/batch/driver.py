@@ -95,13 +95,19 @@ def drive(
         would take more; one runs always.
     """
     waiting, suspects = deque(tasks), deque[T]()
-    room = _Room(memory, available)
+    sizes: dict[int, int] = {}  # by the identity of a task: its size is read from files, once
+
+    def fit(some: Sequence[T]) -> bool:
+        """Whether there is memory enough for some tasks at once, as far as it is known."""
+        if memory is None or available is None:
+            return True
+        sizes.update({id(one): memory(one) for one in some if id(one) not in sizes})
+        return sum(sizes[id(one)] for one in some) <= available
+
     try:
         while waiting or suspects:
-            if waiting:
-                _one_pool(waiting, work, workers, ended, meanwhile, room, suspects)
-            else:
-                _one_pool(suspects, work, workers, ended, meanwhile, room, None)
+            queue, others = (waiting, suspects) if waiting else (suspects, None)
+            _one_pool(queue, work, workers, ended, meanwhile, fit, others)
     finally:
         workers.stop()
 
@@ -112,7 +118,7 @@ def _one_pool(
     workers: Workers,
     ended: Callable[[T, Attempt[R]], None],
     meanwhile: Callable[[int], None],
-    room: _Room[T],
+    fit: Callable[[Sequence[T]], bool],
     suspects: deque[T] | None,
 ) -> None:
     """Hand over tasks until there are none, or the pool breaks; without `suspects` one by one."""
@@ -123,7 +129,7 @@ def _one_pool(
         at_once = workers.slots() if suspects is not None else 1
         while queue and not broken and len(running) < at_once:
             task = queue[0]
-            if running and not room.admits(task, [one for one, _ in running.values()]):
+            if running and not fit([task, *(one for one, _ in running.values())]):
                 break
             slot = None if watch is None else watch.begin()
             try:
@@ -154,24 +160,6 @@ def _one_pool(
                 suspects.append(task)
             else:
                 ended(task, found)
-
-
-class _Room(Generic[T]):
-    """Memory, as far as it is known."""
-
-    def __init__(self, memory: Callable[[T], int] | None, available: int | None) -> None:
-        self._memory, self._available = memory, available
-        self._sizes: dict[int, int] = {}
-        """By the identity of a task: its size is read from files, once."""
-
-    def admits(self, task: T, running: Sequence[T]) -> bool:
-        """Whether there is enough for a task beside those that run."""
-        if self._memory is None or self._available is None:
-            return True
-        for one in (task, *running):
-            if id(one) not in self._sizes:
-                self._sizes[id(one)] = self._memory(one)
-        return sum(self._sizes[id(one)] for one in (task, *running)) <= self._available
 
 
 def attempt(

@@ -105,7 +105,7 @@ def decompose_scene(
     the scene cannot be used, or its result not be written. The message names the file.
     """
     from pbrfit.batch import process_memory
-    from pbrfit.batch.unchanged import check_model, kept
+    from pbrfit.batch.unchanged import kept
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.registration.placement import aligned
@@ -118,7 +118,6 @@ def decompose_scene(
     wanted = _Wanted(task, show)
     wanted.check()
     if not task.overwrite and task.output.is_dir():
-        check_model(task.output, task.source, task.options)
         content = kept(task.output, task.source, task.reading, task.options)
         if content is not None:
             # Without `resume` the place was free: the result is of an attempt at this very task,

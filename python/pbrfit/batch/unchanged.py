@@ -28,10 +28,23 @@ def kept(
 
     It may where all its files are as they were written, by this version, of these options, and of
     the files that the scene folder has now: their names and contents, not their dates. Whatever
-    cannot be read is none.
+    cannot be read is none. Raises InputError if the result is of another model than the scene would
+    be fitted with now: materials of one model are worth nothing in another, so it is no earlier
+    attempt at this one.
     """
+    file = output / "result.json"
     try:
-        content = json.loads(read_text(output / "result.json", TEXT_BYTES))
+        content = table(json.loads(read_text(file, TEXT_BYTES)))
+        of_pictures = scene_folder.locate(scene).settings().model
+    except (OSError, ValueError, RecursionError):
+        return None
+    found, wanted = model_of(content, file), chosen_model(options.model, of_pictures)
+    if found != wanted:
+        raise InputError(
+            f"{output}: expected a result of model {wanted} to resume, found one of model {found}; "
+            f"--model {found} keeps it, --overwrite replaces it"
+        )
+    try:
         HeldOut.from_json(content.get("held_out"))  # raises what is caught below
         scene_then = dict(content["scene"])
         if (content["camera"] or {}).get("response"):  # the choice of the fit, as nobody asked
@@ -47,24 +60,3 @@ def kept(
     except (OSError, InputError, *UNFIT):
         return None
     return content if same else None
-
-
-def check_model(output: Path, scene: ScenePath, options: FitOptions) -> None:
-    """See that a result, if there is one, is of the model that a scene would be fitted with now.
-
-    Materials of one model are worth nothing in another, so a result of another model is no earlier
-    attempt at this one. What cannot be read is no result. Raises InputError if it is of another
-    model.
-    """
-    file = output / "result.json"
-    try:
-        content = table(json.loads(read_text(file, TEXT_BYTES)))
-    except (OSError, ValueError, RecursionError):
-        return
-    of_pictures = scene_folder.locate(scene).settings().model
-    found, wanted = model_of(content, file), chosen_model(options.model, of_pictures)
-    if found != wanted:
-        raise InputError(
-            f"{output}: expected a result of model {wanted} to resume, found one of model {found}; "
-            f"--model {found} keeps it, --overwrite replaces it"
-        )
