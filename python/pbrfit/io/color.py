@@ -151,11 +151,6 @@ class Conversion:
             linear[..., k] = row[0] * red + row[1] * green + row[2] * blue
         return linear
 
-    def then(self, matrix: ArrayLike) -> Conversion:
-        """Conversion to linear Rec.709, and by a matrix (3, 3) after that."""
-        before = np.eye(3) if self.matrix is None else self.matrix
-        return Conversion(self.curve, np.asarray(matrix, np.float64) @ before)
-
     def slopes(self, linear: NDArray[np.floating[Any]], levels: int) -> NDArray[np.float32]:
         """Radiance a code, of `levels`, before the matrix, at linear Rec.709 (..., 3)."""
         if self.matrix is not None:

@@ -11,12 +11,6 @@ from numpy.typing import NDArray
 
 from pbrfit.io.quoting import shown
 
-_EXIF_IFD, _INTEROPERABILITY_IFD = 0x8769, 0xA005
-_MAKE, _MODEL = 0x010F, 0x0110
-_EXPOSURE_TIME, _F_NUMBER, _SENSITIVITY = 0x829A, 0x829D, 0x8827
-_FOCAL_LENGTH, _FOCAL_LENGTH_35MM = 0x920A, 0xA405
-_COLOR_SPACE, _UNCALIBRATED = 0xA001, 65535
-
 
 @dataclass(frozen=True)
 class Exif:
@@ -39,14 +33,16 @@ def read(exif: bytes | None, orientation: int) -> Exif:
     if exif is None:
         return unknown
     from PIL import Image  # here: it takes longer to import than most of this package
+    from PIL.ExifTags import IFD
+    from PIL.ExifTags import Base as Tag
 
     tags = Image.Exif()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about damaged EXIF
         try:
             tags.load(exif)
-            more = tags.get_ifd(_EXIF_IFD)
-            index = str(tags.get_ifd(_INTEROPERABILITY_IFD).get(1, ""))
+            more = tags.get_ifd(IFD.Exif)
+            index = str(tags.get_ifd(IFD.Interop).get(1, ""))
         except Exception:  # whatever a damaged block leads to
             return unknown
 
@@ -57,20 +53,20 @@ def read(exif: bytes | None, orientation: int) -> Exif:
             return None
         return value if 0 < value < float("inf") else None
 
-    equivalent = number(_FOCAL_LENGTH_35MM)
-    length = number(_FOCAL_LENGTH) or equivalent
-    forms = {_EXPOSURE_TIME: "{:.3g} s", _F_NUMBER: "f/{:g}", _SENSITIVITY: "ISO {:g}"}
+    equivalent = number(Tag.FocalLengthIn35mmFilm)
+    length = number(Tag.FocalLength) or equivalent
+    forms = {Tag.ExposureTime: "{:.3g} s", Tag.FNumber: "f/{:g}", Tag.ISOSpeedRatings: "ISO {:g}"}
     exposure = [form.format(value) for tag, form in forms.items() if (value := number(tag))]
     settings = {
-        "camera": " ".join(shown(tags[i]).strip("\0 ") for i in (_MAKE, _MODEL) if i in tags),
+        "camera": " ".join(shown(tags[i]).strip("\0 ") for i in (Tag.Make, Tag.Model) if i in tags),
         "focal length": f"{length:g} mm" if length else "",
         "exposure": " ".join(exposure),
         **unknown.settings,
     }
-    stated = number(_COLOR_SPACE)
-    color_space = "uncalibrated" if stated == _UNCALIBRATED else None
+    stated = number(Tag.ColorSpace)
+    color_space = "uncalibrated" if stated == 65535 else None
     # 2 is not of the standard: some cameras write it. R03 is the DCF's option file, Adobe RGB.
-    if stated == 2 or (stated == _UNCALIBRATED and index.startswith("R03")):
+    if stated == 2 or (color_space and index.startswith("R03")):
         color_space = "adobe-rgb"
     return Exif(equivalent, color_space, {what: said for what, said in settings.items() if said})
 

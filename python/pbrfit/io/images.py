@@ -37,9 +37,6 @@ logger = logging.getLogger("pbrfit")
 PICTURE_SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff")
 """Suffixes, in lower case, of files that `read_picture` reads."""
 
-PngTag = Literal["srgb", "linear"] | None
-"""What a PNG file says about its encoding."""
-
 Orientation = Literal["exif", "as-stored"]
 """Whether pictures are turned as their EXIF data says."""
 
@@ -136,7 +133,7 @@ def read_picture(
     maximum. Raises InputError if the content or an argument cannot be used; OSError if the file
     cannot be read.
     """
-    asked = None if code_range is None else _checked(code_range)
+    asked = None if code_range is None else checked_codes(code_range)
     if orientation not in get_args(Orientation):
         raise InputError(f"orientation: expected exif or as-stored, found {orientation!r}")
     path = Path(path)
@@ -158,7 +155,8 @@ def read_picture(
         found = _of_raster(path, data, page, orientation, decide=chosen is None)
     convert, notes = chosen or found.conversion, found.notes
     if color_matrix is not None:
-        convert = convert.then(color_matrix)
+        before = np.eye(3) if convert.matrix is None else convert.matrix
+        convert = Conversion(convert.curve, np.asarray(color_matrix, np.float64) @ before)
 
     samples = exif.turned(found.samples, found.turn)
     colors, alpha = samples, None
@@ -318,22 +316,17 @@ def write_exr(
     _core.write_exr(path, planes, half)
 
 
-def write_png(path: str | os.PathLike[str], image: NDArray[Any], tag: PngTag) -> None:
-    """Write a PNG file: (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
+write_png, encode_png = _core.write_png, _core.encode_png
+"""Write a PNG file, or give its bytes: (H, W) or (H, W, 1 to 4), uint8 or uint16, already encoded.
 
-    The tag is what the file says about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of
-    1: data, or linear light) or None (nothing). Equal images give equal bytes. An existing file is
-    replaced, as a whole or not at all. Raises InputError if the shape or type of `image` is
-    another; OSError if the file cannot be written.
-    """
-    _core.write_png(path, image, tag)
+The tag is what the file says about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
+data, or linear light) or None (nothing). Equal images give equal bytes. An existing file is
+replaced, as a whole or not at all. Raises InputError if the shape or type of `image` is another;
+OSError if the file cannot be written."""
 
 
-encode_png = _core.encode_png
-"""Give the PNG file that `write_png` writes; raises InputError as that."""
-
-
-def _checked(code_range: tuple[int, int]) -> tuple[int, int]:
+def checked_codes(code_range: Any) -> tuple[int, int]:
+    """The lowest and the highest 8-bit code; InputError if these are none, or not in this order."""
     low = high = 0
     with contextlib.suppress(TypeError, ValueError):
         low, high = map(operator.index, code_range)

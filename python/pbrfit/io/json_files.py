@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,23 +67,20 @@ def flag(value: Any) -> bool:
 
 def path_text(value: Any) -> str:
     """Check a text that can be the path of a file; bytes that are no UTF-8 are as `os` has them."""
-    if "\0" in (path := words(value, "a path")):
+    if "\0" in (path := words(value)):
         raise ValueError(f"{quoted(value)} in place of a path")
     return path
 
 
-def text(value: Any) -> str:
-    """Check a text that can be written to a file in UTF-8."""
+def text(value: Any, errors: str = "strict") -> str:
+    """Check a text that can be written to a file in UTF-8; `errors` as of `str.encode`."""
     found = str(_a(value, str, "a text"))
-    found.encode("utf-8")
+    found.encode("utf-8", errors)
     return found
 
 
-def words(value: Any, what: str = "a text") -> str:
-    """Check a text that need not be UTF-8: names of files are not on every system."""
-    found = str(_a(value, str, what))
-    found.encode("utf-8", "surrogateescape")
-    return found
+words = partial(text, errors="surrogateescape")
+"""Check a text that need not be UTF-8: names of files are not on every system."""
 
 
 def texts(value: Any) -> tuple[str, ...]:

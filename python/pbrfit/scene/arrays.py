@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import limits as file_limits
-from pbrfit.io.checks import REAL, any_array, of_what, real_number, reals, refuse_masked
+from pbrfit.io.checks import any_array, of_what, real_array, real_number, reals
 from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH
 from pbrfit.lazy import lazy
@@ -171,8 +171,6 @@ class SceneArrays:
     response: Curve | None = None
 
     def __post_init__(self) -> None:
-        for name in ("normals", "depth", "segments"):
-            refuse_masked(name, getattr(self, name))
         images = any_array("images", np.ma.getdata(self.images))
         if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
             raise InputError(f"images: expected shape (N, H, W, 3), found {images.shape}")
@@ -198,7 +196,7 @@ class SceneArrays:
                 "images: expected at least two pictures under different lights, found one "
                 f"({names[0]}); a single picture needs its light (lighting.json)"
             )
-        segments = None if self.segments is None else np.asarray(self.segments)
+        segments = None if self.segments is None else any_array("segments", self.segments)
         if segments is not None and (
             segments.shape != (height, width) or not np.issubdtype(segments.dtype, np.integer)
         ):
@@ -206,7 +204,7 @@ class SceneArrays:
                 f"segments: expected integer ids of shape {(height, width)}, "
                 f"found {segments.dtype} of shape {segments.shape}"
             )
-        lighting = None if self.lighting is None else _floats("lighting", self.lighting)
+        lighting = None if self.lighting is None else real_array("lighting", self.lighting)
         if lighting is not None and (
             lighting.shape != (n, 16, 3) or not np.isfinite(lighting).all()
         ):
@@ -472,12 +470,10 @@ class SceneArrays:
 def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
     if mask is None:
         return None
-    mask = any_array("mask", mask)
+    mask = reals("mask", mask)
     if mask.shape != shape:
         raise InputError(f"mask: expected shape {shape}, found {mask.shape}")
-    if mask.dtype.kind not in REAL:
-        raise InputError(f"mask: expected True or False for each pixel, found {mask.dtype}")
-    if np.issubdtype(mask.dtype, np.floating) and np.isnan(mask).any():
+    if np.isnan(mask).any():
         raise InputError("mask: expected True or False for each pixel, found NaN")
     mask = mask.astype(bool)
     if not mask.any():
@@ -491,14 +487,12 @@ def _weights(
     """As (N, H, W, 3) float32; what the mask leaves out need not be sound and gets weight 0."""
     if weights is None:
         return None
-    given = told = any_array("weights", weights)
+    given = told = reals("weights", weights)
     expected = (len(names), *shape, 3)
     if given.shape not in (shape, expected[:3], expected):
         raise InputError(
             f"weights: expected shape {shape}, {expected[:3]} or {expected}, found {given.shape}"
         )
-    if given.dtype.kind not in "buif":
-        raise InputError(f"weights: expected real numbers, found {given.dtype}")
     if given.ndim < 4:
         given = given[..., None]
     # What was broadcast is kept once.
@@ -606,11 +600,6 @@ def equal_channels(values: NDArray[Any]) -> bool:
     return all(np.array_equal(first, values[..., c]) for c in (1, 2))
 
 
-def _floats(name: str, values: Any) -> NDArray[np.float64]:
-    with np.errstate(over="ignore"):  # of long doubles; they are infinite then, and refused
-        return reals(name, values).astype(np.float64)
-
-
 def _names(given: Any, pictures: int) -> tuple[str, ...]:
     """Names of files: different, and safe as such; made up where none are given."""
     try:
@@ -683,7 +672,7 @@ def _check_lamps(lamps: Any, pictures: int) -> None:
 
 def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(H, W, 3) normals of unit length where `valid`, NaN elsewhere; InputError if one has none."""
-    normals = _floats("normals", normals)
+    normals = real_array("normals", normals)
     if normals.shape != (*valid.shape, 3):
         raise InputError(f"normals: expected shape {(*valid.shape, 3)}, found {normals.shape}")
     with np.errstate(over="ignore"):  # an infinite length is refused
@@ -700,7 +689,7 @@ def _sigma(given: Any, valid: NDArray[np.bool_]) -> NDArray[np.float32] | None:
     """Standard deviations of normals as float32, NaN where not `valid`."""
     if given is None:
         return None
-    degrees = _floats("normal_sigma", given)
+    degrees = real_array("normal_sigma", given)
     if degrees.shape != valid.shape:
         raise InputError(f"normal_sigma: expected shape {valid.shape}, found {degrees.shape}")
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused

@@ -13,13 +13,12 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.input_files import there
-from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
+from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
 from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
-from pbrfit.model.lamps import Lamps
+from pbrfit.model.lamps import Lamps, rows_of_lamps
 from pbrfit.scene import folder as scene_folder
-from pbrfit.scene import known_lamps
 from pbrfit.scene.folder import HEIGHT_FILE
 from pbrfit.scene.writing import write_height
 
@@ -138,7 +137,7 @@ def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
     lamps.check_pictures(len(names))
     path = folder / LAMP_FILES[0]
     with new_file(path, overwrite=overwrite) as temporary:
-        known_lamps.save(temporary, lamps, names)
+        write_lamps(temporary, rows_of_lamps(lamps, names))
     return path
 
 

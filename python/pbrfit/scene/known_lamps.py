@@ -1,4 +1,4 @@
-"""Known lamps of a scene's pictures, from and to the files that tell them."""
+"""Known lamps of a scene's pictures, from the files that tell them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.lamp_files import matched, read_lamps, write_lamps
-from pbrfit.model.lamps import Lamps, lamps_of_rows, rows_of_lamps
+from pbrfit.io.lamp_files import matched, read_lamps
+from pbrfit.model.lamps import Lamps, lamps_of_rows
 
 
 def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:
@@ -23,11 +23,6 @@ def load(path: Path, names: Sequence[str]) -> tuple[Lamps, str]:
     lamps = lamps_of_rows([row for row, _ in kept], [i for _, i in kept])
     parts = (f"known, {in_words(lamps)}, from {path.name}", how, said)
     return lamps, "; ".join(filter(None, parts))
-
-
-def save(path: Path, lamps: Lamps, names: Sequence[str]) -> None:
-    """Write `lights.json` for pictures of these names."""
-    write_lamps(path, rows_of_lamps(lamps, names))
 
 
 def in_words(lamps: Lamps) -> str:

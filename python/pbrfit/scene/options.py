@@ -85,10 +85,7 @@ class ReadOptions:
             if pixels < 1:
                 raise InputError(f"max_size: expected at least 1 pixel, found {pixels}")
         if self.code_range is not None:
-            codes = _whole("code_range", self.code_range, "two 8-bit codes")
-            object.__setattr__(self, "code_range", codes)
-            if len(codes) != 2:
-                raise InputError(f"code_range: expected two 8-bit codes, found {codes}")
+            object.__setattr__(self, "code_range", images.checked_codes(self.code_range))
         if self.color_matrix is not None:
             rows = np.array(self.color_matrix, np.float64)
             if rows.shape != (3, 3) or not np.isfinite(rows).all() or np.linalg.det(rows) == 0:

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.lamp_files import LAMP_FILES
+from pbrfit.io.lamp_files import LAMP_FILES, write_lamps
 from pbrfit.io.normal_files import write_normals
 from pbrfit.io.output import new_folder
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
+from pbrfit.model.lamps import rows_of_lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import nearest_inside, write_materials
-from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
 from pbrfit.scene.folder import MAX_ID, SCENE_FOLDER, SEGMENT_FILE
 
@@ -49,7 +49,7 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
         if scene.lighting is not None:
             Lighting(scene.names, scene.lighting).save(folder / "lighting.json")
         if scene.lamps is not None:
-            known_lamps.save(folder / LAMP_FILES[0], scene.lamps, scene.names)
+            write_lamps(folder / LAMP_FILES[0], rows_of_lamps(scene.lamps, scene.names))
         if scene.truth is not None:
             _write_truth(scene.truth, scene, folder / "truth")
 
