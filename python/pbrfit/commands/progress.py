@@ -88,26 +88,20 @@ class ProgressLines:
         return nullcontext()
 
     def _tell(self) -> None:
+        from tqdm import tqdm
+
         now = time.monotonic()
         if now - self._told < LINE_EVERY:
             return
         self._told = now
-        units, elapsed = f"{self.unit}s", now - self._began
-        parts = [f"{self.n} of {self.total} {units}", _duration(elapsed)]
-        if self.unit == "it":  # so many at most; the time left is not known
-            parts[0] = f"{self.n} iteration{'s' * (self.n != 1)}"
-        elif self.n > self.initial:
-            left = elapsed / (self.n - self.initial) * (self.total - self.n)
-            parts.append(f"about {_duration(left)} left")
-        if self._postfix:
-            parts.append(self._postfix)
-        said = ", ".join(parts)
-        complain(said if self._name in (None, units) else f"{self._name}: {said}")
-
-
-def _duration(seconds: float) -> str:
-    """About so long: 42 s, 3 min, 2 h 05 min."""
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+        said = tqdm.format_meter(
+            self.n,
+            0 if self.unit == "it" else self.total,  # 0 = unknown: so many iterations at most
+            now - self._began,
+            ncols=0,  # no bar
+            prefix=self._name or "",
+            unit=self.unit,
+            postfix=self._postfix,
+            initial=self.initial,
+        )
+        complain(said)

@@ -243,21 +243,20 @@ def test_progress_in_a_pipe_is_a_line_now_and_then(
     now = progress.LINE_EVERY
     bar.set_postfix_str("2 at work")
     bar.update()
-    assert capsys.readouterr().err == ("pbrfit: 1 of 40 scenes, 5 s, about 3 min left, 2 at work\n")
+    said = "pbrfit: scenes:   2% 1/40 [00:05<03:15,  5.00s/scene, 2 at work]\n"
+    assert capsys.readouterr().err == said
     now = 1.9 * progress.LINE_EVERY
     bar.update()
     assert capsys.readouterr().err == ""
     now = 7300.0
     with bar.external_write_mode():
         bar.update(37)
-    assert (
-        capsys.readouterr().err
-        == "pbrfit: 40 of 40 scenes, 2 h 02 min, about 0 s left, 2 at work\n"
-    )
+    said = "pbrfit: scenes: 100% 40/40 [2:01:40<00:00, 182.50s/scene, 2 at work]\n"
+    assert capsys.readouterr().err == said
     with progress.progress_bar(500, quiet=False, name="kitchen") as bar:
         now += progress.LINE_EVERY
         bar.update(3)  # at most 500; how many it takes nobody knows
-        assert capsys.readouterr().err == "pbrfit: kitchen: 3 iterations, 5 s\n"
+        assert capsys.readouterr().err == "pbrfit: kitchen: 3it [00:05,  1.67s/it]\n"
 
 
 def test_a_terminal_has_a_bar_and_quiet_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
