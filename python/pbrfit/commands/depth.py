@@ -20,6 +20,7 @@ from pbrfit.commands.network_options import (
     add_source,
     asked_for,
     checkpoint,
+    source,
 )
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.io.depth_files import DEPTH_FILES, METRES
@@ -68,7 +69,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "marigold, depth-anything: a network's estimate; normals: their integral; FILE: a map that "
         "is there already (EXR, .npy, PNG or TIFF), in any unit"
     )
-    add_source(parser, ("marigold", "depth-anything", "normals"), said)
+    add_source(parser, source(("marigold", "depth-anything", "normals"), said))
     cli.add_flags(
         parser,
         fov=field_of_view(cli.number, "scene.toml, EXIF, else 60"),

@@ -18,7 +18,7 @@ from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
 from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import NORMAL_SOURCES, normal_source, source
+from pbrfit.commands.network_options import source
 from pbrfit.commands.scene_options import field_of_view
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.output import new_file
@@ -148,18 +148,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_flags(
         parser.add_argument_group("normals and segments"),
-        normals=cli.value(
-            NORMAL_SOURCES,
-            normal_source,
+        normals=source(
+            ("marigold", "flat"),
             "by a network, none (every surface faces the camera), or from a file",
-            default="marigold",
+            ("depth:",),
         ),
-        segments=cli.value(
-            "sam2|none|FILE",
-            source(("sam2", "none")),
-            "by a network, none, or from a file",
-            default="sam2",
-        ),
+        segments=source(("sam2", "none"), "by a network, none, or from a file"),
         device=cli.choice(
             Device,
             "where networks compute, those for pictures too (default: a GPU if there is one)",

@@ -9,14 +9,11 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import add_flags, number, numbers, value
+from pbrfit.io.quoting import listed
 from pbrfit.model.environment import Environment
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.relighting import SOFTEST, DirectionalLight, Light, PointLight, turned
 from pbrfit.result.result import Result
-
-NAMES_SHOWN = 32
-"""Names of pictures that a message lists."""
-
 
 Facts = list[tuple[str, str]]
 """Topics, and a sentence on each."""
@@ -131,17 +128,11 @@ def _near(options: argparse.Namespace, result: Result) -> tuple[PointLight, Fact
 
 
 def _whose(pictures: tuple[str, ...], options: argparse.Namespace, file: Path) -> str:
-    shown = ", ".join(pictures[:NAMES_SHOWN])
-    if len(pictures) > NAMES_SHOWN:
-        shown += f" and {len(pictures) - NAMES_SHOWN} more"
-    if options.picture is not None:
-        if options.picture not in pictures:
-            raise InputError(
-                f"{file}: expected a light of {options.picture} (--picture), found {shown}"
-            )
+    if options.picture in pictures:
         return str(options.picture)
-    if len(pictures) != 1:
-        raise InputError(
-            f"{file}: expected --picture NAME, because it holds {len(pictures)} lights: {shown}"
-        )
-    return pictures[0]
+    if options.picture is None and len(pictures) == 1:
+        return pictures[0]
+    expected = f"--picture NAME, because it holds {len(pictures)} lights"
+    if options.picture is not None:
+        expected = f"a light of {options.picture} (--picture)"
+    raise InputError(f"{file}: expected {expected}, found {listed(pictures)}")

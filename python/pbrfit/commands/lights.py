@@ -12,7 +12,7 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import Flags, add_source, asked_for
+from pbrfit.commands.network_options import Flags, add_source, asked_for, source
 from pbrfit.commands.scene_options import STORED, field_of_view
 from pbrfit.io.output import new_file
 from pbrfit.model.lamps import Lamps
@@ -59,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_scene(parser)
     said = "ball: one that is seen in the pictures; FILE: .lp, .csv, .txt or .json"
-    add_source(parser, ("ball",), said)
+    add_source(parser, source(("ball",), said))
     cli.add_flags(
         parser,
         preview=cli.value(

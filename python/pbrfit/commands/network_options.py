@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,34 +53,25 @@ def checkpoint(default: str) -> Flags:
     return {"model": value("ID|FOLDER", str, said)}
 
 
-def source(names: Sequence[str], prefixes: Sequence[str] = ()) -> Callable[[str], str]:
-    """Reader for `argparse` of one of some names, PREFIX and a file, or a file that is there."""
+def source(names: Sequence[str], said: str, prefixes: Sequence[str] = ()) -> Flag:
+    """An option with one of some names, by default the first, PREFIX and a file, or a file."""
+    forms = [*names, *(f"{prefix}FILE" for prefix in prefixes)]
 
     def read(text: str) -> str:
         if text in names:
             return text
         prefix = next((prefix for prefix in prefixes if text.startswith(prefix)), "")
         if not Path(text.removeprefix(prefix)).is_file():
-            choices = ", ".join([*names, *(f"{prefix}FILE" for prefix in prefixes)])
-            raise argparse.ArgumentTypeError(f"expected {choices} or a file, found {text!r}")
+            expected = f"expected {', '.join(forms)} or a file"
+            raise argparse.ArgumentTypeError(f"{expected}, found {text!r}")
         return text
 
-    return read
+    return value("|".join([*forms, "FILE"]), read, said, default=names[0])
 
 
-def add_source(
-    parser: argparse.ArgumentParser, names: Sequence[str], said: str, prefixes: Sequence[str] = ()
-) -> None:
-    """Add `--from`, by default the first of the names; the others as of `source`."""
-    forms = "|".join([*names, *(f"{prefix}FILE" for prefix in prefixes), "FILE"])
-    kind = source(names, prefixes)
-    flag = value(forms, kind, said, dest="source", default=names[0])
-    add_flags(parser, **{"from": flag})
-
-
-NORMAL_SOURCES = "marigold|flat|depth:FILE|FILE"
-normal_source = source(("marigold", "flat"), ("depth:",))
-"""Reader of a source of normals, and how help shows it."""
+def add_source(parser: argparse.ArgumentParser, flag: Flag) -> None:
+    """Add `--from`, which `source` makes."""
+    add_flags(parser, **{"from": {**flag, "dest": "source"}})
 
 
 def asked_for(options: argparse.Namespace, flags: Mapping[str, Flags], kind: str) -> dict[str, Any]:

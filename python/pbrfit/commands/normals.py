@@ -25,6 +25,7 @@ from pbrfit.commands.network_options import (
     add_source,
     asked_for,
     checkpoint,
+    source,
 )
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
 from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
@@ -108,7 +109,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "every surface faces the camera; depth:FILE: from a depth map; FILE: normals that are "
         "there already"
     )
-    add_source(parser, ("marigold", "pictures", "flat"), said, ("depth:",))
+    add_source(parser, source(("marigold", "pictures", "flat"), said, ("depth:",)))
     cli.add_flags(parser, overwrite=cli.switch("replace existing normals and weights"))
     cli.add_quiet(parser, "no progress bar, no summary")
     for kind, title in TITLES.items():
@@ -177,13 +178,7 @@ def _look_at(scene: Path) -> str:
 
 def _of_pictures(found: PictureNormals, valid: NDArray[np.bool_]) -> list[str]:
     """What to know about normals that pictures told, in lines."""
-    tilt = np.degrees(np.arccos(np.clip(found.normals[valid][:, 2], -1, 1)))
-    middle, high = np.percentile(found.sigma_degrees[valid], [50, 95])
-    lines = [
-        f"turned away from the optical axis by {tilt.mean():.0f} degrees (mean), "
-        f"{np.percentile(tilt, 95):.0f} (95 %)",
-        f"uncertain by {middle:.1f} degrees (median), {high:.1f} (95 %)",
-    ]
+    lines = _facts(Normals(found.normals[valid], found.sigma_degrees[valid]))
     said = known_lamps.in_words(found.lamps)
     far = ~found.lamps.near
     if far.any():

@@ -9,7 +9,15 @@ import numpy as np
 from pbrfit.acquire import segments
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import DEVICE, SHOWN, Flags, add_source, asked_for, checkpoint
+from pbrfit.commands.network_options import (
+    DEVICE,
+    SHOWN,
+    Flags,
+    add_source,
+    asked_for,
+    checkpoint,
+    source,
+)
 from pbrfit.scene import completion
 from pbrfit.scene.folder import SEGMENT_FILE
 
@@ -38,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_scene(parser)
     said = "sam2: a network's; FILE: a picture of ids, which may be larger"
-    add_source(parser, ("sam2",), said)
+    add_source(parser, source(("sam2",), said))
     cli.add_flags(parser, overwrite=cli.switch("replace existing segments"))
     cli.add_quiet(parser, "no summary")
     cli.add_flags(parser.add_argument_group("--from sam2"), **SAM2)

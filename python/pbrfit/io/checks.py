@@ -16,17 +16,12 @@ REAL = "buif"
 
 def any_array(name: str, values: Any) -> NDArray[Any]:
     """As an array of whatever it holds; InputError where it is masked or its rows differ."""
-    refuse_masked(name, values)
+    if np.ma.is_masked(values):  # what the mask leaves out would count as numbers
+        raise InputError(f"{name}: expected an array without a mask, found a masked one")
     try:
         return np.asarray(values)
     except ValueError as error:
         raise InputError(f"{name}: expected an array, found {error}") from None
-
-
-def refuse_masked(name: str, values: Any) -> None:
-    """Raise InputError for a masked array: what its mask leaves out would count as numbers."""
-    if np.ma.is_masked(values):
-        raise InputError(f"{name}: expected an array without a mask, found a masked one")
 
 
 def reals(name: str, values: Any) -> NDArray[Any]:

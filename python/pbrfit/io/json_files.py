@@ -102,9 +102,5 @@ def _a(value: Any, kind: type | tuple[type, ...], what: str) -> Any:
 
 def write_json(path: Path, content: object, errors: str = "strict") -> None:
     """Write JSON that people can read; `errors` as of `str.encode`, for what no UTF-8 can hold."""
-    path.write_text(json_text(content) + "\n", encoding="utf-8", errors=errors)
-
-
-def json_text(content: object) -> str:
-    """JSON as `write_json` writes it."""
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    written = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    path.write_text(written + "\n", encoding="utf-8", errors=errors)

@@ -62,10 +62,6 @@ def _passed_over(name: str) -> bool:
     return any(fnmatchcase(name, pattern) for pattern in PASSED_OVER)
 
 
-EMPTY = FolderForm()
-"""Form of a folder in which there is nothing."""
-
-
 @contextmanager
 def unfinished(
     temporary: Path, *, aside: tuple[Path, Path] | None = None, parents: Sequence[Path] = ()
@@ -173,7 +169,7 @@ def new_folder(
     path: Path,
     *,
     overwrite: bool = False,
-    form: FolderForm = EMPTY,
+    form: FolderForm = FolderForm(),
     temporaries: Path | None = None,
 ) -> AbstractContextManager[Path]:
     """A new folder at `path`, whole or not there (`_new`); `temporaries` is where to work instead.
@@ -206,7 +202,7 @@ def check_free_file(path: Path, *, overwrite: bool, kind: str = FILE) -> None:
         raise FileExistsError(f"{path}: expected {expected}; overwrite=True replaces it")
 
 
-def check_free(path: Path, *, overwrite: bool, form: FolderForm = EMPTY) -> None:
+def check_free(path: Path, *, overwrite: bool, form: FolderForm = FolderForm()) -> None:
     """Check that a folder may be made at `path`.
 
     Only an earlier output is replaced: an empty folder, or one of the given form in which there is

@@ -233,7 +233,10 @@ class SceneArrays:
             _check_truth(self.truth, n, height, width)
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
                 raise InputError("truth: expected materials of some valid pixels, found only NaN")
-        _check_lamps(self.lamps, n)
+        if self.lamps is not None:
+            if not isinstance(self.lamps, Lamps):
+                raise InputError(f"lamps: expected Lamps, found {of_what(self.lamps)}")
+            self.lamps.check_pictures(n)
         given: Any = self.normals
         normals = unit_normals(_facing((height, width), n) if given is None else given, valid)
         normals_known = bool(self.normals_known and given is not None)
@@ -657,17 +660,6 @@ def _facing(shape: tuple[int, int], pictures: int) -> NDArray[np.float64]:
             "under different lights need none"
         )
     return np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3))
-
-
-def _check_lamps(lamps: Any, pictures: int) -> None:
-    if lamps is None:
-        return
-    if not isinstance(lamps, Lamps):
-        raise InputError(f"lamps: expected Lamps, found {of_what(lamps)}")
-    if len(lamps) and lamps.pictures[-1] >= pictures:
-        raise InputError(
-            f"lamps: expected indices of pictures below {pictures}, found {lamps.pictures[-1]}"
-        )
 
 
 def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -40,7 +40,7 @@ DISAGREEMENT_MIN = 45.0
 """Median angle in degrees from which on depth and normals are said to contradict each other."""
 
 COMPARED_MAX = 1 << 16
-"""Pixels that are compared when a scene is made: rows and columns are left out of larger maps."""
+"""Pixels that are compared: rows and columns are left out of larger maps."""
 
 FAR_RATIO = 10.0
 """Ratio of a depth that several pixels have, to the bit, to the next smaller one of the map, from
@@ -72,7 +72,7 @@ def checked_depth(
     depth, notes = without_holes(array)
     if not normals_known:
         return depth, notes
-    found = compared(depth, normals, fov, at_most=COMPARED_MAX)
+    found = compared(depth, normals, fov)
     if found.inverse:
         raise InputError(
             "depth: expected distances, found inverse depth (normals of the map are "
@@ -137,14 +137,12 @@ class Agreement:
         return self.depth > AGREEMENT_MAX and self.inverse_depth < INVERSE_RATIO_MAX * self.depth
 
 
-def compared(
-    depth: Depth, normals: NDArray[np.floating[Any]], fov: float, *, at_most: int | None = None
-) -> Agreement:
+def compared(depth: Depth, normals: NDArray[np.floating[Any]], fov: float) -> Agreement:
     """Compare normals of a depth map (H, W) with given ones (H, W, 3), NaN where either is unknown.
 
-    With `at_most` so many pixels are compared, from every s-th row and column.
+    Of larger maps `COMPARED_MAX` pixels are compared.
     """
-    some = every_few(depth.shape, at_most)
+    some = every_few(depth.shape, COMPARED_MAX)
     few, wanted = depth[some].astype(np.float64), normals[some]
     # A camera without perspective sees a width of 2 units (`geometry.positions`).
     width = 2.0 if fov == 0 else None
@@ -169,9 +167,9 @@ def compared(
     return Agreement(as_depth, angle(inverse))
 
 
-def every_few(shape: tuple[int, ...], at_most: int | None) -> tuple[slice, slice]:
-    """Every s-th row and column of (H, W), so that about `at_most` pixels remain; None = all."""
-    step = 1 if at_most is None else math.ceil(math.sqrt(shape[0] * shape[1] / at_most))
+def every_few(shape: tuple[int, ...], at_most: int) -> tuple[slice, slice]:
+    """Every s-th row and column of (H, W), so that about `at_most` pixels remain."""
+    step = math.ceil(math.sqrt(shape[0] * shape[1] / at_most))
     return slice(step // 2, None, step), slice(step // 2, None, step)
 
 

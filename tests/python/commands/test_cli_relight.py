@@ -329,7 +329,7 @@ SHORT = np.zeros((2, 9, 3)).tolist()
 @pytest.mark.parametrize(
     ("make", "arguments", "message"),
     [
-        (of_lights(), (), "expected --picture NAME, because it holds 2 lights: left, right"),
+        (of_lights(), (), "expected --picture NAME, because it holds 2 lights, found left, right"),
         (of_lights(), ("--picture", "up"), "a light of up (--picture), found left, right"),
         (of_lights(order=2), (), "of order 3, found"),
         (of_lights(coefficients=SHORT), (), "expected coefficients of shape (2, 16, 3)"),
