@@ -148,10 +148,7 @@ def test_bfloat16_works_on_the_processor_too(tiny_flux2_klein: Path, photo: Phot
 
 
 def test_parts_that_wait_elsewhere_change_no_bit(
-    klein: Flux2Klein,
-    tiny_flux2_klein: Path,
-    photo: Photo,
-    monkeypatch: pytest.MonkeyPatch,
+    klein: Flux2Klein, tiny_flux2_klein: Path, photo: Photo, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The processor stands in for the GPU: parts move from it to it, by the same hooks.
     where = weights.Placement("cpu", "float32", "model")
@@ -186,11 +183,7 @@ def test_a_prompt_that_would_be_cut_off_is_refused(klein: Flux2Klein, photo: Pho
     ],
 )
 def test_a_distilled_checkpoint_with_guidance_is_refused(
-    guidance: float,
-    negative: str,
-    asked: str,
-    tiny_distilled_flux2_klein: Path,
-    photo: Photo,
+    guidance: float, negative: str, asked: str, tiny_distilled_flux2_klein: Path, photo: Photo
 ) -> None:
     generator = Flux2Klein(model=str(tiny_distilled_flux2_klein), guidance=guidance, device="cpu")
     expected = f"expected a base checkpoint for {asked}, found a distilled one, which ignores both"

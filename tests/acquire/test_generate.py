@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from acquire.image_service import (
-    KEY,
-    Answer,
-    Call,
-    Serve,
-    Service,
-    failure,
-    picture,
-)
+from acquire.image_service import KEY, Answer, Call, Serve, Service, failure, picture
 from command_runs import ran
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene

@@ -50,9 +50,6 @@ def folder_of_photographs(folder: Path, height: int = 97, width: int = 131) -> P
     return folder
 
 
-# --- Normals ---
-
-
 @pytest.mark.parametrize("size", SIZES)
 def test_normals_of_any_size_with_their_uncertainty(marigold: str, size: tuple[int, int]) -> None:
     found = estimate("marigold", picture(*size), fov=60, model=marigold, ensemble=3, device="cpu")
@@ -181,9 +178,6 @@ def test_the_command_completes_a_folder_of_photographs(
     assert "shown picture 1" in capsys.readouterr().out
     assert main(["normals", str(folder), *shared, "--overwrite", "--picture", "7"]) == 2
     assert "picture: expected one of 0, 1, 2, found '7'" in capsys.readouterr().err
-
-
-# --- Segments ---
 
 
 @pytest.mark.parametrize("size", SIZES)

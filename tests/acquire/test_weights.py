@@ -230,11 +230,7 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[HubThatRefuses]]:
         (404, "RepoNotFound", rf"{MODEL}: expected FLUX.2 Klein in a local folder or on the Hub"),
         (403, "GatedRepo", rf"{MODEL} is given out on conditions: accept them at https://hugging"),
         (404, "RevisionNotFound", rf"FLUX.2 Klein: expected a revision that {MODEL} has, found"),
-        (
-            404,
-            "EntryNotFound",
-            r"expected the weights .*, found none, and could .*404 Not Found",
-        ),
+        (404, "EntryNotFound", r"expected the weights .*, found none, and could .*404 Not Found"),
     ],
 )
 def test_what_the_hub_answers_is_one_line(

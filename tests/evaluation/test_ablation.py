@@ -42,9 +42,6 @@ def segments_of(scene: Scene) -> cases.Ids:
     return scene.segments
 
 
-# Scenes
-
-
 def test_the_constant_room_is_the_room() -> None:
     made = case("constant", SEED, size=SIZE)
     plain = make_scene("room", size=SIZE, seed=SEED, noise=0.01)
@@ -152,9 +149,6 @@ def test_a_third_takes_the_ids_of_others() -> None:
     assert 36 <= near <= 60
 
 
-# Configurations
-
-
 def test_each_prior_is_off_and_alone_once() -> None:
     everything = {*CONFIGURATIONS, *curves(ablation.SUITE.effort["weights"][0])}
     assert len({one.key for one in everything}) == len(everything)
@@ -168,9 +162,6 @@ def test_each_prior_is_off_and_alone_once() -> None:
     assert [name for name in prior_names() if getattr(alone, name) != 0] == ["material"]
     assert by_key["default"] == Priors()
     assert by_key["none"] is None
-
-
-# Verdicts
 
 
 def test_verdicts_by_hand() -> None:
@@ -188,9 +179,6 @@ def test_verdicts_by_hand() -> None:
     exact = Demand("a", "constant", "albedo", 1.0)
     assert judge(exact, [0.2], [0.2]).holds
     assert not judge(exact, [0.2], [np.nextafter(0.2, 1)]).holds
-
-
-# The report and the command
 
 
 def rooms_with(errors: dict[str, float]) -> Results[RoomTask]:

@@ -23,14 +23,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import convergence
 from pbrfit_evaluation.convergence import figures
-from pbrfit_evaluation.convergence.cases import (
-    CASES,
-    LIGHTS,
-    Case,
-    make,
-    trial,
-    true_lighting,
-)
+from pbrfit_evaluation.convergence.cases import CASES, LIGHTS, Case, make, trial, true_lighting
 from pbrfit_evaluation.convergence.measure import (
     QUANTITIES,
     Budget,
@@ -56,9 +49,6 @@ def point(seconds: float, iteration: int, evaluations: int, error: float) -> Poi
 
 CURVE = (point(0, 0, 1, 0.5), point(1, 3, 4, 0.09), point(2, 6, 8, 0.02), point(4, 9, 16, 0.06))
 """Falls below 0.05 and rises again."""
-
-
-# Scenes
 
 
 def test_conditioning_goes_from_near_the_best_to_nearly_singular() -> None:
@@ -91,9 +81,6 @@ def test_noise_is_a_share_of_the_mean_radiance() -> None:
     assert np.std(noisy.images - clean.images) == pytest.approx(0.02 * 0.4, rel=0.02)
     np.testing.assert_array_equal(true_lighting(noisy), true_lighting(clean))
     np.testing.assert_array_equal(noisy.images, make(Case("c", 24, 0.02, "alike"), 100).images)
-
-
-# Measures
 
 
 def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
@@ -141,9 +128,6 @@ def test_median_counts_never_as_late() -> None:
         assert median_reached(times) == expected
     assert first_reached(CURVE, "recon", 0.05) == CURVE[2]
     assert first_reached([point(0, 0, 1, math.nan)], "recon", 1.0) is None
-
-
-# Solvers
 
 
 def test_the_solver_tells_its_state_with_the_clock_stopped() -> None:
@@ -231,9 +215,6 @@ def options(*cases: str, seeds: int = 1, iterations: int = 12) -> argparse.Names
     return argparse.Namespace(model="paper", cases=cases, seeds=seeds, real=None, **budget)
 
 
-# Peers
-
-
 def test_torch_loss_and_gradient_are_ours() -> None:
     pytest.importorskip("torch")
     from pbrfit_evaluation.convergence.torch_peer import Problem
@@ -276,9 +257,6 @@ def test_torch_optimisers_descend_and_count(name: str) -> None:
         scene, Budget(0, 10**6, 0.0), Tracker(partial(measure, scene, threads=1)), 1
     )
     assert "time limit" in reason
-
-
-# Figures and the command
 
 
 def record(task: Task, points: Any) -> tuple[Task, Record]:

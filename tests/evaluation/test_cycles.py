@@ -46,9 +46,6 @@ def world(kind: str = "room", seed: int = 1) -> World:
     return draw(kind, np.random.default_rng(seed))
 
 
-# What leaves for the renderer
-
-
 def test_polynomials_are_the_sh_basis() -> None:
     d = np.random.default_rng(0).normal(size=(100, 3))
     d /= np.linalg.norm(d, axis=-1, keepdims=True)
@@ -141,9 +138,6 @@ def test_pixels_at_edges_are_left_out() -> None:
     np.testing.assert_array_equal(inner_pixels(segments, normals, 40.0), expected)
 
 
-# What is kept, and what fails: a worker that renders nothing stands in for bpy
-
-
 GOOD = """
 import json, sys, numpy as np
 from pathlib import Path
@@ -160,6 +154,7 @@ np.savez(folder / "truth.npz", albedo=0.5 * radiance[0], roughness=flat, metalli
          normals=normals, positions=-2 * normals, segments=np.ones((n, n), np.uint16))
 (folder / "outcome.json").write_text('{"cpu_seconds": 3}')
 """
+"""A worker that renders nothing stands in for bpy."""
 
 Fake = Callable[[str], None]
 
@@ -305,9 +300,6 @@ def test_without_bpy_there_is_a_reason(monkeypatch: pytest.MonkeyPatch, tmp_path
 def test_arguments_out_of_range(options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         render_scene(world(), **options)  # type: ignore[arg-type]
-
-
-# With bpy
 
 
 @pytest.fixture(scope="module")

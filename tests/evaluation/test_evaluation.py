@@ -31,9 +31,6 @@ def attempts(folder: Path) -> dict[str, int]:
     return {p.stem: len(p.read_text("utf-8").splitlines()) for p in folder.glob("*.trace")}
 
 
-# ------------------------------------------------------------------------------------------ jobs
-
-
 @pytest.mark.parametrize("at_once", [1, 2])
 def test_one_failure_does_not_stop_the_others(tmp_path: Path, at_once: int) -> None:
     tasks = [Task("a", tmp_path), Task("b", tmp_path, "raise"), Task("c", tmp_path)]
@@ -148,9 +145,6 @@ def test_an_interrupted_run_keeps_what_is_done(tmp_path: Path) -> None:
     assert attempts(tmp_path) == {"a": 1, "b": 2, "c": 1}
 
 
-# ---------------------------------------------------------------------------------------- tables
-
-
 def test_mean_and_interval() -> None:
     values = np.random.default_rng(0).normal(3.0, 0.5, size=400)
     found = tables.mean_with_interval([*values, math.nan])
@@ -183,9 +177,6 @@ def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
             ["1e-09", ""],
             ["x,", "3"],
         ]
-
-
-# ---------------------------------------------------------------------------------------- folders
 
 
 def test_folder_of_a_suite(tmp_path: Path) -> None:
@@ -252,9 +243,6 @@ def test_report_is_whole_or_marked_by_the_lack_of_a_summary(tmp_path: Path) -> N
     with pytest.raises(RuntimeError), jobs.publish(tmp_path / "out"):
         raise RuntimeError
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["pictures", "records"]
-
-
-# --------------------------------------------------------------------------- recipes and scores
 
 
 @pytest.fixture(scope="module")
@@ -367,12 +355,6 @@ def test_recipes(scene: Scene) -> None:
         assert np.all(result.lighting[:, 9:] == 0)
     assert np.ptp(found["constant"].albedo, axis=(0, 1)).max() == 0
     assert found["plain"].metrics["recon_rmse"] < found["start"].metrics["recon_rmse"]
-
-
-# ------------------------------------------------------------------------------- the truth stays
-
-
-# ----------------------------------------------------------------------------------- the command
 
 
 @pytest.mark.slow

@@ -65,9 +65,6 @@ def others() -> list[int]:
     return [i for i in range(PICTURES) if i != BAD_PICTURE]
 
 
-# ---------------------------------------------------------------------------------- disturbances
-
-
 def test_the_reference_has_noise_and_the_clean_scene_none_but_rounding(noise: Disturbed) -> None:
     error = noise.scene.images - noise.expected
     assert noise.scene.images.dtype == np.float32
@@ -178,9 +175,6 @@ def test_views_are_90_degrees_wide_whatever_is_said(monkeypatch: pytest.MonkeyPa
         made("fov-unknown")
 
 
-# ------------------------------------------------------------------------------ what is measured
-
-
 def scale_errors(of: Disturbed, factor: Any = 1.0, camera: Any = None) -> Any:
     """With true lights, some times as strong."""
     result: Any = SimpleNamespace(
@@ -216,9 +210,6 @@ def test_the_window_is_where_most_has_changed() -> None:
     assert rows.min() <= 12 < 14 <= rows.max() < 17
     assert 0 <= columns.min() <= 2 < 4 <= columns.max()
     assert set(np.diff(rows)) == {0, 1}
-
-
-# --------------------------------------------------------------------------------------- verdicts
 
 
 def found(error: float, seconds: float = 1.0, **more: Any) -> dict[str, Any]:
@@ -336,9 +327,6 @@ def test_rounding_is_no_error_of_the_scale() -> None:
         assert row.metrics["scale_covered"] == covered
 
 
-# --------------------------------------------------------------------------------- the earlier run
-
-
 def earlier(path: Path, error: float, scenes: int = 1, protocol: str = "pbrfit-everyday-1") -> Path:
     metrics = dict.fromkeys(figures.ERRORS, error) | {"worst_multiple": 1.0}
     row = {"name": TITLES["noise"], "scenes": scenes, "metrics": metrics}
@@ -367,9 +355,6 @@ def test_before_must_be_a_summary_of_this_suite(tmp_path: Path) -> None:
     for path in (other, tmp_path / "text", tmp_path / "absent"):
         with pytest.raises(argparse.ArgumentTypeError, match=r"expected summary\.json"):
             figures.Earlier.read(str(path))
-
-
-# --------------------------------------------------------------------------------- the command
 
 
 def test_cases_bring_what_they_are_compared_with() -> None:

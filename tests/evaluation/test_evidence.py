@@ -63,9 +63,6 @@ def out(tmp_path: Path) -> Path:
     return out
 
 
-# --------------------------------------------------------------------------------- the mechanism
-
-
 def test_pages_are_filled_with_the_table_and_its_provenance(docs: Path, out: Path) -> None:
     evidence.publish(docs, "race", out)
     page = (docs / "race.md").read_text("utf-8")
@@ -145,8 +142,6 @@ def test_what_is_absent_is_an_error(docs: Path, out: Path) -> None:
     with pytest.raises(InputError, match="expected the documentation's folder, found none"):
         evidence.publish(docs, "race", out)
 
-
-# --------------------------------------------------------------------------------- our own pages
 
 GIVEN = {
     "conventions.md": "constants of colour spaces and of geometry",

@@ -94,9 +94,6 @@ def room() -> Scene:
     return replace(made, images=made.images / (1.2 * made.images.max()))
 
 
-# Splits, light
-
-
 def test_folds_are_spread_evenly_and_hold_no_picture_out_twice() -> None:
     assert split(8, folds=4, fold=1) == Split((0, 1, 3, 4, 5, 6, 7), (2,))
     assert split(8, 2, 2, 1) == Split((0, 1, 3, 4, 5, 7), (2, 6))
@@ -185,9 +182,6 @@ def test_light_is_of_the_kind_that_a_result_has(room: Scene) -> None:
     assert max(own, lamp) < 0.02 < around
 
 
-# Baselines
-
-
 @pytest.mark.parametrize("linear", [False, True])
 def test_matt_pictures_are_explained_however_their_files_are_encoded(
     tmp_path: Path, linear: bool
@@ -218,9 +212,6 @@ def test_samples_without_weight_and_black_pixels_tell_no_normal() -> None:
     expected[5] = 0, 0, 1
     np.testing.assert_allclose(normals, expected, atol=1e-6)
     np.testing.assert_array_equal(albedo[5], 0)
-
-
-# Sets
 
 
 def test_sphere_normals() -> None:
@@ -280,9 +271,6 @@ def test_public_sets_and_their_lamps_are_read(
         _, normals = explained_by_kept("lambert-known", scene, every, (0,), opened.lamps)
         assert normals is not None
         assert np.nanmedian(angles_between(normals, scene.normals)) < degrees
-
-
-# Folds, figures, command
 
 
 def task(source: Source, way: Way, fold: int = 0) -> Task:

@@ -47,9 +47,6 @@ def room() -> tuple[Scene, Lamps]:
     return with_lamps(CASE, 1)
 
 
-# Rooms
-
-
 def test_setups_are_rooms_of_table_1_under_points() -> None:
     assert set(SETUPS) == set(ROWS) == set(NAMES)
     rows = [TABLE1[key] for key in ROWS.values()]
@@ -88,9 +85,6 @@ def test_true_lamps_are_those_that_are_rendered(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(StopError):
         table1.cycles_scene(task, row, 1)
     np.testing.assert_array_equal(table1.cycles_lamps(task, row).places, asked[0])
-
-
-# What is measured
 
 
 def test_lamps_at_their_places_are_not_off(room: tuple[Scene, Lamps]) -> None:
@@ -141,9 +135,6 @@ def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_known_lamps_need_depth() -> None:
     assert all(variant.depth for variant in VARIANTS if variant.lamps)
-
-
-# Figures
 
 
 def values(error: float, cm: float | None = None) -> dict[str, Any]:

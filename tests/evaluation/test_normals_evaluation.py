@@ -42,9 +42,6 @@ def scene() -> Scene:
     return make_scene("furnished", size=48, lights=3, held_out=1, seed=2003)
 
 
-# ---------------------------------------------------------------------------------- disturbances
-
-
 @pytest.mark.parametrize(
     ("kind", "degrees", "within"),
     [("correlated", 2.0, 0.1), ("correlated", 10.0, 0.1), ("estimator", 5.0, 0.01)],
@@ -91,9 +88,6 @@ def test_disturbed_normals_are_unit_face_the_camera_and_keep_the_mask(kind: Any)
     np.testing.assert_array_equal(found, disturbed(masked, kind, 25.0, 1))
     assert np.nanmax(np.abs(found - disturbed(masked, kind, 25.0, 2))) > 0.1
     np.testing.assert_array_equal(disturbed(masked, kind, 0.0, 1), masked.normals)
-
-
-# ------------------------------------------------------------------------------------- the tasks
 
 
 @pytest.fixture
@@ -162,9 +156,6 @@ def test_turning_back_leaves_what_no_common_turn_explains() -> None:
     assert measure.aligned_angles(flipped, true).mean() > 20
     flat = np.broadcast_to([0.0, 0.0, 1.0], true.shape)
     assert np.isfinite(measure.aligned_angles(flat, true)).all()
-
-
-# -------------------------------------------------------------------------------------- verdicts
 
 
 def room_of(
@@ -257,9 +248,6 @@ def test_most_scenes_must_come_back() -> None:
     assert (holds.value, holds.bar, holds.holds) == (3, 3, True)
     assert (fails.value, fails.bar, fails.holds) == (2, 3, False)
     assert "furnished 2, furnished 3" in fails.where
-
-
-# --------------------------------------------------------------------------------------- command
 
 
 @pytest.mark.slow

@@ -17,8 +17,6 @@ from pbrfit_evaluation.solvers import SUITE, figures, measure
 from pbrfit_evaluation.solvers.measure import Case
 from pbrfit_evaluation.suite import Results, Verdict
 
-# -------------------------------------------------------------------------------------- measures
-
 
 def test_exact_is_exact_in_every_map() -> None:
     assert measure.is_exact(3e-8, [1e-6, 1e-6, 0.0])
@@ -37,9 +35,6 @@ def test_the_mark_is_the_lower_of_lbfgsb_and_gauss_newton_from_the_truth() -> No
         assert scores["above_mark"] == pytest.approx((scores["recon"] / mark) ** 2 - 1)
         assert scores["relight"] > 0
     assert found[measure.FROM_TRUTH]["recon"] < 0.01  # what the unknowns take up
-
-
-# -------------------------------------------------------------------------------------- verdicts
 
 
 def recorded(task: Any, values: Any) -> tuple[Any, Record]:
@@ -94,9 +89,6 @@ def test_nothing_is_held_where_nothing_was_finished(part: Any) -> None:
     case = Case(part.name, 1000, 8, 9)
     results = Results(Namespace(), [(case, Record(case.key, None, "OSError: full", 1.0))])
     assert not list(part.verdicts(results, part.figures(results)))
-
-
-# --------------------------------------------------------------------------------------- command
 
 
 def test_the_command_runs_parts(tmp_path: Path) -> None:

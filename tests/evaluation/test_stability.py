@@ -39,9 +39,6 @@ def case_of(pixels: int, pictures: int, seed: int = 0) -> Case:
     return random_case(np.random.default_rng(seed), pixels, pictures)
 
 
-# References
-
-
 def test_exact_bands_against_golden_values() -> None:
     rows = json.loads((GOLDEN / "bands.json").read_text(encoding="utf-8"))["rows"]
     exact = exact_bands(np.array([row["r"] for row in rows]))
@@ -126,9 +123,6 @@ def test_extreme_pixels_are_what_they_say() -> None:
     assert not dark.images[..., 2].any()
     assert not dark.lighting[:4, :, 2].any()
     assert dark.lighting[4:, 0, 2].all()
-
-
-# Verdicts
 
 
 TINY: dict[str, tuple[int, ...]] = {
@@ -236,9 +230,6 @@ def test_wrong_objective_fails(
     assert key in failures(section)
 
 
-# Stiff fits
-
-
 def test_stiff_scenes_are_what_their_names_say() -> None:
     scenes = {one.name: one for one in stiff_scenes(12, 5)}
 
@@ -304,9 +295,6 @@ def test_facts_of_a_broken_fit() -> None:
     assert known is not None
     called = levels(known.deviation).values()
     assert facts["fits_overlooked"] == sum(np.count_nonzero(one == 0) for one in called)
-
-
-# The command
 
 
 @pytest.mark.slow

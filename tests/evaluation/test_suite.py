@@ -47,8 +47,6 @@ from pbrfit_evaluation.suite import (
     numbers_csv,
 )
 
-# ---------------------------------------------------------------------------- a suite of nothing
-
 
 def cases(name: str, asked: Options) -> list[Task]:
     acts = asked.acts or ["well"] * asked.scenes
@@ -261,8 +259,6 @@ def test_help_of_all_suites_imports_none() -> None:
         assert f"'pbrfit_evaluation.{name}'" not in told
 
 
-# ---------------------------------------------------------------------------- suites that there are
-
 FIRST_SEEDS = {
     "ablation": 3000, "convergence": 100, "everyday": 2000, "generated": 9700, "lamps": 8200,
     "normals": 7000, "peers": 6000, "review": 6000, "solvers": 1000, "table1": 1000,
@@ -320,9 +316,6 @@ def test_options_out_of_range_are_refused_before_anything_is_written(
     assert message in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
-
-
-# -------------------------------------------------------------------------------- rows and tables
 
 
 def test_verdicts() -> None:
@@ -384,17 +377,12 @@ def test_markdown_of_cells() -> None:
     assert report.markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
 
 
-# ------------------------------------------------------------------------------------------ plots
-
 SERIES = [
     Series("a", [1, 10, 100], [1, 2, 4], low=[0.5, 1, 2], high=[2, 4, 8]),
     Series("b", [1, 10, 100], [4, 2, 1], empty=True, look=5),
 ]
 MARKS = [Mark(1, "bar"), Mark(2, axis="x", to=3)]
-NAMED = [
-    Series("a", [1, 2], ["x", "y"], low=[0.5, 1], high=[2, 4]),
-    Series("b", [1], ["y"]),
-]
+NAMED = [Series("a", [1, 2], ["x", "y"], low=[0.5, 1], high=[2, 4]), Series("b", [1], ["y"])]
 
 
 @pytest.mark.parametrize(

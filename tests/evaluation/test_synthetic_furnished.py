@@ -26,9 +26,6 @@ def truth(scene: Scene) -> Truth:
     return scene.truth
 
 
-# ------------------------------------------------------------------------- a second ray caster
-
-
 @pytest.mark.parametrize(("kind", "fov"), [*((kind, 60.0) for kind in KINDS), ("furnished", 90.0)])
 def test_pictures_agree_with_a_second_ray_caster(kind: str, fov: float) -> None:
     size, seed = 24, 3
@@ -58,9 +55,6 @@ def test_pictures_agree_with_a_second_ray_caster(kind: str, fov: float) -> None:
         assert lighting is not None
         radiance = view.radiance(lighting)
         np.testing.assert_allclose(images.reshape(radiance.shape), radiance, atol=1e-6)
-
-
-# ------------------------------------------------------------------------------------- promises
 
 
 @pytest.mark.parametrize("kind", ROOMS)

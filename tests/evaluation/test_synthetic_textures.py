@@ -46,9 +46,6 @@ def eight_bit(values: Array) -> Array:
     return np.asarray(np.round(255 * values) / 255)
 
 
-# --------------------------------------------------------------------------------------- loading
-
-
 def test_maps_of_a_set_by_folder_name(tmp_path: Path) -> None:
     color, rough, metal = noise(0), noise(1)[..., 0], noise(2)[..., 0]
     save_set(tmp_path / "tin", color, rough, metal)
@@ -142,9 +139,6 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
             load_textures(tmp_path)
 
 
-# -------------------------------------------------------------------------------------- sampling
-
-
 def one_set(maps: Array) -> MaterialSet:
     levels = [maps.astype(np.float32)]
     while len(levels[-1]) > 1:
@@ -176,8 +170,6 @@ def test_between_texels_and_levels_values_are_linear() -> None:
     np.testing.assert_allclose(wide, (first + second) / 2, atol=1e-6)
     np.testing.assert_allclose(sample(0.3, 0.9, 1e9), maps.mean((0, 1)), atol=1e-6)
 
-
-# --------------------------------------------------------------------------------------- mapping
 
 SOLIDS: tuple[Primitive, ...] = (
     Sphere(centre=np.zeros(3), radius=0.7),
@@ -231,9 +223,6 @@ def test_relief_tilts_the_normal_to_the_right_of_the_map() -> None:
         np.testing.assert_allclose(finish.normals[0], expected, atol=1e-6)
         np.testing.assert_allclose(finish.albedo[0], [0.5, 0.25, 0.98], atol=1e-6)
         assert finish.roughness[0] == LEAST_ROUGHNESS
-
-
-# ---------------------------------------------------------------------------------------- scenes
 
 
 @pytest.fixture

@@ -33,9 +33,6 @@ PAPER = ("--model", "paper")
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
 
 
-# --------------------------------------------------------------------------------------- normals
-
-
 def errors_of(size: int, seed: int) -> NDArray[np.float64]:
     scene = make_scene("room", size=size, lights=2, held_out=1, seed=seed)
     assert scene.segments is not None
@@ -66,9 +63,6 @@ def test_neighbours_err_alike() -> None:
     shuffled = np.random.default_rng(1).permutation(error.reshape(-1, 3))
     apart = np.linalg.norm(shuffled[1:] - shuffled[:-1], axis=-1)
     assert step.mean() < 0.35 * apart.mean()
-
-
-# ------------------------------------------------------------------------------------------ rows
 
 
 def test_rows_repeat_the_papers_table() -> None:
@@ -192,9 +186,6 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
     assert off[2] == off[1]  # not done again
 
 
-# ---------------------------------------------------------------------------------------- report
-
-
 def test_means_are_over_finished_scenes() -> None:
     pairs: list[tuple[Task, Any]] = []
     for seed in (1000, 1001):
@@ -212,9 +203,6 @@ def test_means_are_over_finished_scenes() -> None:
     assert [row.guess for row in rows] == [False, False, True, False]
     assert rows[-1].status == "not run: --quick leaves out what takes minutes"
     assert (rows[-1].scenes, rows[-1].metrics) == (0, {})
-
-
-# --------------------------------------------------------------------------------------- command
 
 
 @pytest.mark.slow

@@ -45,9 +45,6 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cycles, "why_not", lambda: None)
 
 
-# ------------------------------------------------------------------------------- what is measured
-
-
 def test_setups_are_rows_of_table_1_by_cycles_with_true_normals() -> None:
     assert set(SETUPS) == set(ROWS) == set(NAMES)
     rows = [TABLE1[key] for key in ROWS.values()]
@@ -125,9 +122,6 @@ def test_every_variant_runs(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["choice"] in figures.CHOICES
 
 
-# --------------------------------------------------------------------------------------- verdicts
-
-
 def asked(*, quick: bool = False, **changes: Any) -> Namespace:
     """Options as on the command line."""
     effort = {name: both[quick] for name, both in SUITE.effort.items()}
@@ -191,9 +185,6 @@ def test_rows_say_what_was_chosen_and_why_some_were_not_run(
     assert "chose_occlusion" not in rows["no depth"].metrics
     assert rows["rough depth"].status == "not run: no bpy"
     assert rows["constant guess"].status == "not run: no bpy"
-
-
-# ---------------------------------------------------------------------------------------- command
 
 
 @pytest.mark.slow

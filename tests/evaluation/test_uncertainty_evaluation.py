@@ -52,9 +52,6 @@ def clean() -> Scene:
     return scene("clean")
 
 
-# ----------------------------------------------------------------------------------------- scenes
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_scenes_have_true_materials_and_the_same_ones_each_time(name: Name, clean: Scene) -> None:
     first, again = scene(name), scene(name)
@@ -133,9 +130,6 @@ def test_lamps_hang_before_what_the_camera_sees_and_light_most(clean: Scene) -> 
     np.testing.assert_allclose(shares, conditions.AMBIENT, rtol=0.02)
 
 
-# --------------------------------------------------------------------------------------- measures
-
-
 def planted(scale: float, count: int = 20_000) -> Mapping[str, Any]:
     """Calibration of Gaussian errors so many times as large as is said."""
     rng = np.random.default_rng(1)
@@ -209,8 +203,6 @@ def test_a_result_is_compared_with_the_truth(clean: Scene) -> None:
     assert [one["deviation"] for one in of["scale"].values()] == [0.1, 0.01, 0.0]
     json.dumps(of)
 
-
-# ------------------------------------------------------------------------------------------- bars
 
 HELD = "share of maps called"
 
@@ -358,9 +350,6 @@ def test_pages_show_tables_and_plots_of_every_group() -> None:
     [csv] = figures.csvs(found, rows).values()
     said = next(line for line in csv if line["figure"] == "maps/albedo/said")
     assert (said["task"], said["value"]) == ("clean_furnished_0", "usable")
-
-
-# ---------------------------------------------------------------------------------------- command
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

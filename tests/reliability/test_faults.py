@@ -91,9 +91,6 @@ def size_of(folder: Path) -> int:
     return sum(-(-p.stat().st_size // 4096) * 4096 + 4096 for p in folder.rglob("*") if p.is_file())
 
 
-# A full disk
-
-
 @NEEDS_ROOT
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_disk_that_fills_up_costs_the_scenes_that_found_no_room(
@@ -146,9 +143,6 @@ def test_a_disk_without_any_room_costs_a_line_a_scene(scenes: Path, tmp_path: Pa
         assert names(tmp_path / "disk") == ["full"]
 
 
-# No right
-
-
 def test_an_output_that_may_not_be_written_is_one_line_before_the_work(
     scenes: Path, tmp_path: Path
 ) -> None:
@@ -185,9 +179,6 @@ def test_a_read_only_file_system_is_one_line_before_the_work(scenes: Path, tmp_p
         for given in (scenes, scenes / "s0"):
             found = ended(arguments(given, out))
             assert found == (2, "", f"pbrfit: {out}: {NO_PLACE}Read-only file system\n")
-
-
-# Workers that die
 
 
 def test_a_worker_that_dies_once_costs_nothing(scenes: Path, tmp_path: Path) -> None:
@@ -249,9 +240,6 @@ def test_a_worker_that_gets_no_memory_costs_its_scene_alone(scenes: Path, tmp_pa
     assert last == f"pbrfit: 1 of 7 scenes failed: {scenes / 'large'}"
     assert dict(statuses(told)) == {**dict.fromkeys(NAMES, "done"), "large": "failed"}
     assert names(tmp_path / "out") == NAMES
-
-
-# Stopped, changed, and on again
 
 
 def stopped_batch(scenes: Path, out: Path, least: int) -> None:

@@ -140,9 +140,5 @@ class Among(Example):
 
     def problem(self, threads: int = 1, **options: Any) -> _core.Problem:
         """As of `Example`, with the tables."""
-        given = {
-            "model": self.kind.model,
-            "transfer": self.rows,
-            "bounced": self.given_bounced(),
-        }
+        given = {"model": self.kind.model, "transfer": self.rows, "bounced": self.given_bounced()}
         return super().problem(threads, **(given | options))

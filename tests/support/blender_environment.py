@@ -62,11 +62,7 @@ def under(nodes: Nodes, path: str) -> None:
     (−z, −x, y).
     """
     x, y, z = nodes.add("SeparateXYZ", {0: nodes.add("TexCoord").outputs["Generated"]}).outputs
-    turned = {
-        "X": nodes.math("MULTIPLY", z, -1.0),
-        "Y": nodes.math("MULTIPLY", x, -1.0),
-        "Z": y,
-    }
+    turned = {"X": nodes.math("MULTIPLY", z, -1.0), "Y": nodes.math("MULTIPLY", x, -1.0), "Z": y}
     vector = nodes.add("CombineXYZ", turned).outputs[0]
     texture = nodes.add("TexEnvironment", {"Vector": vector}, image=bpy.data.images.load(path))
     [background] = [node for node in nodes.tree.nodes if node.type == "BACKGROUND"]

@@ -177,12 +177,7 @@ def shade_derivatives(
 
 
 def by_turning(
-    normal: Array,
-    view: Array,
-    albedo: Array,
-    roughness: Array,
-    metallic: Array,
-    direction: Array,
+    normal: Array, view: Array, albedo: Array, roughness: Array, metallic: Array, direction: Array
 ) -> Array:
     """Derivatives of the weights while the normal turns in a direction in its tangent plane."""
     stepped = normal + 1j * STEP * direction

@@ -40,9 +40,6 @@ SUN = DirectionalLight(-50.0, 35.0)
 needs_bpy = pytest.mark.skipif(why_not() is not None, reason=str(why_not()))
 
 
-# The .zip
-
-
 def members() -> dict[str, str]:
     with ZipFile(io.BytesIO(extension())) as archive:
         assert archive.testzip() is None
@@ -76,9 +73,6 @@ def test_the_extension_imports_what_blender_has() -> None:
             for module in modules:
                 root = module.partition(".")[0]
                 assert root in blenders or root in sys.stdlib_module_names, (name, module)
-
-
-# In Blender
 
 
 def room(model: Model) -> Result:

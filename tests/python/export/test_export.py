@@ -169,9 +169,6 @@ def codes(values: NDArray[Any], bits: int) -> NDArray[Any]:
     return np.asarray(np.floor(values * (2**bits - 1) + 0.5))
 
 
-# What is written
-
-
 def test_everything_without_options(result: Result, tmp_path: Path) -> None:
     exported = export_result(result, tmp_path / "out")
     assert names(tmp_path / "out") == [
@@ -353,9 +350,6 @@ def test_nothing_is_nan_and_outside_holds_the_nearest(result: Result, tmp_path: 
     np.testing.assert_array_equal(exr(folder / "roughness.exr")["Y"], roughness)
 
 
-# glTF
-
-
 def test_the_glb_keeps_to_the_specification(result: Result, tmp_path: Path) -> None:
     one = small((1, 1), 0, result)
     for i, (of, geometry) in enumerate(product((result, whole(result), one), GEOMETRIES)):
@@ -501,9 +495,6 @@ def test_facets_are_a_sound_glb_with_any_number_of_pixels(result: Result) -> Non
     read = glb_reader.read(glb(Maps.of(large), large.fov, geometry="facets"))
     assert read.arrays[-1].dtype == np.uint32
     assert read.arrays[-1].max() == 4 * 128 * 129 - 1
-
-
-# Lights
 
 
 def lamp() -> np.ndarray:
@@ -663,9 +654,6 @@ def test_names_of_pictures_become_names_of_files() -> None:
     assert long == ("x" * 200, "X" * 200 + "_2", "\u00e4" * 100)
 
 
-# Small and odd results
-
-
 def test_one_pixel_without_field_of_view_and_uncertainty(result: Result, tmp_path: Path) -> None:
     export_result(small((1, 1), 0, result), tmp_path / "out")
     layers = exr(tmp_path / "out" / "exr" / "materials.exr")
@@ -698,9 +686,6 @@ def test_unusable_results_are_refused_and_leave_nothing(result: Result, tmp_path
     with pytest.raises(InputError, match="mask: expected at least one pixel"):
         export_result(empty, tmp_path / "out")
     assert not list(tmp_path.iterdir())
-
-
-# The command
 
 
 @pytest.fixture
@@ -786,9 +771,6 @@ def test_what_is_there_stays(folder: Path, tmp_path: Path) -> None:
     ):
         assert message in refused("export", of, "--out", place, "--overwrite")
     assert Result.load(inside).pictures == Result.load(folder).pictures
-
-
-# Points
 
 
 def test_points_as_another_reader_sees_them(result: Result, tmp_path: Path) -> None:

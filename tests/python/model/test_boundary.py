@@ -36,9 +36,6 @@ thorough = settings(
 )
 
 
-# --- Arguments as they should be ---
-
-
 @dataclass(frozen=True)
 class Kind:
     """Sizes, and which of the parts of a problem there are."""
@@ -230,9 +227,7 @@ FUNCTIONS = {
     "schur_complement": Function(
         lambda kind, rng: (
             solved_of(kind, rng)
-            | {
-                "deviation": rng.normal(size=solved_of(kind, rng)["precision"].shape),
-            }
+            | {"deviation": rng.normal(size=solved_of(kind, rng)["precision"].shape)}
         ),
         lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).schur_complement(
             **arguments, damping=0.1
@@ -259,9 +254,6 @@ def outcome(function: Function, kind: Kind, arguments: Arguments) -> tuple[Array
     found = function.call(kind, np.random.default_rng(1), arguments)
     arrays = found if isinstance(found, tuple) else (found,)
     return tuple(np.asarray(array) for array in arrays)
-
-
-# --- The same values in another place of memory ---
 
 
 def packed(array: Array) -> Array:
@@ -330,8 +322,6 @@ def test_layout_does_not_change_a_bit(name: str, kind: Kind, data: st.DataObject
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_array_equal(a, b)
 
-
-# --- Arguments as they should not be ---
 
 DTYPES = [
     *("float16", "float32", "float64", "longdouble", "complex64", "complex128"),

@@ -19,13 +19,7 @@ from test_directional import (
 
 from pbrfit.model.reflection import sh_basis, shade
 from pbrfit_evaluation.gap.brute_force import view as seen_at
-from principled_reference import (
-    Lights,
-    lobe,
-    mean_reflectance,
-    multiple_scattering,
-    schlick,
-)
+from principled_reference import Lights, lobe, mean_reflectance, multiple_scattering, schlick
 from reference import glass, unit
 
 Array = NDArray[np.float64]

@@ -75,9 +75,6 @@ class Samples:
 SAMPLES = Samples()
 
 
-# --- Where the table is exact ---
-
-
 def test_values_and_slopes_are_those_of_the_integrals() -> None:
     value, by_r, by_cosine = SAMPLES.where((SAMPLES.r >= RESOLVED) & (SAMPLES.cosine >= RESOLVED))
     assert value[:, :KAPPA].max() <= 3e-6
@@ -121,8 +118,6 @@ def test_mean_reflectance_is_the_mean_of_the_reflectance() -> None:
     assert (np.abs(by_cosine[..., MEAN]) < 1e-9).all()
     assert (by_r[1:, 0, MEAN] < 0).all()
 
-
-# --- Derivatives are those of the table itself ---
 
 PLACES = (0.004, 0.02, 0.13, 0.37, 0.5, 0.71, 0.96)
 
@@ -185,9 +180,6 @@ def test_values_and_slopes_pass_knots_without_a_jump(first: int) -> None:
     assert np.median(jumps) > 0.01
 
 
-# --- Energy ---
-
-
 def test_reflectance_lies_between_nothing_and_all() -> None:
     r = np.concatenate((np.linspace(0, 0.05, 101), np.linspace(0.05, 1, 200)))
     cosine = np.concatenate((np.geomspace(LEAST_COSINE, 0.05, 101), np.linspace(0.05, 1, 200)))
@@ -213,9 +205,6 @@ def test_kappa_is_a_mean_of_what_glass_reflects_over_what_its_fit_does() -> None
     assert (kappa <= ratio.max() + 1e-4).all()
     assert ratio.min() < 0.95
     assert ratio.max() > 1.25
-
-
-# --- Below 0.02 ---
 
 
 def test_a_mirror_shows_the_harmonics_of_its_direction() -> None:

@@ -55,9 +55,6 @@ def assert_close(found: Array, expected: Array, bar: float, what: str) -> None:
     )
 
 
-# --- Against the reference ---
-
-
 def test_sh_basis() -> None:
     rng = np.random.default_rng(0)
     directions = np.concatenate([unit(rng.normal(size=(1000, 3))), np.eye(3), -np.eye(3)])
@@ -98,8 +95,6 @@ def test_shade_vjp() -> None:
         np.sum(d_normal * turn, axis=-1) / scale, changed / scale, 1e-12, "derivative by normal"
     )
 
-
-# --- Against finite differences, at random places and at every branch and bound ---
 
 NEXT_TO = [math.nextafter(0.4, 0), 0.4, math.nextafter(0.4, 1)]
 # The paper's switch: 1 − r⁴ = 10⁻³.
@@ -188,9 +183,6 @@ def test_adjoint_by_the_normal_against_finite_differences(
     assert_close(d_normal[..., axis] / scale, numerical / scale, 1e-6, "d weights/d normal")
 
 
-# --- Shapes ---
-
-
 @pytest.mark.parametrize(
     ("normal", "view", "albedo", "roughness", "metallic", "shape"),
     [
@@ -251,9 +243,6 @@ def test_arrays_of_other_layout_and_precision() -> None:
     np.testing.assert_array_equal(shade(**listed), expected)
 
 
-# --- Camera and render ---
-
-
 @pytest.mark.parametrize(("height", "width", "fov"), [(3, 5, 60.0), (4, 4, 90.0), (7, 2, 20.0)])
 def test_view_directions_follow_the_pinhole(height: int, width: int, fov: float) -> None:
     view = pbrfit.view_directions(height, width, fov)
@@ -307,8 +296,6 @@ def test_render_leaves_pixels_outside_the_mask_nan() -> None:
     np.testing.assert_array_equal(np.isnan(picture).all(axis=-1), outside)
     np.testing.assert_array_equal(np.isnan(picture).any(axis=-1), outside)
 
-
-# --- Refusals ---
 
 GOOD: dict[str, Any] = {
     "normal": np.tile([0.0, 0, 1], (4, 1)),

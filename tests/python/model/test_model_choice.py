@@ -44,9 +44,6 @@ def edited(folder: Path, **changes: Any) -> Path:
     return folder
 
 
-# --- Names ---
-
-
 def misnamed(model: Any) -> Iterator[Callable[[], object]]:
     pixel: dict[str, Any] = {"normal": [0, 0, 1], "view": [0, 0, 1], "albedo": [0.5] * 3}
     pixel |= {"roughness": 0.5, "metallic": 0.0}
@@ -120,9 +117,6 @@ def test_a_call_that_leaves_it_to_the_default_would_be_found(tmp_path: Path) -> 
     assert calls_without_model(file) == ["some.py:2: render"]
 
 
-# --- Scenes ---
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_a_scene_folder_keeps_what_its_pictures_were_rendered_with(
     model: Model, tmp_path: Path
@@ -166,9 +160,6 @@ def test_synthetic_pictures_are_rendered_with_the_model_and_all_else_is_the_same
             np.testing.assert_allclose(again, images, rtol=1e-12, atol=0)
             apart = pbrfit.render(*known, light, scene.fov, model=OTHER[scene.model])
             assert np.abs(apart - images).max() > 0.01
-
-
-# --- Fits ---
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -215,9 +206,6 @@ def test_a_result_to_start_from_is_of_the_same_model(model: Model) -> None:
     decompose(room(model), start=found.materials, model=OTHER[model], iterations=0)
 
 
-# --- Results ---
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_a_result_folder_says_its_model(model: Model, tmp_path: Path) -> None:
     result(model).save(tmp_path / "out")
@@ -256,9 +244,6 @@ def test_a_result_is_relit_with_its_own_model(model: Model, light: Any) -> None:
     message = f"^model: expected {model}, with which the result was fitted, found {OTHER[model]}$"
     with pytest.raises(InputError, match=message):
         relight(found, light, model=OTHER[model])
-
-
-# --- The command ---
 
 
 def test_the_command_renders_fits_and_relights_with_a_model(

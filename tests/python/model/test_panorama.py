@@ -119,10 +119,7 @@ def one_negative(value: float) -> np.ndarray:
         (np.full((8, 16, 3), np.nan), "found NaN or infinity in 128 pixels, the first in column 0"),
         (np.full((8, 16, 3), np.inf), "found NaN or infinity in 128 pixels"),
         (np.full((8, 16, 3), -1.0), "found negative radiance in 128 pixels"),
-        (
-            one_negative(-3.0),
-            "found negative radiance in 1 pixels, the first in column 5 of ro",
-        ),
+        (one_negative(-3.0), "found negative radiance in 1 pixels, the first in column 5 of ro"),
         (np.ones((6, 12, 3)), "expected a panorama of 14 × 7 pixels or more, found 12 × 6"),
     ],
 )

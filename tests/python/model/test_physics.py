@@ -63,9 +63,6 @@ def seen_at(cosine: float) -> tuple[Array, Array]:
     return np.array([0.0, 0, 1]), np.array([math.sqrt(1 - cosine**2), 0, cosine])
 
 
-# --- Spherical harmonics ---
-
-
 def test_sh_basis_is_orthonormal() -> None:
     directions, area = sphere_rule(8, 16)
     basis = pbrfit.sh_basis(directions)
@@ -106,9 +103,6 @@ def test_radiance_is_equivariant_under_rotation(model: Model) -> None:
     )
 
 
-# --- Band weights ---
-
-
 def test_band_weights_fall_with_roughness_between_known_ends() -> None:
     h, dh_dr = pbrfit.ggx_band_weights(np.linspace(0, 1, 2001))
     np.testing.assert_array_equal(h[0], [4, 4, 4, 4])  # a mirror passes every band whole
@@ -116,9 +110,6 @@ def test_band_weights_fall_with_roughness_between_known_ends() -> None:
     assert (np.diff(h, axis=0) <= 1e-14).all()
     assert (dh_dr <= 1e-13).all()
     assert (np.diff(h, axis=1) <= 1e-14).all()  # a smooth lobe damps higher bands more
-
-
-# --- Energy ---
 
 
 def test_white_furnace() -> None:
@@ -191,9 +182,6 @@ def test_white_furnace_gap_is_as_tabled(
     assert hemisphere_reflectance(r, cosine) == pytest.approx(exact, abs=5e-4)
     if r <= 0.5 and cosine >= 0.5:
         assert model == pytest.approx(exact, rel=0.03)
-
-
-# --- The two terms ---
 
 
 @both_models

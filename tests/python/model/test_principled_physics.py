@@ -68,9 +68,6 @@ def lobes(r: Array, normal: Array, view: Array) -> tuple[Array, Array, Array, Ar
     return value[:, :10] * sine, value[:, 10:20] * sine, value[:, 20], value[:, 21]
 
 
-# --- Against brute force ---
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_weights_are_integrals_over_light_directions(seed: int) -> None:
     """Of the BRDF as it is written down, in world space, without the table or a local frame."""
@@ -112,9 +109,6 @@ def test_weights_are_lobes_rotated_to_the_world() -> None:
         rows = principled_reference.rotation_rows(normal[i], view[i])
         diffuse = kd[i][:, None] * COSINE_TRANSFER[DEGREE] * sh_basis(normal[i])
         np.testing.assert_allclose(found[i], diffuse + by_row[i] @ rows, rtol=0, atol=1e-12)
-
-
-# --- Reciprocity and energy ---
 
 
 FURNACE_R = np.concatenate((np.linspace(0, 0.05, 26), np.linspace(0.05, 1, 40)))
@@ -160,9 +154,6 @@ def test_only_functions_even_across_the_plane_of_view_answer() -> None:
     normal, view = np.array([0.0, 0, 1]), np.array([-0.6, 0, 0.8])
     odd = np.setdiff1d(np.arange(16), EVEN)
     assert np.abs(shade(normal, view, np.full(3, 0.5), 0.3, 0.5)[0][:, odd]).max() < 1e-15
-
-
-# --- Derivatives ---
 
 
 @pytest.mark.parametrize("cosine", [1e-4, 5e-5, 0.0, -0.4])

@@ -327,10 +327,7 @@ def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
 
 @pytest.mark.parametrize("what", ["scene.toml", "images/light_01.exr", "more"])
 def test_a_scene_that_has_changed_is_not_taken_for_the_one_it_was(
-    unfitted: Path,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    what: str,
+    unfitted: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, what: str
 ) -> None:
     for name in ("scene", "result"):
         shutil.copytree(unfitted / name, tmp_path / name)

@@ -311,12 +311,7 @@ def test_the_picture_can_be_saved(view: View, furnished: Result) -> None:
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("name", ["studio_small_03_1k", "kloppenheim_05_1k"])
 def test_a_panorama_from_a_file_lights_as_the_package_has_it(
-    browser: Browser,
-    furnished: Result,
-    tmp_path: Path,
-    shared_data: Path,
-    name: str,
-    model: Model,
+    browser: Browser, furnished: Result, tmp_path: Path, shared_data: Path, name: str, model: Model
 ) -> None:
     furnished = of_model(furnished, model)
     file = shared_data / "hdri" / f"{name}.hdr"
@@ -747,17 +742,7 @@ def test_every_control_has_a_name_and_can_be_reached(view: View) -> None:
         order.append(view.page.evaluate("document.activeElement.name"))
         if order[-1] == "light":
             break
-    wanted = [
-        "view",
-        "compare",
-        "hand",
-        "zoomout",
-        "zoomin",
-        "adjust",
-        "azimuth",
-        "save",
-        "light",
-    ]
+    wanted = ["view", "compare", "hand", "zoomout", "zoomin", "adjust", "azimuth", "save", "light"]
     assert [name for name in order if name in wanted] == wanted
 
 

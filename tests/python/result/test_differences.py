@@ -37,10 +37,7 @@ def test_colours_of_values_of_marks_and_of_what_is_outside() -> None:
     white[1, 0] = vermillion[1, 1] = True
     vermillion[1, 2] = True  # outside all the same
     found = Difference(values, white, vermillion).indices()
-    assert found.tolist() == [
-        [0, 0, STEPS - 1, OUTSIDE],
-        [WHITE, VERMILLION, OUTSIDE, STEPS - 1],
-    ]
+    assert found.tolist() == [[0, 0, STEPS - 1, OUTSIDE], [WHITE, VERMILLION, OUTSIDE, STEPS - 1]]
     assert PALETTE[WHITE].tolist() == [1.0, 1.0, 1.0]
     assert len(PALETTE) == OUTSIDE + 1
 

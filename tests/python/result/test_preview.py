@@ -56,11 +56,7 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     assert 0 < alone.shape[0] - rows < 3 * LINE
     assert 2 * LINE < found.shape[0] - alone.shape[0] < 4 * LINE
     row = LINE + MARGIN + panel_height(height, width)
-    assert normals_preview(scene).shape == (
-        row + MARGIN,
-        3 * (PANEL_SIDE[0] + MARGIN) + MARGIN,
-        3,
-    )
+    assert normals_preview(scene).shape == (row + MARGIN, 3 * (PANEL_SIDE[0] + MARGIN) + MARGIN, 3)
 
 
 def test_the_run_time_does_not_show() -> None:

@@ -14,15 +14,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import RayCast, draw, make_scene, random_lights
-from pbrfit.synthetic.geometry import (
-    Box,
-    Cylinder,
-    Plane,
-    Primitive,
-    Sphere,
-    rotation,
-    trace,
-)
+from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, rotation, trace
 from pbrfit.synthetic.stages import case_stage, room_stage
 from pbrfit_evaluation.rooms.frustum import Frustum
 from scene_files import held_out_of, lights_of, truth_of
@@ -48,9 +40,6 @@ def slow_render(materials: Materials, normals: NDArray[Any], lighting: Array, fo
         normals, view, materials.albedo, materials.roughness, materials.metallic
     )
     return np.asarray(np.einsum("hwck,nkc->nhwc", weights, lighting))
-
-
-# ------------------------------------------------------------------------------------ ray caster
 
 
 @pytest.mark.parametrize("fov", [0.0, 180.0, -1.0, np.nan])
@@ -119,10 +108,7 @@ SOLIDS: dict[str, tuple[Primitive, Any]] = {
         Frustum(centre=AT, rotation=TURNED, bottom=0.0, top=1.1, half=0.6),
         lambda p: cone(p, 0.0, 1.1, 0.6),
     ),
-    "plane": (
-        Plane(centre=AT, rotation=TURNED),
-        lambda p: p[..., 1],
-    ),
+    "plane": (Plane(centre=AT, rotation=TURNED), lambda p: p[..., 1]),
 }
 
 
@@ -187,9 +173,6 @@ def test_rays_along_the_axes_of_a_solid() -> None:
         np.testing.assert_array_equal(beside.index, -1)
 
 
-# ---------------------------------------------------------------------------------------- lights
-
-
 def sphere_samples(count: int) -> Array:
     directions = np.random.default_rng(0).normal(size=(count, 3))
     return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
@@ -231,9 +214,6 @@ def test_visible_surfaces_get_more_light_than_hidden_ones() -> None:
 def test_bad_light_arguments(count: int, sh_order: int) -> None:
     with pytest.raises(ValueError, match="count" if count == 0 else "sh_order"):
         random_lights(count, np.random.default_rng(0), sh_order)
-
-
-# ---------------------------------------------------------------------------------------- scenes
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -382,9 +362,6 @@ def test_bad_scene_arguments() -> None:
         make_scene("room", size=8, held_out=0)
 
 
-# -------------------------------------------------------------------------------------- pictures
-
-
 def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
     assert scene.segments is not None
     return {
@@ -436,10 +413,7 @@ def test_exposure(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_pictures_are_the_model_of_their_truth(kind: str) -> None:
     scene = make_scene(kind, size=32, lights=3, held_out=2, seed=2, model="paper")
-    for images, lighting in (
-        (scene.images, lights_of(scene)),
-        held_out_of(scene),
-    ):
+    for images, lighting in ((scene.images, lights_of(scene)), held_out_of(scene)):
         again = render(truth_of(scene).materials, scene.normals, lighting, scene.fov, model="paper")
         np.testing.assert_allclose(images, again, rtol=1e-13, atol=1e-15)
         slow = slow_render(truth_of(scene).materials, scene.normals, lighting, scene.fov)

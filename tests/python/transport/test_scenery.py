@@ -79,11 +79,7 @@ def test_a_ball_darkens_the_floor_where_it_stands(model: Model) -> None:
     seen = ball_on_floor(48)
     scenery = scenery_of(seen, FOV["ball"])
     found = scenery.render(
-        even_materials(seen.mask.shape),
-        seen.normals,
-        UNIFORM,
-        Transport("occlusion"),
-        model=model,
+        even_materials(seen.mask.shape), seen.normals, UNIFORM, Transport("occlusion"), model=model
     )[0, ..., 0]
     world = seen.points @ seen.turn.T + seen.eye
     away = np.hypot(world[..., 0], world[..., 2] + 2.0)
@@ -146,14 +142,7 @@ def test_a_scene_that_turns_with_its_light_looks_the_same(model: Model) -> None:
         rows, _ = core.transfer(
             points @ by.T, *directions, places.astype(np.uint64), rays=20_000, model=model
         )
-        return _core.render(
-            *directions,
-            *arrays(materials),
-            lights,
-            1,
-            model=model,
-            transfer=rows,
-        )
+        return _core.render(*directions, *arrays(materials), lights, 1, model=model, transfer=rows)
 
     given, turned = shown(np.eye(3), lights), shown(turn, turned_light(lights, turn))
     size = math.sqrt(np.mean(given**2))
@@ -300,12 +289,7 @@ def planted(
 def wrong(scene: Scene, materials: Materials, **options: Any) -> Array:
     """(P,) error of the worst of albedo, roughness and metallic."""
     result = decompose(
-        scene,
-        priors=None,
-        uncertainty=False,
-        equal_exposures=True,
-        refine_normals="off",
-        **options,
+        scene, priors=None, uncertainty=False, equal_exposures=True, refine_normals="off", **options
     )
     found, valid = result.materials, scene.valid
     worst: Array = np.maximum.reduce(
