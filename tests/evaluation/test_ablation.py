@@ -13,7 +13,6 @@ import pytest
 
 import pbrfit
 from pbrfit.result.options import Priors, prior_names
-from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
@@ -27,19 +26,13 @@ from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.recipes import PAPER_PRIORS
 from pbrfit_evaluation.scores import Scores
 from pbrfit_evaluation.suite import Results
-from scene_files import run
+from scene_files import held_out_of, known, lights_of, run, truth_of
 
 SIZE, SEED = 24, 2000
 
 
-def truth_of(scene: Scene) -> Truth:
-    assert scene.truth is not None
-    return scene.truth
-
-
 def segments_of(scene: Scene) -> cases.Ids:
-    assert scene.segments is not None
-    return scene.segments
+    return known(scene.segments)
 
 
 def test_the_constant_room_is_the_room() -> None:
@@ -56,14 +49,10 @@ def test_the_constant_room_is_the_room() -> None:
 @pytest.mark.parametrize("name", [name for name in CASES if name != "shadowed"])
 def test_truth_explains_the_pictures_but_for_the_noise(name: cases.CaseName) -> None:
     scene = case(name, SEED, size=SIZE)
-    truth = truth_of(scene)
-    for images, lighting, noise in (
-        (scene.images, truth.lighting, 0.01),
-        (truth.relight_images, truth.relight_lighting, 0.0),
-    ):
-        assert images is not None
-        assert lighting is not None
-        rendered = pbrfit.render(truth.materials, scene.normals, lighting, scene.fov)
+    maps = truth_of(scene).materials
+    given = (scene.images, lights_of(scene), 0.01), (*held_out_of(scene), 0.0)
+    for images, lighting, noise in given:
+        rendered = pbrfit.render(maps, scene.normals, lighting, scene.fov)
         assert np.std(images - rendered) == pytest.approx(noise, rel=0.03, abs=1e-12)
     assert scene.images.mean() == pytest.approx(MEAN_RADIANCE, abs=1e-3)
 

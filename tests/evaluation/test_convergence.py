@@ -36,7 +36,7 @@ from pbrfit_evaluation.convergence.measure import (
 from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Task, fit_with_ours
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.suite import Results, Verdict
-from scene_files import run
+from scene_files import run, truth_of
 
 SMALL = Case("small", 12)
 
@@ -65,9 +65,8 @@ def test_conditioning_goes_from_near_the_best_to_nearly_singular() -> None:
 @pytest.mark.parametrize("lights", LIGHTS)
 def test_pictures_are_those_of_the_lights(lights: Any) -> None:
     scene = make(replace(SMALL, lights=lights), seed=101)
-    truth = scene.truth
-    assert truth is not None
-    rendered = pbrfit.render(truth.materials, scene.normals, true_lighting(scene), scene.fov)
+    maps = truth_of(scene).materials
+    rendered = pbrfit.render(maps, scene.normals, true_lighting(scene), scene.fov)
     np.testing.assert_allclose(scene.images, rendered, rtol=1e-12, atol=1e-14)
     assert scene.images.mean() == pytest.approx(0.4)
     assert scene.images.min() > 0
@@ -85,8 +84,7 @@ def test_noise_is_a_share_of_the_mean_radiance() -> None:
 
 def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
     scene = make(SMALL, 100)
-    assert scene.truth is not None
-    true, lighting = scene.truth.materials, true_lighting(scene)
+    true, lighting = truth_of(scene).materials, true_lighting(scene)
     errors = measure(scene, true, lighting)
     assert math.isnan(errors.pop("held_out"))
     assert max(errors.values()) < 1e-12
@@ -103,8 +101,7 @@ def test_truth_has_no_errors_and_known_changes_have_known_ones() -> None:
 
 def test_checkpoints_are_spread_evenly_over_the_logarithm() -> None:
     scene = make(SMALL, 100)
-    assert scene.truth is not None
-    state = scene.truth.materials, true_lighting(scene)
+    state = truth_of(scene).materials, true_lighting(scene)
     tracker = Tracker(partial(measure, scene, threads=1))
     for evaluations in range(1, 101):
         tracker.visit(0.5 * evaluations, evaluations - 1, evaluations, lambda: state)
@@ -158,10 +155,8 @@ def test_starts_are_those_that_names_say() -> None:
         first[name] = tracker.points[0]
     start, lights = Objective(scene).unpack(Objective(scene).start())
     assert first["lbfgsb"]["recon"] == pytest.approx(measure(scene, start, lights)["recon"])
-    assert scene.truth is not None
-    assert first["lbfgsb-paper"]["roughness"] == pytest.approx(
-        math.sqrt(np.mean((scene.truth.materials.roughness - 0.5) ** 2))
-    )
+    off = truth_of(scene).materials.roughness - 0.5
+    assert first["lbfgsb-paper"]["roughness"] == pytest.approx(math.sqrt(np.mean(off**2)))
 
 
 def test_pictures_that_misfit_are_of_the_other_model() -> None:
@@ -177,13 +172,13 @@ def test_real_pictures_are_judged_by_those_held_out(tmp_path: Path) -> None:
     assert case.judged == "held_out"
     fitted, errors = trial(case, 100, threads=1)
     assert len(fitted.images) == 6
-    assert scene.truth is not None
     assert scene.lighting is None
-    found = errors(scene.truth.materials, np.zeros((6, 16, 3)))
+    true = truth_of(scene).materials
+    found = errors(true, np.zeros((6, 16, 3)))
     assert found["held_out"] < 1e-3
     assert found["recon"] < 1e-3
     assert math.isnan(found["albedo"])
-    grey = replace(scene.truth.materials, albedo=np.full_like(scene.truth.materials.albedo, 0.5))
+    grey = replace(true, albedo=np.full_like(true.albedo, 0.5))
     assert errors(grey, np.zeros((6, 16, 3)))["held_out"] > 0.05
 
 

@@ -37,6 +37,7 @@ from pbrfit_evaluation.cycles.scene import inner_pixels, random_point_lights
 from pbrfit_evaluation.cycles.spheres import FOV, relative_rmse, render_sphere, under, where_met
 from pbrfit_evaluation.depth_errors import normals_off
 from pbrfit_evaluation.gap import spheres
+from scene_files import lights_of, truth_of
 
 SIZE = 24
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -252,18 +253,17 @@ def test_a_scene_from_renders(fake_worker: Fake, tmp_path: Path, light: Light) -
     scene = render_scene(world(), 8, light=light, lights=3, held_out=2, cache=cache)
     assert scene.images.shape == (3, 8, 8, 3)
     assert scene.images.mean() == pytest.approx(0.4)
-    assert scene.truth is not None
-    np.testing.assert_array_equal(scene.truth.materials.albedo, 0.5)
+    truth = truth_of(scene)
+    np.testing.assert_array_equal(truth.materials.albedo, 0.5)
     np.testing.assert_array_equal(scene.depth, np.full((8, 8), 2, np.float32))
     if light == "points":
-        assert scene.truth.lighting is None
-        assert scene.truth.relight_images is None
+        assert truth.lighting is None
+        assert truth.relight_images is None
     else:
-        assert scene.truth.lighting is not None
-        expected = scene.truth.lighting.sum(axis=1)  # radiance 1 under each basis function
+        expected = lights_of(scene).sum(axis=1)  # radiance 1 under each basis function
         np.testing.assert_allclose(scene.images, np.tile(expected[:, None, None], (1, 8, 8, 1)))
         ours = random_lights(3, np.random.default_rng(np.random.SeedSequence(0).spawn(4)[1]))
-        ratio = scene.truth.lighting / ours
+        ratio = lights_of(scene) / ours
         np.testing.assert_allclose(ratio, np.broadcast_to(ratio[:, :1, :1], ratio.shape))
     scene.save(tmp_path / "scene")
     assert Scene.load(tmp_path / "scene").truth is not None
@@ -437,11 +437,10 @@ def test_pictures_come_close_to_the_models_only_without_shadows(bpy_cache: Path)
     transports: tuple[Transport, ...] = ("brdf", "full")
     for transport in transports:
         scene = picture(transport=transport)
-        known, of = scene.truth, scene.valid
-        assert known is not None
-        assert known.lighting is not None
+        of = scene.valid
         for model in MODELS:
-            ours = render(known.materials, scene.normals, known.lighting, scene.fov, model=model)
+            given = truth_of(scene).materials, scene.normals, lights_of(scene), scene.fov
+            ours = render(*given, model=model)
             error[model, transport] = relative_rmse(ours[:, of], scene.images[:, of])
     assert 0 < error["principled", "brdf"] < error["paper", "brdf"] < 0.15
     for model in MODELS:

@@ -25,6 +25,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import jobs, recipes, scores, tables
 from pbrfit_evaluation.jobs import Record
 from processes import alive, until
+from scene_files import known, lights_of, truth_of
 
 
 def attempts(folder: Path) -> dict[str, int]:
@@ -41,11 +42,8 @@ def test_one_failure_does_not_stop_the_others(tmp_path: Path, at_once: int) -> N
     threads = max(1, (os.cpu_count() or 1) // at_once)
     assert records[2].values == {"name": "c", "threads": threads}
     assert sorted(record.key for record in told) == ["a", "b", "c"]
-    assert sorted(p.name for p in (tmp_path / "records").iterdir()) == [
-        "a.json",
-        "b.json",
-        "c.json",
-    ]
+    kept = sorted(p.name for p in (tmp_path / "records").iterdir())
+    assert kept == ["a.json", "b.json", "c.json"]
 
 
 def test_a_worker_that_dies_is_tried_once_more(tmp_path: Path) -> None:
@@ -126,13 +124,8 @@ def test_records_depend_on_the_code_of_both_packages_that_measures() -> None:
     }
     assert found >= {"fit/decompose.py", "scores.py", "table1/measure.py", "table1/rows.py"}
     assert any(name.startswith("_core.") for name in found)
-    for name in (
-        "report/html.py",
-        "report/viewer",
-        "report/plots.py",
-        "suite.py",
-        "table1/figures",
-    ):
+    others = ("report/html.py", "report/viewer", "report/plots.py", "suite.py", "table1/figures")
+    for name in others:
         assert not any(path.startswith(name) for path in found), name
 
 
@@ -171,12 +164,8 @@ def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     tables.write_csv(path, ("a", "b"), [(0.1 + 0.2, None), (np.float64(1e-9), math.nan), ("x,", 3)])
     with path.open(newline="", encoding="utf-8") as file:
-        assert list(csv.reader(file)) == [
-            ["a", "b"],
-            ["0.30000000000000004", ""],
-            ["1e-09", ""],
-            ["x,", "3"],
-        ]
+        rows = [["0.30000000000000004", ""], ["1e-09", ""], ["x,", "3"]]
+        assert list(csv.reader(file)) == [["a", "b"], *rows]
 
 
 def test_folder_of_a_suite(tmp_path: Path) -> None:
@@ -251,10 +240,7 @@ def scene() -> Scene:
 
 
 def at_the_truth(scene: Scene, iterations: int) -> Result:
-    truth = scene.truth
-    assert truth is not None
-    assert truth.lighting is not None
-    start = truth.materials, truth.lighting
+    start = truth_of(scene).materials, lights_of(scene)
     return pbrfit.decompose(scene, start=start, iterations=iterations, priors=None)
 
 
@@ -262,9 +248,7 @@ def test_true_materials_have_no_errors(scene: Scene) -> None:
     found = scores.score(at_the_truth(scene, 0), scene)
     for name in ("recon", "albedo", "roughness", "metallic", "relight", "metallic_on_metal",
                  "roughness_on_metal", "albedo_scaled", "relight_scaled"):  # fmt: skip
-        value = getattr(found, name)
-        assert value is not None
-        assert value <= 1e-12
+        assert getattr(found, name) <= 1e-12
     assert found.albedo_ssim == pytest.approx(1)
     assert found.relight_ssim == pytest.approx(1)
     assert found.evaluations == 1
@@ -272,9 +256,7 @@ def test_true_materials_have_no_errors(scene: Scene) -> None:
 
 def test_scores_of_known_errors(scene: Scene) -> None:
     """Albedo twice the truth under half the light, and metallic off by 0.25 on metal only."""
-    truth = scene.truth
-    assert truth is not None
-    true = truth.materials
+    true = truth_of(scene).materials
     metal = true.metallic >= 0.5
     wrong = Materials(
         0.5 * true.albedo, true.roughness + 0.125, np.where(metal, 0.75, true.metallic)
@@ -286,9 +268,7 @@ def test_scores_of_known_errors(scene: Scene) -> None:
     assert found.roughness_on_metal == pytest.approx(0.125)
     assert found.metallic_on_metal == pytest.approx(0.25)
     assert found.metallic == pytest.approx(0.25 * np.sqrt(metal.mean()))
-    assert found.relight is not None
-    assert found.relight_scaled is not None
-    assert found.relight > found.relight_scaled > 0
+    assert known(found.relight) > known(found.relight_scaled) > 0
 
 
 def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
@@ -299,14 +279,12 @@ def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
     masked = replace(scene, mask=mask, images=ruined)
     found = scores.score(at_the_truth(masked, 0), masked)
     assert max(found.recon, found.albedo, found.roughness, found.metallic) <= 1e-12
-    assert found.relight is not None
-    assert found.relight <= 1e-12
+    assert known(found.relight) <= 1e-12
     assert found.relight_ssim == pytest.approx(1)
 
 
 def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
-    truth = scene.truth
-    assert truth is not None
+    truth = truth_of(scene)
     true = truth.materials
     dielectric = replace(true, metallic=np.zeros_like(true.metallic))
     less = replace(scene, truth=Truth(dielectric, truth.lighting))
@@ -317,12 +295,8 @@ def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
 
 
 def test_constant_guess_and_paper_start_by_hand(scene: Scene) -> None:
-    truth = scene.truth
-    assert truth is not None
-    guess = recipes.constant_guess(scene)
-    np.testing.assert_allclose(
-        guess.albedo[3, 4], truth.materials.albedo.mean(axis=(0, 1)), rtol=1e-12
-    )
+    guess, true = recipes.constant_guess(scene), truth_of(scene).materials
+    np.testing.assert_allclose(guess.albedo[3, 4], true.albedo.mean(axis=(0, 1)), rtol=1e-12)
     assert np.all(guess.roughness == 0.5)
     assert np.all(guess.metallic == 0.0)
     start = recipes.paper_start(scene)

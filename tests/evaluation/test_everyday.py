@@ -39,6 +39,7 @@ from pbrfit_evaluation.everyday.disturbances import (
 from pbrfit_evaluation.everyday.figures import MAPS, MOST, REFERENCE, SLOWEST, TWINS
 from pbrfit_evaluation.everyday.measure import Case
 from pbrfit_evaluation.suite import Results, Row, Verdict
+from scene_files import known, lights_of, truth_of
 
 SIZE, SEED = 16, 7
 
@@ -53,12 +54,6 @@ def made(disturbance: Disturbance, size: int = SIZE) -> Disturbed:
 @pytest.fixture(scope="module")
 def noise() -> Disturbed:
     return made("noise")
-
-
-def lights(of: Disturbed) -> Any:
-    assert of.scene.truth is not None
-    assert of.scene.truth.lighting is not None
-    return of.scene.truth.lighting
 
 
 def others() -> list[int]:
@@ -124,17 +119,14 @@ def test_a_grey_scene_is_grey_and_its_truth_explains_it(noise: Disturbed) -> Non
     assert grey.expected.mean() == pytest.approx(noise.expected.mean())
     error = grey.scene.images - grey.expected
     assert error.std() == pytest.approx(NOISE / np.sqrt(3), rel=0.05)
-    truth = grey.scene.truth
-    assert truth is not None
-    assert np.ptp(truth.materials.albedo, axis=-1).max() == 0
+    assert np.ptp(truth_of(grey.scene).materials.albedo, axis=-1).max() == 0
     assert np.abs(scale_errors(grey)).max() < 1e-9
 
 
 def test_files_of_8_bits_clip_the_brightest_half_percent(noise: Disturbed) -> None:
     png = made("png")
     assert png.scene.source is not None
-    assert png.scene.limits is not None
-    sound = (png.scene.limits == 0).all(axis=-1)
+    sound = (known(png.scene.limits) == 0).all(axis=-1)
     assert 0 < np.mean(~sound) < 3 * 0.005 + 0.02  # of pixels with a clipped or without a code
     scale = png.expected.max() / noise.expected.max()
     written = 255 * encode_srgb(scale * noise.scene.images[sound])
@@ -178,7 +170,7 @@ def test_views_are_90_degrees_wide_whatever_is_said(monkeypatch: pytest.MonkeyPa
 def scale_errors(of: Disturbed, factor: Any = 1.0, camera: Any = None) -> Any:
     """With true lights, some times as strong."""
     result: Any = SimpleNamespace(
-        lighting=factor * lights(of), pictures=of.scene.names, camera=camera
+        lighting=factor * lights_of(of.scene), pictures=of.scene.names, camera=camera
     )
     return measure.scale_errors(result, of)
 

@@ -28,7 +28,7 @@ from pbrfit_evaluation.stability.sections import SECTIONS, Task, worst_of
 from pbrfit_evaluation.stability.sections import run as run_section
 from pbrfit_evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit_evaluation.suite import Results
-from scene_files import run
+from scene_files import lights_of, run, truth_of
 
 Array = NDArray[np.floating[Any]]
 
@@ -232,25 +232,17 @@ def test_wrong_objective_fails(
 
 def test_stiff_scenes_are_what_their_names_say() -> None:
     scenes = {one.name: one for one in stiff_scenes(12, 5)}
-
-    def lighting(name: str) -> Any:
-        truth = scenes[name].scene.truth
-        assert truth is not None
-        assert truth.lighting is not None
-        return truth.lighting
-
     for number, name in ((10, "10"), (1e3, "1,000"), (1e5, "100,000"), (1e8, "10⁸")):
-        found = condition(lighting(f"light matrix of condition {name}"))
+        found = condition(lights_of(scenes[f"light matrix of condition {name}"].scene))
         assert found == pytest.approx(number, rel=1e-6)
-    assert np.ptp(lighting("all lights equal"), axis=0).max() == 0
+    assert np.ptp(lights_of(scenes["all lights equal"].scene), axis=0).max() == 0
     for one in scenes.values():
-        truth = one.scene.truth
-        assert truth is not None
-        assert truth.lighting is not None
-        assert one.scene.images.dtype == np.float32
-        rendered = pbrfit.render(truth.materials, one.scene.normals, truth.lighting, one.scene.fov)
+        scene = one.scene
+        assert scene.images.dtype == np.float32
+        known = truth_of(scene).materials, scene.normals, lights_of(scene)
+        rendered = pbrfit.render(*known, scene.fov)
         np.testing.assert_allclose(
-            rendered[:, one.counted], one.scene.images[:, one.counted], rtol=1e-6, atol=1e-7
+            rendered[:, one.counted], scene.images[:, one.counted], rtol=1e-6, atol=1e-7
         )
     assert len(scenes["1 picture, its light known"].scene.images) == 1
     assert scenes["1 picture, its light known"].scene.lighting is not None

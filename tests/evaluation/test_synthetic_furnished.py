@@ -7,8 +7,6 @@ import pytest
 
 import raycaster
 from pbrfit.model.geometry import view_directions
-from pbrfit.scene.arrays import Truth
-from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.geometry import trace
 from pbrfit.synthetic.scenes import ADDED_KINDS
@@ -16,14 +14,10 @@ from pbrfit.synthetic.scenes import KINDS as ALWAYS
 from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.rooms.arrangement import draw_room
 from pbrfit_evaluation.rooms.coverings import DARKEST, LIGHTEST, LIGHTEST_METAL
+from scene_files import held_out_of, lights_of, truth_of
 
 KINDS: tuple[str, ...] = (*ALWAYS, *ADDED_KINDS)
 ROOMS: tuple[str, ...] = ("furnished", "detailed")
-
-
-def truth(scene: Scene) -> Truth:
-    assert scene.truth is not None
-    return scene.truth
 
 
 @pytest.mark.parametrize(("kind", "fov"), [*((kind, 60.0) for kind in KINDS), ("furnished", 90.0)])
@@ -44,15 +38,12 @@ def test_pictures_agree_with_a_second_ray_caster(kind: str, fov: float) -> None:
         for i, point in zip(hits.index, hits.local, strict=True)
     ]
     np.testing.assert_allclose(placed, view.points, atol=1e-9)
-    known, flat = truth(scene), (size * size, -1)
-    maps = [known.materials.albedo, known.materials.roughness, known.materials.metallic]
+    known, flat = truth_of(scene).materials, (size * size, -1)
+    maps = [known.albedo, known.roughness, known.metallic]
     found = np.concatenate([of.reshape(flat) for of in maps], axis=-1)
     np.testing.assert_allclose(scene.normals.reshape(flat), view.normals, atol=1e-6)
     np.testing.assert_allclose(found, view.materials, atol=1e-6)
-    pictures = ((scene.images, known.lighting), (known.relight_images, known.relight_lighting))
-    for images, lighting in pictures:
-        assert images is not None
-        assert lighting is not None
+    for images, lighting in ((scene.images, lights_of(scene)), held_out_of(scene)):
         radiance = view.radiance(lighting)
         np.testing.assert_allclose(images.reshape(radiance.shape), radiance, atol=1e-6)
 
@@ -105,7 +96,7 @@ def test_every_piece_is_in_the_room() -> None:
 def test_same_seed_same_bytes(kind: str) -> None:
     def drawn(seed: int) -> list[bytes]:
         scene = make_scene(kind, size=24, lights=3, held_out=1, noise=0.01, seed=seed)
-        m = truth(scene).materials
+        m = truth_of(scene).materials
         maps = (scene.images, scene.normals, scene.segments, m.albedo, m.roughness, m.metallic)
         return [np.asarray(of).tobytes() for of in maps]
 

@@ -18,6 +18,7 @@ from pbrfit_evaluation.rooms import MaterialSet, load_textures
 from pbrfit_evaluation.rooms.detailed import LEAST_ROUGHNESS, Textured
 from pbrfit_evaluation.rooms.frustum import Frustum
 from pbrfit_evaluation.rooms.mapping import chart
+from scene_files import truth_of
 
 Array = NDArray[np.float64]
 
@@ -243,11 +244,9 @@ def test_scene_from_a_folder_of_maps(two_sets: Path) -> None:
     )
     assert scene.images.tobytes() == again.images.tobytes()
     np.testing.assert_array_equal(scene.segments, plain.segments)
-    assert scene.truth is not None
-    assert plain.truth is not None
-    metallic = scene.truth.materials.metallic
-    assert np.mean(metallic >= 0.5) > 0.08
-    changed = np.abs(scene.truth.materials.albedo - plain.truth.materials.albedo).max(axis=-1)
+    maps, before = truth_of(scene).materials, truth_of(plain).materials
+    assert np.mean(maps.metallic >= 0.5) > 0.08
+    changed = np.abs(maps.albedo - before.albedo).max(axis=-1)
     assert np.mean(changed > 0.01) > 0.5
 
 

@@ -38,7 +38,7 @@ from pbrfit_evaluation.uncertainty.figures import (
     USABLE_RIGHT,
 )
 from pbrfit_evaluation.uncertainty.measure import RATIO_EDGES, Case, calibration
-from scene_files import run
+from scene_files import lights_of, run, truth_of
 
 SEED = 7
 
@@ -58,9 +58,7 @@ def test_scenes_have_true_materials_and_the_same_ones_each_time(name: Name, clea
     np.testing.assert_array_equal(first.images, again.images)
     assert first.images.dtype == np.float32
     assert first.depth is None
-    assert first.truth is not None
-    assert clean.truth is not None
-    found, true = first.truth.materials, clean.truth.materials
+    found, true = truth_of(first).materials, truth_of(clean).materials
     np.testing.assert_array_equal(found.roughness, true.roughness)
     if name == "grey":
         assert np.ptp(found.albedo, axis=-1).max() == 0
@@ -100,11 +98,7 @@ def test_surfaces_block_light_and_reflect_it(clean: Scene) -> None:
 
     def by_clean(name: Name) -> Any:
         found = scene(name)
-        assert found.truth is not None
-        assert found.truth.lighting is not None
-        assert clean.truth is not None
-        assert clean.truth.lighting is not None
-        exposure = np.median(found.truth.lighting / clean.truth.lighting)
+        exposure = np.median(lights_of(found) / lights_of(clean))
         return (found.images / exposure - clean.images).mean()
 
     blocked, reflected = by_clean("shadows"), by_clean("bounces")
@@ -121,11 +115,10 @@ def test_lamps_hang_before_what_the_camera_sees_and_light_most(clean: Scene) -> 
     assert depths.max() <= 2 * conditions.FARTHEST
     assert lamps.places[~lamps.near][:, 2].min() > 0
     found = scene("lamps")
-    assert found.truth is not None
-    assert clean.truth is not None
-    assert found.truth.lighting is None
-    ambient = conditions.AMBIENT * np.asarray(clean.truth.lighting)
-    around = render(found.truth.materials, found.normals, ambient, 60.0, model="paper")
+    truth = truth_of(found)
+    assert truth.lighting is None
+    ambient = conditions.AMBIENT * lights_of(clean)
+    around = render(truth.materials, found.normals, ambient, 60.0, model="paper")
     shares = around.mean(axis=(1, 2, 3)) / found.images.mean(axis=(1, 2, 3))
     np.testing.assert_allclose(shares, conditions.AMBIENT, rtol=0.02)
 
@@ -172,9 +165,7 @@ def test_values_on_a_bound_are_counted_apart() -> None:
 
 
 def test_a_result_is_compared_with_the_truth(clean: Scene) -> None:
-    truth = clean.truth
-    assert truth is not None
-    true = truth.materials
+    true = truth_of(clean).materials
     found = replace(true, albedo=1.1 * true.albedo, roughness=true.roughness + 0.15)
 
     def constant(value: float) -> Materials:

@@ -58,6 +58,21 @@ def unit(vectors: Array) -> NDArray[np.float64]:
     return np.asarray(vectors / length, dtype=np.float64)
 
 
+def seen_at(cosine: float) -> tuple[Array, Array]:
+    """The normal +z, and a view in the xz plane with exactly this n·v."""
+    return np.array([0.0, 0, 1]), np.array([math.sqrt(1 - cosine**2), 0, cosine])
+
+
+def frames(
+    count: int, seed: int | np.random.Generator, vectors: int = 2
+) -> tuple[NDArray[np.float64], ...]:
+    """Random normals, views and so on, (count, 3) each, all on the normal's side."""
+    drawn = np.random.default_rng(seed).normal(size=(vectors, count, 3))
+    normal, *others = unit(drawn)
+    sides = (np.sign(np.sum(normal * other, axis=-1, keepdims=True)) for other in others)
+    return normal, *(other * side for other, side in zip(others, sides, strict=True))
+
+
 def sh_basis(directions: RealOrComplex) -> RealOrComplex:
     """Real SH l <= 3 without Condon–Shortley phase, index l(l+1)+m: (..., 3) -> (..., 16).
 

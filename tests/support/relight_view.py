@@ -27,6 +27,7 @@ from pbrfit.report.viewer.lights import Lighting
 from pbrfit.result.relighting import LampLight
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import random_lights
+from scene_files import known, lights_of, truth_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
@@ -40,12 +41,8 @@ READY = '.relight-view[data-state="ready"]'
 def room(size: int = 24, lights: int = 3) -> Result:
     """A room with its true materials and lights, names and all."""
     scene = make_scene("room", size=size, lights=lights)
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    found = decompose(scene, iterations=1)
-    return dataclasses.replace(
-        found, materials=scene.truth.materials, lighting=scene.truth.lighting
-    )
+    found, maps = decompose(scene, iterations=1), truth_of(scene).materials
+    return dataclasses.replace(found, materials=maps, lighting=lights_of(scene))
 
 
 def made(
@@ -193,9 +190,7 @@ class View:
 
     def box(self) -> dict[str, float]:
         """Where the picture is on the screen, whatever is seen of it."""
-        found = self.page.locator(".relight-canvas").bounding_box()
-        assert found is not None
-        return dict(found)  # type: ignore[arg-type]
+        return dict(known(self.page.locator(".relight-canvas").bounding_box()))  # type: ignore[arg-type]
 
     def choose(self, light: str) -> None:
         """Choose a light in the filmstrip; "" is the lamp."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,14 @@ from pbrfit.synthetic.geometry import trace
 
 SIZE = 16
 LIGHTS = 3
+
+T = TypeVar("T")
+
+
+def known(value: T | None) -> T:
+    """What might be absent and is not."""
+    assert value is not None
+    return value
 
 
 @functools.cache
@@ -47,23 +55,18 @@ def world(kind: Any, seed: int, height: int, width: int, fov: float) -> tuple[An
 
 
 def truth_of(scene: Scene) -> Truth:
-    assert scene.truth is not None
-    return scene.truth
+    return known(scene.truth)
 
 
 def lights_of(scene: Scene) -> NDArray[np.float64]:
     """Known lights of its pictures."""
-    lighting = truth_of(scene).lighting
-    assert lighting is not None
-    return lighting
+    return known(truth_of(scene).lighting)
 
 
 def held_out_of(scene: Scene) -> tuple[NDArray[Any], NDArray[np.float64]]:
     """Held-out pictures and their lights."""
-    pictures, lighting = truth_of(scene).relight_images, truth_of(scene).relight_lighting
-    assert pictures is not None
-    assert lighting is not None
-    return pictures, lighting
+    truth = truth_of(scene)
+    return known(truth.relight_images), known(truth.relight_lighting)
 
 
 def write_exr(path: Path, image: NDArray[Any]) -> None:

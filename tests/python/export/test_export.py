@@ -37,6 +37,7 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
+from scene_files import known
 
 HEIGHT, WIDTH = 10, 12
 MAPS = ["base_color", "mask", "metallic", "normal_opengl", "roughness"]
@@ -72,11 +73,8 @@ def result(fitted: Result) -> Result:
     """Random materials and normals in its place, so that no two channels are alike."""
     random = np.random.default_rng(4)
     outside = ~fitted.mask
-    materials = Materials(
-        random.uniform(0, 1, (HEIGHT, WIDTH, 3)),
-        random.uniform(0, 1, (HEIGHT, WIDTH)),
-        random.uniform(0, 1, (HEIGHT, WIDTH)),
-    )
+    shapes = (HEIGHT, WIDTH, 3), (HEIGHT, WIDTH), (HEIGHT, WIDTH)
+    materials = Materials(*(random.uniform(0, 1, shape) for shape in shapes))
     normals = random.normal(size=(HEIGHT, WIDTH, 3))
     normals[..., 2] = np.abs(normals[..., 2])
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -185,8 +183,7 @@ def test_everything_without_options(result: Result, tmp_path: Path) -> None:
         tmp_path / "out"
     )
     assert all(file["color_space"] for file in told["files"])
-    assert result.uncertainty is not None
-    assert told["verdicts"] == result.uncertainty.summary()["verdicts"]
+    assert told["verdicts"] == known(result.uncertainty).summary()["verdicts"]
     assert [file.size for file in exported.files] == [
         (tmp_path / "out" / file.path).stat().st_size for file in exported.files
     ]
@@ -205,8 +202,7 @@ def test_a_png_a_map_is_the_map_to_the_last_code(result: Result, tmp_path: Path,
         found = png(folder / f"{name}.png")[..., 0]
         expected = getattr(result, name)
         np.testing.assert_array_equal(found[inside], codes(expected[inside], bits))
-    assert result.uncertainty is not None
-    deviation = result.uncertainty.deviation
+    deviation = known(result.uncertainty).deviation
     for name, values in (("base_color", deviation.albedo), ("metallic", deviation.metallic)):
         found = png(folder / f"{name}_deviation.png")[inside]
         np.testing.assert_array_equal(found.squeeze(), codes(values[inside], bits))
@@ -222,23 +218,20 @@ def test_a_png_a_map_is_the_map_to_the_last_code(result: Result, tmp_path: Path,
             assert struct.unpack(">I", parts[b"gAMA"]) == (100000,)
 
 
-def down(result: Result) -> NDArray[Any]:
-    return 0.5 + 0.5 * result.normals * (1, -1, 1)
-
-
-def up(result: Result) -> NDArray[Any]:
-    return 0.5 + 0.5 * result.normals
+def coded_normals(result: Result, green: int) -> NDArray[Any]:
+    """(3, H, W), with +Y up (1) or down (−1)."""
+    return np.moveaxis(0.5 + 0.5 * result.normals * (1, green, 1), -1, 0)
 
 
 Preset = Literal["unreal", "unity"]
 PACKED: dict[Preset, dict[str, Callable[[Result], Any]]] = {
     "unreal": {
         "T_ORM": lambda result: (1, result.roughness, result.metallic),
-        "T_Normal": lambda result: np.moveaxis(down(result), -1, 0),
+        "T_Normal": lambda result: coded_normals(result, -1),
     },
     "unity": {
         "MaskMap": lambda result: (result.metallic, 1, 0, 1 - result.roughness),
-        "NormalMap": lambda result: np.moveaxis(up(result), -1, 0),
+        "NormalMap": lambda result: coded_normals(result, 1),
     },
 }
 """Channels of the textures of a preset; its colours are left out."""
@@ -311,7 +304,6 @@ def test_exr_layers_and_textures_as_openexr_reads_them(result: Result, tmp_path:
     layers = exr(folder / "materials.exr")
     assert {"albedo.R", "roughness.Y", "metallic.Y", "normal.Z", "mask.Y"} <= set(layers)
     kinds = ("", "low.", "high.")
-    assert result.uncertainty is not None
     assert {f"uncertainty.{kind}roughness.Y" for kind in kinds} <= set(layers)
     [part] = OpenEXR.File(str(folder / "base_color.exr")).parts
     assert part.header["chromaticities"] == pytest.approx(

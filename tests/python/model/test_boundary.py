@@ -177,73 +177,65 @@ class Function:
     call: Callable[[Kind, np.random.Generator, Arguments], Any]
 
 
+def alone(function: Callable[..., Any]) -> Callable[[Kind, np.random.Generator, Arguments], Any]:
+    """The call of a function that needs its arguments only."""
+    return lambda _, __, arguments: function(**arguments)
+
+
+def of_problem(name: str, **more: Any) -> Callable[[Kind, np.random.Generator, Arguments], Any]:
+    """The call of a method of a good problem."""
+
+    def call(kind: Kind, rng: np.random.Generator, arguments: Arguments) -> Any:
+        return getattr(_core.Problem(**problem_of(kind, rng)), name)(**arguments, **more)
+
+    return call
+
+
+def with_cotangent(kind: Kind, rng: np.random.Generator) -> Arguments:
+    return pixels_of(kind, rng) | {"cotangent": rng.normal(size=(kind.pixels, 3, 16))}
+
+
+def with_lighting(kind: Kind, rng: np.random.Generator) -> Arguments:
+    lighting = rng.normal(size=(kind.pictures, 16, 3))
+    return many_of(kind, rng) | {"lighting": lighting, "threads": 1}
+
+
+def with_clusters(kind: Kind, rng: np.random.Generator) -> Arguments:
+    solved = solved_of(kind, rng)
+    means = {"mean": rng.random(solved["precision"].shape)}
+    return solved | means | {"roughness": rng.random(3), "metallic": rng.random(2)}
+
+
+def with_deviation(kind: Kind, rng: np.random.Generator) -> Arguments:
+    solved = solved_of(kind, rng)
+    return solved | {"deviation": rng.normal(size=solved["precision"].shape)}
+
+
 FUNCTIONS = {
     "sh_basis": Function(
-        lambda kind, rng: {"directions": pixels_of(kind, rng)["normal"]},
-        lambda _, __, arguments: _core.sh_basis(**arguments),
+        lambda kind, rng: {"directions": pixels_of(kind, rng)["normal"]}, alone(_core.sh_basis)
     ),
     "ggx_band_weights": Function(
-        lambda kind, rng: {"r": rng.random(kind.pixels)},
-        lambda _, __, arguments: _core.ggx_band_weights(**arguments),
+        lambda kind, rng: {"r": rng.random(kind.pixels)}, alone(_core.ggx_band_weights)
     ),
-    "shade": Function(pixels_of, lambda _, __, arguments: _core.shade(**arguments)),
-    "shade_vjp": Function(
-        lambda kind, rng: (
-            pixels_of(kind, rng) | {"cotangent": rng.normal(size=(kind.pixels, 3, 16))}
-        ),
-        lambda _, __, arguments: _core.shade_vjp(**arguments),
-    ),
-    "render": Function(
-        lambda kind, rng: (
-            many_of(kind, rng) | {"lighting": rng.normal(size=(kind.pictures, 16, 3)), "threads": 1}
-        ),
-        lambda _, __, arguments: _core.render(**arguments),
-    ),
-    "lamp_radiance": Function(
-        lamplit_of, lambda _, __, arguments: _core.lamp_radiance(**arguments)
-    ),
-    "lamp_slopes": Function(lamplit_of, lambda _, __, arguments: _core.lamp_slopes(**arguments)),
-    "fit_under_lamps": Function(
-        under_lamps, lambda _, __, arguments: _core.fit_under_lamps(**arguments)
-    ),
+    "shade": Function(pixels_of, alone(_core.shade)),
+    "shade_vjp": Function(with_cotangent, alone(_core.shade_vjp)),
+    "render": Function(with_lighting, alone(_core.render)),
+    "lamp_radiance": Function(lamplit_of, alone(_core.lamp_radiance)),
+    "lamp_slopes": Function(lamplit_of, alone(_core.lamp_slopes)),
+    "fit_under_lamps": Function(under_lamps, alone(_core.fit_under_lamps)),
     "Problem": Function(problem_of, evaluate),
     "Problem among surroundings": Function(
         among_of,
         lambda kind, rng, arguments: evaluate(replace(kind, free_normals=False), rng, arguments),
     ),
-    "fit_materials": Function(
-        lambda kind, rng: (
-            solved_of(kind, rng)
-            | {
-                "mean": rng.random(solved_of(kind, rng)["precision"].shape),
-                "roughness": rng.random(3),
-                "metallic": rng.random(2),
-            }
-        ),
-        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).fit_materials(
-            **arguments
-        ),
-    ),
-    "schur_complement": Function(
-        lambda kind, rng: (
-            solved_of(kind, rng)
-            | {"deviation": rng.normal(size=solved_of(kind, rng)["precision"].shape)}
-        ),
-        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).schur_complement(
-            **arguments, damping=0.1
-        ),
-    ),
+    "fit_materials": Function(with_clusters, of_problem("fit_materials")),
+    "schur_complement": Function(with_deviation, of_problem("schur_complement", damping=0.1)),
     "value_and_grad": Function(
-        lambda kind, rng: {"x": x_of(kind, rng)},
-        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).value_and_grad(
-            **arguments
-        ),
+        lambda kind, rng: {"x": x_of(kind, rng)}, of_problem("value_and_grad")
     ),
     "light_equations": Function(
-        lambda kind, rng: {"maps": maps_of(kind, rng)},
-        lambda kind, rng, arguments: _core.Problem(**problem_of(kind, rng)).light_equations(
-            **arguments
-        ),
+        lambda kind, rng: {"maps": maps_of(kind, rng)}, of_problem("light_equations")
     ),
 }
 

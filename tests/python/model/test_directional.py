@@ -15,7 +15,7 @@ from pbrfit import InputError, Materials, _core
 from pbrfit.model.reflection import MODELS, Model, render_directional, sh_basis
 from pbrfit_evaluation.gap.brute_force import respond
 from pbrfit_evaluation.gap.brute_force import view as seen_at
-from reference import unit
+from reference import frames, unit
 
 Array = NDArray[np.float64]
 
@@ -42,14 +42,6 @@ def reflected(
     return np.asarray(_core.lamp_radiance(n, v, rho, r, m, l[:, None], 1, model)[:, 0])
 
 
-def random_frames(count: int, seed: int) -> tuple[Array, Array, Array]:
-    """Normals, views and lights on the same side."""
-    rng = np.random.default_rng(seed)
-    normal, view, light = unit(rng.normal(size=(3, count, 3)))
-    view, light = (a * np.sign(np.sum(normal * a, axis=-1, keepdims=True)) for a in (view, light))
-    return normal, view, light
-
-
 @cache
 def lights_over(polar: int = 120, around: int = 120) -> tuple[Array, Array]:
     """A rule over the half sphere about +Z, for views in the xz-plane; directions, solid angles.
@@ -70,7 +62,7 @@ def lights_over(polar: int = 120, around: int = 120) -> tuple[Array, Array]:
 
 
 def test_agrees_with_the_equations_as_printed() -> None:
-    normal, view, light = random_frames(400, 0)
+    normal, view, light = frames(400, 0, 3)
     view[::10] *= -1  # seen from behind, and
     light[::7] *= -1  # lit from behind
     rng = np.random.default_rng(1)
@@ -111,7 +103,7 @@ def test_narrow_lobes_keep_their_digits(r: float, model: Model) -> None:
 
 
 def test_reflection_is_reciprocal() -> None:
-    normal, view, light = random_frames(500, 2)
+    normal, view, light = frames(500, 2, 3)
     rng = np.random.default_rng(3)
     material = rng.random((500, 3)), rng.random(500), rng.random(500)
     n_v, n_l = (np.sum(normal * a, axis=-1, keepdims=True) for a in (view, light))
@@ -184,7 +176,7 @@ def test_all_lights_of_an_sh_light_together_give_the_integral(
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_mirror_does_not_show_a_light_without_extent(model: Model) -> None:
-    normal, view, _ = random_frames(50, 4)
+    normal, view, _ = frames(50, 4, 3)
     mirror = unit(2 * np.sum(normal * view, axis=-1, keepdims=True) * normal - view)
     for r in (0.0, 1e-170, 1e-80, 1e-30):
         assert reflected(normal, view, WHITE, r, 1.0, mirror, model).max() < 1e-20
@@ -231,14 +223,13 @@ def maps(height: int, width: int, seed: int) -> tuple[Materials, Array]:
 @pytest.mark.parametrize("model", MODELS)
 def test_the_same_bits_with_any_number_of_threads_and_one_light_at_a_time(model: Model) -> None:
     materials, normals = maps(61, 53, 5)
-    _, _, directions = random_frames(7, 6)
+    _, _, directions = frames(7, 6, 3)
     colors = np.random.default_rng(7).random((7, 3))
-    one = render_directional(materials, normals, directions, colors, 60.0, threads=1, model=model)
+    given = (materials, normals, directions, colors, 60.0)
+    one = render_directional(*given, threads=1, model=model)
     assert one.shape == (7, 61, 53, 3)
     for threads in (0, 2, 5):
-        again = render_directional(
-            materials, normals, directions, colors, 60.0, threads=threads, model=model
-        )
+        again = render_directional(*given, threads=threads, model=model)
         assert again.tobytes() == one.tobytes()
     alone = [
         render_directional(materials, normals, d, c, 60.0, model=model)

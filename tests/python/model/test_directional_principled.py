@@ -7,20 +7,12 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from test_directional import (
-    UP,
-    WHITE,
-    lights_over,
-    random_frames,
-    reflected,
-    reflected_of_uniform,
-    under_all,
-)
+from test_directional import UP, WHITE, lights_over, reflected, reflected_of_uniform, under_all
 
 from pbrfit.model.reflection import sh_basis, shade
 from pbrfit_evaluation.gap.brute_force import view as seen_at
 from principled_reference import Lights, lobe, mean_reflectance, multiple_scattering, schlick
-from reference import glass, unit
+from reference import frames, glass, unit
 
 Array = NDArray[np.float64]
 
@@ -40,7 +32,7 @@ def test_agrees_with_the_brdf_by_brute_force(r: float, cosine: float, metallic: 
     energy = float(response @ around.area), mean_reflectance(r)
     gloss = multiple_scattering(np.array(0.04), *energy)
     ground = (1 - metallic) * (1 - gloss * ((response * glass(v_dot_h)) @ around.area)) * ALBEDO
-    _, _, lights = random_frames(200, 11)  # on both sides
+    _, _, lights = frames(200, 11, 3)  # on both sides
     response, v_dot_h = lobe(UP, view, lights, r)
     fresnel = (1 - metallic) * gloss * glass(v_dot_h)[:, None]
     fresnel = fresnel + metallic * multiple_scattering(ALBEDO, *energy) * schlick(
@@ -53,7 +45,7 @@ def test_agrees_with_the_brdf_by_brute_force(r: float, cosine: float, metallic: 
 
 
 def test_the_lobe_is_reciprocal() -> None:
-    normal, view, light = random_frames(500, 2)
+    normal, view, light = frames(500, 2, 3)
     r = np.random.default_rng(3).random(500)
     n_v, n_l = (np.sum(normal * a, axis=-1) for a in (view, light))
     sound = np.minimum(n_v, n_l) > 1e-3

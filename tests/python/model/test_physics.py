@@ -17,7 +17,7 @@ import pbrfit
 from pbrfit.fit.objective import Objective
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
-from reference import smith_g1, unit
+from reference import frames, seen_at, smith_g1, unit
 from scene_files import truth_of
 
 # Whatever the default is.
@@ -39,28 +39,10 @@ def sphere_rule(polar: int, azimuthal: int) -> tuple[Array, Array]:
     z = np.concatenate([(nodes - 1) / 2, (nodes + 1) / 2])
     phi = 2 * math.pi * (np.arange(azimuthal) + 0.5) / azimuthal
     sine = np.sqrt(1 - z**2)[:, None]
-    directions = np.stack(
-        [
-            sine * np.cos(phi),
-            sine * np.sin(phi),
-            np.broadcast_to(z[:, None], (2 * polar, azimuthal)),
-        ],
-        axis=-1,
-    )
+    up = np.broadcast_to(z[:, None], (2 * polar, azimuthal))
+    directions = np.stack([sine * np.cos(phi), sine * np.sin(phi), up], axis=-1)
     area = np.tile(weights / 2, 2)[:, None] * np.full(azimuthal, 2 * math.pi / azimuthal)
     return directions.reshape(-1, 3), area.ravel()
-
-
-def frames(count: int, seed: int) -> tuple[Array, Array]:
-    """Random normals and views, n·v > 0."""
-    rng = np.random.default_rng(seed)
-    normal, view = unit(rng.normal(size=(2, count, 3)))
-    return normal, view * np.sign(np.sum(normal * view, axis=-1, keepdims=True))
-
-
-def seen_at(cosine: float) -> tuple[Array, Array]:
-    """The normal +z and a view with this n·v."""
-    return np.array([0.0, 0, 1]), np.array([math.sqrt(1 - cosine**2), 0, cosine])
 
 
 def test_sh_basis_is_orthonormal() -> None:

@@ -13,7 +13,7 @@ import principled_reference
 from pbrfit import _core
 from pbrfit.model.reflection import sh_basis
 from principled_reference import EVEN, ORDER
-from reference import unit
+from reference import frames, unit
 
 Array = NDArray[np.floating[Any]]
 Doubles = NDArray[np.float64]
@@ -47,8 +47,7 @@ def shade(*parts: Array | float) -> Doubles:
 def random_pixels(count: int, seed: int) -> Pixels:
     """Frames with n·v > 0, and materials."""
     rng = np.random.default_rng(seed)
-    normal, view = unit(rng.normal(size=(2, count, 3)))
-    view *= np.sign(np.sum(normal * view, axis=-1, keepdims=True))
+    normal, view = frames(count, rng)
     return normal, view, rng.random((count, 3)), rng.random(count), rng.random(count)
 
 

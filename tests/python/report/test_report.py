@@ -42,7 +42,7 @@ from pbrfit.synthetic import make_scene
 from pbrfit.transport.decision import Transport
 from refined import refined
 from relit import shaded_ball
-from scene_files import lights_of, truth_of, write_exr
+from scene_files import known, lights_of, truth_of, write_exr
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -138,8 +138,7 @@ def test_the_sections_are_there_with_links_to_them(page: Page) -> None:
 def test_each_map_has_a_verdict_in_words_and_its_reason_one_click_away(
     page: Page, folder: Path
 ) -> None:
-    uncertainty = Result.load(folder / "result").uncertainty
-    assert uncertainty is not None
+    uncertainty = known(Result.load(folder / "result").uncertainty)
     chips = [e for e in page.all("details") if "verdict" in e.attributes.get("class", "")]
     for chip, (name, one) in zip(chips, uncertainty.verdicts.items(), strict=True):
         assert " ".join(chip.text.split()).startswith(f"{name}: {one.level}Expected error")
@@ -246,11 +245,9 @@ def test_maps_are_drawn_pixel_by_pixel(page: Page, folder: Path) -> None:
 def test_errors_and_deviations_have_the_colours_of_the_scale(page: Page, folder: Path) -> None:
     result = Result.load(folder / "result")
     truth = truth_of(Scene.load(folder / "scene"))
-    assert result.uncertainty is not None
-    error = np.abs(result.roughness - truth.materials.roughness)
     shares = {
-        "Absolute error of roughness": error,
-        "Standard deviation of roughness": result.uncertainty.deviation.roughness,
+        "Absolute error of roughness": np.abs(result.roughness - truth.materials.roughness),
+        "Standard deviation of roughness": known(result.uncertainty).deviation.roughness,
     }
     for alt, values in shares.items():
         found = np.asarray(page.picture(alt).convert("RGB"))
@@ -303,8 +300,7 @@ def test_scene_and_result_may_move_together(unfitted: Path, tmp_path: Path) -> N
     content = json.loads((unfitted / "result" / "result.json").read_text("utf-8"))
     assert content["scene"]["path"] == "../scene"
     result = Result.load(tmp_path / "else" / "result")
-    assert result.source is not None
-    assert result.source.path == (tmp_path / "else" / "scene").resolve()
+    assert known(result.source).path == (tmp_path / "else" / "scene").resolve()
     assert "Picture light_00" in str(written(result, tmp_path / "page.html").all("img"))
 
 
@@ -509,8 +505,7 @@ def test_there_are_no_deviations_where_nothing_tells_the_noise(tmp_path: Path) -
     rng = np.random.default_rng(0)
     images = rng.random((3, 1, 1, 3)).astype(np.float32) + 0.1
     result = decompose(Scene(images, np.array([[[0.0, 0.0, 1.0]]])), iterations=3)
-    assert result.uncertainty is not None
-    assert result.uncertainty.noise is None
+    assert known(result.uncertainty).noise is None
     page = written(result, tmp_path / "page.html")
     assert "There are no more samples than unknowns, so nothing tells the noise." in page.text
     assert "median deviation" not in page.text
@@ -810,8 +805,7 @@ def test_narrow_pictures_neither_stretch_the_page_nor_vanish(
             "[...document.querySelectorAll('.zoom img')].map((e) => e.clientHeight)"
         )
         assert 0 < max(sizes) <= 768
-        stage = opened.page.locator(".relight-stage").bounding_box()
-        assert stage is not None
+        stage = known(opened.page.locator(".relight-stage").bounding_box())
         assert min(stage["width"], stage["height"]) > 50
 
 

@@ -20,6 +20,7 @@ from pbrfit.result.light_sides import ASIDE, ONE_SIDE, main_directions, one_side
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, Verdict, capped, level_of
 from pbrfit.synthetic import make_scene
+from scene_files import known
 
 AROUND = np.array([(1.0, 0, 0), (-1, 0, 0), (0, 1, 0), (0, 0, 1)])
 
@@ -51,14 +52,13 @@ def good() -> Result:
 
 
 def uncertainty(result: Result, errors: dict[str, float], cause: str = "", remedy: str = "") -> Any:
-    assert result.uncertainty is not None
     verdicts = {
         name: Verdict(
             level := level_of(name, of), of, *(("", "") if level == "usable" else (cause, remedy))
         )
         for name, of in errors.items()
     }
-    return replace(result.uncertainty, verdicts=verdicts)
+    return replace(known(result.uncertainty), verdicts=verdicts)
 
 
 def test_a_good_result_needs_nothing(good: Result) -> None:
@@ -121,9 +121,8 @@ def test_left_out_pictures_that_are_not_explained(good: Result) -> None:
     remedy = "a mask, better normals or more pictures would help"
     [step] = next_steps(replace(good, held_out=UNEXPLAINED, uncertainty=None))
     assert step == f"{cause}: {remedy}"
-    assert good.uncertainty is not None
-    verdicts = capped(good.uncertainty.verdicts, UNEXPLAINED)
-    of_maps = replace(good.uncertainty, verdicts=verdicts)
+    uncertainty = known(good.uncertainty)
+    of_maps = replace(uncertainty, verdicts=capped(uncertainty.verdicts, UNEXPLAINED))
     [step] = next_steps(replace(good, held_out=UNEXPLAINED, uncertainty=of_maps))
     assert step == f"{cause}: {remedy} albedo, roughness and metallic"
     assert next_steps(replace(good, held_out=None)) == ()

@@ -21,6 +21,7 @@ from pbrfit.result.preview import preview
 from pbrfit.result.relighting import own_light, rendered_picture, turned
 from relit import fitted, shaded_ball
 from result_files import FILES
+from scene_files import known
 from under_lamps import ball_under_lamps, far_and_none, near_lamp
 
 
@@ -35,14 +36,11 @@ def test_lamps_and_height_are_kept(result: Result, tmp_path: Path) -> None:
     content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
     assert "height.exr" in content["files"]
     found = Result.load(tmp_path / "out")
-    assert found.lamps is not None
-    assert result.lamps is not None
-    np.testing.assert_array_equal(found.lamps.places, result.lamps.places)
-    np.testing.assert_array_equal(found.lamps.colors, result.lamps.colors)
-    assert found.height is not None
-    assert result.height is not None
-    np.testing.assert_array_equal(found.height, result.height.astype(np.float32))
-    assert np.isnan(found.height[~found.mask]).all()
+    lamps, height = known(found.lamps), known(found.height)
+    np.testing.assert_array_equal(lamps.places, known(result.lamps).places)
+    np.testing.assert_array_equal(lamps.colors, known(result.lamps).colors)
+    np.testing.assert_array_equal(height, known(result.height).astype(np.float32))
+    assert np.isnan(height[~found.mask]).all()
     found.save(tmp_path / "again")
     for name in (*FILES, "height.exr"):
         if name != "result.json":
@@ -128,7 +126,6 @@ def test_lamps_are_turned_as_a_hard_light_is(result: Result) -> None:
 
 def test_surroundings_cast_shadows_of_lamps() -> None:
     ball = shaded_ball()
-    assert ball.depth is not None
     direction = np.array([0.6, 0.6, 0.53])
     direction /= np.linalg.norm(direction)
     far = Lamps(np.array([0]), direction[None], colors=np.ones((1, 3)))
@@ -148,9 +145,7 @@ def test_surroundings_cast_shadows_of_lamps() -> None:
 
 def test_a_near_lamp_before_the_surface_is_in_no_shadow_of_what_is_behind_it() -> None:
     ball = shaded_ball()
-    assert ball.depth is not None
-    scenery = ball.scenery
-    assert scenery is not None
+    scenery = known(ball.scenery)
     middle = np.nanmedian(scenery.points.reshape(-1, 3), axis=0)
     # Half way between the camera and the surface: all that the camera sees is open to it or nearly.
     assert scenery.open_to(np.zeros(3), near=True).mean() > 0.9
@@ -165,9 +160,8 @@ def test_ambient_light_among_surroundings_stays(result: Result) -> None:
     np.testing.assert_allclose(relight(ball, (none, sky)), relight(ball, sky), rtol=1e-6)
     with pytest.raises(InputError, match=r"ambient: expected finite \(16, 3\)"):
         relight(result, (none, result.lighting))
-    assert result.lamps is not None
     with pytest.raises(InputError, match="lamps: expected indices of 1 pictures, found 2"):
-        relight(result, result.lamps)
+        relight(result, known(result.lamps))
 
 
 def test_the_preview_shows_lamps(result: Result) -> None:

@@ -17,7 +17,7 @@ from pbrfit.result.advice import next_steps
 from pbrfit.result.notebook import SIDE
 from pbrfit.result.verdict import MARKS, Verdict, in_short
 from pbrfit.synthetic import make_scene
-from scene_files import write_folder
+from scene_files import known, write_folder
 
 VERDICTS = {
     "albedo": Verdict("usable", 0.031),
@@ -37,8 +37,7 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def result(scene: Scene) -> Result:
     found = decompose(scene, iterations=2, refine_normals="off")
-    assert found.uncertainty is not None
-    return replace(found, uncertainty=replace(found.uncertainty, verdicts=VERDICTS))
+    return replace(found, uncertainty=replace(known(found.uncertainty), verdicts=VERDICTS))
 
 
 def test_names_are_short_and_hold_no_arrays(scene: Scene, result: Result) -> None:
@@ -95,9 +94,7 @@ def test_large_maps_are_reduced(result: Result) -> None:
 
     materials = replace(
         result.materials,
-        albedo=large(result.albedo),
-        roughness=large(result.roughness),
-        metallic=large(result.metallic),
+        **{name: large(getattr(result, name)) for name in ("albedo", "roughness", "metallic")},
     )
     big = replace(
         result,

@@ -24,7 +24,7 @@ from pbrfit.result.advice import of_verdicts
 from pbrfit.result.sheet import Panel, Row, sheet
 from pbrfit.result.verdict import LEVELS, PARAMETERS, ROUGH_MAX, USABLE_MAX, Verdict
 from pbrfit.synthetic import make_scene
-from scene_files import truth_of
+from scene_files import known, truth_of
 
 SIZE = 8
 VERDICTS = {
@@ -50,8 +50,7 @@ def chips_of(result: Result, path: Path) -> tuple[Page, list[Element]]:
 @pytest.fixture(scope="module")
 def result() -> Result:
     found = decompose(make_scene("room", size=SIZE, lights=3, noise=0.01), iterations=2)
-    assert found.uncertainty is not None
-    uncertainty = dataclasses.replace(found.uncertainty, verdicts=VERDICTS)
+    uncertainty = dataclasses.replace(known(found.uncertainty), verdicts=VERDICTS)
     return dataclasses.replace(found, uncertainty=uncertainty)
 
 
@@ -122,9 +121,7 @@ def test_a_fit_has_its_verdicts_capped(monkeypatch: pytest.MonkeyPatch) -> None:
             return dataclasses.replace(choose(*given, **options), held_out=held_out)
 
         monkeypatch.setattr(compare, "choose", choice)
-        uncertainty = decompose(scene, **plain).uncertainty
-        assert uncertainty is not None
-        found.append(uncertainty.verdicts)
+        found.append(known(decompose(scene, **plain).uncertainty).verdicts)
     free, capped = found
     assert not verdict.nothing_usable(free)
     assert capped == verdict.capped(free, UNEXPLAINED)
@@ -154,9 +151,7 @@ def test_the_thresholds_are_said_in_full() -> None:
 
 def test_verdicts_are_saved_and_read_again(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
-    loaded = Result.load(tmp_path / "out").uncertainty
-    assert loaded is not None
-    assert loaded.verdicts == VERDICTS
+    assert known(Result.load(tmp_path / "out").uncertainty).verdicts == VERDICTS
     content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
     assert verdict.verdicts_of(content["uncertainty"]) == VERDICTS
     for wrong in ({"level": "good"}, {"expected_error": "small"}, {"cause": None}):

@@ -16,6 +16,7 @@ from pbrfit.model.reflection import MODELS, Model, render
 from pbrfit.synthetic.geometry import Box, Plane, rotation
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import RAYS, Scenery
+from scene_files import known
 from small_worlds import Seen, ball_on_floor, box_room, look
 
 Array = NDArray[np.float64]
@@ -353,9 +354,7 @@ def test_tables_are_the_same_at_any_number_of_threads_and_of_any_part() -> None:
         chosen = whole.of(np.arange(5, len(places), 9, dtype=np.uint64))
         for a, b in ((whole, two), (chosen, part)):
             np.testing.assert_array_equal(a.rows, b.rows)
-            assert a.bounced is not None
-            assert b.bounced is not None
-            np.testing.assert_array_equal(a.bounced, b.bounced)
+            np.testing.assert_array_equal(known(a.bounced), known(b.bounced))
 
 
 ONE = np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.array([[0.0, 0, 1]]), np.zeros(1, np.uint64)
