@@ -250,9 +250,7 @@ def test_damaged_weights_are_one_line(tiny_flux2_klein: Path, photo: Photo, tmp_
     shutil.copytree(tiny_flux2_klein, damaged)
     file = damaged / "transformer" / "diffusion_pytorch_model.safetensors"
     file.write_bytes(file.read_bytes()[:1000])
-    with pytest.raises(
-        InputError, match=r"damaged: expected FLUX\.2 Klein that can be loaded"
-    ) as e:
+    with pytest.raises(InputError, match=r"damaged: expected FLUX\.2 Klein that can be") as e:
         Flux2Klein(model=str(damaged), device="cpu").generate(photo, LEFT)
     assert "\n" not in str(e.value)
 

@@ -164,10 +164,7 @@ MODERATION = {"moderation_stage": "output", "categories": ["violence"]}
 @pytest.mark.parametrize(
     ("details", "told"),
     [
-        (
-            {"moderation_details": MODERATION},
-            r"moderation \(output; categories: violence\).*Reject",
-        ),
+        ({"moderation_details": MODERATION}, r"moderation \(output; .*: violence\).*Reject"),
         ({}, "moderation: Rejected"),
     ],
 )
@@ -345,17 +342,9 @@ def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, se
     ("name", "values", "expected"),
     [
         ("OPENAI_API_KEY", ("sk-ключ", "sk-two words", "sk-two\nlines"), "expected ASCII"),
-        (
-            "OPENAI_BASE_URL",
-            (
-                "",
-                "localhost",
-                "ftp://localhost",
-                "http://",
-                "http://localhost:port/v1",
-                "http://[::",
-            ),
-            "expected http:// or https://",
+        *(
+            ("OPENAI_BASE_URL", (value,), "expected http:// or https://")
+            for value in ("", "localhost", "ftp://x", "http://", "http://x:port/v1", "http://[::")
         ),
     ],
 )

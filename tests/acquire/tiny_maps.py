@@ -26,33 +26,14 @@ TARGETS = {
 
 def save_tiny_marigold_normals(folder: Path) -> Path:
     """`MarigoldNormalsPipeline`."""
-    from diffusers import MarigoldNormalsPipeline
-
-    pipeline = MarigoldNormalsPipeline(
-        **_stable_diffusion(in_channels=8, out_channels=4, vocabulary=folder / "words"),
-        prediction_type="normals",
-        use_full_z_range=True,
-        default_denoising_steps=2,
-        default_processing_resolution=64,
-    )
-    pipeline.save_pretrained(folder / "checkpoint")
-    return folder / "checkpoint"
+    parts = _stable_diffusion(in_channels=8, out_channels=4, vocabulary=folder / "words")
+    return _save_marigold(folder, "Normals", parts, use_full_z_range=True)
 
 
 def save_tiny_marigold_depth(folder: Path) -> Path:
     """`MarigoldDepthPipeline`."""
-    from diffusers import MarigoldDepthPipeline
-
-    pipeline = MarigoldDepthPipeline(
-        **_stable_diffusion(in_channels=8, out_channels=4, vocabulary=folder / "words"),
-        prediction_type="depth",
-        scale_invariant=True,
-        shift_invariant=True,
-        default_denoising_steps=2,
-        default_processing_resolution=64,
-    )
-    pipeline.save_pretrained(folder / "checkpoint")
-    return folder / "checkpoint"
+    parts = _stable_diffusion(in_channels=8, out_channels=4, vocabulary=folder / "words")
+    return _save_marigold(folder, "Depth", parts, scale_invariant=True, shift_invariant=True)
 
 
 def save_tiny_depth_anything(folder: Path, *, metric: bool) -> Path:
@@ -99,14 +80,20 @@ def save_tiny_depth_anything(folder: Path, *, metric: bool) -> Path:
 
 def save_tiny_marigold_iid(folder: Path, properties: Any = TARGETS) -> Path:
     """`MarigoldIntrinsicsPipeline` with two targets."""
-    from diffusers import MarigoldIntrinsicsPipeline
+    parts = _stable_diffusion(in_channels=12, out_channels=8, vocabulary=folder / "words")
+    return _save_marigold(folder, "Intrinsics", parts, target_properties=properties)
 
-    pipeline = MarigoldIntrinsicsPipeline(
-        **_stable_diffusion(in_channels=12, out_channels=8, vocabulary=folder / "words"),
-        prediction_type="intrinsics",
-        target_properties=properties,
+
+def _save_marigold(folder: Path, kind: str, parts: dict[str, Any], **options: Any) -> Path:
+    """A Marigold pipeline that predicts this kind of map in two steps, at 64 pixels."""
+    import diffusers
+
+    pipeline = getattr(diffusers, f"Marigold{kind}Pipeline")(
+        **parts,
+        prediction_type=kind.lower(),
         default_denoising_steps=2,
         default_processing_resolution=64,
+        **options,
     )
     pipeline.save_pretrained(folder / "checkpoint")
     return folder / "checkpoint"

@@ -129,10 +129,8 @@ def test_a_third_takes_the_ids_of_others() -> None:
         assert len(changed) == 4
         assert len(np.unique(found)) == 8
         assert not {old for old, _ in changed} & {new for _, new in changed}
-        near += sum(
-            abs(a - b) == 4 or (abs(a - b) == 1 and (a - 1) // 4 == (b - 1) // 4)
-            for a, b in changed
-        )
+        rows = [((a - 1) // 4, (b - 1) // 4, abs(a - b)) for a, b in changed]
+        near += sum(apart == 4 or (apart == 1 and above == row) for above, row, apart in rows)
     # Of 80, at least every second one, but for those that have none but takers around them. Of
     # ids drawn from all alike, 34 / 132 would be near: some 21.
     assert 36 <= near <= 60
@@ -195,10 +193,7 @@ def test_the_default_is_judged_and_failures_are_named() -> None:
     assert missed == {
         "must hold (a): constant, metallic",
         "must hold (a): constant, roughness",
-        *(
-            f"must hold (d): {name}, roughness"
-            for name in ("constant", "shifted", "merged", "none")
-        ),
+        *(f"must hold (d): {one}, roughness" for one in ("constant", "shifted", "merged", "none")),
     }
     assert rows["must hold (a): constant, roughness"].metrics["value"] == pytest.approx(0.6)
     assert rows["merged, default"].metrics["albedo_ratio"] == pytest.approx(0.6)

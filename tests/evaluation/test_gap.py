@@ -33,10 +33,8 @@ def hemisphere() -> tuple[Array, Array]:
     shares = weights / 2 * 3 * ((1 + nodes) / 2) ** 2
     azimuth = 2 * np.pi * (np.arange(500) + 0.5) / 500
     sine = np.sqrt(1 - n_dot_l**2)[:, None]
-    directions = np.stack(
-        [sine * np.cos(azimuth), sine * np.sin(azimuth), np.repeat(n_dot_l[:, None], 500, axis=1)],
-        axis=-1,
-    )
+    up = np.repeat(n_dot_l[:, None], 500, axis=1)
+    directions = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), up], axis=-1)
     return directions, np.repeat(2 * np.pi / 500 * shares[:, None], 500, axis=1)
 
 
@@ -233,9 +231,7 @@ def test_rings_of_the_sphere_are_enough(own: measure.Reference) -> None:
 @pytest.mark.parametrize(("r", "n_dot_v"), [(0.0, 0.5), (0.5, 0.0), (1.1, 0.5), (math.nan, 0.5)])
 def test_points_outside_the_range_are_named(r: float, n_dot_v: float) -> None:
     for of in (respond, principled.respond):
-        with pytest.raises(
-            pbrfit.InputError, match=r"(roughness|n_dot_v): expected a number in \(0"
-        ):
+        with pytest.raises(pbrfit.InputError, match=r"^(roughness|n_dot_v): expected a number in"):
             of(r, n_dot_v)
 
 
@@ -251,10 +247,7 @@ def test_command_writes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert len(rows) == 5 * len(measure.MATERIALS) + 1
     assert rows["spheres by Cycles"]["status"] == "not run: --quick leaves Cycles out"
     of_paper, of_own, table = (
-        {
-            material.key: rows[f"{name} integral, {material.key}"]["metrics"]
-            for material in measure.MATERIALS
-        }
+        {one.key: rows[f"{name} integral, {one.key}"]["metrics"] for one in measure.MATERIALS}
         for name in ("paper model / principled", "principled model / principled",
                      "principled model / tabulated")
     )  # fmt: skip

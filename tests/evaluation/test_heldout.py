@@ -282,10 +282,8 @@ def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
 
     def decompose(scene: Scene, *, threads: int, **options: Any) -> Any:
         seen.append((scene, options))
-        maps = Materials(
-            np.full((SIZE, SIZE, 3), 0.5), np.ones((SIZE, SIZE)), np.zeros((SIZE, SIZE))
-        )
-        truth = SimpleNamespace(materials=maps)
+        ones = np.ones((SIZE, SIZE))
+        truth = SimpleNamespace(materials=Materials(np.full((SIZE, SIZE, 3), 0.5), ones, 0 * ones))
         chosen = SimpleNamespace(as_json=lambda: {"kind": threads})
         given = SimpleNamespace(truth=truth, normals=cap(), valid=scene.valid, fov=0.0)
         return stand_in(given, held_out=chosen, assumed={"light": "so"})  # type: ignore[arg-type]
@@ -312,9 +310,8 @@ def test_a_way_says_what_it_lacks(tmp_path: Path) -> None:
     (folder / "scene.toml").write_text('color_space = "linear"\n', encoding="utf-8")
     [source] = sources.find_sources(folder)
     assert measure.run(task(source, "linear"), 1) == {"not_possible": "the encoding is known"}
-    assert measure.run(task(source, "lambert-known"), 1) == {
-        "not_possible": "nobody knows the lamps"
-    }
+    said = measure.run(task(source, "lambert-known"), 1)
+    assert said == {"not_possible": "nobody knows the lamps"}
 
 
 def found(error: float) -> dict[str, Any]:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 from argparse import Namespace
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -124,13 +124,8 @@ def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> Non
     ]
     assert [key for key in BY_KEY if told[key].lamps is not None] == ["known"]
     assert light[CONSTANT] is None
-    assert {key: light[key] for key in ("sh", "lamps", NEAR, "auto-depth", "known")} == {
-        "sh": "sh",
-        "lamps": "lamps",
-        NEAR: "lamps",
-        "auto-depth": "auto",
-        "known": "lamps",
-    }
+    expected = {"sh": "sh", "lamps": "lamps", NEAR: "lamps", "auto-depth": "auto", "known": "lamps"}
+    assert {key: light[key] for key in expected} == expected
 
 
 def test_known_lamps_need_depth() -> None:
@@ -156,10 +151,9 @@ def test_lamps_have_to_be_worth_something() -> None:
 
 
 def test_auto_spoils_nothing() -> None:
-    one = {HARMONICS: values(0.2), "auto": values(0.2)}
-    assert [verdict.holds for verdict in figures.verdicts(results(one), None)] == [True]
-    two = {HARMONICS: values(0.2), "auto": values(0.21)}
-    assert [verdict.holds for verdict in figures.verdicts(results(two), None)] == [False]
+    for error, holds in ((0.2, True), (0.21, False)):
+        found = results({HARMONICS: values(0.2), "auto": values(error)})
+        assert [verdict.holds for verdict in figures.verdicts(found, None)] == [holds]
 
 
 @pytest.mark.slow
@@ -168,18 +162,12 @@ def test_command(
 ) -> None:
     monkeypatch.setattr(measure, "room", with_lamps)
     monkeypatch.setattr(cycles, "why_not", lambda: None)
-    short = SimpleNamespace(fit=recipes.fit)
-    monkeypatch.setattr(
-        measure,
-        "fit",
-        lambda scene, **options: short.fit(scene, iterations=2, uncertainty=False, **options),
-    )
+    monkeypatch.setattr(measure, "fit", partial(recipes.fit, iterations=2, uncertainty=False))
     out = tmp_path / "out"
     few = ("--scenes", 1, "--size", SIZE, "--lights", LIGHTS, "--jobs", 1, "--first-seed", 2003)
     variants = ("--variants", CONSTANT, HARMONICS)
-    assert run("evaluate", "lamps", "--quick", *few, *variants, "--out", out) == 0, (
-        capsys.readouterr().err
-    )
+    code = run("evaluate", "lamps", "--quick", *few, *variants, "--out", out)
+    assert code == 0, capsys.readouterr().err
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
     assert [row["solver"] for row in rows if row["scenes"]] == [
         BY_KEY[key].words for key in (CONSTANT, HARMONICS)

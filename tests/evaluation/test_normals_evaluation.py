@@ -33,6 +33,7 @@ from pbrfit_evaluation.normals import SUITE, figures, measure
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
 from pbrfit_evaluation.normals.measure import Case
 from pbrfit_evaluation.suite import Verdict
+from scene_files import known
 
 Array = NDArray[np.float64]
 
@@ -59,8 +60,8 @@ def test_correlated_turns_are_alike_nearby_and_grow_with_theta(scene: Scene) -> 
     ratio = angles_between(large, scene.normals) / angles_between(small, scene.normals)
     assert np.median(ratio) == pytest.approx(2, rel=0.02)
     error = small - scene.normals
-    assert scene.segments is not None
-    same = scene.segments[:, 1:] == scene.segments[:, :-1]
+    segments = known(scene.segments)
+    same = segments[:, 1:] == segments[:, :-1]
     step = np.linalg.norm(error[:, 1:] - error[:, :-1], axis=-1)[same]
     assert step.mean() < 0.7 * np.linalg.norm(error, axis=-1).mean()
 
@@ -234,14 +235,10 @@ def test_right_normals_must_not_be_spoilt(auto: float, angle: float) -> None:
 def test_most_scenes_must_come_back() -> None:
     def scenes(*came_back: bool) -> Verdict:
         on = {"scores": dict.fromkeys(measure.MAPS, 0.1), "angle": {"mean": 0.1, "aligned": 0.1}}
-        pairs = [
-            (
-                Case("exact", "furnished", seed, 16, "correlated", 10.0, 1),
-                {"on": on, "came_back": back},
-            )
-            for seed, back in enumerate(came_back)
-        ]
-        [found] = judged("exact", *pairs)
+        room = Case("exact", "furnished", 0, 16, "correlated", 10.0, 1)
+        cases = [replace(room, seed=seed) for seed in range(len(came_back))]
+        values = [{"on": on, "came_back": back} for back in came_back]
+        [found] = judged("exact", *zip(cases, values, strict=True))
         return found
 
     holds, fails = scenes(True, True, True, False, False), scenes(True, True, False, False)

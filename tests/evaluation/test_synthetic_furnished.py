@@ -50,10 +50,10 @@ def test_pictures_agree_with_a_second_ray_caster(kind: str, fov: float) -> None:
 
 @pytest.mark.parametrize("kind", ROOMS)
 def test_rooms_keep_their_promises(kind: str) -> None:
-    views = view_directions(40, 40, 60.0)
-    for seed in range(4):
+    views = view_directions(32, 32, 60.0)
+    for seed in range(3):
         world = draw(kind, np.random.default_rng(seed))
-        view = world.cast(40)
+        view = world.cast(32)
         m = view.materials
         assert view.mask is None
         np.testing.assert_allclose(np.linalg.norm(view.normals, axis=-1), 1.0, rtol=1e-14)
@@ -68,10 +68,8 @@ def test_rooms_keep_their_promises(kind: str) -> None:
         assert m.albedo[dielectric].min() >= DARKEST - 1e-12
         assert m.albedo[dielectric].max() <= LIGHTEST + 1e-12
         assert m.albedo.max() <= LIGHTEST_METAL
-        assert m.metallic.min() == 0.0
-        assert m.metallic.max() == 1.0
-        assert m.roughness.min() >= 0.12
-        assert m.roughness.max() <= 0.95
+        assert (m.metallic.min(), m.metallic.max()) == (0.0, 1.0)
+        assert 0.12 <= m.roughness.min() <= m.roughness.max() <= 0.95
 
 
 def test_rooms_differ() -> None:
@@ -92,24 +90,11 @@ def test_every_piece_is_in_the_room() -> None:
                 assert height.min() > -1e-9, f"seed {seed}: piece {i}"
 
 
-@pytest.mark.parametrize("kind", ROOMS)
-def test_same_seed_same_bytes(kind: str) -> None:
-    def drawn(seed: int) -> list[bytes]:
-        scene = make_scene(kind, size=24, lights=3, held_out=1, noise=0.01, seed=seed)
-        m = truth_of(scene).materials
-        maps = (scene.images, scene.normals, scene.segments, m.albedo, m.roughness, m.metallic)
-        return [np.asarray(of).tobytes() for of in maps]
-
-    first = drawn(7)
-    assert drawn(7) == first
-    assert all(one != other for one, other in zip(first, drawn(8), strict=True))
-
-
 def test_rooms_do_not_depend_on_the_resolution() -> None:
-    # The centres of every third pixel of 96 are the pixel centres of 32.
+    # The centres of every third pixel of 60 are the pixel centres of 20.
     for kind in ROOMS:
         world = draw(kind, np.random.default_rng(5))
-        small, large = world.cast(32), world.cast(96)
+        small, large = world.cast(20), world.cast(60)
         np.testing.assert_array_equal(small.segments, large.segments[1::3, 1::3])
         tolerance = 1e-9 if kind == "furnished" else 0.4  # details of a pixel are averaged
         for name in ("albedo", "roughness", "metallic"):
@@ -139,16 +124,6 @@ def test_fine_detail_fades_with_distance() -> None:
 
     # More pixels show more detail: steps shrink more slowly than pixels do.
     assert roughness_steps(192) > 1.3 * roughness_steps(32)
-
-
-@pytest.mark.parametrize("fov", [20.0, 120.0])
-@pytest.mark.parametrize("kind", ROOMS)
-def test_the_shell_is_closed(kind: str, fov: float) -> None:
-    for seed in range(2):
-        view = draw(kind, np.random.default_rng(seed)).cast(24, fov)
-        assert view.segments.min() >= 1
-        facing = np.sum(view_directions(24, 24, fov) * view.normals, axis=-1)
-        assert facing.min() > 0
 
 
 def test_textures_belong_to_detailed_scenes() -> None:

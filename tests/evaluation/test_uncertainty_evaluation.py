@@ -254,9 +254,8 @@ def test_calibrated_records_hold() -> None:
 @pytest.mark.parametrize(
     ("within_2", "what"),
     [
-        (COVERED[0], None),
+        *((bar, None) for bar in COVERED),
         (COVERED[0] - 0.001, "least"),
-        (COVERED[1], None),
         (COVERED[1] + 0.001, "largest"),
     ],
 )

@@ -30,15 +30,18 @@ def ball(like: Result, albedo: float = 0.8, roughness: float = 0.6) -> Result:
     inside = x**2 + y**2 < 0.95
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     normals = np.where(inside[..., None], np.stack([x, y, z], axis=-1), np.nan)
-
-    def even(value: float) -> NDArray[Any]:
-        return np.where(inside, value, np.nan)
-
-    materials = Materials(
-        np.repeat(even(albedo)[..., None], 3, axis=-1), even(roughness), even(0.0)
-    )
+    materials = even(inside, albedo, roughness)
     return dataclasses.replace(
         like, materials=materials, normals=normals, mask=inside, fov=0.0, uncertainty=None
+    )
+
+
+def card(like: Result, normals: NDArray[np.float64], fov: float) -> Result:
+    """A grey card with these normals (H, W, 3)."""
+    mask = np.ones(normals.shape[:2], bool)
+    materials = even(mask, 0.25, 0.5)
+    return dataclasses.replace(
+        like, materials=materials, normals=normals, mask=mask, fov=fov, uncertainty=None
     )
 
 

@@ -33,6 +33,7 @@ from pbrfit.result.relighting import DirectionalLight, turned
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.cycles import why_not
 from pbrfit_evaluation.cycles.process import find_python
+from scene_files import lights_of, truth_of
 
 SIZE = 32
 SUN = DirectionalLight(-50.0, 35.0)
@@ -78,10 +79,9 @@ def test_the_extension_imports_what_blender_has() -> None:
 def room(model: Model) -> Result:
     """A room with its true materials and normals, a corner masked."""
     made = make_scene("room", size=SIZE, lights=3, held_out=1, model=model)
-    assert made.truth is not None and made.truth.lighting is not None  # noqa: PT018
     mask = made.valid.copy()
     mask[:5, :9] = False
-    true = made.truth.materials
+    true = truth_of(made).materials
     materials = Materials(true.albedo.copy(), true.roughness.copy(), true.metallic.copy())
     normals = made.normals.astype(np.float64)
     for values in (materials.albedo, materials.roughness, materials.metallic, normals):
@@ -93,7 +93,7 @@ def room(model: Model) -> Result:
         normals=normals,
         mask=mask,
         fov=made.fov,
-        lighting=made.truth.lighting,
+        lighting=lights_of(made),
         uncertainty=None,
         model=model,
     )

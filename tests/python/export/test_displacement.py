@@ -11,12 +11,15 @@ import pytest
 from numpy.typing import NDArray
 
 from command_runs import done
-from pbrfit import Materials, Result, decompose
+from pbrfit import Result, decompose
 from pbrfit.export import export_result
 from pbrfit.export.displacement import FLAT, Displacement
 from pbrfit.export.view_mesh import camera
 from pbrfit.io import images
 from pbrfit.synthetic import make_scene
+from reference import unit
+from relit import card
+from scene_files import known
 
 HEIGHT, WIDTH = 48, 64
 
@@ -28,31 +31,12 @@ def fitted() -> Result:
     return decompose(make_scene("room", size=8, lights=3, held_out=1), iterations=1)
 
 
-def with_normals(fitted: Result, normals: Array, fov: float) -> Result:
-    shape = normals.shape[:2]
-    return dataclasses.replace(
-        fitted,
-        materials=Materials(np.full((*shape, 3), 0.5), np.full(shape, 0.5), np.zeros(shape)),
-        normals=normals,
-        mask=np.ones(shape, bool),
-        fov=fov,
-        uncertainty=None,
-    )
-
-
-def unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
 def hills(x: Array, y: Array) -> tuple[Array, Array, Array]:
     """Height and its slopes at places in picture widths."""
     a, b = 2 * np.pi * 2, 2 * np.pi * 1.5
     height = 0.03 * np.sin(a * x) * np.cos(b * y)
-    return (
-        height,
-        0.03 * a * np.cos(a * x) * np.cos(b * y),
-        -0.03 * b * np.sin(a * x) * np.sin(b * y),
-    )
+    right = 0.03 * a * np.cos(a * x) * np.cos(b * y)
+    return height, right, -0.03 * b * np.sin(a * x) * np.sin(b * y)
 
 
 def on_card() -> tuple[Array, Array]:
@@ -64,7 +48,7 @@ def test_a_planted_surface_comes_back_in_picture_widths(fitted: Result, tmp_path
     x, y = on_card()
     height, right, up = hills(x, y)
     normals = unit(np.stack([-right, -up, np.ones_like(x)], axis=-1))
-    export_result(with_normals(fitted, normals, 0.0), tmp_path / "out")
+    export_result(card(fitted, normals, 0.0), tmp_path / "out")
     told = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))["displacement"]
     assert told["unit"] == "picture widths"
     floats = images.read_channels(tmp_path / "out" / "exr" / "displacement.exr")["Y"]
@@ -91,8 +75,7 @@ def test_with_perspective_height_and_rays_are_the_surface(fitted: Result) -> Non
     assert (under > 0).all()  # the sphere fills the view
     points = ((along - np.sqrt(under)) / square)[..., None] * rays
     normals = unit(points - centre)
-    found = Displacement.of(with_normals(fitted, normals, fov))
-    assert found is not None
+    found = known(Displacement.of(card(fitted, normals, fov)))
     got = rays * (1 - found.height / distance)[..., None]
     scale = np.median(-points[..., 2]) / distance
     error = np.linalg.norm(scale * got - points, axis=-1) / scale
@@ -104,24 +87,23 @@ def test_depth_of_the_scene_places_what_hangs_together_nowhere(fitted: Result) -
     """A step between two flat parts, of which normals say nothing."""
     normals = np.zeros((HEIGHT, WIDTH, 3))
     normals[..., 2] = 1
-    flat = with_normals(fitted, normals, 0.0)
+    flat = card(fitted, normals, 0.0)
     assert Displacement.of(flat) is None
     depth = np.full((HEIGHT, WIDTH), 3.0, np.float32)
     depth[:, WIDTH // 2 :] = 2.5
-    found = Displacement.of(dataclasses.replace(flat, depth=depth))
-    assert found is not None
+    found = known(Displacement.of(dataclasses.replace(flat, depth=depth)))
     # Half of the picture's width is 1 of an orthographic depth.
     assert found.high - found.low == pytest.approx(0.25, abs=0.01)
     tilted = unit(np.broadcast_to([FLAT / 4, 0, 1.0], normals.shape))
-    assert Displacement.of(with_normals(fitted, tilted, 0.0)) is None
+    assert Displacement.of(card(fitted, tilted, 0.0)) is None
     tilted = unit(np.broadcast_to([10 * FLAT, 0, 1.0], normals.shape))
-    assert Displacement.of(with_normals(fitted, tilted, 0.0)) is not None
+    assert Displacement.of(card(fitted, tilted, 0.0)) is not None
 
 
 def test_a_height_map_is_left_out_where_it_is_not_wanted(fitted: Result, tmp_path: Path) -> None:
     x, y = on_card()
     _, right, up = hills(x, y)
-    result = with_normals(fitted, unit(np.stack([-right, -up, np.ones_like(x)], axis=-1)), 0.0)
+    result = card(fitted, unit(np.stack([-right, -up, np.ones_like(x)], axis=-1)), 0.0)
     result.save(tmp_path / "result")
     done("export", tmp_path / "result", "--out", tmp_path / "out", "--no-height")
     assert not list((tmp_path / "out").rglob("displacement*"))

@@ -37,6 +37,7 @@ from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
+from relit import card
 from scene_files import known
 
 HEIGHT, WIDTH = 10, 12
@@ -95,17 +96,7 @@ def whole(result: Result) -> Result:
 
 def small(shape: tuple[int, int], fov: float, result: Result) -> Result:
     """A flat grey card."""
-    materials = Materials(np.full((*shape, 3), 0.25), np.full(shape, 0.5), np.zeros(shape))
-    normals = np.zeros((*shape, 3))
-    normals[..., 2] = 1
-    return dataclasses.replace(
-        result,
-        materials=materials,
-        normals=normals,
-        mask=np.ones(shape, bool),
-        fov=fov,
-        uncertainty=None,
-    )
+    return card(result, np.tile([0.0, 0.0, 1.0], (*shape, 1)), fov)
 
 
 def names(folder: Path) -> list[str]:

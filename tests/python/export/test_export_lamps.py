@@ -59,9 +59,7 @@ def test_directions_as_a_reader_of_lp_sees_them(each: Result, tmp_path: Path) ->
 
 
 def test_lp_is_refused_without_one_lamp_a_picture(result: Result, tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"expected a result with a lamp in each of 3 .* 2 far lam"
-    ):
+    with pytest.raises(InputError, match=r"expected .* with a lamp in each of 3 .* 2 far lam"):
         export_result(result, tmp_path / "out", format="lp")
     plain = dataclasses.replace(result, lamps=None)
     with pytest.raises(InputError, match="for lp, found none"):

@@ -25,11 +25,8 @@ from pbrfit.synthetic import make_scene
 VARIABLE = "PBRFIT_MATERIALX_PYTHON"
 READER = Path(__file__).parents[2] / "support" / "materialx_reader.py"
 
-CASES: list[tuple[NormalConvention, bool]] = [
-    ("opengl", False),
-    ("opengl", True),
-    ("directx", True),
-]
+CASES: list[tuple[NormalConvention, bool]]
+CASES = [("opengl", False), ("opengl", True), ("directx", True)]
 
 
 @pytest.fixture(scope="module")
@@ -80,10 +77,8 @@ def test_the_document_is_sound_and_its_files_are_there(
             assert outputs[one.get("output")] == one.get("type")
         else:
             assert one.get("value")
-    assert [node.get("name") for node in document.iter("surfacematerial")] == [
-        "pbrfit",
-        "pbrfit_gltf",
-    ]
+    materials = [node.get("name") for node in document.iter("surfacematerial")]
+    assert materials == ["pbrfit", "pbrfit_gltf"]
 
 
 @pytest.mark.skipif(not os.environ.get(VARIABLE), reason=f"{VARIABLE} is not set")

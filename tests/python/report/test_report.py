@@ -33,10 +33,7 @@ from pbrfit.report.html import document
 from pbrfit.report.page import REFLECTION
 from pbrfit.report.verdict import CLASSES
 from pbrfit.result.camera import Camera
-from pbrfit.result.data import Status
 from pbrfit.result.differences import PALETTE, WHITE
-from pbrfit.result.history import History, HistoryRow
-from pbrfit.result.options import FitOptions
 from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
 from pbrfit.transport.decision import Transport
@@ -608,24 +605,15 @@ def noise(size: int, pictures: int) -> tuple[Scene, Result]:
     scene = Scene(
         images=random.random((pictures, *shape, 3), dtype=np.float32), normals=normals, names=names
     )
-    row = HistoryRow(0.0, 0, 1, 1.0, 1.0)
-    result = Result(
+    like = dataclasses.replace(in_memory()[1], uncertainty=None, segments=None)
+    return scene, dataclasses.replace(
+        like,
         materials=materials,
         lighting=light,
         normals=normals,
         mask=scene.valid,
-        fov=60.0,
-        model="paper",
         pictures=names,
-        status=Status.ITERATION_LIMIT,
-        stop_reason="0 iterations asked for",
-        history=History((row,)),
-        evaluations=1,
-        seconds=0.1,
-        metrics={"recon_rmse": 1.0},
-        options=FitOptions(solver="lbfgsb", iterations=0),
     )
-    return scene, result
 
 
 @pytest.mark.slow
@@ -826,13 +814,17 @@ def test_pictures_are_enlarged_by_key_and_closed_again(
     assert visited.troubles == []
 
 
+def told_of_surroundings(transport: Transport, path: Path) -> str:
+    """What a page says of what surrounds a ball."""
+    shown = written(dataclasses.replace(shaded_ball(), transport=transport), path)
+    return shown.content.split('id="surroundings"')[1].split("</section>")[0]
+
+
 @pytest.mark.slow
 def test_surroundings_are_drawn(tmp_path: Path, page: Page) -> None:
     assert 'id="surroundings"' not in page.content
     why = "left-out pictures are explained better"
-    of = dataclasses.replace(shaded_ball(), transport=Transport("occlusion", why))
-    shown = written(of, tmp_path / "page.html", None)
-    text = shown.content.split('id="surroundings"')[1].split("</section>")[0]
+    text = told_of_surroundings(Transport("occlusion", why), tmp_path / "page.html")
     assert text.count("<svg") == 2
     assert text.count("Relit by") == 8  # four pictures, and what their buttons do
     assert f"block light ({why})" in text
@@ -843,9 +835,8 @@ def test_surroundings_are_drawn(tmp_path: Path, page: Page) -> None:
 def test_surroundings_that_were_left_out_are_told(tmp_path: Path) -> None:
     scores = {"left_out_occlusion": -3.9, "left_out_pixels": 400.0}
     why = "left-out pictures are explained no better with surroundings"
-    of = dataclasses.replace(shaded_ball(), transport=Transport("none", why, None, 1, scores))
-    shown = written(of, tmp_path / "page.html", None)
-    text = shown.content.split('id="surroundings"')[1].split("</section>")[0]
+    none = Transport("none", why, None, 1, scores)
+    text = told_of_surroundings(none, tmp_path / "page.html")
     assert why in text
     assert "<svg" not in text
     assert "all light reaches every surface" in text
@@ -863,10 +854,5 @@ def test_depth_is_a_map_with_its_range(tmp_path: Path, page: Page) -> None:
     assert (np.diff(pixels[0, :, 1]) >= 0).all()  # from blue, near, to yellow, far
     assert "; transparent where unknown" in shown.text
     assert "depth24" in shown.text.replace(" ", "")  # the key, from 2 to 4
-
-
-def test_depth_of_one_distance_is_shown(tmp_path: Path) -> None:
-    scene, result = in_memory()
-    flat = np.full((SIZE, SIZE), 3.0, np.float32)
-    shown = written(dataclasses.replace(result, depth=flat), tmp_path / "page.html", scene)
-    assert "Map of the depth" in shown.content
+    one_distance = dataclasses.replace(result, depth=np.full_like(depth, 3.0))
+    assert "Map of the depth" in written(one_distance, tmp_path / "flat.html", scene).content

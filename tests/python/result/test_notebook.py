@@ -147,11 +147,11 @@ def test_what_comes_next_is_one_call(result: Result, tmp_path: Path) -> None:
 def test_refusals_speak_python(result: Result, tmp_path: Path) -> None:
     for write in (result.save, result.report, result.export):
         path = tmp_path / f"{write.__name__}.html"
-        if write == result.report:
-            path.touch()
-        else:
-            path.mkdir()
+        write(path)
         with pytest.raises(FileExistsError, match=r"; overwrite=True replaces it$") as refused:
             write(path)
         assert "--" not in str(refused.value)
+    (tmp_path / "save.html" / "result.json").write_text("old")
     result.save(tmp_path / "save.html", overwrite=True)
+    assert Result.load(tmp_path / "save.html").evaluations == result.evaluations
+    assert len(list(tmp_path.iterdir())) == 3

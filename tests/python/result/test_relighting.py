@@ -176,9 +176,7 @@ def test_turning_adds_to_the_azimuth() -> None:
 
 
 def test_lights_of_another_shape_are_refused(sphere: Result) -> None:
-    with pytest.raises(
-        InputError, match=r"lighting: expected shape \(..., 16, 3\), found \(9, 3\)"
-    ):
+    with pytest.raises(InputError, match=r"^lighting: expected shape .*16, 3\), found \(9, 3\)"):
         relight(sphere, np.zeros((9, 3)))
 
 

@@ -197,16 +197,6 @@ def test_a_result_from_before_the_options_were_added_is_read(
     assert loaded.stages == ()
 
 
-def test_saving_needs_a_free_name_or_overwrite(result: Result, tmp_path: Path) -> None:
-    result.save(tmp_path / "out")
-    with pytest.raises(FileExistsError, match="overwrite=True"):
-        result.save(tmp_path / "out")
-    (tmp_path / "out" / "result.json").write_text("old")
-    result.save(tmp_path / "out", overwrite=True)
-    assert Result.load(tmp_path / "out").evaluations == result.evaluations
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
 def edit(name: str, old: str, new: str) -> Any:
     def apply(folder: Path) -> None:
         text = (folder / name).read_text("utf-8")
@@ -286,6 +276,7 @@ def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> N
         "path": "../../scenes/ä room",
         "files": [],
         "color_space": None,
+        "color_matrix": None,
         "max_size": 6,
         "code_range": [0, 255],
         "fov": None,

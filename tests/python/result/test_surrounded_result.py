@@ -14,6 +14,7 @@ from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relig
 from pbrfit.batch.scenes import table
 from pbrfit.fit import compare, settings
 from pbrfit.fit import transport as fit_transport
+from pbrfit.model.reflection import MODELS, Model
 from pbrfit.report.inspection import facts
 from pbrfit.result.data import SEGMENT_MAX, storable_segments
 from pbrfit.transport import scenery
@@ -21,7 +22,7 @@ from pbrfit.transport.decision import Kind, Transport
 from pbrfit.transport.scenery import Scenery
 from relit import even, fitted, shaded_ball
 from scene_files import known
-from small_worlds import box_room
+from small_worlds import ball_on_floor, box_room
 
 FEW: dict[str, Any] = {"iterations": 2, "uncertainty": False, "equal_exposures": False}
 
@@ -171,9 +172,10 @@ def test_a_ball_throws_its_shadow_away_from_a_lamp() -> None:
     np.testing.assert_array_equal(lit[open_floor], bare[open_floor])
 
 
-def test_the_sky_is_dimmed_where_things_stand() -> None:
-    """Under even light all is as bright as it sees sky; beside the ball less than far away."""
-    result = shaded_ball()
+@pytest.mark.parametrize("model", MODELS)
+def test_the_sky_is_dimmed_where_things_stand(model: Model) -> None:
+    """Under even light all is as bright as it sees sky; the nearer to the ball, the less."""
+    result = dataclasses.replace(shaded_ball(), model=model)
     even_light = np.zeros((16, 3))
     even_light[0] = 2 * np.sqrt(np.pi)
     lit, bare = relight(result, even_light), relight(result, even_light, shadows=False)
@@ -181,11 +183,18 @@ def test_the_sky_is_dimmed_where_things_stand() -> None:
     ratio = (lit / bare)[..., 1]
     assert np.nanmax(ratio[floor]) > 0.97
     assert np.nanmin(ratio[floor]) < 0.8
+    seen = ball_on_floor(64)
+    world = seen.points @ seen.turn.T + seen.eye
+    away = np.hypot(world[..., 0], world[..., 2] + 2.0)  # from where the ball stands
+    rings = [floor & (np.abs(away - radius) < 0.08) for radius in (0.4, 0.6, 0.8, 1.1)]
+    by_distance = [float(np.median(ratio[ring])) for ring in rings]
+    assert by_distance == sorted(by_distance)
 
 
 @pytest.mark.slow
-def test_what_surfaces_bring_makes_pictures_brighter() -> None:
-    result = shaded_ball()
+@pytest.mark.parametrize("model", MODELS)
+def test_what_surfaces_bring_makes_pictures_brighter(model: Model) -> None:
+    result = dataclasses.replace(shaded_ball(), model=model)
     light = np.zeros((16, 3))
     light[0] = 2 * np.sqrt(np.pi)
     light[1] = 1.0

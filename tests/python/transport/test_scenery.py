@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from pbrfit.synthetic.geometry import Box, Plane, rotation
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import RAYS, Scenery
 from scene_files import known
-from small_worlds import Seen, ball_on_floor, box_room, look
+from small_worlds import Seen, box_room, look
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ both_models = pytest.mark.parametrize("model", MODELS)
 UNIFORM = np.zeros((1, 16, 3))
 UNIFORM[:, 0] = 2 * math.sqrt(math.pi)
 """Light of radiance 1 from everywhere."""
-FOV = {"ball": 50.0, "room": 65.0, "boxes": 55.0}
+FOV = {"room": 65.0, "boxes": 55.0}
 
 
 def two_boxes(size: int = 32) -> Seen:
@@ -54,15 +55,16 @@ def random_materials(shape: tuple[int, ...], seed: int = 0) -> Materials:
 
 def arrays(materials: Materials) -> tuple[Array, Array, Array]:
     """Of pixels, as the core takes them."""
-    return (
-        np.asarray(materials.albedo, float),
-        np.asarray(materials.roughness, float),
-        np.asarray(materials.metallic, float),
-    )
+    maps = materials.albedo, materials.roughness, materials.metallic
+    albedo, roughness, metallic = (np.asarray(of, float) for of in maps)
+    return albedo, roughness, metallic
 
 
-def even_materials(shape: tuple[int, ...]) -> Materials:
-    return Materials(np.full((*shape, 3), 0.7), np.full(shape, 0.6), np.zeros(shape))
+def seen_pixels(seen: Seen, scenery: Scenery, places: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Normals and views of some pixels."""
+    points = scenery.points.reshape(-1, 3)[places]
+    views = -points / np.linalg.norm(points, axis=1, keepdims=True)
+    return seen.normals.reshape(-1, 3)[places], views
 
 
 def lamps(count: int, seed: int = 3) -> Array:
@@ -72,31 +74,6 @@ def lamps(count: int, seed: int = 3) -> Array:
     lights[:, 1:4] = rng.normal(0, 1.0, (count, 3, 1))
     lights[:, 4:] = rng.normal(0, 0.3, (count, 12, 1))
     return np.asarray(lights * rng.uniform(0.8, 1.2, (count, 1, 3)), float)
-
-
-@pytest.mark.slow
-@both_models
-def test_a_ball_darkens_the_floor_where_it_stands(model: Model) -> None:
-    seen = ball_on_floor(48)
-    scenery = scenery_of(seen, FOV["ball"])
-    found = scenery.render(
-        even_materials(seen.mask.shape), seen.normals, UNIFORM, Transport("occlusion"), model=model
-    )[0, ..., 0]
-    world = seen.points @ seen.turn.T + seen.eye
-    away = np.hypot(world[..., 0], world[..., 2] + 2.0)
-    floor = seen.segments == 1
-    by_distance = [
-        float(np.median(found[floor & (away >= low) & (away < low + 0.15)]))
-        for low in (0.3, 0.5, 0.7, 1.0)
-    ]
-    assert by_distance == sorted(by_distance)
-    assert by_distance[0] < 0.7 * by_distance[-1]
-    # Light that surfaces send on makes nothing darker.
-    brought = scenery.render(
-        even_materials(seen.mask.shape), seen.normals, UNIFORM, Transport("bounce"), model=model
-    )[0, ..., 0]
-    assert (brought[seen.mask] > found[seen.mask] - 1e-3).all()
-    assert np.median((brought - found)[floor & (away < 0.6)]) > 0.01
 
 
 @both_models
@@ -157,9 +134,7 @@ def test_tables_are_within_one_per_cent_of_those_of_ten_times_the_rays(model: Mo
     seen = two_boxes()
     scenery = scenery_of(seen, FOV["boxes"])
     places = np.flatnonzero(seen.mask)[::3]
-    normals = seen.normals.reshape(-1, 3)[places]
-    points = scenery.points.reshape(-1, 3)[places]
-    views = -points / np.linalg.norm(points, axis=1, keepdims=True)
+    directions = seen_pixels(seen, scenery, places)
     few, many = (scenery.transfer(places, model, rays=rays).rows for rays in (RAYS, 10 * RAYS))
     lights, errors, sizes = lamps(6), [], []
     for roughness in (0.2, 0.4, 0.6, 0.9):
@@ -171,9 +146,7 @@ def test_tables_are_within_one_per_cent_of_those_of_ten_times_the_rays(model: Mo
             )
 
             def shown(rows: Any, of_pixels: tuple[Array, Array, Array] = of_pixels) -> Array:
-                return _core.render(
-                    normals, views, *of_pixels, lights, 1, model=model, transfer=rows
-                )
+                return _core.render(*directions, *of_pixels, lights, 1, model=model, transfer=rows)
 
             errors.append(np.mean((shown(few) - shown(many)) ** 2))
             sizes.append(np.mean(shown(None) ** 2))
@@ -206,20 +179,10 @@ def test_a_closed_box_is_dark(model: Model) -> None:
     views = normals + (0.7 if model == "principled" else 0.0) * rng.normal(size=(count, 3)) / 2
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     core = _core.Surroundings(box(), np.zeros(12, np.uint8))
-    rows, _ = core.transfer(
-        rng.uniform(-0.7, 0.7, (count, 3)),
-        normals,
-        views,
-        np.arange(count, dtype=np.uint64),
-        rays=RAYS,
-        model=model,
-    )
-    given = random_materials((count,))
-    of_pixels = arrays(given)
-    dark, lit = (
-        _core.render(normals, views, *of_pixels, UNIFORM, 1, model=model, transfer=table)
-        for table in (rows, None)
-    )
+    points, seeds = rng.uniform(-0.7, 0.7, (count, 3)), np.arange(count, dtype=np.uint64)
+    rows, _ = core.transfer(points, normals, views, seeds, rays=RAYS, model=model)
+    given = (normals, views, *arrays(random_materials((count,))), UNIFORM, 1)
+    dark, lit = (_core.render(*given, model=model, transfer=table) for table in (rows, None))
     assert np.sqrt(np.mean(dark**2)) < 0.01 * np.sqrt(np.mean(lit**2))
     assert np.abs(dark).max() < 0.1
 
@@ -232,26 +195,11 @@ def test_a_white_room_as_bright_as_the_sky_is_not_seen(model: Model) -> None:
     places = np.flatnonzero(seen.mask)
     images = np.ones((*seen.mask.shape, 1, 3), np.float32)
     tables = scenery.transfer(places, model, images=images, rays=300)
-    given = random_materials((len(places),))
-    points = scenery.points.reshape(-1, 3)[places]
-    views = -points / np.linalg.norm(points, axis=1, keepdims=True)
-    normals = seen.normals.reshape(-1, 3)[places]
-    of_pixels = arrays(given)
-    among = _core.render(
-        normals,
-        views,
-        *of_pixels,
-        UNIFORM,
-        1,
-        model=model,
-        transfer=tables.rows,
-        bounced=tables.scaled(np.ones(1)),
-    )
-    alone = _core.render(normals, views, *of_pixels, UNIFORM, 1, model=model)
+    of_pixels = *seen_pixels(seen, scenery, places), *arrays(random_materials((len(places),)))
+    lit = partial(_core.render, *of_pixels, UNIFORM, 1, model=model)
+    among, alone = lit(transfer=tables.rows, bounced=tables.scaled(np.ones(1))), lit()
     np.testing.assert_allclose(among, alone, rtol=0, atol=2e-4)
-    blocked = _core.render(
-        normals, views, *of_pixels, UNIFORM, 1, model=model, transfer=tables.rows
-    )
+    blocked = lit(transfer=tables.rows)
     assert np.median(blocked / alone) < 0.6
 
 
@@ -263,13 +211,8 @@ def planted(
     scenery = scenery_of(seen, FOV["boxes"])
     materials = random_materials(seen.mask.shape, seed=1)
     lights = lamps(pictures)
-    shown = scenery.render(
-        materials,
-        seen.normals,
-        lights,
-        Transport(kind),  # type: ignore[arg-type]
-        model=model,
-    )
+    transport = Transport(kind)  # type: ignore[arg-type]
+    shown = scenery.render(materials, seen.normals, lights, transport, model=model)
     outside = ~seen.mask
     for of_map in (materials.albedo, materials.roughness, materials.metallic):
         of_map[outside] = np.nan
