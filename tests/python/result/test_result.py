@@ -283,7 +283,6 @@ def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> N
         "orientation": "as-stored",
         "layer": None,
         "alpha": None,
-        "color_matrix": None,
         "crop": None,
     }
     assert str(tmp_path) not in text
