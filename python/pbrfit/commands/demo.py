@@ -42,6 +42,7 @@ DEMO_FOLDER = FolderForm(
         *(f"result/{path}" for path in RESULT_FOLDER.holds),
         *("history.png", "relit.png", "relit.webp", "report.html"),
     ),
+    listed=lambda folder: [f"scene/{path}" for path in SCENE_FOLDER.listed(folder / "scene")],
 )
 """Form of what the command writes."""
 

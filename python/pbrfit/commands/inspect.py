@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import DONE, add_flags, add_scene, scene_named, value
+from pbrfit.commands.arguments import DONE, add_flags, add_scene, scene_named, switch, value
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
-from pbrfit.io.output import new_file
+from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.quoting import visible
 from pbrfit.report import inspection
 from pbrfit.result import preview
@@ -22,17 +22,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "write a PNG with a picture, the normals, which of them face the camera, and how far off "
         "they may be, where the scene says it"
     )
-    add_flags(parser, preview=value("FILE", Path, said))
+    add_flags(
+        parser, preview=value("FILE", Path, said), overwrite=switch("replace an existing preview")
+    )
     add_input(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
+    if options.preview is not None:
+        check_free_file(options.preview, overwrite=options.overwrite)
     scene = Scene.load(scene_named(options.scene), reading(options))
     for topic, fact in inspection.facts(scene):
         print(visible(f"{topic:<17} {fact}"))
     if options.preview is not None:
-        with new_file(options.preview, overwrite=True) as path:
+        with new_file(options.preview, overwrite=options.overwrite) as path:
             images.write_png(path, preview.normals_preview(scene), tag="srgb")
         print(f"{'preview':<17} {options.preview}")
     return DONE

@@ -65,7 +65,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         preview=cli.value(
             "FILE", Path, "write a PNG with the ball, its highlights and the directions of lamps"
         ),
-        overwrite=cli.switch("replace an existing lights.json"),
+        overwrite=cli.switch("replace an existing lights.json and preview"),
     )
     cli.add_quiet(parser, "no summary")
     cli.add_flags(parser.add_argument_group("--from ball"), **FLAGS["ball"])
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     if options.preview is not None:
         of = [names[i] for i in lamps.pictures[~lamps.near]]
         png = drawn.preview(of, lamps.places[~lamps.near], shown)
-        with new_file(options.preview, overwrite=True) as temporary:
+        with new_file(options.preview, overwrite=options.overwrite) as temporary:
             temporary.write_bytes(png)
     path = completion.add_lamps(options.scene, lamps, overwrite=options.overwrite)
     look = [] if options.preview is None else [f"look at them: {options.preview}"]

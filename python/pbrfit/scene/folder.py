@@ -7,6 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TypeVar
@@ -15,7 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES, find_depth
 from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, kind_of, read_text, there
-from pbrfit.io.json_files import UNFIT, unfit
+from pbrfit.io.json_files import UNFIT, read_json, text, unfit
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals
 from pbrfit.io.output import FolderForm
@@ -53,13 +54,27 @@ RELATIVE, STRENGTHS = "light_intensities", "strengths of lamps are fitted, or in
 PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
 """Files of a scene folder beside pictures, normals, depth and ground truth."""
 
+_TRUE_LIGHTS = {"images": "truth/lighting.json", "truth/relight": "truth/relight/lighting.json"}
+"""Ground truth that names the pictures of a folder."""
+
+
+def _pictures_of(folder: Path) -> list[str]:
+    """Files of the pictures that ground truth names; none where it cannot be read."""
+    found = []
+    for below, lights in _TRUE_LIGHTS.items():
+        with suppress(OSError, *UNFIT):
+            names = read_json(folder / lights, "lights")["pictures"]
+            found += [f"{below}/{text(name)}.exr" for name in names]
+    return found
+
+
 SCENE_FOLDER = FolderForm(
     contains=("scene.toml", "truth"),
     holds=(
-        *("images/*.exr", NORMAL_FILES[0], DEPTH_FILES[0], LAMP_FILES[0], HEIGHT_FILE, *PARTS),
-        *(f"truth/{path}" for path in ("materials.exr", "lighting.json")),
-        *(f"truth/relight/{path}" for path in ("*.exr", "lighting.json")),
+        *(NORMAL_FILES[0], DEPTH_FILES[0], LAMP_FILES[0], HEIGHT_FILE, *PARTS),
+        *("truth/materials.exr", *_TRUE_LIGHTS.values()),
     ),
+    listed=_pictures_of,
 )
 """Form of a scene folder that may be replaced: ground truth tells it from somebody's pictures."""
 

@@ -210,6 +210,10 @@ def test_inspect_tells_facts_and_writes_only_the_preview(folder: Path, tmp_path:
     preview = tmp_path / "preview.png"
     output = ran("inspect", folder, "--preview", preview)
     assert (output.code, output.err) == (0, "")
+    picture = folder / "images" / "light_00.exr"
+    before = picture.read_bytes()
+    assert f"{picture}: expected no" in refused("inspect", folder, "--preview", picture)
+    assert picture.read_bytes() == before
     for line in (
         "pictures          3 of 16 × 16 pixels",
         "mask              192 pixels used, 75.0 %",

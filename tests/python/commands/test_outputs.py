@@ -65,9 +65,11 @@ def test_a_saved_scene_holds_nothing_of_others(tmp_path: Path) -> None:
     }
     assert list(SCENE_FOLDER.foreign(tmp_path / "out")) == []
     scene.save(tmp_path / "out", overwrite=True)
-    (tmp_path / "out" / "images" / "mine.png").touch()
-    with pytest.raises(FileExistsError, match=r"found images/mine\.png besides"):
-        scene.save(tmp_path / "out", overwrite=True)
+    for mine in ("images/mine.png", "images/mine.exr", "truth/relight/mine.exr"):
+        (tmp_path / "out" / mine).touch()
+        with pytest.raises(FileExistsError, match=f"found {mine} besides"):
+            scene.save(tmp_path / "out", overwrite=True)
+        (tmp_path / "out" / mine).unlink()
 
 
 def test_a_saved_result_holds_nothing_of_others(result: Path, fitted: Result) -> None:
@@ -116,7 +118,7 @@ def test_what_somebody_put_into_an_output_keeps_it(
     [
         ("report", "RESULT", "--overwrite", "--out", "out.html"),
         ("relight", "RESULT", "--light", "0,45", "--overwrite", "--out", "out.png"),
-        ("inspect", "SCENE", "--preview", "out.png"),
+        ("inspect", "SCENE", "--overwrite", "--preview", "out.png"),
         ("generate", "--overwrite", "--save-prompts", "out.toml"),
         ("normals", "SCENE", "--from", "flat", "--overwrite", "SCENE/normals.exr"),
         ("normals", "SCENE", "--from", "flat", "--overwrite", "SCENE/weights.exr"),
