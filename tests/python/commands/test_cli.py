@@ -212,7 +212,8 @@ def test_inspect_tells_facts_and_writes_only_the_preview(folder: Path, tmp_path:
     assert (output.code, output.err) == (0, "")
     picture = folder / "images" / "light_00.exr"
     before = picture.read_bytes()
-    assert f"{picture}: expected a file that does not" in refused("inspect", folder, "--preview", picture)
+    said = refused("inspect", folder, "--preview", picture)
+    assert f"{picture}: expected a file that does not exist yet" in said
     assert picture.read_bytes() == before
     for line in (
         "pictures          3 of 16 × 16 pixels",
