@@ -2,7 +2,6 @@
 
 `executors` and `cluster` say where tasks run, `driver` hands them over and sees to those whose
 process died. `scenes` is the task of `pbrfit decompose`: one scene folder to one result folder;
-`settings` how it is read and fitted, `unchanged` whether that was done already, `prediction` how
-much memory it will take, `place` where unfinished results lie. `pbrfit evaluate` has tasks of its
-own.
+`unchanged` whether that was done already, `prediction` how much memory it will take, `place` where
+unfinished results lie. `pbrfit evaluate` has tasks of its own.
 """

@@ -11,17 +11,7 @@ from numpy.typing import NDArray
 from pbrfit.acquire.depth import depth_anything, estimate, marigold
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import (
-    DEVICE,
-    PRECISION,
-    SAMPLER,
-    SHOWN,
-    Flags,
-    add_source,
-    asked_for,
-    checkpoint,
-    source,
-)
+from pbrfit.commands import network_options as network
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.io.depth_files import DEPTH_FILES, METRES
 from pbrfit.scene import completion
@@ -34,20 +24,20 @@ def _unit(text: str) -> float:
     return METRES.get(text) or cli.number(text)
 
 
-MARIGOLD: Flags = {
-    **SHOWN,
+MARIGOLD: network.Flags = {
+    **network.SHOWN,
     "ensemble": cli.value(
         "E", cli.positive, f"predictions that are averaged (default: {marigold.ENSEMBLE})"
     ),
-    **SAMPLER,
-    **checkpoint(f"{marigold.MODEL}, or {depth_anything.MODEL}"),
-    **DEVICE,
-    **PRECISION,
+    **network.SAMPLER,
+    **network.checkpoint(f"{marigold.MODEL}, or {depth_anything.MODEL}"),
+    **network.DEVICE,
+    **network.PRECISION,
 }
 
-FLAGS: dict[str, Flags] = {
+FLAGS: dict[str, network.Flags] = {
     "marigold": MARIGOLD,
-    "depth-anything": {name: MARIGOLD[name] for name in (*SHOWN, "model", *DEVICE)},
+    "depth-anything": {name: MARIGOLD[name] for name in (*network.SHOWN, "model", *network.DEVICE)},
     "normals": {},
     "file": {
         "depth_kind": DEPTH_KIND,
@@ -69,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "marigold, depth-anything: a network's estimate; normals: their integral; FILE: a map that "
         "is there already (EXR, .npy, PNG or TIFF), in any unit"
     )
-    add_source(parser, source(("marigold", "depth-anything", "normals"), said))
+    network.add_source(parser, network.source(("marigold", "depth-anything", "normals"), said))
     cli.add_flags(
         parser,
         fov=field_of_view(cli.number, "scene.toml, EXIF, else 60"),
@@ -88,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     completion.check_none(options.scene, DEPTH_FILES, "depth", overwrite=options.overwrite)
     surface = read_surface(options.scene, ReadOptions(fov=options.fov))
     kind = options.source if options.source in FLAGS else "file"
-    given = asked_for(options, FLAGS, kind)
+    given = network.asked_for(options, FLAGS, kind)
     shown: NDArray[np.uint8] = np.zeros((*surface.size, 3), np.uint8)  # only its size matters
     if kind in ("marigold", "depth-anything"):
         space = given.pop("color_space", None)

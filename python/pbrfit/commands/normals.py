@@ -15,18 +15,8 @@ from pbrfit._core import InputError
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
+from pbrfit.commands import network_options as network
 from pbrfit.commands.fit_options import fit_bar
-from pbrfit.commands.network_options import (
-    DEVICE,
-    PRECISION,
-    SAMPLER,
-    SHOWN,
-    Flags,
-    add_source,
-    asked_for,
-    checkpoint,
-    source,
-)
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
 from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
 from pbrfit.model.materials import nearest_inside
@@ -37,19 +27,19 @@ from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.scene import Scene
 
-FLAGS: dict[str, Flags] = {
+FLAGS: dict[str, network.Flags] = {
     "marigold": {
-        **SHOWN,
+        **network.SHOWN,
         "ensemble": cli.value(
             "E",
             cli.positive,
             "predictions that are averaged; from 3 on, what they differ by gives the weights "
             f"(default: {marigold.ENSEMBLE})",
         ),
-        **SAMPLER,
-        **checkpoint(marigold.MODEL),
-        **DEVICE,
-        **PRECISION,
+        **network.SAMPLER,
+        **network.checkpoint(marigold.MODEL),
+        **network.DEVICE,
+        **network.PRECISION,
     },
     "depth": {
         "depth_kind": DEPTH_KIND,
@@ -76,7 +66,7 @@ FLAGS: dict[str, Flags] = {
 }
 """Options of each kind of source."""
 
-OF_PICTURES: Flags = {
+OF_PICTURES: network.Flags = {
     "threads": cli.value(
         "T", cli.whole_number, "0 = one for each processor; normals do not depend on it"
     ),
@@ -109,7 +99,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "every surface faces the camera; depth:FILE: from a depth map; FILE: normals that are "
         "there already"
     )
-    add_source(parser, source(("marigold", "pictures", "flat"), said, ("depth:",)))
+    network.add_source(parser, network.source(("marigold", "pictures", "flat"), said, ("depth:",)))
     cli.add_flags(parser, overwrite=cli.switch("replace existing normals and weights"))
     cli.add_quiet(parser, "no progress bar, no summary")
     for kind, title in TITLES.items():
@@ -141,7 +131,7 @@ def _run_pictures(options: argparse.Namespace) -> int:
     """The same, of normals that pictures under lamps tell."""
     folder, overwrite = options.scene, options.overwrite
     completion.check_normals_can_be_added(folder, overwrite=overwrite, height=True)
-    given = asked_for(options, FLAGS, "pictures")
+    given = network.asked_for(options, FLAGS, "pictures")
     threads = given.pop("threads", 0)
     count = len(scene_folder.find_pictures(folder))
     if count < SHAPE_PICTURES_MIN:
@@ -195,7 +185,7 @@ def _of_pictures(found: PictureNormals, valid: NDArray[np.bool_]) -> list[str]:
 def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
     """The normals, and where they come from in words."""
     kind = kind_of(options.source)
-    given = asked_for(options, FLAGS, kind)
+    given = network.asked_for(options, FLAGS, kind)
     if kind == "marigold":
         space = given.pop("color_space", None)
         srgb8, what = shown_to_network(options.scene, given.pop("picture", None), space)

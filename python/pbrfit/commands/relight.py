@@ -273,19 +273,16 @@ def _is_near(light: Light) -> bool:
     return isinstance(lamps, Lamps) and bool(lamps.near.any())
 
 
-def _shadows(result: Result) -> str:
-    if result.scenery is None:
-        return "none: the result has no depth"
-    return f"by surroundings of {len(result.scenery.triangles)} triangles"
-
-
 def _facts_of_output(
     options: argparse.Namespace, kind: str, result: Result, screen: Screen
 ) -> Iterator[tuple[str, str]]:
     height, width = result.mask.shape
     what = f"{options.out}: {width} × {height}"
     if result.transport.blocks:
-        yield "shadows", "left out, as asked for" if options.no_shadows else _shadows(result)
+        found = "none: the result has no depth"
+        if result.scenery is not None:
+            found = f"by surroundings of {len(result.scenery.triangles)} triangles"
+        yield "shadows", "left out, as asked for" if options.no_shadows else found
     if options.turntable is not None:
         several = f"{options.turntable} frames, {360 / options.turntable:g} degrees apart"
         what += f", {several if options.turntable > 1 else '1 frame'}"

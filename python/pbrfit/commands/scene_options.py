@@ -12,82 +12,78 @@ import numpy as np
 
 from pbrfit._core import InputError
 from pbrfit.acquire.chart import read_chart
-from pbrfit.commands.arguments import (
-    Flag,
-    add_flags,
-    choice,
-    complain,
-    numbers,
-    value,
-    whole_number,
-)
+from pbrfit.commands import arguments as cli
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.images import Orientation
 from pbrfit.model.depth_normals import DepthKind
 from pbrfit.scene.options import Alpha, ReadOptions
 
-COLOR_SPACE = choice(
+COLOR_SPACE = cli.choice(
     ColorSpace,
     "of all pictures (default: scene.toml, ICC profile, else sRGB for integer files and linear "
     "Rec.709 for float files)",
 )
 
-DEPTH_KIND = choice(
+DEPTH_KIND = cli.choice(
     DepthKind,
     "what a number says, up to any factor: the distance along the optical axis, that along the "
     "pixel's ray, or the inverse of the first (default: z)",
 )
 
 
-STORED: dict[str, Flag] = {
-    "orientation": choice(
+STORED: dict[str, cli.Flag] = {
+    "orientation": cli.choice(
         Orientation, "turn pictures as EXIF says, or leave them (default: scene.toml, else exif)"
     ),
-    "layer": value("NAME", str, "of EXR pictures (default: scene.toml, else that without a name)"),
+    "layer": cli.value(
+        "NAME", str, "of EXR pictures (default: scene.toml, else that without a name)"
+    ),
 }
 """How pictures lie in their files."""
 
 
-def field_of_view(kind: Callable[[str], float], otherwise: str) -> Flag:
+def field_of_view(kind: Callable[[str], float], otherwise: str) -> cli.Flag:
     """`--fov`, and where it comes from without it."""
-    return value("DEG", kind, f"horizontal field of view, 0 = orthographic (default: {otherwise})")
+    return cli.value(
+        "DEG", kind, f"horizontal field of view, 0 = orthographic (default: {otherwise})"
+    )
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:
     """Add them; `reading` reads them."""
-    add_flags(
+    cli.add_flags(
         parser,
         fov=field_of_view(float, "scene.toml, EXIF, else fitted"),
         color_space=COLOR_SPACE,
-        max_size=value(
+        max_size=cli.value(
             "PIXELS", int, "average larger pictures down to this longer side (default: as they are)"
         ),
-        code_range=value(
+        code_range=cli.value(
             "LOW,HIGH",
-            numbers("LOW,HIGH", whole_number),
+            cli.numbers("LOW,HIGH", cli.whole_number),
             "values of integer pictures above HIGH or below LOW, in 8-bit codes, only bound the "
             "radiance (default: 1,250 for JPEG, else all but 0 and the maximum; 0,255: none)",
         ),
         **STORED,
-        alpha=choice(
+        alpha=cli.choice(
             Alpha,
             "leave out pixels of less than half in any picture, or none (default: scene.toml, else "
             "mask)",
         ),
-        chart=value(
+        chart=cli.value(
             "FILE",
             Path,
             "picture of a ColorChecker by the same camera: corrects colours and exposure of all",
         ),
-        chart_corners=value(
+        chart_corners=cli.value(
             "X,Y,...",
-            numbers("X,Y,X,Y,X,Y,X,Y"),
+            cli.numbers("X,Y,X,Y,X,Y,X,Y"),
             "in pixels the outer corners of its dark skin, bluish green, black and white patch "
             "(default: found with pbrfit[chart])",
         ),
-        crop=value(
+        crop=cli.value(
             "X,Y,W,H",
-            numbers("X,Y,W,H", whole_number),
+            cli.numbers("X,Y,W,H", cli.whole_number),
             "use this part of the upright pictures and maps, in pixels (default: scene.toml, else "
             "all)",
         ),
@@ -109,5 +105,5 @@ def reading(options: argparse.Namespace) -> ReadOptions:
     corners = None if options.chart_corners is None else np.reshape(options.chart_corners, (4, 2))
     chart = read_chart(options.chart, picture, corners)
     if not getattr(options, "quiet", False):
-        complain(f"{options.chart}: {chart.said}")
+        cli.complain(f"{options.chart}: {chart.said}")
     return replace(found, color_matrix=tuple(map(tuple, chart.matrix.tolist())))

@@ -9,20 +9,12 @@ import numpy as np
 from pbrfit.acquire import segments
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.network_options import (
-    DEVICE,
-    SHOWN,
-    Flags,
-    add_source,
-    asked_for,
-    checkpoint,
-    source,
-)
+from pbrfit.commands import network_options as network
 from pbrfit.scene import completion
 from pbrfit.scene.folder import SEGMENT_FILE
 
-SAM2: Flags = {
-    **SHOWN,
+SAM2: network.Flags = {
+    **network.SHOWN,
     "points": cli.value(
         "N", cli.positive, "ask what lies at N × N points of the picture (default: 32)"
     ),
@@ -31,8 +23,8 @@ SAM2: Flags = {
         cli.number,
         "drop segments of which less than this share of the picture shows (default: 0.0005)",
     ),
-    **checkpoint(segments.MODEL),
-    **DEVICE,
+    **network.checkpoint(segments.MODEL),
+    **network.DEVICE,
 }
 FLAGS = {"sam2": SAM2, "file": {}}
 """Options of each kind of source."""
@@ -46,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     cli.add_scene(parser)
     said = "sam2: a network's; FILE: a picture of ids, which may be larger"
-    add_source(parser, source(("sam2",), said))
+    network.add_source(parser, network.source(("sam2",), said))
     cli.add_flags(parser, overwrite=cli.switch("replace existing segments"))
     cli.add_quiet(parser, "no summary")
     cli.add_flags(parser.add_argument_group("--from sam2"), **SAM2)
@@ -56,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     """Write `segments.png`."""
     completion.check_none(options.scene, [SEGMENT_FILE], "segments", overwrite=options.overwrite)
     kind = "sam2" if options.source == "sam2" else "file"
-    given = asked_for(options, FLAGS, kind)
+    given = network.asked_for(options, FLAGS, kind)
     if kind == "sam2":
         space = given.pop("color_space", None)
         picture, _ = shown_to_network(options.scene, given.pop("picture", None), space)

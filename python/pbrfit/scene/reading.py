@@ -492,17 +492,9 @@ def _twice(paths: Sequence[Path]) -> str:
     said = f"expected one picture a name, found {' and '.join(map(shown, pairs[0]))}"
     if len(pairs) > 1:
         said += f", and {len(pairs) - 1} more such pair{'s' * (len(pairs) > 2)}"
-    raw = [name for name in pairs[0] if Path(name).suffix.lower() in RAW_SUFFIXES]
-    if not raw or len(raw) == len(pairs[0]):
-        return f"{said}: take one of them away"
-    other, kept = (
-        Path(next(name for name in pairs[0] if (name in raw) == is_raw)).suffix
-        for is_raw in (False, True)
-    )
-    return (
-        f"{said}, which are one picture twice: take the {other} files away ({kept} ones are linear "
-        f"light, read with pbrfit[raw]), or the {kept} ones"
-    )
+    raw = any(Path(name).suffix.lower() in RAW_SUFFIXES for name in pairs[0])
+    hint = "; raw files are linear light, read with pbrfit[raw]" * raw
+    return f"{said}: take one of them away{hint}"
 
 
 def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) -> None:

@@ -772,8 +772,8 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
             for k in (1, 2)
             for kind in ("NEF", "nef.xmp")
         ],
-        r"found light_01.NEF and light_01.exr, and 1 more such pair, which are one picture twice: "
-        r"take the .exr files away \(.NEF .*\), or the .NEF ones$",
+        r"found light_01.NEF and light_01.exr, and 1 more such pair: take one of them away; raw "
+        r"files are linear light, read with pbrfit\[raw\]$",
     ),
     "sizes that differ": (
         lambda f: write_exr(f / "images" / "light_02.exr", room().images[0][:, 1:]),
