@@ -49,10 +49,10 @@ KINDS: dict[str, Draw] = {
 }
 
 
-def degenerate(kind: str, seed: int) -> tuple[Scene, Materials]:
-    """A scene of 24 × 24 pixels with up to 1 % noise, and what is true of it."""
+def degenerate(kind: str, seed: int, size: int) -> tuple[Scene, Materials]:
+    """A scene with up to 1 % noise, and what is true of it."""
     rng = np.random.default_rng([seed, len(kind)])
-    scene = make_scene("room", size=24, lights=8, held_out=1, seed=int(rng.integers(1000)))
+    scene = make_scene("room", size=size, lights=8, held_out=1, seed=int(rng.integers(1000)))
     images = KINDS[kind](np.asarray(scene.images, np.float64), rng)
     images = images + rng.normal(0, seed % 2 * 0.01 * images.mean(), images.shape)
     normals = scene.normals * (1, 1, -1) if kind == "facing away" else scene.normals
@@ -60,9 +60,9 @@ def degenerate(kind: str, seed: int) -> tuple[Scene, Materials]:
     return changed, truth_of(scene).materials
 
 
-def wrong(kind: str, seed: int) -> list[str]:
+def wrong(kind: str, seed: int, size: int = 24) -> list[str]:
     """Maps that are called usable and are not."""
-    scene, true = degenerate(kind, seed)
+    scene, true = degenerate(kind, seed, size)
     found = decompose(scene, light="sh", refine_normals="off", threads=1)
     assert found.uncertainty is not None
     verdicts = found.uncertainty.verdicts
@@ -83,9 +83,11 @@ def wrong(kind: str, seed: int) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if " lights" not in kind])
+@pytest.mark.parametrize(
+    "kind", ["one light", "five copies and another", "black channel", "facing away"]
+)
 def test_no_wrong_map_is_usable(kind: str) -> None:
-    assert not wrong(kind, 1)
+    assert not wrong(kind, 1, 16)
 
 
 @pytest.mark.slow
