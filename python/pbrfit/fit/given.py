@@ -23,6 +23,7 @@ Alternatives and what is given are compared patch by patch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +40,8 @@ from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import facing_away, view_directions
 from pbrfit.model.reflection import DEFAULT_MODEL, sh_basis
+from pbrfit.scene.arrays import consecutive_labels
+from pbrfit.scene.depth import DISAGREEMENT_MIN, compared
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -69,12 +72,16 @@ FLIPS = {"Y": (1.0, -1.0, 1.0), "X": (-1.0, 1.0, 1.0), "X and Y": (-1.0, -1.0, 1
 not tell it from flipped X."""
 
 
+MIRRORED = {"left and right": (1,), "top and bottom": (0,), "both": (0, 1)}
+"""Axes of segments (H, W) that are exchanged."""
+
+
 @dataclass(frozen=True)
 class Contradiction:
     """Something given that is contradicted."""
 
     what: str
-    """Which: "normals", "lamps" or "lights"."""
+    """Which: "normals", "lamps", "lights", "depth" or "segments"."""
     why: str
     """In which way, and what speaks for that: a clause."""
     remedy: str
@@ -86,11 +93,50 @@ class Contradiction:
 
 
 def contradiction(scene: Scene, averaged: Scene | None = None) -> Contradiction | None:
-    """What is contradicted of a scene's normals and lights: one of them, or nothing.
+    """What is contradicted of a scene's normals, lights, depth and segments: one, or nothing.
 
     Lamps are looked at where there is one in each picture; without normals, where there are four or
     more, far away: three fit any normal. `averaged` is such a scene as `without_shape` gives it.
     """
+    return _of_normals_and_lights(scene, averaged) or _of_depth(scene) or _of_segments(scene)
+
+
+def _of_depth(scene: Scene) -> Contradiction | None:
+    if scene.depth is None or not scene.normals_known:
+        return None
+    off = compared(scene.depth, scene.normals, scene.fov).depth
+    if not off > DISAGREEMENT_MIN:
+        return None
+    said = f"normals of the depth are {off:.0f} degrees from the given ones in the median"
+    return Contradiction("depth", said, "depth and normals of one view")
+
+
+def _of_segments(scene: Scene) -> Contradiction | None:
+    """Of one material colours are alike: mirrored segments may not leave less of their means."""
+    if scene.segments is None:
+        return None
+    colors = np.mean([scene.samples(i) for i in range(len(scene.images))], axis=0, dtype=np.float64)
+    colors = np.log(np.maximum(colors, TINY + 0.01 * colors.mean()))
+    patches = patches_of(scene.valid)
+
+    def left(segments: NDArray[np.integer[Any]]) -> Array:
+        labels, count = consecutive_labels(segments[scene.valid])
+        sizes = np.bincount(labels, minlength=count + 1).clip(1)
+        rests = [of - (np.bincount(labels, of, count + 1) / sizes)[labels] for of in colors.T]
+        sums = np.bincount(patches, np.abs(rests).mean(axis=0))
+        return np.asarray(sums / np.bincount(patches).clip(1))
+
+    given = left(scene.segments)
+    others = {which: left(np.flip(scene.segments, axes)) for which, axes in MIRRORED.items()}
+    lower = {which: of for which, of in others.items() if _is_lower(of, given)}
+    if not lower:
+        return None
+    which = min(lower, key=lambda one: lower[one].mean())
+    said = f"the segments look mirrored: with {which} exchanged, {_times(given, lower[which])}"
+    return Contradiction("segments", said, "the segments of this picture")
+
+
+def _of_normals_and_lights(scene: Scene, averaged: Scene | None) -> Contradiction | None:
     lamps = scene.lamps
     if lamps is not None and not np.array_equal(lamps.pictures, np.arange(len(scene.images))):
         lamps = None

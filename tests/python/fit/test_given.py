@@ -167,3 +167,18 @@ def test_nothing_is_usable_that_follows_from_contradicted_lamps(
         assert one.remedy == "the other sign of Y would help"
     assert "Y of the lamps looks flipped" in found.assumed["lamps"]
     assert sum("Y of the lamps looks flipped" in one for one in caplog.messages) == 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mirrored_segments_and_depth_of_another_view_are_named(seed: int) -> None:
+    kind = ("room", "spheres")[seed % 2]
+    scene = replace(make_scene(kind, size=48, lights=6, seed=seed, noise=0.01), lighting=None)
+    assert scene.segments is not None
+    assert said(scene) is None
+    for axes in given.MIRRORED.values():
+        mirrored = replace(scene, segments=np.flip(scene.segments, axes))
+        assert said(mirrored) == ("segments", "the segments of this picture")
+    x = np.linspace(0, 1, 48)
+    assert said(replace(scene, depth=np.broadcast_to(1 + 40 * x, (48, 48)))) == (
+        "depth", "depth and normals of one view",
+    )  # fmt: skip
