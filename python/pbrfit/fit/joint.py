@@ -249,9 +249,10 @@ class JointFit:
         right: Array,
         product: Callable[[Array], Array],
         enough: float,
-        ratio: float = settings.CG_ERROR_RATIO,
+        ratio: float | None = None,
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
+        ratio = settings.CG_ERROR_RATIO if ratio is None else ratio
         moves, number = conjugate_gradients(
             right,
             product,
