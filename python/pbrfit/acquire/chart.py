@@ -106,8 +106,9 @@ def read_chart(path: Path, picture: Picture, corners: Array | None) -> Chart:
             "bluish green, black and white, in this order"
         )
     lab = np.array(list(PATCHES.values()))
-    matrix = np.asarray(np.linalg.lstsq(patches, _from_lab(lab), rcond=None)[0].T, np.float64)
-    before = patches * (_from_lab(lab)[18].mean() / patches[18].mean())  # exposure alone
+    true = _from_lab(lab)
+    matrix = np.asarray(np.linalg.lstsq(patches, true, rcond=None)[0].T, np.float64)
+    before = patches * (true[GREYS][0].mean() / patches[GREYS][0].mean())  # exposure alone
     off = [np.linalg.norm(_to_lab(of) - lab, axis=1).mean() for of in (before, patches @ matrix.T)]
     said = f"a ColorChecker, mean colour difference {off[1]:.1f} (CIE 1976; {off[0]:.1f} without)"
     return Chart(matrix, said)
@@ -127,7 +128,7 @@ def _samples(corners: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     steps = SIDE * SAMPLED * (np.arange(15) / 14 - 0.5)
     across = np.add.outer(np.arange(COLUMNS) + SIDE / 2, steps) / (COLUMNS - 1 + SIDE)
     down = np.add.outer(np.arange(ROWS) + SIDE / 2, steps) / (ROWS - 1 + SIDE)
-    v, _, u = np.broadcast_arrays(down[:, None, :, None], np.zeros(1), across[None, :, None, :])
+    v, u = np.broadcast_arrays(down[:, None, :, None], across[None, :, None, :])
     seen = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(len(PATCHES), -1, 3) @ homography.T
     x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
     return np.rint(y).astype(np.intp), np.rint(x).astype(np.intp)

@@ -36,7 +36,7 @@ STORED: dict[str, cli.Flag] = {
         Orientation, "turn pictures as EXIF says, or leave them (default: scene.toml, else exif)"
     ),
     "layer": cli.value(
-        "NAME", str, "of EXR pictures (default: scene.toml, else that without a name)"
+        "NAME", str, "of EXR pictures (default: scene.toml, else told by names)"
     ),
 }
 """How pictures lie in their files."""

@@ -17,6 +17,7 @@ from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.result.light_sides import main_directions, one_side
 from pbrfit.result.verdict import Verdict, doubted
+from pbrfit.scene.arrays import CHANNELS
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.decision import Transport
 
@@ -28,8 +29,6 @@ tell roughness and metallic, are a few percent of a picture."""
 
 FEW_PICTURES = 6
 """Pictures below which few are named: 3 samples each for 5 unknowns of a pixel, beside lights."""
-
-CHANNELS = ("red", "green", "blue")
 
 SCALE_PART = 0.5
 """Part of an albedo map's squared error that the common scale makes, from which it is named."""

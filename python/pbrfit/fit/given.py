@@ -128,11 +128,10 @@ def _of_segments(scene: Scene) -> Contradiction | None:
 
     given = left(scene.segments)
     others = {which: left(np.flip(scene.segments, axes)) for which, axes in MIRRORED.items()}
-    lower = {which: of for which, of in others.items() if _is_lower(of, given)}
-    if not lower:
+    which = _lowest(given, others)
+    if which is None:
         return None
-    which = min(lower, key=lambda one: lower[one].mean())
-    said = f"the segments look mirrored: with {which} exchanged, {_times(given, lower[which])}"
+    said = f"the segments look mirrored: with {which} exchanged, {_times(given, others[which])}"
     return Contradiction("segments", said, "the segments of this picture")
 
 
@@ -178,11 +177,10 @@ def _of_lights_and_normals(matt: _Matt, flipped: str | None) -> Contradiction | 
     given, _ = matt.left()
     others = {axes: matt.left(signs=signs)[0] for axes, signs in FLIPS.items()}
     others |= {which: matt.left(order)[0] for which, order in matt.otherwise.items()}
-    lower = {what: left for what, left in others.items() if _is_lower(left, given)}
-    if not lower:
+    best = _lowest(given, others)
+    if best is None:
         return None
-    best = min(lower, key=lambda what: lower[what].mean())
-    why, what = _times(given, lower[best]), "lights" if matt.lamps is None else "lamps"
+    why, what = _times(given, others[best]), "lights" if matt.lamps is None else "lamps"
     if best not in FLIPS:
         return _of_others(best, why, what)
     if flipped is not None:
@@ -342,8 +340,14 @@ def _agreement(a: Array, b: Array, patches: NDArray[np.intp], last: int) -> Arra
     return np.where(sizes > TINY, sums / np.maximum(sizes, TINY), np.nan)
 
 
+def _lowest(given: Array, others: dict[str, Array]) -> str | None:
+    """Of those that leave surely less than what is given, the one that leaves least."""
+    lower = [which for which, left in others.items() if _is_lower(left, given)]
+    return min(lower, key=lambda which: others[which].mean(), default=None)
+
+
 def _is_lower(left: Array, other: Array) -> bool:
-    """Whether some lamps leave surely less than others."""
+    """Whether something leaves surely less than another."""
     return bool(left.mean() < (1 - GAIN_MIN) * other.mean()) and _is_surely_positive(other - left)
 
 

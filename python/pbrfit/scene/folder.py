@@ -257,9 +257,8 @@ def loose_pictures(folder: Path) -> list[Path]:
 
 def first_and_last(paths: Sequence[Path]) -> str:
     """The first and the last of some files in words, and how many there are."""
-    return (
-        f"{paths[0].name} to {paths[-1].name} ({len(paths)})" if len(paths) > 1 else paths[0].name
-    )
+    first, *others = (path.name for path in paths)
+    return f"{first} to {others[-1]} ({len(paths)})" if others else first
 
 
 def find_frame(folder: Path, name: str) -> Path | None:
@@ -299,7 +298,8 @@ def digests(scene: ScenePath) -> dict[str, str]:
     Raises InputError or OSError as `locate`, or if a file cannot be read, or there are two with
     depth, or with lamps, or two dark frames.
     """
-    files, folder = locate(scene), locate(scene).folder
+    files = locate(scene)
+    folder = files.folder
     found = list(dict.fromkeys(map(images.file_of, files.pictures)))
     if files.parts:
         found += [*find_normals(folder), *(folder / part for part in PARTS), *find_flats(folder)]

@@ -58,7 +58,7 @@ class ReadOptions:
     orientation: Orientation | None = None
     """"exif" turns each picture as its EXIF data says, "as-stored" none; default: "exif"."""
     layer: str | None = None
-    """Of EXR pictures; default: that without a name."""
+    """Of EXR pictures; default: told by the names of layers."""
     alpha: Alpha | None = None
     """"mask" leaves out pixels of which any picture has less than half, "ignore" none; default:
     "mask"."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -93,7 +94,7 @@ def test_a_chart_is_sought_in_any_turn(tmp_path: Path, turn: int) -> None:
 
 def test_an_even_picture_has_no_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = written(tmp_path / "chart.png", np.full((*SIZE, 3), 0.3))
-    monkeypatch.setitem(__import__("sys").modules, "cv2", None)
+    monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(InputError, match=r"chart\.png: expected --chart-corners, or the Python"):
         read_chart(tmp_path / "chart.png", picture, None)
 

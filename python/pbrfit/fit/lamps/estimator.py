@@ -20,12 +20,7 @@ from pbrfit._core import InputError
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.lamps import reference, surfaces
 from pbrfit.fit.lamps import scale as scale_by_highlights
-from pbrfit.fit.lamps.given_normals import (
-    colored_by,
-    far_lamps,
-    near_lamps,
-    of_usual_scale,
-)
+from pbrfit.fit.lamps.given_normals import colored_by, far_lamps, near_lamps, of_usual_scale
 from pbrfit.fit.lamps.joint import (
     ALBEDO_MEAN,
     ROUGHNESS_MIN,
