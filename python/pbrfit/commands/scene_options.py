@@ -35,9 +35,7 @@ STORED: dict[str, cli.Flag] = {
     "orientation": cli.choice(
         Orientation, "turn pictures as EXIF says, or leave them (default: scene.toml, else exif)"
     ),
-    "layer": cli.value(
-        "NAME", str, "of EXR pictures (default: scene.toml, else told by names)"
-    ),
+    "layer": cli.value("NAME", str, "of EXR pictures (default: scene.toml, else told by names)"),
 }
 """How pictures lie in their files."""
 
