@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: a command unwinds, and where it does not come to it, its process ends anyway.
+"""Signals that end a process: a command unwinds, and where it cannot, its process ends anyway.
 
 Python hears of a signal between two of its own instructions. A call into the core, numpy or a
 library may take seconds, so a thread of the core watches as well: half a second after the signal it
@@ -19,17 +19,24 @@ from pbrfit import _core
 GRACE = 0.5
 """Seconds that a command has to unwind."""
 
+SIGNALS = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
+    if hasattr(signal, name)
+)
+"""That end a command: Ctrl-C; a request; a terminal that closes; Ctrl-\\; `ulimit -t`."""
+
 WORD = "interrupted; no unfinished result was left behind"
 """What users are told if the command has nothing better to say."""
 
 
 class Terminated(SystemExit):
-    """SIGTERM, as an exception that unwinds the stack."""
+    """A signal but Ctrl-C, as an exception that unwinds the stack."""
 
 
 @contextmanager
 def unwinding_when_told(*, watched: bool) -> Iterator[None]:
-    """Let SIGTERM unwind the stack as Ctrl-C does, so that nothing half written stays behind.
+    """Let `SIGNALS` unwind the stack as Ctrl-C does, so that nothing half written stays behind.
 
     If `watched`, by `watch`, only the first signal unwinds. Another one would interrupt what the
     first has brought about; the watcher ends the process at once.
@@ -46,9 +53,8 @@ def unwinding_when_told(*, watched: bool) -> Iterator[None]:
         told = True
         raise KeyboardInterrupt if number == signal.SIGINT else Terminated(128 + number)
 
-    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, end)}
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else nobody wants to know
-        before[signal.SIGINT] = signal.signal(signal.SIGINT, end)
+    usual = signal.SIG_DFL, signal.default_int_handler  # others: who began us wants no end by it
+    before = {n: signal.signal(n, end) for n in SIGNALS if signal.getsignal(n) in usual}
     try:
         yield
     finally:
@@ -57,11 +63,11 @@ def unwinding_when_told(*, watched: bool) -> Iterator[None]:
 
 
 def watch() -> None:
-    """End this process within `GRACE` after SIGINT or SIGTERM, at once after a second one.
+    """End this process within `GRACE` after one of `SIGNALS`, at once after a second one.
 
     For the whole of a process, from its main thread. On Windows it does nothing.
     """
-    number = _core.end_when_told(GRACE, f"pbrfit: {WORD}")
+    number = _core.end_when_told(GRACE, f"pbrfit: {WORD}", list(SIGNALS))
     if number is None:
         return
     signal.set_wakeup_fd(number, warn_on_full_buffer=False)

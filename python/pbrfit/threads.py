@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 AT_ONCE_MAX = 4
 """Pieces of work at once, at most: each has arrays of its own, and a copy of x."""
@@ -45,10 +46,35 @@ def in_pieces(threads: int, work: Callable[[T], R], pieces: Sequence[T]) -> list
         executor.shutdown(cancel_futures=True)
 
 
+_changing = threading.Lock()
+_limits: list[Any] = []
+"""What blocks of `one_blas_thread` have changed, to be undone."""
+_blocks = 0
+"""Of it that run, in all threads."""
+
+
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Sums split over threads would round differently on a machine with more processors."""
-    from threadpoolctl import threadpool_limits
+    """Sums split over threads would round differently on a machine with more processors.
 
-    with threadpool_limits(1, user_api="blas"):
+    The limit is the whole process's: it is undone when the last block of all threads ends.
+    """
+    global _blocks
+    import threadpoolctl
+
+    # From version 3.8 on a thread changes no limits while another one that has done so lives.
+    controller = getattr(threadpoolctl, "OpenBLASController", None)
+    take_over = getattr(controller, "clear_controlling_thread", lambda **_: None)
+    with _changing:
+        take_over(force=True)
+        limit = threadpoolctl.threadpool_limits(1, user_api="blas")
+        _limits.append(limit)  # of libraries that were loaded since the last, too
+        _blocks += 1
+    try:
         yield
+    finally:
+        with _changing:
+            _blocks -= 1
+            take_over(force=True)
+            while not _blocks and _limits:
+                _limits.pop().restore_original_limits()

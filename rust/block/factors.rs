@@ -39,8 +39,8 @@ impl<'p, P: Iterator<Item = &'p mut Plane<f64>>> Kernel for Load<'_, P> {
         for (plane, to) in self.maps.chunks(self.pixels).zip(self.planes) {
             to.0[self.count..].fill(self.unused);
             for (to, &from) in to.0.iter_mut().zip(&plane[self.first..][..self.count]) {
-                in_range &= from == from.clamp(lowest, highest); // NaN is not
-                *to = from;
+                *to = from.clamp(lowest, highest); // tables are of no others
+                in_range &= from == *to; // NaN is not
             }
         }
         in_range

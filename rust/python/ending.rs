@@ -59,15 +59,15 @@ fn last_word(py: Python<'_>) -> bool {
 /// The number of a file for `signal.set_wakeup_fd`; None where processes are not told by signals.
 #[cfg(unix)]
 #[pyfunction]
-fn end_when_told(grace: f64, word: String) -> PyResult<Option<i32>> {
+fn end_when_told(grace: f64, word: String, signals: Vec<i32>) -> PyResult<Option<i32>> {
     let grace = std::time::Duration::try_from_secs_f64(grace)
         .map_err(|error| super::InputError::new_err(format!("grace: {error}")))?;
-    Ok(Some(ending::watch(grace, word)?))
+    Ok(Some(ending::watch(grace, word, signals)?))
 }
 
 #[cfg(not(unix))]
 #[pyfunction]
 #[expect(unused_variables)]
-fn end_when_told(grace: f64, word: String) -> Option<i32> {
+fn end_when_told(grace: f64, word: String, signals: Vec<i32>) -> Option<i32> {
     None
 }

@@ -164,14 +164,12 @@ mod watch {
     use std::thread;
     use std::time::{Duration, Instant};
 
-    use signal_hook::consts::{SIGINT, SIGTERM};
-
-    /// From here on the process ends `grace` after it was told to, and at once when told twice,
-    /// whatever its other threads do.
+    /// From here on the process ends `grace` after it was told to by one of `ending`, and at once
+    /// when told twice, whatever its other threads do.
     ///
     /// Returns the number of a file that wants a byte for every signal, with its number. `word` is
     /// said if nobody else has had the last one.
-    pub fn watch(grace: Duration, word: String) -> io::Result<i32> {
+    pub fn watch(grace: Duration, word: String, ending: Vec<i32>) -> io::Result<i32> {
         let (signals, ours) = UnixStream::pair()?;
         signals.set_nonblocking(true)?; // a handler must not wait
         let number = signals.as_raw_fd();
@@ -179,8 +177,8 @@ mod watch {
             .name("pbrfit-ending".into())
             .spawn(move || {
                 let _open = signals;
-                if let Some(first) = told(&ours, None) {
-                    told(&ours, Some(Instant::now() + grace));
+                if let Some(first) = told(&ours, &ending, None) {
+                    told(&ours, &ending, Some(Instant::now() + grace));
                     end(first, &word);
                 }
             })?;
@@ -188,7 +186,7 @@ mod watch {
     }
 
     /// The next signal that ends a process; None after the deadline.
-    fn told(mut ours: &UnixStream, deadline: Option<Instant>) -> Option<i32> {
+    fn told(mut ours: &UnixStream, ending: &[i32], deadline: Option<Instant>) -> Option<i32> {
         let mut byte = [0];
         loop {
             let left = deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
@@ -196,7 +194,7 @@ mod watch {
                 return None;
             }
             match ours.read(&mut byte) {
-                Ok(1) if [SIGINT, SIGTERM].contains(&byte[0].into()) => {
+                Ok(1) if ending.contains(&byte[0].into()) => {
                     return Some(byte[0].into());
                 }
                 Ok(0) => return None,

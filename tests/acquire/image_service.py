@@ -8,8 +8,9 @@ import email.policy
 import io
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -35,6 +36,8 @@ class Answer:
     status: int
     body: bytes | None
     headers: dict[str, str] = field(default_factory=dict)
+    pause: float = 0.0
+    """Seconds after each byte of the body."""
 
 
 @dataclass
@@ -132,7 +135,13 @@ def running(service: Service) -> Iterator[str]:
             for name, value in answer.headers.items():
                 self.send_header(name, value)
             self.end_headers()
-            self.wfile.write(answer.body)
+            if not answer.pause:
+                self.wfile.write(answer.body)
+                return
+            with suppress(OSError):  # the client has gone
+                for byte in answer.body:
+                    self.wfile.write(bytes([byte]))
+                    time.sleep(answer.pause)
 
         def log_message(self, *_: object) -> None:
             pass

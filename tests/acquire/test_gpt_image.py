@@ -10,6 +10,7 @@ import logging
 import struct
 import traceback
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -287,6 +288,12 @@ def test_an_answer_without_an_end_is_cut(
     monkeypatch.setattr(gpt_image, "MOST_BYTES", 2**20)
     serve(as_json(200, {"data": "a" * 2**21}))
     assert "more than 1 MiB" in error_of(photo(tmp_path))
+
+
+def test_an_answer_that_drips_is_given_up(tmp_path: Path, serve: Serve) -> None:
+    serve(replace(as_json(200, {"data": "a" * 2000}), pause=0.1))
+    message = error_of(photo(tmp_path), GptImage(max_retries=0, timeout=0.5))
+    assert "none within 0.5 s" in message
 
 
 @pytest.mark.parametrize("status", [301, 302, 307, 308])

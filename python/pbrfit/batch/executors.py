@@ -15,6 +15,7 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any, ParamSpec, TypeVar
 
+from pbrfit import ending
 from pbrfit.batch import heartbeat
 from pbrfit.batch.heartbeat import Watch
 from pbrfit.threads import processors
@@ -147,7 +148,7 @@ def _unbroken() -> Iterator[None]:
         return
     heard: list[tuple[int, FrameType | None]] = []
     before = {}
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ending.SIGNALS:
         handler = signal.getsignal(number)
         if callable(handler):
             before[number] = handler

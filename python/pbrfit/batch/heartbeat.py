@@ -13,6 +13,10 @@ PATIENCE = 3600.0
 is 75 s, at 1.5 MP with 25 pictures on two busy cores; larger pictures are fitted in tiles, each a
 step, but are read and aligned in one, which takes half an hour at 16 MP with 64 pictures."""
 
+LOOK_MAX = 10.0
+"""Seconds between two looks, at most, that count: after more this process had been stopped, with
+Ctrl-Z or a sleeping machine, and its workers with it."""
+
 _row: memoryview | None = None
 """Of this process's task: its process's number, and steps so far."""
 _rows: Any = None
@@ -25,27 +29,31 @@ class Watch:
         self.patience = patience
         self.rows = get_context("spawn").RawArray("q", 2 * jobs)
         self._seen: dict[int, tuple[int, float]] = {}
-        """By slot the steps that were seen last, and since when."""
+        """By slot the steps that were seen last, and for how many seconds."""
+        self._looked = time.monotonic()
 
     def begin(self) -> int:
         """Give the slot of a task that is handed over."""
         slot = next(i for i in range(len(self.rows) // 2) if i not in self._seen)
         self.rows[2 * slot : 2 * slot + 2] = [0, 0]
-        self._seen[slot] = 0, time.monotonic()
+        self._seen[slot] = 0, 0.0
         return slot
 
     def end(self, slot: int) -> None:
         """Take the slot of a task that has ended."""
         del self._seen[slot]
 
-    def kill_stalled(self) -> set[int]:
+    def kill_stalled(self) -> set[int | None]:
         """End the processes that make no step; their slots."""
-        now, stalled = time.monotonic(), set()
-        for slot, (steps, since) in self._seen.items():
+        now, stalled = time.monotonic(), set[int | None]()
+        passed, self._looked = min(now - self._looked, LOOK_MAX), now
+        for slot, (steps, silent) in self._seen.items():
             process, found = self.rows[2 * slot : 2 * slot + 2]
             if process == 0 or found != steps:
-                self._seen[slot] = found, now
-            elif now - since > self.patience:
+                self._seen[slot] = found, 0.0
+                continue
+            self._seen[slot] = found, silent + passed
+            if silent + passed > self.patience:
                 stalled.add(slot)
                 try:
                     os.kill(process, getattr(signal, "SIGKILL", signal.SIGTERM))

@@ -12,9 +12,8 @@ from pbrfit._core import InputError
 from pbrfit.io.input_files import TEXT_BYTES, digest, read_text
 from pbrfit.io.json_files import UNFIT, table
 from pbrfit.model.reflection import chosen_model
-from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
-from pbrfit.result.result import files_of, model_of
+from pbrfit.result.result import details_of, files_of, model_of
 from pbrfit.result.verdict import verdicts_of
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.folder import ScenePath
@@ -45,7 +44,7 @@ def kept(
             f"--model {found} keeps it, --overwrite replaces it"
         )
     try:
-        HeldOut.from_json(content.get("held_out"))  # raises what is caught below
+        details_of(content, output)  # raises what is caught below
         scene_then = dict(content["scene"])
         if (content["camera"] or {}).get("response"):  # the choice of the fit, as nobody asked
             scene_then["color_space"] = None

@@ -46,7 +46,7 @@ from pbrfit.result.result import Result
 from pbrfit.result.verdict import FOV_CONTRADICTED, capped, doubted
 from pbrfit.scene import exposure
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import in_pieces
+from pbrfit.threads import in_pieces, one_blas_thread
 
 if TYPE_CHECKING:
     from pbrfit.fit.compare import Choice
@@ -62,6 +62,7 @@ of a large scene, much beside what a call costs."""
 Start = Materials | tuple[Materials, NDArray[Any]] | Result | None
 
 
+@one_blas_thread()
 def decompose(
     scene: Scene | str | Path,
     options: FitOptions | None = None,

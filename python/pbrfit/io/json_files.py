@@ -44,12 +44,27 @@ def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
     return InputError(f"{path}: expected {expected}, found {type(error).__name__}: {shown(error)}")
 
 
-def number(value: Any) -> float:
-    """Check a finite number."""
+def number(value: Any, least: float = -math.inf) -> float:
+    """Check a finite number, `least` or more."""
     found = float(_a(value, (int, float), "a number"))
-    if not math.isfinite(found):
-        raise ValueError(f"{value} in place of a finite number")
+    if not least <= found < math.inf:
+        bound = "" if least == -math.inf else f" from {least:g} on"
+        raise ValueError(f"{value} in place of a finite number{bound}")
     return found
+
+
+positive = partial(number, least=0.0)
+"""Check a finite number that is not negative."""
+
+
+def figures(value: Any) -> dict[str, float]:
+    """Check numbers by name; null, which stands for what JSON has no number for, is NaN."""
+    return {k: math.nan if v is None else number(v) for k, v in table(value).items()}
+
+
+def finite_or_null(numbers: Mapping[str, float]) -> dict[str, float | None]:
+    """Undo `figures`: infinite numbers and NaN become null."""
+    return {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
 
 
 def whole(value: Any, least: int = 0) -> int:

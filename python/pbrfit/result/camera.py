@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 from pbrfit.io.color import Curve
-from pbrfit.io.json_files import flag, number, table
+from pbrfit.io.json_files import figures, finite_or_null, flag, number, positive
 from pbrfit.io.quoting import quoted
+from pbrfit.model.geometry import check_fov
 from pbrfit.scene.correction import Correction
 
 How = Literal["given", "fitted", "assumed"]
@@ -50,18 +50,7 @@ class Camera:
 
     def as_json(self) -> dict[str, Any]:
         """What `result.json` holds under `camera`."""
-        return {
-            "fov_degrees": self.fov_degrees,
-            "fov_sigma": self.fov_sigma,
-            "how": self.how,
-            "contradicted": self.contradicted,
-            "correction": None if self.correction is None else asdict(self.correction),
-            "response": self.response,
-            "figures": {
-                name: value if math.isfinite(value) else None
-                for name, value in self.figures.items()
-            },
-        }
+        return asdict(self) | {"figures": finite_or_null(self.figures)}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Camera:
@@ -69,13 +58,10 @@ class Camera:
         how, sigma = content["how"], content["fov_sigma"]
         if how not in get_args(How):
             raise ValueError(f"camera {quoted(how)}")
-        figures = {
-            name: math.nan if value is None else number(value)
-            for name, value in table(content["figures"]).items()
-        }
-        sigma = None if sigma is None else number(sigma)
+        of_fit = figures(content["figures"])
+        sigma = None if sigma is None else positive(sigma)
         contradicted = flag(content["contradicted"])
-        if contradicted and not {"other_fov_degrees", "other_fov_sigma"} <= set(figures):
+        if contradicted and not {"other_fov_degrees", "other_fov_sigma"} <= set(of_fit):
             raise ValueError("camera contradicted by nothing")
         correction = content["correction"]
         if correction is not None:
@@ -84,10 +70,11 @@ class Camera:
                 raise ValueError(f"camera corrected by {len(numbers)} numbers")
             correction = Correction(number(correction["reference"]), numbers)
         fov = number(content["fov_degrees"])
+        check_fov(fov)
         response = content.get("response")
         if response not in (None, *get_args(Curve)):
             raise ValueError(f"camera response {quoted(response)}")
-        return cls(fov, how, sigma, contradicted, correction, response, figures)
+        return cls(fov, how, sigma, contradicted, correction, response, of_fit)
 
 
 def _with_sigma(degrees: float, sigma: float) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pbrfit.io.json_files import number, table, text, whole
+from pbrfit.io.json_files import number, positive, table, text, whole
 
 LEAST = 1e-5
 """Relative error below which digits mean nothing."""
@@ -74,12 +74,12 @@ class HeldOut:
         if content is None:
             return None
         return cls(
-            number(content["error"]),
-            number(content["nearest_picture"]),
+            positive(content["error"]),
+            positive(content["nearest_picture"]),
             whole(content["pictures"], least=1),
             text(content["chosen"]),
             tuple(
-                Candidate(text(one["what"]), number(one["score"]), number(one["error"]))
+                Candidate(text(one["what"]), number(one["score"]), positive(one["error"]))
                 for one in map(table, content["candidates"])
             ),
         )

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import flag, number, table, text
+from pbrfit.io.json_files import figures, finite_or_null, flag, text
 from pbrfit.io.quoting import quoted
 
 if TYPE_CHECKING:
@@ -79,13 +79,7 @@ class Refinement:
 
     def as_json(self) -> dict[str, Any]:
         """What `result.json` holds under `normals`."""
-        figures = {name: _finite(value) for name, value in self.figures.items()}
-        return {
-            "asked": self.asked,
-            "refined": self.refined,
-            "why": self.why,
-            "figures": figures,
-        }
+        return asdict(self) | {"figures": finite_or_null(self.figures)}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Refinement:
@@ -93,11 +87,7 @@ class Refinement:
         asked, refined, why = content["asked"], content["refined"], content["why"]
         if asked not in CHOICES:
             raise ValueError(f"normals {quoted(asked)}")
-        figures = {
-            name: math.nan if value is None else number(value)
-            for name, value in table(content["figures"]).items()
-        }
-        return cls(asked, flag(refined), text(why), figures)
+        return cls(asked, flag(refined), text(why), figures(content["figures"]))
 
 
 NOT_ASKED = Refinement("off", False, "not asked for")
@@ -114,7 +104,3 @@ def hindrance(scene: Scene) -> str | None:
         return None
     found = "a single picture does" if pictures == 1 else f"{pictures} pictures do"
     return f"{found} not determine normals, which takes at least {PICTURES_MIN}"
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -18,6 +18,7 @@ from pbrfit.io.json_files import (
     UNFIT,
     number,
     path_text,
+    positive,
     read_json,
     table,
     text,
@@ -215,63 +216,73 @@ class Result(ResultData):
         file, expected = folder / "result.json", "what pbrfit writes"
         content = read_json(file, expected)
         try:
-            content = table(content)
-            model = model_of(content, file)
-            files = table(content.get("files", {}))
-            fov = number(content["fov"])
-            check_fov(fov)
+            details = details_of(content, folder)
+            refined, blocked = details["refinement"].refined, details["transport"].blocks
             summary = content.get("uncertainty")
             if summary is not None and "median_marginal" in table(summary):
                 summary = None  # of an earlier version, whose deviations were of noise alone
-            # Earlier versions wrote none of these.
-            source, of_normals = content.get("scene"), content.get("normals")
-            camera = content.get("camera")
-            transport = Transport.from_json(content.get("transport"))
-            refinement = NOT_ASKED if of_normals is None else Refinement.from_json(of_normals)
             return cls(
+                **details,
                 materials=materials,
                 lighting=lighting.coefficients,
                 normals=normals,
                 mask=mask,
-                fov=fov,
-                model=model,
                 pictures=lighting.pictures,
-                status=Status(text(content["status"])),
-                stop_reason=text(content["stop_reason"]),
                 history=History.load(folder / "history.csv"),
-                evaluations=whole(content["evaluations"]),
-                seconds=number(content["seconds"]),
-                metrics={k: number(v) for k, v in table(content["metrics"]).items()},
-                options=FitOptions.from_json(table(content["options"])),
-                assumed={k: text(v) for k, v in table(content["assumed"]).items()},
-                left_out=texts(content["left_out"]),
-                inputs={k: text(v) for k, v in table(content["inputs"]).items()},
-                stages=tuple(map(_stage, content.get("stages", ()))),
                 uncertainty=(
                     None if summary is None else _uncertainty(layers, of_maps, mask, summary)
                 ),
-                source=None if source is None else _source(source, folder),
-                refinement=refinement,
-                camera=None if camera is None else Camera.from_json(table(camera)),
-                given_normals=(
-                    _given_normals(layers, of_maps, mask) if refinement.refined else None
-                ),
+                given_normals=_given_normals(layers, of_maps, mask) if refined else None,
                 # Earlier versions wrote the depth of the mask alone, and nearest pixels around it.
                 depth=_depth(layers, None if "transport" in content else mask),
-                transport=transport,
                 segments=(
-                    layers[SEGMENT].astype(np.int32)
-                    if transport.blocks and SEGMENT in layers
-                    else None
+                    layers[SEGMENT].astype(np.int32) if blocked and SEGMENT in layers else None
                 ),
                 lamps=lighting.lamps,
-                height=_height(folder / HEIGHT_FILE, mask) if HEIGHT_FILE in files else None,
-                held_out=HeldOut.from_json(content.get("held_out")),
+                height=(
+                    _height(folder / HEIGHT_FILE, mask)
+                    if HEIGHT_FILE in content.get("files", {})
+                    else None
+                ),
             )
         except UNFIT as error:
             if isinstance(error, InputError) and str(folder) in str(error):
                 raise
             raise unfit(file, expected, error) from None
+
+
+def details_of(content: Any, folder: Path) -> dict[str, Any]:
+    """What `result.json` of a folder says of a result: fields of `ResultData` that are no arrays.
+
+    Raises one of `json_files.UNFIT` for what pbrfit does not write.
+    """
+    content = table(content)
+    fov = number(content["fov"])
+    check_fov(fov)
+    table(content.get("files", {}))
+    whole(content["iterations"])
+    # Earlier versions wrote none of these.
+    source, of_normals = content.get("scene"), content.get("normals")
+    camera = content.get("camera")
+    return {
+        "fov": fov,
+        "model": model_of(content, folder / "result.json"),
+        "status": Status(text(content["status"])),
+        "stop_reason": text(content["stop_reason"]),
+        "evaluations": whole(content["evaluations"]),
+        "seconds": positive(content["seconds"]),
+        "metrics": {k: positive(v) for k, v in table(content["metrics"]).items()},
+        "options": FitOptions.from_json(table(content["options"])),
+        "assumed": {k: text(v) for k, v in table(content["assumed"]).items()},
+        "left_out": texts(content["left_out"]),
+        "inputs": {k: text(v) for k, v in table(content["inputs"]).items()},
+        "stages": tuple(map(_stage, content.get("stages", ()))),
+        "source": None if source is None else _source(source, folder),
+        "refinement": NOT_ASKED if of_normals is None else Refinement.from_json(of_normals),
+        "camera": None if camera is None else Camera.from_json(table(camera)),
+        "transport": Transport.from_json(content.get("transport")),
+        "held_out": HeldOut.from_json(content.get("held_out")),
+    }
 
 
 def files_of(folder: Path) -> tuple[str, ...]:
@@ -331,7 +342,7 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
 
 
 def _stage(content: Mapping[str, Any]) -> Stage:
-    return Stage(text(content["name"]), number(content["seconds"]), text(content.get("note", "")))
+    return Stage(text(content["name"]), positive(content["seconds"]), text(content.get("note", "")))
 
 
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import number
+from pbrfit.io.json_files import positive
 from pbrfit.model.materials import Materials
 from pbrfit.result.verdict import PARAMETERS, Verdict, verdicts_of
 
@@ -82,15 +82,15 @@ class Uncertainty:
             inside = np.where(mask[..., None], maps[..., first : first + 5], np.nan)
             return Materials(inside[..., :3], inside[..., 3], inside[..., 4])
 
-        red, green, blue = map(number, summary["albedo_scale"])
-        if not np.isfinite(maps[mask]).all():
-            raise ValueError("standard deviations that are NaN or infinite")
+        red, green, blue = map(positive, summary["albedo_scale"])
+        if not (np.isfinite(maps[mask]) & (maps[mask] >= 0)).all():
+            raise ValueError("deviations or bounds that are negative, NaN or infinite")
         return cls(
             deviation=values(0),
             low=values(1),
             high=values(2),
-            noise=None if summary["noise"] is None else number(summary["noise"]),
-            effective_share=number(summary["effective_share"]),
+            noise=None if summary["noise"] is None else positive(summary["noise"]),
+            effective_share=positive(summary["effective_share"]),
             albedo_scale=(red, green, blue),
             verdicts=verdicts_of(summary),
         )

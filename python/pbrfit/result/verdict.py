@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import number, table, text
+from pbrfit.io.json_files import positive, table, text
 from pbrfit.model.materials import Materials
 from pbrfit.result.held_out import HeldOut
 
@@ -115,7 +115,7 @@ class Verdict:
         level = text(content["level"])
         if level not in LEVELS:
             raise ValueError(f"level {level!r}")
-        expected = number(content["expected_error"])
+        expected = positive(content["expected_error"])
         return cls(level, expected, text(content["cause"]), text(content["remedy"]))
 
 

@@ -320,7 +320,9 @@ def warn_of_near_misses(folder: Path) -> None:
     parts = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)
     stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight", RELATIVE}
     for path in sorted((*folder.iterdir(), *(folder / "images").glob(f"{RELATIVE}.*"))):
-        if path.is_file() and path.stem.lower() in stems and path.name not in parts:
+        if path.name in parts or path.suffix.lower() == ".lp":  # which may have any name
+            continue
+        if path.is_file() and path.stem.lower() in stems:
             expected = f"expected {', '.join(parts)}"
             of_lamps = path.stem.lower() == RELATIVE
             log.warning("%s: not read; %s", path, STRENGTHS if of_lamps else expected)

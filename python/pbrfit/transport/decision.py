@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, get_args
 
-from pbrfit.io.json_files import number, table
+from pbrfit.io.json_files import figures, flag, number, positive, table, text
 
 Kind = Literal["none", "occlusion", "bounce"]
 """Whether surroundings do nothing, block light, or also bring the light that they reflect."""
@@ -96,15 +96,21 @@ class Transport:
         [kind] = [one for one in get_args(Kind) if one == values.get("kind")]
         extents = None
         if values.get("extents") is not None:
-            of_extents = table(values["extents"])
-            of_extents["blocks"] = tuple(map(bool, of_extents["blocks"]))
-            extents = Extents(**of_extents)
+            given = table(values["extents"])
+            extents = Extents(
+                thickness=positive(given["thickness"]),
+                height=None if given["height"] is None else number(given["height"]),
+                behind=None if given["behind"] is None else positive(given["behind"]),
+                ceiling=flag(given["ceiling"]),
+                blocks=tuple(map(flag, given["blocks"])),
+                reach=positive(given["reach"]),
+            )
         return cls(
             kind,
-            str(values["why"]),
+            text(values["why"]),
             extents,
-            number(values["gain"]),
-            {name: number(value) for name, value in table(values["figures"]).items()},
+            positive(values["gain"]),
+            figures(values["figures"]),
         )
 
 

@@ -387,7 +387,12 @@ def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what:
     [
         ("version", "0.0.1"),
         ("held_out", {"error": "small"}),
+        ("metrics", {"recon_rmse": -1}),
+        ("seconds", -1e9),
+        ("iterations", "many"),
+        ("transport", {"kind": "none", "why": "", "extents": None, "gain": -1, "figures": {}}),
         *((key, None) for key in ("files", "scene", "inputs", "options", "uncertainty")),
+        *((key, None) for key in ("status", "stop_reason", "left_out", "assumed", "stages")),
     ],
 )
 def test_a_damaged_result_or_one_of_another_version_is_made_again(

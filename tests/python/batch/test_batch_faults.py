@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 
 from command_runs import Ran, ran
-from pbrfit.batch import place
+from pbrfit.batch import heartbeat, place
 from pbrfit.batch.executors import Processes
 from pbrfit.result.result import RESULT_FOLDER
 from processes import NOBODY, ROOT, alive, as_nobody_special, closed, until
@@ -341,6 +341,28 @@ def test_a_signal_while_a_worker_starts_waits_until_somebody_knows_of_it(
     assert set(processes) <= set(known)
     workers.stop()
     until(lambda: not any(alive(process) for process in processes))
+
+
+def test_time_in_which_the_parent_was_stopped_is_no_silence_of_its_workers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, ended = [0.0], list[int]()
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(os, "kill", lambda process, _: ended.append(process))
+    watch = heartbeat.Watch(1, patience=60.0)
+    slot = watch.begin()
+    watch.rows[:] = [NOBODY, 1]
+
+    def passes(seconds: float) -> set[int | None]:
+        now[0] += seconds
+        return watch.kill_stalled()
+
+    assert not passes(1.0)
+    assert not passes(86400.0)  # Ctrl-Z, and fg on the next day
+    assert not any(passes(1.0) for _ in range(49))
+    assert not ended
+    assert passes(5.0) == {slot}
+    assert ended == [NOBODY]
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from pbrfit.ending import SIGNALS
 from scene_files import tree
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
@@ -22,7 +23,7 @@ FOREVER = "sum(range(10**15))"
 """A call that keeps the interpreter lock, and during which Python hears of no signal."""
 
 BEGIN = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from pbrfit import _core, ending
 from pbrfit.batch.place import of_batch
@@ -30,6 +31,8 @@ from pbrfit.io.output import new_file, new_folder, undisturbed, unfinished
 ending.watch()
 here = Path(sys.argv[1])
 def ready(): print("ready", flush=True)
+def told(grace, number):
+    signal.set_wakeup_fd(_core.end_when_told(grace, "word", [number]), warn_on_full_buffer=False)
 """
 
 UNFINISHED = {
@@ -96,15 +99,13 @@ def here(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("work", UNFINISHED)
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", SIGNALS)
 def test_what_is_unfinished_goes_away_while_a_call_keeps_the_interpreter(
     here: Path, work: str, number: signal.Signals
 ) -> None:
     before = tree(here)
     # Between "ready" and the call Python may have its turn: then the call goes on all the same.
-    script = "import signal\n"
-    for name in ("SIGINT", "SIGTERM"):
-        script += f"signal.signal(signal.{name}, lambda *_: None)\n"
+    script = "for one in ending.SIGNALS: signal.signal(one, lambda *_: None)\n"
     with running(script + UNFINISHED[work] + f" ready(); {FOREVER}\n", here) as process:
         process.send_signal(number)
         _, stderr = process.communicate(timeout=PATIENCE)
@@ -115,8 +116,7 @@ def test_what_is_unfinished_goes_away_while_a_call_keeps_the_interpreter(
 
 def test_the_second_signal_does_not_wait(here: Path) -> None:
     script = (
-        "import signal\n"
-        "signal.set_wakeup_fd(_core.end_when_told(1e9, 'word'), warn_on_full_buffer=False)\n"
+        "told(1e9, signal.SIGINT)\n"
         "signal.signal(signal.SIGINT, lambda *_: None)\n"
         f"with new_folder(here / 'out'):\n ready(); {FOREVER}\n"
     )
@@ -131,7 +131,6 @@ def test_the_second_signal_does_not_wait(here: Path) -> None:
 
 def test_other_signals_end_nothing(here: Path) -> None:
     script = (
-        "import signal\n"
         "signal.signal(signal.SIGUSR1, lambda *_: None)\n"
         "signal.raise_signal(signal.SIGUSR1)\n"
         "ready()\n"
@@ -145,14 +144,14 @@ def test_other_signals_end_nothing(here: Path) -> None:
 
 def test_renames_that_belong_together_are_waited_for(here: Path) -> None:
     script = (
-        "import signal, threading\n"
+        "import threading\n"
         "def late():\n"
         " with new_folder(here / 'out') as folder:\n"
         "  (folder / 'whole.txt').write_text('whole')\n"
         "  rename = Path.rename\n"
         "  def slow(self, target): time.sleep(0.1); return rename(self, target)\n"
         "  Path.rename = slow\n"
-        "  signal.set_wakeup_fd(_core.end_when_told(0.05, 'word'), warn_on_full_buffer=False)\n"
+        "  told(0.05, signal.SIGTERM)\n"
         "  ready()\n"
         "  signal.raise_signal(signal.SIGTERM)\n"
         "signal.signal(signal.SIGTERM, lambda *_: None)\n"
@@ -168,7 +167,7 @@ def test_renames_that_belong_together_are_waited_for(here: Path) -> None:
 
 def test_a_forked_child_ends_without_its_parent(here: Path) -> None:
     script = (
-        "import os, signal\n"
+        "import os\n"
         "signal.signal(signal.SIGTERM, lambda *_: os._exit(3))\n"
         "child = os.fork()\n"
         "if not child: time.sleep(60)\n"
@@ -182,7 +181,7 @@ def test_a_forked_child_ends_without_its_parent(here: Path) -> None:
         assert process.wait(PATIENCE) == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", SIGNALS)
 def test_the_command_says_so_once(here: Path, number: signal.Signals) -> None:
     script = (
         "from pbrfit import cli\n"

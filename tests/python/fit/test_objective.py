@@ -377,6 +377,7 @@ BAD_X = [
     (np.empty(0), ": expected"),
     (at(79, 1 + 1e-9), f"{MATERIALS}, found .* at 79$"),
     (at(0, -1e-9), f"{MATERIALS}, found .* at 0$"),
+    (at(60, -0.01), f"{MATERIALS}, found -0.01 at 60$"),
     (at(99, math.nan), f"{MATERIALS}, found NaN at 99$"),
     (at(100, math.nan), r" \(lighting\): expected finite numbers"),
     (at(-1, -math.inf), r" \(lighting\): expected finite numbers"),
@@ -384,10 +385,11 @@ BAD_X = [
 ]
 
 
+@both_models
 @pytest.mark.parametrize(("x", "message"), BAD_X)
-def test_a_bad_x_is_refused(x: Array, message: str) -> None:
+def test_a_bad_x_is_refused(x: Array, message: str, model: Model) -> None:
     chosen = np.arange(3, dtype=np.uint64)
-    problem = GOOD.fast()
+    problem = GOOD.fast(model=model)
     for call in (problem.value_and_grad, lambda x: problem.residuals(x, chosen)):
         with pytest.raises(InputError, match=f"^x{message}"):
             call(x)

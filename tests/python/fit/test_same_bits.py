@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from pbrfit import Priors, decompose
 from pbrfit.model.reflection import MODELS, Model
@@ -113,3 +115,18 @@ def test_of_a_fit_with_all_priors_and_its_uncertainty(
     assert one.uncertainty.summary() == other.uncertainty.summary()
     for name, layer in one.uncertainty.layers().items():
         np.testing.assert_array_equal(layer, other.uncertainty.layers()[name], err_msg=name)
+
+
+def of_blas() -> list[int]:
+    """Threads of each BLAS that is loaded."""
+    return [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
+
+
+def test_of_fits_at_the_same_time_after_which_blas_has_its_threads_again() -> None:
+    scene = make_scene("room", size=16, lights=4, held_out=1, seed=3, noise=0.01)
+    with threadpool_limits(2, user_api="blas"):
+        alone = decompose(scene).albedo
+        with ThreadPoolExecutor(4) as pool:
+            for found in pool.map(lambda _: decompose(scene), range(4)):
+                np.testing.assert_array_equal(found.albedo, alone)
+        assert set(of_blas()) == {2}

@@ -16,7 +16,7 @@ import time
 import zlib
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import urlsplit
 
@@ -179,7 +179,8 @@ class GptImage:
             timeout=self.timeout,
             default_headers={"Accept-Encoding": "identity"},
             http_client=openai.DefaultHttpxClient(
-                follow_redirects=False, event_hooks={"response": [_bound]}
+                follow_redirects=False,
+                event_hooks={"response": [partial(_bound, seconds=self.timeout)]},
             ),
         )
 
@@ -262,17 +263,22 @@ class GptImage:
         return shown(" ".join(text.replace(self._client.api_key, "***").split()))
 
 
-def _bound(response: Any) -> None:
-    """Hold so much of an answer and no more, packed as it came: what reads it knows no bound."""
+def _bound(response: Any, seconds: float) -> None:
+    """Hold so much of an answer and no more, packed as it came: what reads it knows no bound.
+
+    Its body has to come within so many seconds: the client's own bound is for each read.
+    """
     # Clients were made of httpx, and are of httpx2.
     http = importlib.import_module(type(response).__module__.partition(".")[0])
     most = MOST_BYTES if response.is_success else MOST_BYTES_OF_FAILURE
-    body = bytearray()
+    body, began = bytearray(), time.monotonic()
     with closing(response.stream) as stream:
         for chunk in stream:
             body += chunk
             if len(body) > most:
                 break
+            if time.monotonic() - began > seconds:
+                raise http.ReadTimeout(f"{seconds:g} s", request=response.request)
     response.headers.pop("Content-Encoding", None)
     response.stream = http.ByteStream(bytes(body[: most + 1]))
 
