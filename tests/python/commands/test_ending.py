@@ -27,9 +27,9 @@ import signal, sys, time
 from pathlib import Path
 from pbrfit import _core, ending
 from pbrfit.batch.place import of_batch
-from pbrfit.io.output import new_file, new_folder, undisturbed, unfinished
+from pbrfit.io.output import FolderForm, new_file, new_folder, undisturbed, unfinished
 ending.watch()
-here = Path(sys.argv[1])
+here, old = Path(sys.argv[1]), FolderForm(holds=("old.txt",))
 def ready(): print("ready", flush=True)
 def told(grace, number):
     signal.set_wakeup_fd(_core.end_when_told(grace, "word", [number]), warn_on_full_buffer=False)
@@ -41,7 +41,7 @@ UNFINISHED = {
         " (folder / 'deep').mkdir(); (folder / 'deep' / 'half.txt').write_text('half')\n"
     ),
     "a folder that replaces another": (
-        "with new_folder(here / 'old', overwrite=True) as folder:\n"
+        "with new_folder(here / 'old', overwrite=True, form=old) as folder:\n"
         " (folder / 'half.txt').write_text('half')\n"
     ),
     "a batch": (
@@ -51,7 +51,7 @@ UNFINISHED = {
     ),
     "a batch that replaces": (
         "with of_batch(here) as batch:\n"
-        " with new_folder(here / 'old', overwrite=True, temporaries=batch) as folder:\n"
+        " with new_folder(here / 'old', overwrite=True, temporaries=batch, form=old) as folder:\n"
         "  (folder / 'half.txt').write_text('half')\n "
     ),
     "a file": ("with new_file(here / 'a' / 'out.txt') as file:\n file.write_text('half')\n"),
