@@ -2,6 +2,7 @@
 # make test-slow: the tests that take more than two seconds each, which make test leaves out
 # make bench-needs: what leaving out parts of a fit saves
 # make bench-growth: time and memory of a fit from 0.25 to 16 MP, 4 to 64 pictures (an hour, 13 GiB)
+# make bench-users: 12 to 60 photographs as cameras make them, from files to maps (10 minutes, 8 GiB)
 # make test-acquire: the tests that need PyTorch, diffusers, transformers and openai, in .venv-acquire
 #   (5 GB); they download no weights
 # make test-fuzz: 100,000 damaged files, and inputs led by coverage, in .venv-fuzz; needs a C++ compiler
@@ -59,7 +60,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(TEST_JOBS) --dis
 # of test-arrays
 EXAMPLES ?= 2000
 
-.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-short-reliability test-sanitizer test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-peers cycles-env evidence site gallery wheel clean
+.PHONY: demo test test-rust test-slow test-acquire test-cluster test-arrays test-limits test-soak test-fuzz test-short-reliability test-sanitizer test-reliability lint lint-rust lint-python bench bench-growth bench-needs bench-users bench-peers cycles-env evidence site gallery wheel clean
 
 demo: $(VENV)/installed
 	$(BIN)/pbrfit demo $(DEMO) --overwrite
@@ -134,6 +135,9 @@ bench-needs: $(VENV)/installed
 
 bench-growth: $(VENV)/installed
 	$(BIN)/python benches/growth.py
+
+bench-users: $(VENV)/installed
+	$(BIN)/python benches/users.py
 
 evidence: $(VENV)/tools
 	@test -n "$(DATA)" || { echo "evidence: where are the public sets? set DATA=..."; exit 1; }

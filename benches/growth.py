@@ -79,18 +79,22 @@ def measure(repeated: int, pictures: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         scene, result = Path(folder) / "scene", Path(folder) / "result"
         enlarged(repeated, pictures).save(scene)
-        command = [sys.executable, "-m", "pbrfit", "decompose", scene, "--out", result, "--json"]
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        began = time.perf_counter()
-        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-        seconds = time.perf_counter() - began
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        content = json.loads((result / "result.json").read_text(encoding="utf-8"))
+        found = run([scene], result)
         shutil.rmtree(scene)
+    size = (BASE * repeated) ** 2 / 1e6
+    return {"repeated": repeated, "pictures": pictures, "megapixels": size} | found
+
+
+def run(arguments: Sequence[str | Path], result: Path) -> dict[str, Any]:
+    """Seconds and peak of `pbrfit decompose` with some arguments, and what its result says."""
+    command = [sys.executable, "-m", "pbrfit", "decompose", *arguments, "--out", result, "--json"]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    began = time.perf_counter()
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    seconds = time.perf_counter() - began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    content = json.loads((result / "result.json").read_text(encoding="utf-8"))
     return {
-        "repeated": repeated,
-        "pictures": pictures,
-        "megapixels": (BASE * repeated) ** 2 / 1e6,
         "seconds": seconds,
         "seconds_of_fit": content["seconds"],
         "processor_seconds": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,

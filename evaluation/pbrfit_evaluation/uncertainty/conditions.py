@@ -206,7 +206,7 @@ def _among_surfaces(scene: Scene, *, bounces: bool, rng: Generator, threads: int
         truth.materials,
         scene.normals,
         lighting,
-        Transport("bounce" if bounces else "occlusion", "", scenery.extents, 1.0),
+        Transport("bounce" if bounces else "occlusion", "", scenery.extents),
         model=chosen_model(None, scene.model),
         threads=threads,
     )

@@ -71,9 +71,6 @@ class Transport:
     kind: Kind = "none"
     why: str = "no depth is given"
     extents: Extents | None = None
-    gain: float = 1.0
-    """What light from surfaces is multiplied by, beside what pictures show of them; 1 but in
-    results of older versions."""
     figures: Mapping[str, float] = field(default_factory=dict)
     """Mean of ln(residual²/radiance²) of pixels that lights were not fitted to:
     `left_out_occlusion`, `left_out_bounce`, as far as they were tried, and `left_out_pixels`."""
@@ -109,7 +106,6 @@ class Transport:
             kind,
             text(values["why"]),
             extents,
-            positive(values["gain"]),
             figures(values["figures"]),
         )
 

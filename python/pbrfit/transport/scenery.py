@@ -241,7 +241,7 @@ class Scenery:
         lighting
             (16, 3) or (N, 16, 3), linear Rec.709.
         transport
-            Whether light is reflected between surfaces, and with which gain.
+            Whether light is reflected between surfaces.
 
         Returns
         -------
@@ -266,7 +266,7 @@ class Scenery:
 
         direct = pictures = shown(lights, RAYS)
         for _ in range(BOUNCES if transport.kind == "bounce" else 0):
-            sent = filled(transport.gain * pictures.transpose(1, 2, 0, 3), self.mask)
+            sent = filled(pictures.transpose(1, 2, 0, 3), self.mask)
             pictures = direct + shown(np.zeros_like(lights), BOUNCE_RAYS, sent)
         return pictures.reshape(*given.shape[:-2], *shape, 3)
 
@@ -321,8 +321,7 @@ class Scenery:
                 else f"a wall {extents.behind:.2g} behind the camera"
             )
         what = "block light" if transport.kind == "occlusion" else "block and reflect light"
-        gain = f", {transport.gain:g} of what pictures show" if transport.gain != 1 else ""
-        return f"{what}{gain} ({transport.why}): {', '.join(parts)}; in median depths"
+        return f"{what} ({transport.why}): {', '.join(parts)}; in median depths"
 
     def _arguments(
         self, materials: Materials, normals: NDArray[Any], places: NDArray[np.intp]

@@ -390,7 +390,7 @@ def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what:
         ("metrics", {"recon_rmse": -1}),
         ("seconds", -1e9),
         ("iterations", "many"),
-        ("transport", {"kind": "none", "why": "", "extents": None, "gain": -1, "figures": {}}),
+        ("transport", {"kind": "none", "why": "", "extents": {}, "figures": {}}),
         *((key, None) for key in ("files", "scene", "inputs", "options", "uncertainty")),
         *((key, None) for key in ("status", "stop_reason", "left_out", "assumed", "stages")),
     ],

@@ -833,7 +833,7 @@ def test_surroundings_are_drawn(tmp_path: Path, page: Page) -> None:
 def test_surroundings_that_were_left_out_are_told(tmp_path: Path) -> None:
     scores = {"left_out_occlusion": -3.9, "left_out_pixels": 400.0}
     why = "left-out pictures are explained no better with surroundings"
-    none = Transport("none", why, None, 1, scores)
+    none = Transport("none", why, None, scores)
     text = told_of_surroundings(none, tmp_path / "page.html")
     assert why in text
     assert "<svg" not in text
