@@ -113,6 +113,7 @@ def decompose_scene(
     from pbrfit.result.data import Status
     from pbrfit.result.result import RESULT_FOLDER
     from pbrfit.scene.scene import Scene
+    from pbrfit.steps import step
 
     address_space.reserve_blas()
     wanted = _Wanted(task, show)
@@ -141,16 +142,19 @@ def decompose_scene(
         form=RESULT_FOLDER,
         temporaries=task.temporaries,
     ) as folder:
-        scene = Scene.load(task.source, task.reading)
+        with step("reading"):
+            scene = Scene.load(task.source, task.reading)
         heartbeat.step()
         if task.options.align == "auto":
-            scene = aligned(scene)
+            with step("alignment"):
+                scene = aligned(scene)
             heartbeat.step()
         result = decompose(
             scene, task.options, threads=task.threads or threads, progress=wanted.show
         )
         heartbeat.step()
-        result.write(folder, scene, task.output)
+        with step("writing"):
+            result.write(folder, scene, task.output)
         wanted.check()
     if result.status is Status.TIME_LIMIT:
         reason = result.stop_reason

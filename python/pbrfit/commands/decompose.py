@@ -15,9 +15,10 @@ from pbrfit.batch import place
 from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
 from pbrfit.batch.heartbeat import PATIENCE
-from pbrfit.batch.scenes import SceneOutcome, SceneTask, decompose_scene, memory_of, scenes_in
+from pbrfit.batch.scenes import SceneTask, decompose_scene, memory_of, scenes_in
 from pbrfit.commands import arguments as cli
-from pbrfit.commands.fit_options import add_fit_options, fit_bar, fit_options
+from pbrfit.commands.fit_options import add_fit_options, fit_options
+from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_display import SceneDisplay
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit import memory
@@ -117,7 +118,7 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
     began = time.perf_counter()
     with _display(1, options) as display:
         try:
-            with fit_bar(options.iterations, task.name, quiet=options.quiet) as show:
+            with fit_steps(quiet=options.quiet) as show:
                 outcome = decompose_scene(task, 0, show)
         except (InputError, OSError, MemoryError) as error:
             message = cli.message_of(error)
@@ -145,15 +146,11 @@ def _run_all(
         done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=patience)
         beside = done_by.apart and options.cluster in (None, LOCAL)
 
-        def here(task: SceneTask, threads: int) -> SceneOutcome:
-            with fit_bar(options.iterations, task.name, quiet=options.quiet, within=True) as show:
-                return decompose_scene(task, threads, show)
-
         try:
             with display:
                 drive(
                     tasks,
-                    decompose_scene if done_by.apart else here,
+                    decompose_scene,
                     done_by,
                     ended=display.tell,
                     meanwhile=display.show if done_by.apart else lambda _: None,

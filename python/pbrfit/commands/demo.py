@@ -11,9 +11,9 @@ from pbrfit.commands.fit_options import (
     MODEL_OF_PICTURES,
     add_fit_options,
     add_option,
-    fit_bar,
     fit_options,
 )
+from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.synth import add_synthetic, make_scene
 from pbrfit.commands.terminal import held_out_lines, verdict_lines
 from pbrfit.fit.decompose import decompose
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     with new_folder(options.out, overwrite=options.overwrite, form=DEMO_FOLDER) as folder:
         make_scene(options).save(folder / "scene")
         scene = Scene.load(folder / "scene")
-        with fit_bar(options.iterations, options.kind, quiet=options.quiet) as show:
+        with fit_steps(quiet=options.quiet) as show:
             result = decompose(scene, fit_options(options), threads=options.threads, progress=show)
         result.save(folder / "result", scene=scene)
         plot_history(result, folder / "history.png")

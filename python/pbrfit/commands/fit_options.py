@@ -1,19 +1,17 @@
-"""Flags of a fit, made from `FitOptions`; how a fit is shown."""
+"""Flags of a fit, made from `FitOptions`."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from pbrfit.commands import arguments as cli
-from pbrfit.fit.bar import shown_on
 from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions, Priors, prior_names
 
 if TYPE_CHECKING:
-    from pbrfit.fit.decompose import Progress
+    pass
 
 DEFAULTS = {one.name: one.default for one in fields(FitOptions)}
 
@@ -101,13 +99,3 @@ def prior_weight(text: str) -> tuple[str, float]:
             f"expected a finite weight of 0 or more for {name}, found {weight!r}"
         ) from None
     return name, value
-
-
-@contextmanager
-def fit_bar(
-    iterations: int, name: str, *, quiet: bool, within: bool = False
-) -> Iterator[Callable[[Progress], None]]:
-    """Show how a fit goes on, on a line that goes away where it is `within` another one's."""
-    bar = cli.progress_bar(iterations, quiet=quiet, name=name, leave=not within)
-    with bar, shown_on(bar) as show:
-        yield show

@@ -16,11 +16,10 @@ from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, mari
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
-from pbrfit.commands.fit_options import fit_bar
+from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_options import DEPTH_KIND, STORED, field_of_view
 from pbrfit.fit.lamps.from_pictures import PictureNormals, normals_from_pictures
 from pbrfit.model.materials import nearest_inside
-from pbrfit.result.options import FitOptions
 from pbrfit.scene import completion, known_lamps, reading
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.arrays import SHAPE_PICTURES_MIN
@@ -141,7 +140,7 @@ def _run_pictures(options: argparse.Namespace) -> int:
         )
     scene = reading.load(folder, Scene, ReadOptions(**given), pictures_alone=True)
     try:
-        with fit_bar(FitOptions().iterations, folder.name, quiet=options.quiet) as show:
+        with fit_steps(quiet=options.quiet) as show:
             found = normals_from_pictures(scene, threads=threads, progress=show)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None

@@ -1,16 +1,25 @@
-"""How work goes on: a bar where stderr is a terminal, else a line every few seconds."""
+"""How work goes on: steps of a fit as they end; a bar where stderr is a terminal, else lines."""
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
-from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Self
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
 
 from pbrfit.commands.messages import complain
+from pbrfit.steps import log
+
+if TYPE_CHECKING:
+    from pbrfit.fit.run import Progress
 
 LINE_EVERY = 5.0
 """Seconds between two lines: few enough for a log, often enough to see that it goes on."""
+
+CLEAR = "\r\x1b[K"
+"""Begins the line of a terminal anew."""
 
 
 def progress_bar(
@@ -19,89 +28,95 @@ def progress_bar(
     quiet: bool,
     unit: str = "it",
     name: str | None = None,
-    leave: bool = True,
     smoothing: float = 0.3,
 ) -> Any:
-    """Make a `tqdm` bar on stderr, or what prints lines as it would where that is no terminal.
+    """Make a `tqdm` bar on stderr; where that is no terminal it prints a line now and then.
 
     Neither shows anything where `quiet` is asked for.
     """
-    if not quiet and sys.stderr is not None and not sys.stderr.isatty():
-        return ProgressLines(total, unit=unit, name=name)
     from tqdm import tqdm
 
+    options: dict[str, Any] = {"dynamic_ncols": True}
+    if sys.stderr is not None and not sys.stderr.isatty():
+        options = {"file": _Lines(), "ncols": 0, "leave": False}
     return tqdm(
         total=total,
         desc=name,
         unit=unit,
-        leave=leave,
         smoothing=smoothing,
         disable=quiet or sys.stderr is None,
-        dynamic_ncols=True,
+        **options,
     )
 
 
-class ProgressLines:
-    """A bar for logs, as far as `tqdm`'s is used here: a line on stderr every few seconds.
+class _Lines:
+    """Makes lines for a log, some seconds apart, of what `tqdm` writes over one another."""
 
-    What is done sooner prints none.
-    """
+    def __init__(self) -> None:
+        self._told = time.monotonic()
 
-    disable = False
+    def write(self, text: str) -> None:
+        now, text = time.monotonic(), text.strip()
+        if text and now - self._told >= LINE_EVERY:
+            self._told = now
+            complain(text)
 
-    def __init__(self, total: int, *, unit: str, name: str | None) -> None:
-        self.n = self.initial = 0
-        self.total, self.unit, self._name = total, unit, name
-        self._postfix = ""
-        self._began = self._told = time.monotonic()
+    def flush(self) -> None:
+        """Nothing: lines are there at once."""
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+@contextmanager
+def fit_steps(*, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """Show the steps of a fit on stderr; what is given is for `decompose(progress=...)`."""
+    if quiet or sys.stderr is None:
+        yield None
+        return
+    shown = _Steps()
+    log.addHandler(shown)
+    log.setLevel(logging.INFO)
+    try:
+        yield shown.progress
+    finally:
+        log.removeHandler(shown)
+        log.setLevel(logging.NOTSET)
+        if shown.live:
+            _write(CLEAR)
 
-    def update(self, count: int = 1) -> None:
-        """So many more are done."""
-        self.n += count
-        self._tell()
 
-    def set_postfix_str(self, text: str, refresh: bool = True) -> None:
-        """What to say beside the numbers."""
-        self._postfix = text
-        if refresh:
-            self._tell()
+class _Steps(logging.Handler):
+    """A line a step as it ends; in a terminal one of the running step, in a log what takes long."""
 
-    def reset(self, total: int) -> None:
-        """Count anew, up to another total."""
-        self.n, self.total = 0, total
-        self._began = time.monotonic()
+    def __init__(self) -> None:
+        super().__init__()
+        self.live = sys.stderr.isatty()
+        self._running, self._told = "", 0.0
 
-    def refresh(self) -> None:
-        """Nothing: lines come when it is time."""
-
-    def close(self) -> None:
-        """Nothing: what comes of the work says more."""
-
-    def external_write_mode(self) -> AbstractContextManager[None]:
-        """Let others write: lines are in nobody's way."""
-        return nullcontext()
-
-    def _tell(self) -> None:
-        from tqdm import tqdm
-
-        now = time.monotonic()
-        if now - self._told < LINE_EVERY:
+    def emit(self, record: logging.LogRecord) -> None:
+        name, seconds = record.getMessage(), record.__dict__["seconds"]
+        if seconds is None:
+            self._running, self._told = name, time.monotonic()
+            if self.live:
+                _write(f"{CLEAR}… {name}\r")
             return
-        self._told = now
-        said = tqdm.format_meter(
-            self.n,
-            0 if self.unit == "it" else self.total,  # 0 = unknown: so many iterations at most
-            now - self._began,
-            ncols=0,  # no bar
-            prefix=self._name or "",
-            unit=self.unit,
-            postfix=self._postfix,
-            initial=self.initial,
-        )
-        complain(said)
+        self._running = ""
+        if self.live:
+            _write(f"{CLEAR}✓ {name:<28}{seconds:6.1f} s\n")
+        elif seconds >= LINE_EVERY:
+            complain(f"{name}: done in {seconds:.1f} s")
+
+    def progress(self, now: Progress) -> None:
+        """Say how far the running step is."""
+        if not self._running:
+            return
+        tiles = "" if now.tiles is None else f"tile {now.tiles[0]} of {now.tiles[1]}, "
+        said = f"{self._running}: {tiles}residual {now.recon_rmse:.2g}"
+        if self.live:
+            _write(f"{CLEAR}… {said}\r")
+        elif time.monotonic() - self._told >= LINE_EVERY:
+            self._told = time.monotonic()
+            complain(said)
+
+
+def _write(text: str) -> None:
+    with suppress(OSError, UnicodeEncodeError):
+        print(text, end="", file=sys.stderr, flush=True)

@@ -20,7 +20,7 @@ from pbrfit._core import InputError
 from pbrfit.fit import memory, plan
 from pbrfit.fit.bar import notebook_bar
 from pbrfit.fit.causes import with_causes
-from pbrfit.fit.run import Progress, material_errors
+from pbrfit.fit.run import Progress, Trace, material_errors
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
 from pbrfit.fit.tiles import fit_tiles
@@ -125,8 +125,10 @@ def decompose(
     from pbrfit.fit.lamps.shape import first_shape, height_of
 
     began = time.perf_counter()
-    if options.align == "auto":
-        scene = aligned(scene)
+    trace = Trace(options, progress=progress or None, began=began)
+    if options.align == "auto" and "alignment" not in scene.assumed:
+        with trace.stage("alignment"):
+            scene = aligned(scene)
     hindered = hindrance(scene)
     if options.refine_normals == "off":
         hindered = "not asked for"
@@ -150,23 +152,26 @@ def decompose(
         why_normals=hindered or "",
     )
     check_light(scene, setup)
-    chosen = compare.choose(scene, setup, start_given=begin is not None)
+    with trace.stage("comparison of explanations"):
+        chosen = compare.choose(scene, setup, start_given=begin is not None)
     how = chosen.explanation
     if how.response is not None:
         scene = scene.decoded_by(how.response)
+    start_shape = None
+    if not scene.normals_known:
+        with trace.stage("shape by matt shading"):
+            start_shape = first_shape(scene)
+        for said in start_shape.undetermined:
+            log.warning("normals: %s", said)
     priors = replace(setup.options.priors, material=how.material)
     asked = options.refine_normals == "on"
     setup = replace(
         setup,
         options=replace(setup.options, priors=priors, robust=how.robust),
+        stages=tuple(trace.stages),
         refines=not hindered and (asked or how.free_normals),
         why_normals=hindered or ("asked for" if asked else chosen.why_normals),
     )
-    start_shape = None
-    if not scene.normals_known:
-        start_shape = first_shape(scene)
-        for said in start_shape.undetermined:
-            log.warning("normals: %s", said)
     if how.light == "lamps":
         found = fit_lamps(scene, setup, start_shape, chosen.found)
         if start_shape is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,6 +26,7 @@ from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.scene.scene import Scene
+from pbrfit.steps import step
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,12 @@ class Trace:
     """What a running fit has been doing: its clock and limits, stages, history and progress."""
 
     def __init__(
-        self, options: FitOptions, *, progress: Callable[[Progress], None] | None, began: float
+        self,
+        options: FitOptions,
+        *,
+        progress: Callable[[Progress], None] | None,
+        began: float,
+        stages: Sequence[Stage] = (),
     ) -> None:
         self.options = options
         self._progress, self._began = progress, began
@@ -87,7 +93,7 @@ class Trace:
         """Seconds spent on comparing with the ground truth and in `progress`."""
         self.evaluations = self.iteration = 0
         self.rows: list[HistoryRow] = []
-        self.stages: list[Stage] = []
+        self.stages = list(stages)
         self._late_in = ""
         """The stage in which the time limit was reached."""
 
@@ -114,7 +120,8 @@ class Trace:
     def stage(self, name: str) -> Iterator[list[str]]:
         """Notes the time of a stage of the fit; what is said about it goes into the list."""
         began, notes = self.elapsed, list[str]()
-        yield notes
+        with nullcontext() if self._progress is None else step(name):
+            yield notes
         self.stages.append(Stage(name, self.elapsed - began, "; ".join(notes)))
         if not self._late_in and self.out_of_time():
             self._late_in = name
@@ -160,9 +167,10 @@ class Run(Trace):
         *,
         progress: Callable[[Progress], None] | None,
         began: float,
+        stages: Sequence[Stage] = (),
         shared_state: SharedState | None = None,
     ) -> None:
-        super().__init__(options, progress=progress, began=began)
+        super().__init__(options, progress=progress, began=began, stages=stages)
         self.shared_state = shared_state
         self.scene, self.objective = scene, objective
         self.measured_lighting: Array | None = None

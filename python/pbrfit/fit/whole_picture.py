@@ -52,6 +52,8 @@ class FitSetup:
     """Called as the fit goes on; None = nobody."""
     began: float
     """When the fit began, by `time.perf_counter`."""
+    stages: tuple[Stage, ...] = ()
+    """What has been done since."""
     refines: bool = False
     """Whether normals are refined."""
     why_normals: str = "not asked for"
@@ -105,6 +107,7 @@ class FitSetup:
             self.options,
             progress=self.progress,
             began=self.began,
+            stages=self.stages,
             shared_state=shared_state,
         )
 
@@ -127,7 +130,7 @@ class FitOutput:
     stages: tuple[Stage, ...]
     """How it went."""
     seconds: float
-    """Since it began, without those of the uncertainty and of `progress`."""
+    """Since it began, without those of `progress`."""
     refinement: Refinement
     camera: Camera
     """What was decided about normals, and about the camera."""
@@ -159,12 +162,12 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     """Fit all pixels of a scene at once."""
     found, refinement = fit_pixels(scene, setup, start)
     run, x = found.run, found.x
-    seconds = run.elapsed
     uncertainty = None
     if setup.options.uncertainty:
-        run.discrepancy = run.discrepancy or discrepancy_of(run, run.objective, x)
-        found_spread = spread(run.objective, x, run.discrepancy, run.posterior)
-        uncertainty = uncertainty_of(run, found_spread, run.objective.layout)
+        with run.stage("deviations"):
+            run.discrepancy = run.discrepancy or discrepancy_of(run, run.objective, x)
+            found_spread = spread(run.objective, x, run.discrepancy, run.posterior)
+            uncertainty = uncertainty_of(run, found_spread, run.objective.layout)
     materials, lighting = run.objective.unpack(x)
     return output_of(
         run,
@@ -175,7 +178,6 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         lighting=lighting,
         normals=np.asarray(run.scene.normals, dtype=np.float64),
         uncertainty=uncertainty,
-        seconds=seconds,
         recon_rmse=None if setup.surrounded is None else recon_among(run, x),
     )
 
@@ -190,7 +192,6 @@ def output_of(
     lighting: Array,
     normals: Array,
     uncertainty: Uncertainty | None,
-    seconds: float,
     recon_rmse: float | None,
 ) -> FitOutput:
     """What a run found, with these arrays of the whole picture."""
@@ -212,7 +213,7 @@ def output_of(
         evaluations=run.evaluations,
         iterations=run.iteration,
         stages=tuple(run.stages),
-        seconds=seconds,
+        seconds=run.elapsed,
         refinement=refinement,
         camera=run.camera,
         exposures=run.objective.exposures,
@@ -281,9 +282,8 @@ def _with_scale(found: refined_fit.PixelFit, options: FitOptions) -> refined_fit
             x, run.scale = scale.refer(run.objective, x, prior, options.white)
             run.record(x, run.evaluate(x)[0])
     elif run.scale is None and options.uncertainty:
-        began = run.elapsed
-        run.scale = scale.judge(run.objective, x, prior, run.picture_effect)
-        run.unmeasured += run.elapsed - began
+        with run.stage("scale"):
+            run.scale = scale.judge(run.objective, x, prior, run.picture_effect)
     return replace(found, x=x)
 
 

@@ -21,9 +21,11 @@ from pbrfit.commands.messages import OPTIONS, complain, in_flags
 from pbrfit.commands.scene_display import Row, batch_table
 from pbrfit.commands.terminal import CUBE, held_out_lines, verdict_lines
 from pbrfit.fit.decompose import decompose
+from pbrfit.fit.run import Progress
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import LEVELS, MARKS, Level, Verdict
+from pbrfit.steps import step
 from pbrfit.synthetic import make_scene
 from scene_files import write_folder
 
@@ -235,28 +237,62 @@ def test_a_scene_says_how_its_left_out_pictures_are_explained(
 def test_progress_in_a_pipe_is_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    now = 0.0
-    monkeypatch.setattr("time.monotonic", lambda: now)
-    bar = progress.progress_bar(40, quiet=False, unit="scene", name="scenes")
-    bar.update()
+    lines, now = progress._Lines(), progress.LINE_EVERY - 0.1
+    began = lines._told
+    monkeypatch.setattr("time.monotonic", lambda: began + now)
+    lines.write("\rscenes: 0/40")
     assert capsys.readouterr().err == ""  # what is quick needs no words
     now = progress.LINE_EVERY
-    bar.set_postfix_str("2 at work")
-    bar.update()
-    said = "pbrfit: scenes:   2% 1/40 [00:05<03:15,  5.00s/scene, 2 at work]\n"
-    assert capsys.readouterr().err == said
-    now = 1.9 * progress.LINE_EVERY
-    bar.update()
-    assert capsys.readouterr().err == ""
-    now = 7300.0
-    with bar.external_write_mode():
-        bar.update(37)
-    said = "pbrfit: scenes: 100% 40/40 [2:01:40<00:00, 182.50s/scene, 2 at work]\n"
-    assert capsys.readouterr().err == said
-    with progress.progress_bar(500, quiet=False, name="kitchen") as bar:
+    for written in ("\rscenes: 1/40", "\rscenes: 2/40", "\r   \r"):
+        lines.write(written)
+    assert capsys.readouterr().err == "pbrfit: scenes: 1/40\n"
+    with progress.progress_bar(40, quiet=False, unit="scene", name="scenes") as bar:
+        bar.update(20)
         now += progress.LINE_EVERY
-        bar.update(3)  # at most 500; how many it takes nobody knows
-        assert capsys.readouterr().err == "pbrfit: kitchen: 3it [00:05,  1.67s/it]\n"
+        with bar.external_write_mode():
+            bar.set_postfix_str("2 at work")
+    said = capsys.readouterr().err
+    assert said.startswith("pbrfit: scenes:  50% 20/40 [")
+    assert said.endswith("2 at work]\n")
+
+
+def steps_of_a_fit(now: list[float]) -> None:
+    """A long step that says how far it is, and a short one."""
+    state: Any = None
+    at = Progress(1, 9, 1, 0.0123, 1.0, state)
+    with progress.fit_steps(quiet=False) as show:
+        assert show is not None
+        with step("lamps"):
+            now[0] += 6.0
+            show(replace(at, tiles=(1, 4)))
+            now[0] += 6.0
+        show(at)  # between two steps
+        with step("writing"):
+            now[0] += 1.0
+
+
+def test_steps_of_a_fit_are_told_as_they_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    for clock in ("monotonic", "perf_counter"):
+        monkeypatch.setattr(f"time.{clock}", lambda: now[0])
+    terminal, pipe = Stream(terminal=True), Stream(terminal=False)
+    for stream in (terminal, pipe):
+        monkeypatch.setattr("sys.stderr", stream)
+        steps_of_a_fit(now)
+        with step("nobody listens"):
+            pass
+    shown = terminal.getvalue().replace(progress.CLEAR, "").replace("\r", "\n").splitlines()
+    assert shown == [
+        "… lamps",
+        "… lamps: tile 1 of 4, residual 0.012",
+        "✓ lamps                         12.0 s",
+        "… writing",
+        "✓ writing                        1.0 s",
+    ]
+    assert pipe.getvalue().splitlines() == [
+        "pbrfit: lamps: tile 1 of 4, residual 0.012",
+        "pbrfit: lamps: done in 12.0 s",
+    ]
 
 
 def test_a_terminal_has_a_bar_and_quiet_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

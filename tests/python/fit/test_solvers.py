@@ -39,7 +39,8 @@ def rms(scene: Scene) -> float:
 
 
 def names_of(result: Result) -> list[str]:
-    return [stage.name for stage in result.stages]
+    around = ("alignment", "comparison of explanations", "scale", "deviations")
+    return [stage.name for stage in result.stages if stage.name not in around]
 
 
 def notes_of(result: Result) -> str:
@@ -172,7 +173,7 @@ def test_what_ran_is_told(solver: Solver, tmp_path: Path) -> None:
     }
     assert names_of(result) == expected[solver]
     assert all(stage.seconds >= 0 for stage in result.stages)
-    assert sum(stage.seconds for stage in result.stages) <= result.seconds
+    assert 0.8 * result.seconds <= sum(stage.seconds for stage in result.stages) <= result.seconds
     result.save(tmp_path / "out")
     content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
     assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]

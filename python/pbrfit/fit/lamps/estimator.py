@@ -219,7 +219,9 @@ class LampFit:
     ) -> None:
         self.scene, self.setup, self.options = scene, setup, setup.options
         self.begin, self.rounds = begin, rounds
-        self.trace = Trace(setup.options, progress=setup.progress, began=setup.began)
+        self.trace = Trace(
+            setup.options, progress=setup.progress, began=setup.began, stages=setup.stages
+        )
         assert setup.options.model is not None
         self.model = setup.options.model
         self.start = start
@@ -656,7 +658,7 @@ class LampFit:
 
     def _output(self, fit: JointLamps, bands: list[surfaces.Band]) -> FitOutput:
         scene, trace = self.scene, self.trace
-        seconds, scale = trace.elapsed, fit.pixels.scale
+        scale = fit.pixels.scale
 
         def whole(name: str) -> Array:
             return _map(np.concatenate([getattr(one.state, name) for one in bands]), scene.valid)
@@ -668,7 +670,7 @@ class LampFit:
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * scale)
         errors = {} if scene.truth is None else material_errors(maps, scene.truth.materials)
         row = HistoryRow(
-            seconds, trace.iteration, trace.evaluations, trace.rows[-1].loss, rmse, **errors
+            trace.elapsed, trace.iteration, trace.evaluations, trace.rows[-1].loss, rmse, **errors
         )
         once = "; pixels that were left were fitted once, under the lamps so far"
         status, reason = trace.ended(
@@ -689,7 +691,7 @@ class LampFit:
             evaluations=trace.evaluations,
             iterations=trace.iteration,
             stages=tuple(trace.stages),
-            seconds=seconds,
+            seconds=trace.elapsed,
             refinement=Refinement(self.options.refine_normals, refined, why),
             camera=Camera(self.fov, "given" if scene.fov_known else "fitted"),
             exposures=None,

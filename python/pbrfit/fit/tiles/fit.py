@@ -82,11 +82,12 @@ def fit_tiles(
     note = f"{len(pieces)} tiles; lights from {few} of {layout.pixels} pixels"
     clock.stages.append(Stage("all pixels in tiles, lights held", clock.elapsed - began, note))
     clock.evaluations += round(passes)
-    seconds, mean = clock.elapsed, loss / weight
+    mean = loss / weight
     rmse = clock.objective.residual_rmse(mean)
     truth = scene.truth
     errors = {} if truth is None else material_errors(maps.materials, truth.materials)
-    clock.rows.append(HistoryRow(seconds, clock.iteration, clock.evaluations, mean, rmse, **errors))
+    elapsed, passes_done = clock.elapsed, clock.evaluations
+    clock.rows.append(HistoryRow(elapsed, clock.iteration, passes_done, mean, rmse, **errors))
     return output_of(
         clock,
         setup,
@@ -96,7 +97,6 @@ def fit_tiles(
         lighting=subset.lighting,
         normals=maps.normals,
         uncertainty=None if maps.spread is None else uncertainty_of(clock, maps.spread, layout),
-        seconds=seconds,
         recon_rmse=None if setup.surrounded is None else rmse,
     )
 
