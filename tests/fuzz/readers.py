@@ -25,7 +25,7 @@ from pbrfit.acquire.generators import Request
 from pbrfit.acquire.normals import depth, maps
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import read_prompts
-from pbrfit.io import images
+from pbrfit.io import images, lamp_files
 from pbrfit.io.normal_files import Convention, read_normals
 from pbrfit.io.weight_files import read_weights
 from pbrfit.model import panorama
@@ -70,6 +70,8 @@ _DAMAGE: dict[str, damage.Damage] = {
     ".json": damage.json_text,
     ".toml": damage.text,
     ".csv": damage.text,
+    ".lp": damage.text,
+    ".txt": damage.text,
 }
 
 
@@ -173,6 +175,15 @@ def _scene(folder: Path, file: Path) -> None:
         _check_text(words)
 
 
+def _lamps(_folder: Path, file: Path) -> None:
+    rows, said = lamp_files.read_lamps(file)
+    _check_text(said)
+    assert rows
+    for row in rows:
+        assert np.isfinite(row.place).all()
+        assert row.near or math.isclose(math.hypot(*row.place), 1, abs_tol=1e-6)
+
+
 def _result(folder: Path, file: Path) -> None:
     if file.name == "history.csv":
         _check_history(History.load(file))
@@ -271,6 +282,7 @@ READERS = (
     Reader("exr", 22, seeds.exr, _picture, crafted.exr),
     Reader("maps", 6, seeds.normals, _map, crafted.npy, ".npy", declared.PER_MAP_PIXEL),
     Reader("scene", 12, seeds.scene_folder, _scene),
+    Reader("lamps", 6, seeds.lamps, _lamps),
     Reader("result", 12, seeds.result_folder, _result),
     Reader("prompts", 4, seeds.prompts, _prompts),
     Reader("journal", 6, seeds.journal, _journal, crafted.journal, ".png"),

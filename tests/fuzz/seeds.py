@@ -277,6 +277,26 @@ def _files(write: Callable[[Path], object]) -> dict[str, bytes]:
         }
 
 
+def lamps() -> Iterator[Seed]:
+    """The same three lamps in every form in which they are read."""
+    places = [(0.1, 0.2, 0.97), (-0.3, 0.1, 0.95), (0.0, -0.4, 0.92)]
+    named = [(f"light_{i}.png", place) for i, place in enumerate(places)]
+    lines = [f"{name} {x} {y} {z}" for name, (x, y, z) in named]
+    table = [f"{name},{x},{y},{z}" for name, (x, y, z) in named]
+    of_json: list[dict[str, Any]] = [
+        {"picture": name, "direction": place, "color": [1.0, 0.9, 0.8]} for name, place in named
+    ]
+    of_json[0] = {"picture": "light_0.png", "position": [0.1, 0.2, 1.5]}
+    texts = {
+        "lights.lp": "3\n" + "\n".join(lines),
+        "lights.csv": "picture,x,y,z\n" + "\n".join(table),
+        "light_directions.txt": "\n".join(f"{x} {y} {z}" for x, y, z in places),
+        "lights.json": json.dumps({"version": 1, "lamps": of_json}),
+    }
+    for target, written in texts.items():
+        yield _single(target, written.encode(), target)
+
+
 def result_folder() -> Iterator[Seed]:
     """A result with uncertainty and refined normals; each file that is read once as the target."""
     from pbrfit import decompose

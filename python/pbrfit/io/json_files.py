@@ -47,7 +47,7 @@ def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
 def number(value: Any, least: float = -math.inf) -> float:
     """Check a finite number, `least` or more."""
     found = float(_a(value, (int, float), "a number"))
-    if not least <= found < math.inf:
+    if not math.isfinite(found) or found < least:
         bound = "" if least == -math.inf else f" from {least:g} on"
         raise ValueError(f"{value} in place of a finite number{bound}")
     return found

@@ -44,7 +44,7 @@ def names_of(result: Result) -> list[str]:
 
 
 def notes_of(result: Result) -> str:
-    return "; ".join(stage.note for stage in result.stages)
+    return "; ".join(stage.note for stage in result.stages if stage.note)
 
 
 # --- Exact ---
