@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from acquire.tiny_maps import save_tiny_marigold_normals, save_tiny_sam2
 from pbrfit._core import InputError
+from pbrfit.acquire.marigold import seen_size
 from pbrfit.acquire.normals import HALF_WEIGHT, estimate
-from pbrfit.acquire.normals.marigold import at_size, seen_size
+from pbrfit.acquire.normals.marigold import at_size
 from pbrfit.acquire.padding import resized
 from pbrfit.acquire.segments import segment
 from pbrfit.cli import main

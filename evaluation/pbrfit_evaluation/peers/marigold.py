@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.acquire import weights
-from pbrfit.acquire.normals.marigold import seen_size
+from pbrfit.acquire.marigold import seen_size
 from pbrfit.acquire.padding import resized, resized_srgb8
 from pbrfit.io.color import decode_srgb
 from pbrfit.model.materials import Materials

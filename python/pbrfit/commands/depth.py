@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.acquire.depth import depth_anything, estimate, marigold
+from pbrfit.acquire.marigold import ENSEMBLE
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
 from pbrfit.commands import network_options as network
@@ -27,7 +28,7 @@ def _unit(text: str) -> float:
 MARIGOLD: network.Flags = {
     **network.SHOWN,
     "ensemble": cli.value(
-        "E", cli.positive, f"predictions that are averaged (default: {marigold.ENSEMBLE})"
+        "E", cli.positive, f"predictions that are averaged (default: {ENSEMBLE})"
     ),
     **network.SAMPLER,
     **network.checkpoint(f"{marigold.MODEL}, or {depth_anything.MODEL}"),
@@ -84,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         space = given.pop("color_space", None)
         shown, _ = shown_to_network(options.scene, given.pop("picture", None), space)
     if kind == "marigold":
-        total = given.get("ensemble", marigold.ENSEMBLE)
+        total = given.get("ensemble", ENSEMBLE)
         with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
             found = estimate(kind, shown, surface, fuse=options.fuse, progress=bar.update, **given)
     else:

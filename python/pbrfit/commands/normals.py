@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.acquire.marigold import ENSEMBLE
 from pbrfit.acquire.normals import HALF_WEIGHT, Normals, estimate, kind_of, marigold
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.commands import arguments as cli
@@ -33,7 +34,7 @@ FLAGS: dict[str, network.Flags] = {
             "E",
             cli.positive,
             "predictions that are averaged; from 3 on, what they differ by gives the weights "
-            f"(default: {marigold.ENSEMBLE})",
+            f"(default: {ENSEMBLE})",
         ),
         **network.SAMPLER,
         **network.checkpoint(marigold.MODEL),
@@ -188,7 +189,7 @@ def _estimated(options: argparse.Namespace) -> tuple[Normals, str]:
     if kind == "marigold":
         space = given.pop("color_space", None)
         srgb8, what = shown_to_network(options.scene, given.pop("picture", None), space)
-        total = given.get("ensemble", marigold.ENSEMBLE)
+        total = given.get("ensemble", ENSEMBLE)
         with cli.progress_bar(total, quiet=options.quiet, unit="prediction") as bar:
             found = estimate(kind, srgb8, fov=0.0, progress=bar.update, **given)
         return found, f"{found.record['model']}, shown {what}"
