@@ -450,6 +450,15 @@ def tiff_pages(path: str | PathLike[str]) -> int: ...
 def decode_icc(
     profile: bytes, levels: int, path: str | PathLike[str]
 ) -> tuple[list[NDArray[np.float32]], list[list[float]] | None]: ...
+def average_light(
+    samples: NDArray[Any],
+    used: Sequence[tuple[int, int]],
+    curves: NDArray[np.float32],
+    codes: tuple[int, int] | None,
+    colors: NDArray[np.uint8],
+    pixels: NDArray[np.float32],
+    limits: NDArray[np.uint8],
+) -> bool: ...
 def write_exr(
     path: str | PathLike[str], channels: Sequence[tuple[str, NDArray[np.float32]]], half: bool
 ) -> None: ...

@@ -25,23 +25,29 @@ def processors() -> int:
 
 
 def in_pieces(threads: int, work: Callable[[T], R], pieces: Sequence[T]) -> list[R]:
+    """What `work` makes of each piece, all of it; as `in_turn`."""
+    return list(in_turn(threads, work, pieces))
+
+
+def in_turn(threads: int, work: Callable[[T], R], pieces: Sequence[T]) -> Iterator[R]:
     """What `work` makes of each piece, in their order; 0 threads = one for each processor.
 
     For work that numpy and the core do with the interpreter unlocked, and that may be done twice:
-    where the system gives no thread, this one does all. An exception, or Ctrl-C, ends it after the
-    pieces that have begun.
+    where the system gives no thread, this one does all. Pieces are begun in their order. An
+    exception, or Ctrl-C, ends it after those that have begun.
     """
     threads = min(threads or processors(), AT_ONCE_MAX, len(pieces))
     if threads < 2:
-        return [work(piece) for piece in pieces]
+        yield from map(work, pieces)
+        return
     executor = ThreadPoolExecutor(threads)
     try:
         try:
             results = executor.map(work, pieces)
         except RuntimeError:  # of `Thread.start`; what `work` raises comes with its result
             executor.shutdown(cancel_futures=True)
-            return [work(piece) for piece in pieces]
-        return list(results)
+            results = map(work, pieces)
+        yield from results
     finally:
         executor.shutdown(cancel_futures=True)
 

@@ -1,13 +1,14 @@
 //! Picture files in and out: the one place that names `exr`, `image`, `png`,
 //! `tiff` and `moxcms`.
 //!
-//! Nothing here converts a colour: samples come out as they are stored, with
-//! what the file says about them beside. Every decoder gets a whole file in
+//! Nothing here decides on a colour: samples come out as they are stored, with
+//! what the file says about them beside, and go through curves that are given. Every decoder gets a whole file in
 //! memory and every encoder makes one, so a half-read or half-written file
 //! cannot be mistaken for a whole one.
 
 mod exr;
 mod icc;
+mod light;
 mod raster;
 
 use std::cell::Cell;
@@ -21,6 +22,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use self::exr::{Exr, ExrChannel, decode_exr, write_exr};
 pub use self::icc::{IccProfile, decode_icc};
+pub use self::light::{Codes, Stored, averaged};
 pub use self::raster::{PngTag, Raster, Samples, count_tiff_pages, decode_raster, encode_png};
 
 use crate::runtime::ending::{self, Unfinished};

@@ -3,16 +3,17 @@
 use std::path::PathBuf;
 
 use numpy::{
-    PyArray1, PyArrayMethods, PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArrayMethods,
+    Element, Ix3, PyArray1, PyArrayMethods, PyReadonlyArray2, PyReadonlyArrayDyn,
+    PyReadwriteArray3, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
 
 use super::InputError;
-use super::arrays::copied;
-use crate::image_file::{self, ExrChannel, Format, PngTag, Samples};
-use crate::runtime::Result;
+use super::arrays::{ANY, Contiguous, array, copied, given, shape};
+use crate::image_file::{self, Codes, ExrChannel, Format, PngTag, Samples, Stored};
+use crate::runtime::{Error, Result};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Raster>()?;
@@ -21,6 +22,7 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(decode_raster, module)?)?;
     module.add_function(wrap_pyfunction!(tiff_pages, module)?)?;
     module.add_function(wrap_pyfunction!(decode_icc, module)?)?;
+    module.add_function(wrap_pyfunction!(average_light, module)?)?;
     module.add_function(wrap_pyfunction!(write_exr, module)?)?;
     module.add_function(wrap_pyfunction!(write_png, module)?)?;
     module.add_function(wrap_pyfunction!(encode_png, module)?)
@@ -117,6 +119,83 @@ fn decode_icc(
         .map(|curve| PyArray1::from_vec(py, curve))
         .collect();
     Ok((curves, icc.to_xyz))
+}
+
+/// Fills linear light (h, w, 3) with the means of `used` rows and columns of samples (H, W, C):
+/// integers through curves (1 or 3, levels), floats as they are. Marks in zeros (h, w, 3) which
+/// colours are limited by integers outside of `codes`; returns whether one is.
+#[pyfunction]
+fn average_light<'py>(
+    samples: &Bound<'py, PyAny>,
+    used: [[usize; 2]; 2],
+    curves: &Bound<'py, PyAny>,
+    codes: Option<[u16; 2]>,
+    colors: [[u8; 3]; 27],
+    pixels: PyReadwriteArray3<'py, f32>,
+    limits: PyReadwriteArray3<'py, u8>,
+) -> PyResult<bool> {
+    let (curves, [count, levels]) = given::<f32, 2>("curves", curves, [ANY, ANY])?;
+    let curve = |c: usize, code: usize| curves[c % count * levels + code];
+    let to = (pixels, limits);
+    match samples.getattr("dtype")?.getattr("itemsize")?.extract()? {
+        1 => {
+            let range = codes.map(|codes| codes.map(|code| code as u8));
+            let codes = range.map(|range| Codes {
+                range,
+                limits: colors,
+            });
+            average(
+                samples,
+                used,
+                |c, code: u8| curve(c, code.into()),
+                codes,
+                to,
+            )
+        }
+        2 => {
+            let codes = codes.map(|range| Codes {
+                range,
+                limits: colors,
+            });
+            average(
+                samples,
+                used,
+                |c, code: u16| curve(c, code.into()),
+                codes,
+                to,
+            )
+        }
+        _ => average(samples, used, |_, light: f32| light, None, to),
+    }
+}
+
+fn average<'py, T: Element + Copy + PartialOrd + Sync>(
+    samples: &Bound<'py, PyAny>,
+    used: [[usize; 2]; 2],
+    value: impl Fn(usize, T) -> f32 + Send,
+    codes: Option<Codes<T>>,
+    (mut pixels, mut limits): (PyReadwriteArray3<'py, f32>, PyReadwriteArray3<'py, u8>),
+) -> PyResult<bool> {
+    let given = array::<T, Ix3>("samples", samples)?;
+    let (&[_, width, channels], &[high, wide, 3]) = (given.shape(), pixels.shape()) else {
+        return Err(
+            Error::argument("pixels", "three colours", format!("{:?}", pixels.shape())).into(),
+        );
+    };
+    shape("limits", &[high, wide, 3], limits.shape())?;
+    // Read where they are: the decoder made them for this alone, and a copy takes a tenth as long.
+    let held = Contiguous::try_of("samples", &given)?;
+    let stored = Stored {
+        samples: held.values(),
+        shape: [width, channels],
+        used: used.map(|[start, end]| start..end),
+    };
+    let strided = |_| Error::argument("pixels", "numbers in one piece", "steps between them");
+    let pixels = pixels.as_slice_mut().map_err(strided)?;
+    let limits = limits.as_slice_mut().map_err(strided)?;
+    let work =
+        || image_file::averaged(&stored, [high, wide], value, codes.as_ref(), pixels, limits);
+    Ok(samples.py().detach(work)?)
 }
 
 /// One part, ZIP, Rec.709; all of the file or none of it.

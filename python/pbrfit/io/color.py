@@ -13,7 +13,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pbrfit._core import InputError
+from pbrfit._core import InputError, average_light
+from pbrfit.io.limits import Limits, of_colors
 
 ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
 """How stored values are to be read.
@@ -132,24 +133,40 @@ class Conversion:
 
     def __call__(self, samples: NDArray[Any]) -> NDArray[np.float32]:
         """Samples (H, W, 3), uint8, uint16 or floating, as linear Rec.709 float32, a new array."""
+        pixels = np.empty(samples.shape, np.float32)
+        self.average(samples, (slice(None), slice(None)), pixels, np.zeros(pixels.shape, np.uint8))
+        return pixels
+
+    def average(
+        self,
+        samples: NDArray[Any],
+        used: tuple[slice, slice],
+        pixels: NDArray[np.float32],
+        limits: Limits,
+        codes: tuple[int, int] | None = None,
+    ) -> bool:
+        """Fill `pixels` (height, width, 3) with linear Rec.709 of samples (H, W, 1 to 4).
+
+        Rows and columns that are `used` are averaged, alpha is left out. Integers below and above
+        `codes` are at a limit: `limits`, zeros of that shape, become as by `limits.averaged`.
+        Returns whether one is. Both arrays have to lie in one piece.
+        """
+        curves = np.empty((1, 1), np.float32)
         if samples.dtype.kind == "u":
-            table = self._sampled(int(np.iinfo(samples.dtype).max) + 1)
-            linear = np.empty(samples.shape, dtype=np.float32)
-            # Row by row: an index is widened to 8 bytes a sample on the way.
-            for row, out in zip(samples, linear, strict=True):
-                for k, curve in enumerate(table):  # one is of every channel, three of one each
-                    of_curve = np.s_[:, k :: len(table)]
-                    out[of_curve] = np.take(curve, row[of_curve], mode="clip")
+            curves = self._sampled(int(np.iinfo(samples.dtype).max) + 1)
         else:
             assert not isinstance(self.curve, np.ndarray), "curves are sampled for integers"
-            linear = np.array(_decoded(samples, self.curve), dtype=np.float32, order="C")
-        if self.matrix is None:
-            return linear
-        # Plane by plane: the same bits whichever linear algebra library numpy is linked with.
-        red, green, blue = (linear[..., k].copy() for k in range(3))
-        for k, row in enumerate(self.matrix.astype(np.float32)):
-            linear[..., k] = row[0] * red + row[1] * green + row[2] * blue
-        return linear
+            samples = _decoded(samples, self.curve).astype(np.float32, copy=False)
+        within = zip(used, samples.shape[:2], strict=True)
+        ranges = [part.indices(length)[:2] for part, length in within]
+        colors = of_colors(self.matrix)
+        some = average_light(samples, ranges, curves, codes, colors, pixels, limits)
+        if self.matrix is not None:
+            # Plane by plane: the same bits whichever linear algebra library numpy is linked with.
+            red, green, blue = (pixels[..., k].copy() for k in range(3))
+            for k, row in enumerate(self.matrix.astype(np.float32)):
+                pixels[..., k] = row[0] * red + row[1] * green + row[2] * blue
+        return some
 
     def slopes(self, linear: NDArray[np.floating[Any]], levels: int) -> NDArray[np.float32]:
         """Radiance a code, of `levels`, before the matrix, at linear Rec.709 (..., 3)."""

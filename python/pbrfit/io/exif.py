@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.quoting import shown
+
+_ALONE = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -37,14 +42,13 @@ def read(exif: bytes | None, orientation: int) -> Exif:
     from PIL.ExifTags import Base as Tag
 
     tags = Image.Exif()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about damaged EXIF
-        try:
+    try:
+        with without_warnings():  # about damaged EXIF
             tags.load(exif)
             more = tags.get_ifd(IFD.Exif)
             index = str(tags.get_ifd(IFD.Interop).get(1, ""))
-        except Exception:  # whatever a damaged block leads to
-            return unknown
+    except Exception:  # whatever a damaged block leads to
+        return unknown
 
     def number(tag: int) -> float | None:
         try:
@@ -69,6 +73,27 @@ def read(exif: bytes | None, orientation: int) -> Exif:
     if stated == 2 or (color_space and index.startswith("R03")):
         color_space = "adobe-rgb"
     return Exif(equivalent, color_space, {what: said for what, said in settings.items() if said})
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Ignore warnings, in one thread at a time: Python keeps what it ignores for all of them."""
+    with _ALONE, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def as_stored(
+    size: tuple[int, ...], orientation: int, used: tuple[slice, slice]
+) -> tuple[slice, slice]:
+    """Rows and columns of samples of a size (H, W) that are those `used` once they are `turned`."""
+
+    def part(places: NDArray[np.intp]) -> slice:
+        seen = turned(np.broadcast_to(places, size), orientation)[used]
+        first, last = sorted((int(seen[0, 0]), int(seen[-1, -1])))
+        return slice(first, last + 1)
+
+    return part(np.arange(size[0])[:, None]), part(np.arange(size[1]))
 
 
 def turned(samples: NDArray[Any], orientation: int) -> NDArray[Any]:

@@ -33,14 +33,15 @@ is rounded to 0, or lost with the resolution of chroma. Other rounding errors ar
 from __future__ import annotations
 
 import io
-import warnings
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.io.color import Conversion
+from pbrfit.io.exif import without_warnings
 from pbrfit.io.resampling import area_shares
 
 Array = NDArray[np.float64]
@@ -134,17 +135,16 @@ def read_tables(data: bytes, channels: int) -> Tables | None:
     """The tables of a JPEG file; None if its components are not of 1 or 3 `channels`."""
     from PIL import Image  # here: it takes longer to import than most of this package
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about damage, which the decoder judges
-        try:
+    try:
+        with without_warnings():  # about damage, which the decoder judges
             picture: Any = Image.open(io.BytesIO(data), formats=("JPEG",))
-            _, across, down, tables = zip(*picture.layer, strict=True)
-            steps = np.array([picture.quantization[one] for one in tables], dtype=np.float64)
-            factors = np.stack([down, across], axis=1)
-            sampling, rest = np.divmod(factors.max(axis=0), factors)
-            plain = picture.info.get("adobe_transform", 1) == 0
-        except Exception:  # whatever a damaged header leads to
-            return None
+        _, across, down, tables = zip(*picture.layer, strict=True)
+        steps = np.array([picture.quantization[one] for one in tables], dtype=np.float64)
+        factors = np.stack([down, across], axis=1)
+        sampling, rest = np.divmod(factors.max(axis=0), factors)
+        plain = picture.info.get("adobe_transform", 1) == 0
+    except Exception:  # whatever a damaged header leads to
+        return None
     if len(steps) != channels or rest.any() or sampling.min() < 1 or steps.min() <= 0:
         return None
     to_rgb = np.ones((3, 1)) if channels == 1 else np.eye(3) if plain else YCC_TO_RGB
@@ -168,7 +168,9 @@ def jpeg_variance(
         kept.append([kept_variance(length, small, one) for one in times])
     sampled = codes[np.ix_(*places)]
     if len(tables.steps) == 3:
-        sampled = np.einsum("hwc,kc->hwk", sampled, np.linalg.inv(tables.to_rgb))
+        red, green, blue = (sampled[..., k].astype(np.float64) for k in range(3))
+        rows = np.linalg.inv(tables.to_rgb)
+        sampled = np.stack([r * red + g * green + b * blue for r, g, b in rows], axis=-1)
     found = np.zeros((3, 3))
     for c, of in enumerate(zip(tables.steps, tables.sampling, *kept, strict=True)):
         found += np.multiply.outer(np.square(tables.to_rgb[:, c]), _errors(sampled[..., c], *of))
@@ -209,6 +211,7 @@ def _errors(
     return np.asarray(found.sum(axis=(1, 2)))
 
 
+@cache
 def kept_variance(length: int, small: int, times: int = 1) -> Array:
     """(8,): the variance of samples by one of 1 of each frequency's coefficients along a side.
 

@@ -12,8 +12,7 @@ import logging
 import operator
 import os
 import re
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -26,10 +25,11 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
+from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
-from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits, converted, of_codes
+from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
 from pbrfit.io.quoting import shown
 
 logger = logging.getLogger("pbrfit")
@@ -69,12 +69,13 @@ class Picture:
     pixels: NDArray[np.float32]
     """(H, W, 3), linear Rec.709 with D65, float32."""
     alpha: NDArray[np.float32] | None
-    """(H, W), coverage in [0, 1], float32, or None. Colours are as stored, whatever it is."""
+    """(H, W), coverage in [0, 1], float32, not averaged, or None. Colours are as stored, whatever
+    it is."""
     limits: Limits | None
     """(H, W, 3), uint8: `AT_LEAST` or `AT_MOST` where `pixels` bound the radiance, as a code is
     outside the code range, or an EXR file's layer says so; 0 elsewhere. None = nowhere."""
     negative: NDArray[np.bool_]
-    """(H, W), bool: some channel is below 0 in the file's own primaries."""
+    """(H, W), bool, not averaged: some channel is below 0 in the file's own primaries."""
     color: str
     """One sentence on how the colour was decided."""
     taken: exif.Exif
@@ -87,6 +88,27 @@ class Picture:
     """Whether the caller or the file says which curve decodes the values; else sRGB is assumed."""
     notes: tuple[str, ...] = ()
     """What of the file was left out or undone, in words."""
+    warnings: tuple[str, ...] = ()
+    """What of the file is to be warned of."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the pixels of a picture are put, and which: they are averaged to its arrays' size."""
+
+    used: tuple[slice, slice]
+    """Rows and columns of the upright picture."""
+    pixels: NDArray[np.float32]
+    """(height, width, 3), in one piece, to be filled."""
+    limits: Limits
+    """Zeros of that shape."""
+
+    @classmethod
+    def new(cls, size: tuple[int, ...]) -> Place:
+        """Of a whole picture of a size (H, W), as large as it is."""
+        shape = (*size, 3)
+        every = (slice(None), slice(None))
+        return cls(every, np.empty(shape, np.float32), np.zeros(shape, np.uint8))
 
 
 @dataclass(frozen=True)
@@ -105,6 +127,7 @@ class _Decoded:
     limits: Limits | None = None
     """(H, W, 3): what the file says of them, beside the range of its codes."""
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 @names_file
@@ -115,6 +138,7 @@ def read_picture(
     code_range: tuple[int, int] | None = None,
     orientation: Orientation = "exif",
     color_matrix: ArrayLike | None = None,
+    place: Callable[[tuple[int, ...]], Place] | None = None,
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
@@ -130,8 +154,9 @@ def read_picture(
 
     `code_range` is the lowest and the highest code of 255 that is data; others are marked in
     `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
-    maximum. Raises InputError if the content or an argument cannot be used; OSError if the file
-    cannot be read.
+    maximum. `place` tells from its size (H, W) where it is put, and which part; without that
+    `warnings` are logged. Raises InputError if the content or an argument cannot be used; OSError
+    if the file cannot be read.
     """
     asked = None if code_range is None else checked_codes(code_range)
     if orientation not in get_args(Orientation):
@@ -158,39 +183,56 @@ def read_picture(
         before = np.eye(3) if convert.matrix is None else convert.matrix
         convert = Conversion(convert.curve, np.asarray(color_matrix, np.float64) @ before)
 
-    samples = exif.turned(found.samples, found.turn)
-    colors, alpha = samples, None
-    if samples.shape[2] in (2, 4):
-        colors, alpha = samples[..., :-1], samples[..., -1]
-        if not alpha.any():
+    samples, turn = found.samples, found.turn
+    seen = exif.turned(samples, turn)
+    to = (place or Place.new)(seen.shape[:2])
+    colors, alpha = seen[to.used], None
+    if seen.shape[2] in (2, 4):
+        colors, alpha = colors[..., :-1], colors[..., -1]
+        if not seen[..., -1].any():
             alpha = None
             notes = (*notes, "alpha is 0 in all pixels and ignored")
-    stored, limits, maximum = None, found.limits, 1
+    stored, codes, maximum = None, None, 1
+    negative: NDArray[np.bool_] = np.broadcast_to(False, colors.shape[:2])
     if samples.dtype.kind == "u":
         maximum = int(np.iinfo(samples.dtype).max)
-        low, high = 1, maximum - 1
+        codes = (1, maximum - 1)
         if asked is not None or form == "JPEG":
-            low, high = (maximum // 255 * code for code in asked or CODE_RANGE)
-        ends = of_codes(colors, low, high)
-        if ends is not None:  # where a value is at its end, that is nearer the truth
-            limits = ends if limits is None else np.where(ends != 0, ends, limits)
-        plain = found.samples[..., : colors.shape[2]]
+            low, high = asked or CODE_RANGE
+            codes = (maximum // 255 * low, maximum // 255 * high)
+        plain = samples[..., : colors.shape[2]]
         tables = read_tables(data, plain.shape[2]) if form == "JPEG" else None
-        stored = Stored(plain, found.turn >= 5, convert, form, tables)
-    pixels = convert(np.broadcast_to(colors, (*colors.shape[:2], 3)))
-    if limits is not None:
-        limits = converted(np.broadcast_to(limits, pixels.shape), convert.matrix)
+        stored = Stored(plain, turn >= 5, convert, form, tables)
+    elif colors.min() < 0:
+        negative = np.any(colors < 0, axis=-1)
+    used = exif.as_stored(samples.shape[:2], turn, to.used)
+    if turn == 1:
+        limited = convert.average(samples, used, to.pixels, to.limits, codes)
+    else:
+        lying = Place.new(to.limits.shape[1::-1] if turn >= 5 else to.limits.shape[:2])
+        limited = convert.average(samples, used, lying.pixels, lying.limits, codes)
+        to.pixels[:], to.limits[:] = (exif.turned(a, turn) for a in (lying.pixels, lying.limits))
+    if (told := found.limits) is not None:
+        if codes is not None:  # where a value is at its end, that is nearer the truth
+            ends = Place.new(told.shape[:2])
+            Conversion("linear").average(samples, ends.used, ends.pixels, ends.limits, codes)
+            told = np.where(ends.limits != 0, ends.limits, told)
+        to.limits[:] = file_limits.averaged(told[to.used], to.limits.shape[:2], convert.matrix)
+        limited = True
+    for warning in () if place else found.warnings:
+        logger.warning(warning)
     return Picture(
-        pixels=pixels,
+        pixels=to.pixels,
         alpha=None if alpha is None else np.divide(alpha, maximum, dtype=np.float32),
-        limits=limits,
-        negative=np.any(colors < 0, axis=-1),
+        limits=to.limits if limited else None,
+        negative=negative,
         color=found.color if chosen is None else f"{color_space} (as asked for)",
         taken=found.taken,
         sha256=hashlib.sha256(data).hexdigest(),
         stored=stored,
         curve_told=found.curve_told or chosen is not None,
         notes=notes,
+        warnings=found.warnings,
     )
 
 
@@ -282,8 +324,7 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
         return exif.turned(raster.samples, turn)
     expected = "expected an array of real numbers in .npy"
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about headers of long ago
+        with exif.without_warnings():  # about headers of long ago
             # Mapped: it runs no code of the file, and takes no memory for more than that holds.
             array = open_memmap(path, mode="r")
     except (OSError, MemoryError):
@@ -381,6 +422,7 @@ def _of_raster(
     samples, turn = raster.samples, raster.orientation if orientation == "exif" else 1
     taken = exif.read(data if raster.format == "TIFF" else raster.exif, raster.orientation)
     convert, color, told = Conversion("linear"), f"linear Rec.709 (float {raster.format})", True
+    doubts: list[str] = []
     notes = [] if page is None else [f"pages of {shown(path.parent.name)}"]
     if raster.passed_over:
         notes.append(f"smaller pages not read ({raster.passed_over} of each file)")
@@ -394,19 +436,23 @@ def _of_raster(
         if convert.matrix is not None:
             color = "linear, converted from the HDR's primaries"
     elif samples.dtype.kind == "u" and decide:
-        convert, color, told = _integer_color(path, raster, taken)
+        convert, color, told = _integer_color(path, raster, taken, doubts)
         unnamed = f"{color}, sha256 {hashlib.sha256(raster.icc_profile or b'').hexdigest()[:8]}"
         profile = coding.nearest_name(convert, samples.dtype) or unnamed
         taken = replace(taken, settings={**taken.settings, "colour profile": profile})
     elif decide and raster.icc_profile is not None:
-        logger.warning("%s: its ICC profile is ignored because it is a float file", path)
-    return _Decoded(samples, convert, color, taken, told, turn, notes=tuple(notes))
+        doubts.append(f"{path}: its ICC profile is ignored because it is a float file")
+    said, doubted = tuple(notes), tuple(doubts)
+    return _Decoded(samples, convert, color, taken, told, turn, notes=said, warnings=doubted)
 
 
 def _integer_color(
-    path: Path, raster: _core.Raster, taken: exif.Exif
+    path: Path, raster: _core.Raster, taken: exif.Exif, doubts: list[str]
 ) -> tuple[Conversion, str, bool]:
-    """Conversion of an integer file, a sentence on it, and whether the file tells its curve."""
+    """Conversion of an integer file, a sentence on it, and whether the file tells its curve.
+
+    Warnings are added to `doubts`.
+    """
     bits = 8 * raster.samples.dtype.itemsize
     form = f"{bits}-bit {raster.format}"
     if raster.icc_profile is not None:
@@ -417,7 +463,7 @@ def _integer_color(
                 " picture to sRGB or give its colour space"
             )
         return coding.from_icc(curves, to_xyz), f"ICC profile of the {form}", True
-    convert, chunks = _png_color(path, raster)
+    convert, chunks = _png_color(path, raster, doubts)
     if convert.curve != "srgb" or convert.matrix is not None:
         return convert, f"{chunks} of the {form}", True
     if taken.color_space == "adobe-rgb":
@@ -426,7 +472,7 @@ def _integer_color(
     return convert, f"sRGB ({form} without a profile{uncalibrated})", False
 
 
-def _png_color(path: Path, raster: _core.Raster) -> tuple[Conversion, str]:
+def _png_color(path: Path, raster: _core.Raster, doubts: list[str]) -> tuple[Conversion, str]:
     """Conversion by a PNG's chunks cICP, gAMA and cHRM, and their names; sRGB without."""
     if raster.code_points is not None:
         coded, transfer = raster.code_points
@@ -434,7 +480,7 @@ def _png_color(path: Path, raster: _core.Raster) -> tuple[Conversion, str]:
         if primaries and curve:
             return _stated(path, curve, primaries), "cICP chunk"
         chunk = f"cICP chunk (primaries {coded}, transfer {transfer})"
-        logger.warning("%s: read as sRGB; its %s is ignored", path, chunk)
+        doubts.append(f"{path}: read as sRGB; its {chunk} is ignored")
         return Conversion("srgb"), ""
     primaries = _primaries(raster.chromaticities)
     plain = coding.near_rec709(primaries)

@@ -7,12 +7,10 @@ the value of that code. Where both meet in one number, the bound from above is t
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io import resampling
+from pbrfit import _core
 
 ORDINARY, AT_LEAST, AT_MOST = 0, 1, 2
 """What a sample says of the true radiance: what it is; at least so much; at most so much."""
@@ -23,18 +21,13 @@ _NO_PART = 1e-3
 """Share of a file's channel in a converted one up to which it has no part: rounding of profiles."""
 
 
-def of_codes(codes: NDArray[Any], low: int, high: int) -> Limits | None:
-    """Limits of integers (H, W, C) of which `low` to `high` are data; None where all are."""
-    above, below = codes > high, codes < low
-    if not (above.any() or below.any()):
-        return None
-    limits = np.zeros(codes.shape, dtype=np.uint8)
-    limits[below], limits[above] = AT_MOST, AT_LEAST
-    return limits
+def of_colors(matrix: NDArray[np.float64] | None) -> Limits:
+    """(27, 3): `converted` limits of red, green and blue, at 9 red + 3 green + blue."""
+    return converted(np.indices((3, 3, 3), dtype=np.uint8).reshape(3, 27).T, matrix)
 
 
 def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
-    """Limits (H, W, 3) of the colours that a matrix makes, from those of its channels.
+    """Limits (..., 3) of the colours that a matrix makes, from those of its channels.
 
     Of a channel that is clipped from above, or several, the radiance exceeds the stored one by an
     unknown amount, taken as the same in all of them: the sum of their coefficients tells the side.
@@ -51,13 +44,18 @@ def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
     return found
 
 
-def averaged(limits: Limits, size: tuple[int, int]) -> Limits:
-    """Limits (height, width, 3) of means over the area that falls on each pixel.
+def averaged(
+    limits: Limits, size: tuple[int, int], matrix: NDArray[np.float64] | None = None
+) -> Limits:
+    """Limits (height, width, 3), `converted`, of means over the area that falls on each pixel.
 
     A mean that has a part in a sample of "at least" is at least what it is, whatever else it has a
     part in; else it is "at most" if it has a part in one of those.
     """
-    found = np.zeros((*size, limits.shape[-1]), dtype=np.uint8)
-    for limit in (AT_MOST, AT_LEAST):
-        found[resampling.averaged_channels(limits == limit, size) > 0] = limit
+    codes = np.array([1, 2, 0], np.uint8)[limits]  # below 1 is "at most", above it "at least"
+    every = [(0, length) for length in limits.shape[:2]]
+    no_curve, colors = np.zeros((1, 256), np.float32), of_colors(matrix)
+    found = np.zeros((*size, 3), np.uint8)
+    light = np.empty(found.shape, np.float32)
+    _core.average_light(codes, every, no_curve, (1, 1), colors, light, found)
     return found

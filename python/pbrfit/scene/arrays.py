@@ -238,7 +238,10 @@ class SceneArrays:
                 raise InputError(f"lamps: expected Lamps, found {of_what(self.lamps)}")
             self.lamps.check_pictures(n)
         given: Any = self.normals
-        normals = unit_normals(_facing((height, width), n) if given is None else given, valid)
+        if given is None:
+            normals = np.where(valid[..., None], _facing((height, width), n), np.nan)
+        else:
+            normals = unit_normals(given, valid)
         normals_known = bool(self.normals_known and given is not None)
         depth, of_depth = checked_depth(self.depth, normals, fov, normals_known=normals_known)
         if of_depth:
@@ -291,10 +294,14 @@ class SceneArrays:
 
         They are in the mask, and some sample of theirs has weight and is at no limit.
         """
-        found = np.zeros((self.height, self.width), bool)
-        for i in range(len(self.images)):
-            weights = self.channel_weights(i)
-            found |= True if weights is None else (weights > 0).any(axis=-1)
+        found = np.ones((self.height, self.width), bool)
+        if self.weights is not None:
+            found[:] = False
+            for i in range(len(self.images)):
+                weights = self.channel_weights(i)
+                found |= weights is not None and (weights > 0).any(axis=-1)
+        elif self.limits is not None:
+            found.ravel()[all_at_limits(self.limits)] = False
         return found if self.mask is None else found & self.mask
 
     @lazy
@@ -529,11 +536,23 @@ def _limits(limits: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     given = any_array("limits", limits)
     if given.shape != shape:
         raise InputError(f"limits: expected shape {shape}, found {given.shape}")
-    if given.dtype.kind not in "buif" or not np.isin(given, (0, AT_LEAST, AT_MOST)).all():
+    known = given.dtype == np.uint8 and given.max() <= max(AT_LEAST, AT_MOST)
+    if not known and (
+        given.dtype.kind not in "buif" or not np.isin(given, (0, AT_LEAST, AT_MOST)).all()
+    ):
         raise InputError(f"limits: expected 0, {AT_LEAST} or {AT_MOST}, found others")
     found: NDArray[np.uint8] = given.astype(np.uint8, copy=False)
     # Of zeros one is kept: not None, which would have plateaus sought.
     return found if found.any() else np.broadcast_to(np.uint8(0), shape)
+
+
+def all_at_limits(limits: NDArray[np.uint8]) -> NDArray[np.intp]:
+    """Pixels, row by row, whose samples of all pictures (N, H, W, 3) are at a limit."""
+    first, *others = (of.reshape(-1, 3) for of in limits)
+    left = np.flatnonzero((first[:, 0] != 0) & (first[:, 1] != 0) & (first[:, 2] != 0))
+    for of in others:  # axes of three are slow to go along: only where it is still open
+        left = left[of[left].all(axis=-1)]
+    return left
 
 
 def _counted(
@@ -545,7 +564,7 @@ def _counted(
     return None if mask is None else [every_channel(mask)] * pictures
 
 
-def _counted_limits(limits: NDArray[np.uint8], counted: Counted) -> Iterator[NDArray[np.uint8]]:
+def counted_limits(limits: NDArray[np.uint8], counted: Counted) -> Iterator[NDArray[np.uint8]]:
     """Those of each picture's values that are counted."""
     for i, of_picture in enumerate(limits):
         yield of_picture.ravel() if counted is None else of_picture[counted[i]]
@@ -554,7 +573,7 @@ def _counted_limits(limits: NDArray[np.uint8], counted: Counted) -> Iterator[NDA
 def _check_some_are_ordinary(
     limits: NDArray[np.uint8], counted: Counted, names: tuple[str, ...]
 ) -> None:
-    for name, of_picture in zip(names, _counted_limits(limits, counted), strict=True):
+    for name, of_picture in zip(names, counted_limits(limits, counted), strict=True):
         if of_picture.all():
             raise InputError(
                 f"limits: expected some sample at no limit in every picture, found none in {name}"
@@ -564,7 +583,7 @@ def _check_some_are_ordinary(
 def limits_in_words(limits: NDArray[np.uint8], counted: Counted) -> str:
     """Which share of the values of counted samples is bounded."""
     total, bounded = 0, np.zeros(2)
-    for of_picture in _counted_limits(limits, counted):
+    for of_picture in counted_limits(limits, counted):
         total += of_picture.size
         bounded += [np.count_nonzero(of_picture == limit) for limit in (AT_LEAST, AT_MOST)]
     shares = [
@@ -579,10 +598,12 @@ def _negative_in_words(images: NDArray[np.floating[Any]], counted: Counted) -> s
     """Which share of the values of counted samples is below 0; empty where none is."""
     below, total, lowest = 0, 0, 0.0
     for i, image in enumerate(images):
+        total += image.size if counted is None else int(np.count_nonzero(counted[i]))
+        if image.min() >= 0:  # not so if one is NaN
+            continue
         negative = image < 0
         if counted is not None:
             negative &= counted[i]
-        total += image.size if counted is None else int(np.count_nonzero(counted[i]))
         if negative.any():
             below += int(np.count_nonzero(negative))
             lowest = min(lowest, float(image[negative].min()))
@@ -634,6 +655,8 @@ def _check_finite(
     weights: NDArray[np.float32] | None,
 ) -> None:
     for i, (name, image) in enumerate(zip(names, images, strict=True)):
+        if np.isfinite([image.min(), image.max()]).all():  # NaN goes through both
+            continue
         bad = ~np.isfinite(image)
         if mask is not None:
             bad &= mask[..., None]

@@ -103,11 +103,11 @@ class ReadOptions:
         given = {name: value for name, value in vars(self).items() if value is not None}
         return replace(settings, **given)
 
-    def picture(self, path: Path) -> images.Picture:
-        """Read a whole picture; raises InputError or OSError as `images.read_picture`."""
+    def picture(self, path: Path, **placed: Any) -> images.Picture:
+        """Read a picture; as `images.read_picture`, and raises InputError or OSError as that."""
         turned = self.orientation or "exif"
         how = (self.color_space, self.layer, self.code_range, turned, self.color_matrix)
-        return images.read_picture(path, *how)
+        return images.read_picture(path, *how, **placed)
 
     def window(self, size: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns that are used of pictures of a size (height, width).

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +19,7 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io import limits as file_limits
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
+from pbrfit.io.exif import Exif
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
@@ -37,7 +39,9 @@ from pbrfit.scene.arrays import (
     SHAPE_PICTURES_MIN,
     SceneArrays,
     Truth,
+    all_at_limits,
     check_not_negative,
+    counted_limits,
     every_channel,
     limits_in_words,
     unit_normals,
@@ -56,6 +60,7 @@ from pbrfit.scene.folder import (
 )
 from pbrfit.scene.options import AS_STATED, ReadOptions, Settings, Source
 from pbrfit.scene.plateaus import plateaus
+from pbrfit.threads import in_turn
 
 log = logging.getLogger("pbrfit")
 
@@ -70,6 +75,9 @@ HOW_TO_GET_NORMALS = (
 PERSPECTIVE_OFF = 1.0
 """Degrees between the optical axis and the middle of what is cropped from which on a warning is
 due: about what good normals are off by."""
+
+EVERY_ROW = 16
+"""Rows from one to the next of those by which pictures are told apart first."""
 
 LONGEST_NAME = 250
 """Bytes of a picture's name without its suffix; file systems take 255 with it."""
@@ -330,6 +338,20 @@ def read_pictures(
     return read, fov, said
 
 
+@dataclass(frozen=True, eq=False)
+class _Said:
+    """What a picture tells beside its samples."""
+
+    opaque: NDArray[np.bool_] | None
+    """(H, W) of what is used, at the files' size: where its alpha is half or more; None = all."""
+    topics: dict[str, tuple[str, ...]]
+    """Sentences by topic."""
+    taken: Exif
+    curve_told: bool
+    sha256: str
+    warnings: tuple[str, ...]
+
+
 class Pictures:
     """All pictures of a scene, which are put in one by one."""
 
@@ -364,31 +386,30 @@ class Pictures:
         self.shared: dict[str, dict[str, list[str]]] = {}
         """Names of files by camera, exposure and the like, and by the value of each."""
 
-    def put(self, i: int, picture: images.Picture) -> None:
-        """Put in a whole picture; InputError if it has another size than the others."""
-        notes, path = self._notes, self._notes.files.pictures[i]
-        if picture.pixels.shape[:2] != notes.size:
-            (height, width), found = notes.size, picture.pixels.shape
+    def place(self, i: int, found: tuple[int, ...]) -> images.Place:
+        """Where a picture of a size is put; InputError if the others have another size."""
+        paths, (height, width) = self._notes.files.pictures, self._notes.size
+        if found != (height, width):
             raise InputError(
-                f"{path}: expected the size of {notes.files.pictures[0].name}, "
+                f"{paths[i]}: expected the size of {paths[0].name}, "
                 f"{width} × {height} pixels, found {found[1]} × {found[0]}"
                 + "; option orientation as-stored turns none"
-                * (found[:2] == (width, height))
+                * (found == (width, height))
             )
-        pixels, size = picture.pixels[self._window], self.size
-        whole = size == pixels.shape[:2]
-        self.pixels[i] = pixels if whole else averaged_channels(pixels, size)
+        return images.Place(self._window, self.pixels[i], self.limits[i])
+
+    def put(self, i: int, picture: images.Picture) -> _Said:
+        """Put in what comes with the samples of a picture; others may be put in meanwhile."""
+        notes, size = self._notes, self.size
         is_float = picture.stored is None
         if is_float and not np.isfinite(self.pixels[i]).all():
             self.bad[i] = bad = ~np.isfinite(self.pixels[i])
             self.pixels[i][bad] = 0
-        if picture.limits is not None:
-            limits = picture.limits[self._window]
-            self.limits[i] = limits if whole else file_limits.averaged(limits, size)
         stored = picture.stored
         sharp = stored is not None and stored.tables is None and notes.how.code_range is None
         self.searched[i] = sharp or (is_float and picture.limits is None)
-        self.said |= is_float and picture.limits is not None
+        if is_float and picture.limits is not None:
+            self.said = True
         if stored is not None:
             # Of the whole picture, averaged as much: blocks of JPEG begin at its corner.
             height, width = (
@@ -396,24 +417,40 @@ class Pictures:
                 for of, to, used in zip(notes.size, size, self.mask.shape, strict=True)
             )
             self.noise[i] = stored.noise((height, width))
-        if picture.alpha is not None and notes.how.alpha != "ignore":
-            self.mask &= picture.alpha[self._window] >= 0.5
-        self.focal_length = self.focal_length or picture.taken.focal_length_35mm
-        self.curve_told |= picture.curve_told
+        alpha = None if notes.how.alpha == "ignore" else picture.alpha
         forms = () if stored is None else (stored.in_words(),)
-        topics = {"color": (picture.color,), "encoding": forms, "remarks": picture.notes}
-        for topic, said in topics.items():
-            for one in said:
+        return _Said(
+            opaque=None if alpha is None else alpha >= np.float32(0.5),
+            topics={"color": (picture.color,), "encoding": forms, "remarks": picture.notes},
+            taken=picture.taken,
+            curve_told=picture.curve_told,
+            sha256=picture.sha256,
+            warnings=picture.warnings,
+        )
+
+    def note(self, path: Path, said: _Said) -> None:
+        """Note what the picture of a file tells; in the order of the files."""
+        for warning in said.warnings:
+            log.warning(warning)
+        if said.opaque is not None:
+            self.mask &= said.opaque
+        self.focal_length = self.focal_length or said.taken.focal_length_35mm
+        self.curve_told |= said.curve_told
+        for topic, sentences in said.topics.items():
+            for one in sentences:
                 self.told[topic].setdefault(one, []).append(path.name)
-        for what, value in picture.taken.settings.items():
+        for what, value in said.taken.settings.items():
             self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
-        notes.inputs[notes.files.relative(path)] = picture.sha256
+        self._notes.inputs[self._notes.files.relative(path)] = said.sha256
 
     def different(self, notes: _Notes) -> list[int]:
         """The first of each group of pictures that are equal, to the bit; others are told."""
+        some = [sha256(of[::EVERY_ROW].tobytes()).digest() for of in self.pixels]
         groups: dict[bytes, list[int]] = {}
-        for i, pixels in enumerate(self.pixels):
-            groups.setdefault(hashlib.sha256(pixels).digest(), []).append(i)
+        for i, key in enumerate(some):
+            alike = some.count(key) > 1
+            key = sha256(self.pixels[i].data).digest() if alike else key
+            groups.setdefault(key, []).append(i)
         equal = [[notes.files.pictures[i].name for i in of] for of in groups.values() if of[1:]]
         if equal and len(groups) == 1:
             expected = "expected pictures under different lights"
@@ -426,23 +463,37 @@ class Pictures:
 
 
 def _read_pictures(notes: _Notes) -> Pictures:
+    """Read pictures on all processors; errors and warnings are those of one after the other."""
     how, paths = notes.how, notes.files.pictures
-    read: Pictures | None = None
-    for i, path in enumerate(paths):
-        picture = how.picture(path)
-        if read is None:
-            notes.size = picture.pixels.shape[0], picture.pixels.shape[1]
-            read = Pictures(notes)
-        read.put(i, picture)
-    assert read is not None
+    begun: Future[Pictures] = Future()
+
+    def place(i: int, size: tuple[int, ...]) -> images.Place:
+        if i == 0 and not begun.done():
+            notes.size = size[0], size[1]
+            begun.set_result(Pictures(notes))
+        return begun.result().place(i, size)  # waits for the first picture's size
+
+    def put(i: int) -> _Said:
+        try:
+            picture = how.picture(paths[i], place=partial(place, i))
+        except BaseException as error:
+            if i == 0 and not begun.done():
+                begun.set_exception(error)
+            raise
+        return begun.result().put(i, picture)
+
+    for path, said in zip(paths, in_turn(0, put, range(len(paths))), strict=True):
+        begun.result().note(path, said)
+    read = begun.result()
     for color, names_of in read.told["color"].items():
         alone = len(read.told["color"]) == 1
         notes.assumed["color" if alone else f"color of {', '.join(names_of)}"] = color
     if forms := read.told["encoding"]:
         notes.assumed["encoding"] = _in_words(forms)
     if remarks := read.told["remarks"]:
-        said = (f"{remark}: {listed(names)}" for remark, names in remarks.items())
-        notes.assumed["pictures"] = "; ".join(said)
+        notes.assumed["pictures"] = "; ".join(
+            f"{remark}: {listed(names)}" for remark, names in remarks.items()
+        )
     _compare_settings(read.shared, notes)
     if how.color_matrix is not None:
         rows = "; ".join(" ".join(map("{:.3f}".format, row)) for row in how.color_matrix)
@@ -538,16 +589,21 @@ def _limits(
 
     With `for_good` they are sought here in any case, as the pictures are still to be changed.
     """
-    everywhere = every_channel(mask)
-    counted = [everywhere if bad is None else everywhere & ~bad for bad in read.bad]
-    for path, limits in zip(notes.files.pictures, read.limits, strict=True):
-        if limits[mask].all():
+    everywhere, counted = every_channel(mask), None
+    if any(bad is not None for bad in read.bad) or not mask.all():
+        counted = [everywhere if bad is None else everywhere & ~bad for bad in read.bad]
+    in_mask = None if mask.all() else [everywhere] * len(read.limits)
+    bounds = False
+    for path, limits in zip(
+        notes.files.pictures, counted_limits(read.limits, in_mask), strict=True
+    ):
+        bounds |= bool(limits.any())
+        if limits.all():
             low, high = notes.how.code_range or images.CODE_RANGE
             raise InputError(
                 f"{path}: expected some pixel of the mask with codes from {low} to {high} of 255, "
                 "found all clipped or dark; code_range=(0, 255) keeps them"
             )
-    bounds = any(limits[mask].any() for limits in read.limits)
     integers = [noise is not None for noise in read.noise]
     if bounds or for_good or any(np.logical_and(read.searched, integers)):
         found = plateaus(read.pixels, counted, read.searched)
@@ -560,9 +616,8 @@ def _limits(
         told = read.said or for_good
         return np.broadcast_to(np.uint8(0), read.limits.shape) if told else None
     said = limits_in_words(read.limits, counted)
-    bounded = np.logical_and.reduce([limits.all(axis=-1) for limits in read.limits]) & mask
-    if bounded.any():
-        said += f"; pixels left with none: {np.count_nonzero(bounded)}"
+    if bounded := np.count_nonzero(mask.ravel()[all_at_limits(read.limits)]):
+        said += f"; pixels left with none: {bounded}"
     notes.assumed["exposure"] = said
     return read.limits
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import logging
@@ -24,6 +25,7 @@ from PIL import Image, ImageCms, ImageOps
 from pbrfit._core import InputError
 from pbrfit.io import color, images
 from pbrfit.io.limits import AT_LEAST, AT_MOST
+from pbrfit.io.resampling import averaged_channels
 
 DATA = Path(os.environ.get("PBRFIT_DATA", Path(__file__).parents[3] / "../shared/data"))
 RNG = np.random.default_rng(0)
@@ -240,6 +242,46 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
         assert seen.pixels.shape == expected.shape
         assert seen.pixels.flags.c_contiguous
         assert seen.limits is None or seen.limits.shape == expected.shape
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["RGB", "RGBA", "L", "16-bit", "float"])
+@pytest.mark.parametrize("space", ["srgb", "display-p3"])
+def test_a_part_averaged_while_it_is_read_is_the_mean_of_what_is_read_whole(
+    tmp_path: Path, space: Any, kind: str, orientation: int
+) -> None:
+    codes = np.random.default_rng(orientation).integers(0, 256, (23, 31, 4), np.uint8)
+    codes[:8, :9] //= 4  # means without a limit
+    codes[:8, :9] += 60
+    codes[12:14, 12], codes[14, 8:12] = 0, 255
+    path, tag = tmp_path / "a.tif", [(274, "H", 1, orientation, True)]
+    samples: Any = {
+        "16-bit": codes[..., :3] * np.uint16(257),
+        "float": codes[..., :3] / np.float32(255) - np.float32(0.1),
+        "RGB": codes[..., :3],
+        "RGBA": codes,
+        "L": codes[..., 0],
+    }[kind]
+    photometric = "rgb" if samples.ndim == 3 else "minisblack"
+    tifffile.imwrite(path, samples, photometric=photometric, extratags=tag)
+    whole = images.read_picture(path, space)
+    used = np.s_[2:19, 1:22]
+    place = dataclasses.replace(images.Place.new((6, 8)), used=used)
+    found = images.read_picture(path, space, place=lambda _: place)
+    means = averaged_channels(whole.pixels[used], (6, 8))
+    np.testing.assert_allclose(place.pixels, means, rtol=3e-7, atol=3e-7)
+    assert found.pixels is place.pixels
+    assert (found.limits is None) == (whole.limits is None) == (kind == "float")
+    if whole.limits is not None:
+        expected = np.zeros((6, 8, 3))
+        for limit in (AT_MOST, AT_LEAST):  # the latter counts where both have a part
+            expected[averaged_channels(whole.limits[used] == limit, (6, 8)) > 0] = limit
+        np.testing.assert_array_equal(found.limits, expected)
+        assert 0 < np.count_nonzero(expected) < expected.size
+    if kind == "RGBA":
+        assert found.alpha is not None
+        assert whole.alpha is not None
+        np.testing.assert_array_equal(found.alpha, whole.alpha[used])
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])

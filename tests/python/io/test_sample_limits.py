@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from pbrfit.io import color
-from pbrfit.io.limits import AT_LEAST, AT_MOST, averaged, converted, of_codes
+from pbrfit.io import color, images
+from pbrfit.io.limits import AT_LEAST, AT_MOST, averaged, converted
 
 
 def test_codes_at_both_ends_of_the_range_are_data() -> None:
     codes = np.array([[[3, 4, 5], [9, 10, 11]]], dtype=np.uint8)
-    found = of_codes(codes, 4, 10)
-    assert found is not None
-    assert found.tolist() == [[[AT_MOST, 0, 0], [0, 0, AT_LEAST]]]
-    assert of_codes(codes, 3, 11) is None
+    place = images.Place.new((1, 2))
+    read = partial(color.Conversion("linear").average, codes, place.used, place.pixels)
+    assert not read(place.limits, (3, 11))
+    assert read(place.limits, (4, 10))
+    assert place.limits.tolist() == [[[AT_MOST, 0, 0], [0, 0, AT_LEAST]]]
 
 
 # Display P3 to Rec.709: rows (1.22, −0.22, 0), (−0.04, 1.04, 0), (−0.02, −0.08, 1.10).

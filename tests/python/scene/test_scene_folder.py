@@ -8,15 +8,17 @@ import logging
 import os
 import shutil
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
-from pbrfit import InputError, Scene, Truth
+from pbrfit import InputError, Scene, Truth, threads
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images, normal_files
 from pbrfit.model.lighting import Lighting
@@ -200,6 +202,39 @@ def test_a_picture_taken_otherwise_than_the_others_is_named(
         assert Scene.load(folder).assumed.get("set") == said
     assert len(caplog.records) == (warned is not None)
     assert warned is None or warned in caplog.text
+
+
+def test_pictures_read_at_once_are_as_read_one_by_one(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Bits, warnings and errors, although the last picture is ready first."""
+    paths = [folder / "images" / f"{name}.tif" for name in room().names]
+    for path, image in zip(paths, room().images, strict=True):
+        profile = [(34675, "B", 4, b"none", True)]
+        tifffile.imwrite(path, image, photometric="rgb", extratags=profile)
+        path.with_suffix(".exr").unlink()
+    read = images.read_picture
+
+    def later(path: Path, *options: Any, **placed: Any) -> images.Picture:
+        time.sleep(0.05 * (len(paths) - paths.index(path)))
+        return read(path, *options, **placed)
+
+    monkeypatch.setattr(images, "read_picture", later)
+    found = []
+    for count in (1, 4):
+        monkeypatch.setattr(threads, "processors", lambda count=count: count)
+        caplog.clear()
+        found.append((Scene.load(folder, max_size=12), caplog.messages))
+    (one, said), (four, also_said) = found
+    np.testing.assert_array_equal(one.images, four.images)
+    assert said == also_said
+    assert [path.name in line for path, line in zip(paths, said, strict=True)] == [True] * 3
+    for path in paths[1:]:
+        path.write_bytes(b"damaged")
+    for count in (1, 4):
+        monkeypatch.setattr(threads, "processors", lambda count=count: count)
+        with pytest.raises(InputError, match=r"light_01\.tif"):
+            Scene.load(folder)
 
 
 def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
