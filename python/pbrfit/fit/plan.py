@@ -72,7 +72,8 @@ def left_out(
         bounded = "" if scene.limits is None else " or at limits"
         yield f"{without} pixels of weight 0{bounded} in all pictures"
     if scene.limits is not None:
-        values = sum(int(np.count_nonzero(of[scene.valid])) for of in scene.limits)
+        counted = ... if scene.all_valid else scene.valid
+        values = sum(int(np.count_nonzero(of[counted])) for of in scene.limits)
         yield f"{values} values at a limit"
     if scene.weights is not None:
         single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))

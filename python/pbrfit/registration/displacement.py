@@ -134,7 +134,7 @@ class Level:
         middle = self._inner(self._places)
         y, x = from_middle(middle, size)
         self._ones_y_x = np.stack([np.ones(len(y)), y, x])
-        normals = np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0)
+        normals = np.nan_to_num(np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0))
         self._harmonics = _harmonics(normals).astype(np.float32)
         cut = [self._cut(i, None) for i in range(pictures.count)]
         self._values = np.stack([values for values, _ in cut])
@@ -325,12 +325,15 @@ class Greys:
         used = np.isfinite(grey)
         if scene.mask is not None:
             used &= scene.mask
-        weights = scene.channel_weights(i)
-        if weights is not None:
-            used &= (weights > 0).all(axis=-1)
+        for c in range(3):  # one after the other: an axis of three is slow to go along
+            if scene.weights is not None:
+                used &= scene.weights[i, ..., c] > 0
+            if scene.limits is not None:
+                used &= scene.limits[i, ..., c] == 0
         return np.where(used, grey, np.float32(0)), used
 
-    def normals(self, size: tuple[int, int]) -> Array:
-        """(h, w, 3); 0 where there are none."""
-        normals = np.nan_to_num(self._scene.normals)
-        return normals if size == self.shape else averaged_channels(normals, size)
+    def normals(self, size: tuple[int, int]) -> NDArray[np.floating[Any]]:
+        """(h, w, 3); NaN or 0 where there are none."""
+        if size == self.shape:
+            return self._scene.normals
+        return averaged_channels(np.nan_to_num(self._scene.normals), size)

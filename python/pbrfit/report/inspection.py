@@ -130,7 +130,10 @@ def _lamps(scene: Scene) -> str:
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout, reason = ParameterLayout.of(scene), hindrance(scene)
-    radiance = np.stack([scene.samples(i) for i in range(len(scene.images))])
+    samples = map(scene.samples, range(len(scene.images)))
+    means, lows, highs = zip(
+        *((s.mean(dtype=float), s.min(), s.max()) for s in samples), strict=True
+    )
     away = "unknown: no normals are given"
     if scene.normals_known:
         facing = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
@@ -142,8 +145,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("", f"{scene.names[0]} ... {scene.names[-1]}"),
         (
             "radiance",
-            f"mean {radiance.mean(dtype=np.float64):.4g}, from {radiance.min():.4g} "
-            f"to {radiance.max():.4g}",
+            f"mean {np.mean(means):.4g}, from {min(lows):.4g} to {max(highs):.4g}",
         ),
         ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
         ("facing away", away),
