@@ -19,7 +19,6 @@ from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io import limits as file_limits
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
-from pbrfit.io.exif import Exif
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
@@ -338,20 +337,6 @@ def read_pictures(
     return read, fov, said
 
 
-@dataclass(frozen=True, eq=False)
-class _Said:
-    """What a picture tells beside its samples."""
-
-    opaque: NDArray[np.bool_] | None
-    """(H, W) of what is used, at the files' size: where its alpha is half or more; None = all."""
-    topics: dict[str, tuple[str, ...]]
-    """Sentences by topic."""
-    taken: Exif
-    curve_told: bool
-    sha256: str
-    warnings: tuple[str, ...]
-
-
 class Pictures:
     """All pictures of a scene, which are put in one by one."""
 
@@ -398,7 +383,7 @@ class Pictures:
             )
         return images.Place(self._window, self.pixels[i], self.limits[i])
 
-    def put(self, i: int, picture: images.Picture) -> _Said:
+    def put(self, i: int, picture: images.Picture) -> None:
         """Put in what comes with the samples of a picture; others may be put in meanwhile."""
         notes, size = self._notes, self.size
         is_float = picture.stored is None
@@ -417,31 +402,23 @@ class Pictures:
                 for of, to, used in zip(notes.size, size, self.mask.shape, strict=True)
             )
             self.noise[i] = stored.noise((height, width))
-        alpha = None if notes.how.alpha == "ignore" else picture.alpha
-        forms = () if stored is None else (stored.in_words(),)
-        return _Said(
-            opaque=None if alpha is None else alpha >= np.float32(0.5),
-            topics={"color": (picture.color,), "encoding": forms, "remarks": picture.notes},
-            taken=picture.taken,
-            curve_told=picture.curve_told,
-            sha256=picture.sha256,
-            warnings=picture.warnings,
-        )
 
-    def note(self, path: Path, said: _Said) -> None:
-        """Note what the picture of a file tells; in the order of the files."""
-        for warning in said.warnings:
+    def note(self, path: Path, picture: images.Picture) -> None:
+        """Note what the picture of a file tells beside its samples; in the order of the files."""
+        for warning in picture.warnings:
             log.warning(warning)
-        if said.opaque is not None:
-            self.mask &= said.opaque
-        self.focal_length = self.focal_length or said.taken.focal_length_35mm
-        self.curve_told |= said.curve_told
-        for topic, sentences in said.topics.items():
-            for one in sentences:
+        if picture.alpha is not None and self._notes.how.alpha != "ignore":
+            self.mask &= picture.alpha >= 0.5
+        self.focal_length = self.focal_length or picture.taken.focal_length_35mm
+        self.curve_told |= picture.curve_told
+        forms = () if picture.stored is None else (picture.stored.in_words(),)
+        topics = {"color": (picture.color,), "encoding": forms, "remarks": picture.notes}
+        for topic, said in topics.items():
+            for one in said:
                 self.told[topic].setdefault(one, []).append(path.name)
-        for what, value in said.taken.settings.items():
+        for what, value in picture.taken.settings.items():
             self.shared.setdefault(what, {}).setdefault(value, []).append(path.name)
-        self._notes.inputs[self._notes.files.relative(path)] = said.sha256
+        self._notes.inputs[self._notes.files.relative(path)] = picture.sha256
 
     def different(self, notes: _Notes) -> list[int]:
         """The first of each group of pictures that are equal, to the bit; others are told."""
@@ -473,17 +450,18 @@ def _read_pictures(notes: _Notes) -> Pictures:
             begun.set_result(Pictures(notes))
         return begun.result().place(i, size)  # waits for the first picture's size
 
-    def put(i: int) -> _Said:
+    def put(i: int) -> images.Picture:
         try:
             picture = how.picture(paths[i], place=partial(place, i))
         except BaseException as error:
             if i == 0 and not begun.done():
                 begun.set_exception(error)
             raise
-        return begun.result().put(i, picture)
+        begun.result().put(i, picture)
+        return picture
 
-    for path, said in zip(paths, in_turn(0, put, range(len(paths))), strict=True):
-        begun.result().note(path, said)
+    for path, picture in zip(paths, in_turn(0, put, range(len(paths))), strict=True):
+        begun.result().note(path, picture)
     read = begun.result()
     for color, names_of in read.told["color"].items():
         alone = len(read.told["color"]) == 1
@@ -589,13 +567,11 @@ def _limits(
 
     With `for_good` they are sought here in any case, as the pictures are still to be changed.
     """
-    everywhere, counted = every_channel(mask), None
+    everywhere, counted, bounds = every_channel(mask), None, False
     if any(bad is not None for bad in read.bad) or not mask.all():
         counted = [everywhere if bad is None else everywhere & ~bad for bad in read.bad]
-    in_mask = None if mask.all() else [everywhere] * len(read.limits)
-    bounds = False
     for path, limits in zip(
-        notes.files.pictures, counted_limits(read.limits, in_mask), strict=True
+        notes.files.pictures, counted_limits(read.limits, counted), strict=True
     ):
         bounds |= bool(limits.any())
         if limits.all():
