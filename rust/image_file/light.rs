@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use crate::lamps::samples::{AT_LEAST, AT_MOST};
 use crate::runtime::Result;
+use crate::runtime::check::{AT_LEAST, AT_MOST};
 use crate::runtime::memory::zeros;
 
 /// Samples (H, W, C) as a file stores them, and the rows and columns of them that are used.
@@ -16,18 +16,12 @@ pub struct Stored<'a, T> {
     pub used: [Range<usize>; 2],
 }
 
-/// Which samples are data, and what the others say of the colours that are made of them.
-pub struct Codes<T> {
-    /// The lowest and the highest that are data.
-    pub range: [T; 2],
-    /// Limits of the colours by those of the channels, at 9 red + 3 green + blue.
-    pub limits: [[u8; 3]; 27],
-}
-
 /// Averages light over the area that falls on each of `pixels`, (height, width, 3); `value` is that
 /// of a sample of a channel, and grey is that of all three. Parts of old pixels count by their area.
-/// Means that have a part in a sample at a limit are marked in `limits`, zeros (height, width, 3),
-/// as `AT_LEAST` before `AT_MOST`; returns whether one was.
+///
+/// Samples below and above the `data` are at a limit; `bounds` has the limits of colours by those of
+/// the channels, at 9 red + 3 green + blue. Means that have a part in one are marked in `limits`,
+/// zeros (height, width, 3), as `AT_LEAST` before `AT_MOST`; returns whether one was.
 ///
 /// # Errors
 /// [`crate::Error::Memory`].
@@ -35,7 +29,7 @@ pub fn averaged<T: Copy + PartialOrd>(
     stored: &Stored<'_, T>,
     [height, width]: [usize; 2],
     value: impl Fn(usize, T) -> f32,
-    codes: Option<&Codes<T>>,
+    (data, bounds): (Option<[T; 2]>, &[[u8; 3]; 27]),
     pixels: &mut [f32],
     limits: &mut [u8],
 ) -> Result<bool> {
@@ -69,8 +63,7 @@ pub fn averaged<T: Copy + PartialOrd>(
                 let sums = mean.iter_mut().zip(&line);
                 sums.for_each(|(sum, &light)| *sum += share * f64::from(light));
             }
-            let Some(codes) = codes else { continue };
-            let [low, high] = &codes.range;
+            let Some([low, high]) = &data else { continue };
             let limit = |sample: &T| match sample {
                 above if above > high => AT_LEAST,
                 below if below < low => AT_MOST,
@@ -81,7 +74,7 @@ pub fn averaged<T: Copy + PartialOrd>(
             }
             for (x, pixel) in samples.chunks_exact(channels).enumerate() {
                 let of = [0, 1, 2].map(|c| usize::from(limit(&pixel[c.min(colors - 1)])));
-                let found = codes.limits[9 * of[0] + 3 * of[1] + of[2]];
+                let found = bounds[9 * of[0] + 3 * of[1] + of[2]];
                 if found == [0; 3] {
                     continue;
                 }

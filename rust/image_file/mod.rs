@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use self::exr::{Exr, ExrChannel, decode_exr, write_exr};
 pub use self::icc::{IccProfile, decode_icc};
-pub use self::light::{Codes, Stored, averaged};
+pub use self::light::{Stored, averaged};
 pub use self::raster::{PngTag, Raster, Samples, count_tiff_pages, decode_raster, encode_png};
 
 use crate::runtime::ending::{self, Unfinished};

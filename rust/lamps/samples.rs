@@ -24,6 +24,7 @@ use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::tangent_offset::OFFSETS;
+pub use crate::runtime::check::{AT_LEAST, AT_MOST};
 use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 
 /// Unknowns of a pixel: albedos, roughness, metallic, tangent offsets.
@@ -31,11 +32,6 @@ pub(super) const UNKNOWNS: usize = 7;
 pub(super) const ROUGHNESS: usize = 3;
 pub(super) const METALLIC: usize = 4;
 pub(super) const OFFSET: usize = 5;
-
-/// A sample says that radiance is at least this.
-pub const AT_LEAST: u8 = 1;
-/// A sample says that radiance is at most this.
-pub const AT_MOST: u8 = 2;
 
 /// Where a pixel is.
 #[derive(Clone, Copy, Debug)]

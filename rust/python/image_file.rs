@@ -12,7 +12,7 @@ use pyo3::types::{PyBytes, PyDict};
 
 use super::InputError;
 use super::arrays::{ANY, Contiguous, array, copied, given, shape};
-use crate::image_file::{self, Codes, ExrChannel, Format, PngTag, Samples, Stored};
+use crate::image_file::{self, ExrChannel, Format, PngTag, Samples, Stored};
 use crate::runtime::{Error, Result};
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -139,33 +139,15 @@ fn average_light<'py>(
     let to = (pixels, limits);
     match samples.getattr("dtype")?.getattr("itemsize")?.extract()? {
         1 => {
-            let range = codes.map(|codes| codes.map(|code| code as u8));
-            let codes = range.map(|range| Codes {
-                range,
-                limits: colors,
-            });
-            average(
-                samples,
-                used,
-                |c, code: u8| curve(c, code.into()),
-                codes,
-                to,
-            )
+            let data = codes.map(|codes| codes.map(|code| code as u8));
+            let light = |c, code: u8| curve(c, code.into());
+            average(samples, used, light, (data, &colors), to)
         }
         2 => {
-            let codes = codes.map(|range| Codes {
-                range,
-                limits: colors,
-            });
-            average(
-                samples,
-                used,
-                |c, code: u16| curve(c, code.into()),
-                codes,
-                to,
-            )
+            let light = |c, code: u16| curve(c, code.into());
+            average(samples, used, light, (codes, &colors), to)
         }
-        _ => average(samples, used, |_, light: f32| light, None, to),
+        _ => average(samples, used, |_, light: f32| light, (None, &colors), to),
     }
 }
 
@@ -173,7 +155,7 @@ fn average<'py, T: Element + Copy + PartialOrd + Sync>(
     samples: &Bound<'py, PyAny>,
     used: [[usize; 2]; 2],
     value: impl Fn(usize, T) -> f32 + Send,
-    codes: Option<Codes<T>>,
+    bounds: (Option<[T; 2]>, &[[u8; 3]; 27]),
     (mut pixels, mut limits): (PyReadwriteArray3<'py, f32>, PyReadwriteArray3<'py, u8>),
 ) -> PyResult<bool> {
     let given = array::<T, Ix3>("samples", samples)?;
@@ -193,8 +175,7 @@ fn average<'py, T: Element + Copy + PartialOrd + Sync>(
     let strided = |_| Error::argument("pixels", "numbers in one piece", "steps between them");
     let pixels = pixels.as_slice_mut().map_err(strided)?;
     let limits = limits.as_slice_mut().map_err(strided)?;
-    let work =
-        || image_file::averaged(&stored, [high, wide], value, codes.as_ref(), pixels, limits);
+    let work = || image_file::averaged(&stored, [high, wide], value, bounds, pixels, limits);
     Ok(samples.py().detach(work)?)
 }
 

@@ -7,6 +7,11 @@ use super::{Error, Result};
 /// Samples (pixels times pictures) at most; more are refused.
 pub(crate) const MAX_SAMPLES: usize = 1 << 31;
 
+/// A sample says that radiance is at least this.
+pub const AT_LEAST: u8 = 1;
+/// A sample says that radiance is at most this.
+pub const AT_MOST: u8 = 2;
+
 /// Distance of a unit vector's length from 1 above which it is refused: ones that were normalised
 /// in float32 pass.
 const UNIT_TOLERANCE: f64 = 1e-5;

@@ -238,10 +238,7 @@ def test_exif_orientation_is_applied(tmp_path: Path, orientation: int) -> None:
         found = images.read_data(tmp_path / name) * 255
         assert found.shape == expected.shape
         assert np.abs(found - expected).max() <= 3
-        seen = images.read_picture(tmp_path / name)
-        assert seen.pixels.shape == expected.shape
-        assert seen.pixels.flags.c_contiguous
-        assert seen.limits is None or seen.limits.shape == expected.shape
+        assert images.read_picture(tmp_path / name).pixels.shape == expected.shape
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pbrfit.io import color, images
-from pbrfit.io.limits import AT_LEAST, AT_MOST, averaged, converted
+from pbrfit.io.limits import AT_LEAST, AT_MOST, converted
 
 
 def test_codes_at_both_ends_of_the_range_are_data() -> None:
@@ -41,12 +41,3 @@ def test_limits_of_colours_of_other_primaries(
     matrix = color.to_rec709(color.DISPLAY_P3)
     assert tuple(converted(limits, matrix)[0, 0].tolist()) == expected
     assert converted(limits, None) is limits
-
-
-def test_a_mean_of_clipped_and_dark_is_at_least_what_it_is() -> None:
-    limits = np.zeros((4, 4, 3), dtype=np.uint8)
-    limits[0, 0] = (AT_LEAST, AT_MOST, AT_MOST)
-    limits[1, 1] = (AT_MOST, AT_MOST, AT_LEAST)
-    small = averaged(limits, (2, 2))
-    assert small[0, 0].tolist() == [AT_LEAST, AT_MOST, AT_LEAST]
-    assert np.count_nonzero(small) == 3
