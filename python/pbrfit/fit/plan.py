@@ -73,8 +73,7 @@ def left_out(
         yield f"{without} pixels of weight 0{bounded} in all pictures"
     if scene.limits is not None:
         counted = ... if scene.all_valid else scene.valid
-        values = sum(int(np.count_nonzero(of[counted])) for of in scene.limits)
-        yield f"{values} values at a limit"
+        yield f"{sum(np.count_nonzero(of[counted]) for of in scene.limits)} values at a limit"
     if scene.weights is not None:
         single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
         if single:

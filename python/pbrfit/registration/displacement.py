@@ -319,8 +319,7 @@ class Greys:
         return found
 
     def _full(self, i: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        scene = self._scene
-        image = scene.images[i]
+        scene, image = self._scene, self._scene.images[i]
         grey = (image[..., 0] + image[..., 1] + image[..., 2]).astype(np.float32)
         used = np.isfinite(grey)
         if scene.mask is not None:
@@ -334,6 +333,5 @@ class Greys:
 
     def normals(self, size: tuple[int, int]) -> NDArray[np.floating[Any]]:
         """(h, w, 3); NaN or 0 where there are none."""
-        if size == self.shape:
-            return self._scene.normals
-        return averaged_channels(np.nan_to_num(self._scene.normals), size)
+        normals = self._scene.normals
+        return normals if size == self.shape else averaged_channels(np.nan_to_num(normals), size)

@@ -130,10 +130,8 @@ def _lamps(scene: Scene) -> str:
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout, reason = ParameterLayout.of(scene), hindrance(scene)
-    samples = map(scene.samples, range(len(scene.images)))
-    means, lows, highs = zip(
-        *((s.mean(dtype=float), s.min(), s.max()) for s in samples), strict=True
-    )
+    each = map(scene.samples, range(len(scene.images)))
+    told = np.array([(one.mean(dtype=np.float64), one.min(), one.max()) for one in each])
     away = "unknown: no normals are given"
     if scene.normals_known:
         facing = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
@@ -145,7 +143,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("", f"{scene.names[0]} ... {scene.names[-1]}"),
         (
             "radiance",
-            f"mean {np.mean(means):.4g}, from {min(lows):.4g} to {max(highs):.4g}",
+            f"mean {told[:, 0].mean():.4g}, from {told[:, 1].min():.4g} to {told[:, 2].max():.4g}",
         ),
         ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
         ("facing away", away),
