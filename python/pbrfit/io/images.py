@@ -205,6 +205,8 @@ def read_picture(
         stored = Stored(plain, turn >= 5, convert, form, tables)
     elif colors.min() < 0:
         negative = np.any(colors < 0, axis=-1)
+    if to.pixels.nbytes > samples.nbytes:  # what is smaller is turned
+        samples, turn = np.ascontiguousarray(seen), 1
     used = exif.as_stored(samples.shape[:2], turn, to.used)
     if turn == 1:
         limited = convert.average(samples, used, to.pixels, to.limits, codes)
