@@ -224,7 +224,7 @@ fn take_least<I: Isa, const EXACT: usize>(
             let by_b = I::fma(b, ss, -2.0 * st);
             I::fma(a, by_a, I::fma(b, by_b, tt.0[x]))
         };
-        let [start, found] = [0, 1].map(|i| f64::from(at.found[i].0[x]));
+        let (start, found) = (f64::from(at.found[0].0[x]), f64::from(at.found[1].0[x]));
         let (at_start, mut least) = (value(start), value(found));
         let mut best = if at_start < least { start } else { found };
         least = if at_start < least { at_start } else { least };

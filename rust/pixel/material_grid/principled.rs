@@ -178,7 +178,7 @@ impl<const STEPS: usize, const EXACT: usize> Kernel for Minimize<'_, STEPS, EXAC
                 let form = at.form.at::<f64>(x, 1.0);
                 let mixed = |rho: f64| mixer.mix(rho, &mixer.metal(rho));
                 let value = |rho: f64| form.value(&mixed(rho)[0]);
-                let [start, found] = [0, 1].map(|i| f64::from(found[i].0[x]));
+                let (start, found) = (f64::from(found[0].0[x]), f64::from(found[1].0[x]));
                 let (at_start, mut least) = (value(start), value(found));
                 let mut best = if at_start < least { start } else { found };
                 least = if at_start < least { at_start } else { least };
