@@ -370,8 +370,8 @@ PRIOR_FIT_PIXELS = 16384
 PIXELS_AT_ONCE = 4096
 """Pixels whose likelihoods are held at a time by each processor; changes no result."""
 
-EM_ITERATIONS = 100
-"""Iterations of EM for a distribution."""
+EM_ITERATIONS, EM_PIXELS_AT_ONCE = 100, 512
+"""Iterations of EM for a distribution; pixels whose likelihoods a processor's cache holds."""
 
 SEGMENT_PIXELS_MIN = 16
 """Pixels from which a segment has a distribution of its own; below, it has that of the picture."""

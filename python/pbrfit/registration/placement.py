@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -197,6 +198,11 @@ class _Register:
             )
         )
 
+    @cached_property
+    def _fine(self) -> Level:
+        """At full resolution, where displacements are measured."""
+        return Level(self._pictures, self._pictures.shape, _BLUR)
+
     def _peaks(self) -> dict[int, alignment.Shift]:
         """Of pictures that are shifted far: where their edges agree with those of the others.
 
@@ -258,26 +264,29 @@ class _Register:
         return [j for j in among if j != i and j not in self._reasons]
 
     def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
-        """Pictures that seem out of line, the most evident first."""
-        sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
-        levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
+        """Pictures that seem out of line, the most evident first.
+
+        What few windows show at full resolution, where an edge of one may be all that they hold,
+        more of them have to show, too.
+        """
+        whole = self._pictures.shape
+        sizes = {whole, reduced_size(whole, SCREENING_SIDE)}
+        levels = {size: Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)}
         evident: dict[int, float] = {}
         for i in self._others(-1, self._all):
-            fits = [level.fit(i, self._others(i, self._all)) for level in levels]
-            shares = [
-                max(fit.shift.share, fit.bend.share)
-                for fit in fits
-                if fit is not None and fit.out_of_line
-            ]
-            if i in peaks:
-                shares.append(1.0)
+            others, shares = self._others(i, self._all), [1.0] if i in peaks else []
+            for size, level in levels.items():
+                fit = level.fit(i, others)
+                if fit is not None and fit.out_of_line and size == whole:
+                    fit = self._fine.fit(i, others)
+                if fit is not None and fit.out_of_line:
+                    shares.append(max(fit.shift.share, fit.bend.share))
             if shares:
                 evident[i] = max(shares)
         return sorted(evident, key=lambda i: -evident[i])
 
     def _settle(self, suspects: list[int], peaks: dict[int, alignment.Shift]) -> None:
         """Find the places of the suspects, in rounds."""
-        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
         coarse = [Level(self._pictures, self._small, blur) for blur in _BLURS_COARSE]
         scale = max(self._pictures.shape) / max(self._small)
         placed = set(self._others(-1, self._all)) - set(suspects)

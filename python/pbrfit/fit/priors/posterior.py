@@ -185,24 +185,29 @@ class Distributions:
         """
         from scipy.ndimage import label
 
-        likelihood = found.values
+        likelihood, threads = found.values, grid.objective.threads
         base = np.full(likelihood.shape[1], 1 / likelihood.shape[1], np.float32)
         if pooling is not None:
             base = population(grid.roughness, grid.metallic)
         more = 0.0 if pooling is None else pooling.prior_pixels(len(likelihood))
-        whole = mixture_of(likelihood, base, more)
-        rows = [whole]
-        row = np.zeros(labels.max() + 1, np.intp)
+        whole = mixture_of(likelihood, base, more, threads)
         order = np.argsort(labels, kind="stable")
         segments, starts = np.unique(labels[order], return_index=True)
-        for segment, of_segment in zip(segments, np.split(order, starts[1:]), strict=True):
-            if segment and len(of_segment) >= settings.SEGMENT_PIXELS_MIN:
-                row[segment] = len(rows)
-                own = likelihood[of_segment]
-                more = settings.PICTURE_PSEUDO_PIXELS
-                if pooling is not None:
-                    more = pooling.prior_pixels(len(own))
-                rows.append(mixture_of(own, whole, more))
+        large = [
+            of_segment
+            for segment, of_segment in zip(segments, np.split(order, starts[1:]), strict=True)
+            if segment and len(of_segment) >= settings.SEGMENT_PIXELS_MIN
+        ]
+
+        def of_pixels(pixels: Labels) -> NDArray[np.float32]:
+            more = settings.PICTURE_PSEUDO_PIXELS
+            if pooling is not None:
+                more = pooling.prior_pixels(len(pixels))
+            return mixture_of(likelihood[pixels], whole, more)
+
+        rows = [whole, *in_pieces(threads, of_pixels, large)]
+        row = np.zeros(labels.max() + 1, np.intp)
+        row[[labels[pixels[0]] for pixels in large]] = np.arange(1, len(rows))
         probabilities = np.maximum(np.stack(rows), np.float32(settings.NODE_PROBABILITY_MIN))
         shape = (len(ROUGHNESS_NODES), -1)
         high = probabilities > settings.GROUP_PROBABILITY_SHARE * probabilities.max(
@@ -307,13 +312,22 @@ def _interval(
 
 
 def mixture_of(
-    likelihood: NDArray[np.float32], prior: NDArray[np.float32], prior_pixels: float
+    likelihood: NDArray[np.float32],
+    prior: NDArray[np.float32],
+    prior_pixels: float,
+    threads: int = 1,
 ) -> NDArray[np.float32]:
     """Probabilities of the nodes by EM, where their prior counts for so many pixels more."""
+    # Both products of a step read each part while a processor's cache still holds it.
+    pieces = slices(len(likelihood), settings.EM_PIXELS_AT_ONCE)
+    parts = [np.asfortranarray(likelihood[piece]) for piece in pieces]
     probabilities = prior
+
+    def shares(part: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.reciprocal(part @ probabilities) @ part
+
     for _ in range(settings.EM_ITERATIONS):
-        of_pixels = likelihood @ probabilities
-        probabilities = probabilities * (np.reciprocal(of_pixels) @ likelihood)
+        probabilities = probabilities * np.sum(in_pieces(threads, shares, parts), axis=0)
         probabilities += np.float32(prior_pixels) * prior
         probabilities /= probabilities.sum()
     return probabilities
