@@ -409,7 +409,6 @@ pub fn write_exr(
     let mut bytes = Cursor::new(Vec::new());
     image
         .write()
-        .non_parallel()
         .to_buffered(&mut bytes)
         .map_err(|error| match error {
             ::exr::error::Error::Io(source) => Error::Io {

@@ -136,8 +136,9 @@ impl<const C: usize, const U: usize> Arrowhead<C, U> {
         for f in 0..Self::SHARED {
             pivot[C + f] = pivot[C + f].max(least[f]);
             inverse[f] = 1.0 / pivot[C + f];
-            let column = dense.map(|row| row[f]);
+            let mut column = [0.0; MAX_SHARED];
             for h in f + 1..Self::SHARED {
+                column[h] = dense[h][f];
                 let of_column = column[h] * inverse[f];
                 pivot[C + h] -= of_column * column[h];
                 for g in f + 1..h {

@@ -68,15 +68,11 @@ def albedo_solved_for(objective: Objective, x: Array) -> tuple[Array, Array]:
 def known_materials(objective: Objective, x: Array) -> Array:
     """(N, light channels K, light channels K): information on the lights if materials are known."""
     layout = objective.layout
-    for_core = objective.for_core(x)
     channels, k = layout.light_channels, layout.coefficients
+    grams, _ = objective.problem.light_equations(x[layout.maps])
     found = np.zeros((layout.pictures, channels, k, channels, k))
-    _, by_light, weights = objective.problem.derivatives(for_core, objective.everything)
-    for c in range(layout.channels):
-        w = by_light[:, c]
-        products = (w[:, :, None] * w[:, None, :]).reshape(len(w), -1)
-        grams = weights[:, :, c].T @ products
-        found[:, c % channels, :, c % channels] += grams.reshape(-1, k, k)
+    for c, gram in enumerate(grams):
+        found[:, c % channels, :, c % channels] += gram
     return found.reshape(layout.pictures, channels * k, channels * k)
 
 

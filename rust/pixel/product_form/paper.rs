@@ -71,7 +71,7 @@ impl<const S: bool, const C: usize, const U: usize> FillSums<'_, S, C, U> {
                 h[l] = at(&functions[l]);
                 slope[l] = at(&functions[BANDS + l]);
             }
-            let [schlick, g, g_slope] = [0, 1, 2].map(|i| at(&shared[i]));
+            let (schlick, g, g_slope) = (at(&shared[0]), at(&shared[1]), at(&shared[2]));
             let metallic = at(&materials.metallic);
             let (matt, unschlick) = (isa.sub(one, metallic), isa.sub(one, schlick));
             let (mut squares, mut by_r, mut by_m) = (zero, zero, zero);

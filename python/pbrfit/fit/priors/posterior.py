@@ -31,6 +31,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.population import population
 from pbrfit.fit.sampling import slices
+from pbrfit.lazy import lazy
 from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
@@ -225,6 +226,17 @@ class Distributions:
         probabilities = np.full((1, count), 1 / count, np.float32)
         return cls(probabilities, np.ones((1, count), np.intp), np.zeros(1, np.intp), nodes)
 
+    @lazy
+    def _functions(self) -> NDArray[np.float32]:
+        """(nodes, 6 + levels): 1, r, m, r², m², r m, and 1 where a node has a roughness, a metallic.
+
+        A posterior's sums of these over the nodes are all that is asked of it.
+        """
+        roughness, metallic = self.nodes.T
+        levels = [np.equal.outer(of, np.unique(of)) for of in (roughness, metallic)]
+        powers = [np.ones_like(roughness), *self.nodes.T, *(self.nodes.T**2), roughness * metallic]
+        return np.column_stack([*powers, *levels]).astype(np.float32)
+
     def of_all(self, grid: Grid, stop: Stop = lambda: False) -> Posterior | None:
         """The posterior of all pixels of the grid's objective; None if stopped before."""
         labels, everything = labels_of(grid.objective), grid.objective.everything
@@ -273,14 +285,15 @@ class Distributions:
         rows = self.rows(labels)
         posterior = self.probabilities[rows]
         posterior *= likelihood.values
-        posterior /= posterior.sum(axis=1, keepdims=True)
-        mean = posterior @ self.nodes
-        variance = np.maximum(posterior @ self.nodes**2 - mean**2, 0)
-        covariance = posterior @ self.nodes.prod(axis=1) - mean.prod(axis=1)
-        of_grid = posterior.reshape(len(posterior), len(ROUGHNESS_NODES), -1)
+        sums = posterior @ self._functions
+        sums /= sums[:, :1]
+        mean, squares, product = sums[:, 1:3], sums[:, 3:5], sums[:, 5]
+        variance = np.maximum(squares - mean**2, 0)
+        covariance = product - mean.prod(axis=1)
+        by_roughness, by_metallic = np.split(sums[:, 6:], [len(ROUGHNESS_NODES)], axis=1)
         intervals = [
-            _interval(of_grid.sum(axis=2), ROUGHNESS_NODES, NODE_DISTANCE),
-            _interval(of_grid.sum(axis=1), self.nodes[: of_grid.shape[2], 1], 0.0),
+            _interval(by_roughness, ROUGHNESS_NODES, NODE_DISTANCE),
+            _interval(by_metallic, self.nodes[: by_metallic.shape[1], 1], 0.0),
         ]
         low, high = np.stack(intervals, axis=-1).astype(np.float32)
         # The group that most of the posterior is in.
