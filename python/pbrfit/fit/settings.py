@@ -367,7 +367,7 @@ what a thousand dielectric pixels tell together, 0.1/√1000."""
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
 
-PIXELS_AT_ONCE = 4096
+PIXELS_AT_ONCE = 8192
 """Pixels whose likelihoods are held at a time by each processor; changes no result."""
 
 EM_ITERATIONS, EM_PIXELS_AT_ONCE = 100, 512

@@ -228,7 +228,7 @@ class Distributions:
 
     @lazy
     def _functions(self) -> NDArray[np.float32]:
-        """(nodes, 6 + levels): 1, r, m, r², m², r m, and 1 where a node has a roughness, a metallic.
+        """(nodes, 6 + levels): 1, r, m, r², m², r m, and 1 where it has a roughness, a metallic.
 
         A posterior's sums of these over the nodes are all that is asked of it.
         """
@@ -337,7 +337,7 @@ def mixture_of(
     probabilities = prior
 
     def shares(part: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.reciprocal(part @ probabilities) @ part
+        return np.asarray(np.reciprocal(part @ probabilities) @ part)
 
     for _ in range(settings.EM_ITERATIONS):
         probabilities = probabilities * np.sum(in_pieces(threads, shares, parts), axis=0)
