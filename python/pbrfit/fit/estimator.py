@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import discrepancy, lbfgsb, misfit, settings
 from pbrfit.fit.coarse import Lights, Watch, judged, reweighted, rounds
 from pbrfit.fit.discrepancy import Discrepancy
-from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.joint import minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
@@ -215,30 +215,19 @@ def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, Ga
         return x, prior
     run.discrepancy = discrepancy_of(run, objective, x)
     notes.append(run.discrepancy.in_words())
-    steps = run.options.solver == "gauss-newton"
     fitted = fit_prior(
         objective,
         x,
         strength,
         run.discrepancy.of_pixel,
         run.out_of_time,
-        counted_once=steps,
+        counted_once=run.options.solver == "gauss-newton",
         pooling=run.discrepancy.pooling,
     )
     if fitted is None:
         return None
     x, prior, run.posterior, run.fitted_prior = fitted
-    if steps:
-        # What clusters of pixels are made of has been found together with the lights.
-        prior = replace(prior, cluster=None)
     return x, prior
-
-
-def _make_grey(shared: SharedFit, objective: Objective) -> None:
-    """Give the lights the monochrome prior of the objective."""
-    weight = sum(one.weight for one in objective.penalties if isinstance(one, Monochrome))
-    of_sum = weight * objective.total_weight / objective.pixels
-    shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
 
 
 def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None) -> Array:
@@ -256,7 +245,9 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     if prior is None and not lights.exact:
         gain *= max(lights.misfit.design_effect, 1.0)
     if shared is not None:
-        _make_grey(shared, run.objective)
+        weight = sum(one.weight for one in run.objective.penalties if isinstance(one, Monochrome))
+        of_sum = weight * run.objective.total_weight / run.objective.pixels
+        shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
         if prior is not None and not shared.lights.grey:
             shared = None
     with run.stage("all pixels") as notes:

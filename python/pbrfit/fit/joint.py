@@ -36,7 +36,6 @@ from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import (
     Pixels,
-    chunks,
     fit_all,
     pieces,
     place,
@@ -182,7 +181,7 @@ class JointFit:
         gradient = kept.gradient
         if few.is_part:
             gradient, for_core = np.zeros(len(gradient)), self.objective.for_core(self.x)
-            for chunk in chunks(self.objective.pixels):
+            for chunk in pieces(self.objective.everything):
                 if self.stop():
                     return None
                 options = self.options(self.objective, self.x, chunk, chunk)
@@ -276,7 +275,7 @@ class JointFit:
             offsets = self.offsets
             if offsets is not None:
                 offsets = offsets + moved[end:].reshape(offsets.shape)
-            for chunk in chunks(objective.pixels):
+            for chunk in pieces(objective.everything):
                 if self.stop():
                     return None
                 followed = objective.problem.back_substitute(

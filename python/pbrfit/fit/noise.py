@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.normal_equations import by_unknowns, products
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import Pixels, chunks
+from pbrfit.fit.pixels import Pixels, pieces
 from pbrfit.fit.tails import StudentT, Tails, likeliest
 from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 
@@ -96,7 +96,7 @@ class NoiseModel:
         # What V over w is at least: that of a sample of weight 1.
         least = float(self.variances.min() * self.shares[0] / self.tails.largest_weight)
         found = np.empty((len(self.variances), objective.pixels, objective.channels), np.float32)
-        for pixels in chunks(objective.pixels):
+        for pixels in pieces(objective.everything):
             samples = _Samples.of(objective, pixels, x)
             variances = self.sample_variances(samples)
             squares = np.square(samples.residuals) / variances
@@ -112,7 +112,7 @@ class NoiseModel:
     def deviance(self, objective: Objective, x: Array) -> float:
         """−2 ln of the likelihood of a sample at x, in the mean, less a constant."""
         total, count = 0.0, 0
-        for pixels in chunks(objective.pixels):
+        for pixels in pieces(objective.everything):
             samples = _Samples.of(objective, pixels, x)
             variances = self.sample_variances(samples)[samples.ordinary]
             squares = np.square(samples.residuals[samples.ordinary]) / variances

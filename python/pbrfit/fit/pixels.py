@@ -87,14 +87,8 @@ def descended(
     )
 
 
-def chunks(count: int) -> Iterator[Pixels]:
-    """All pixels, in pieces that take a fraction of a second."""
-    for piece in slices(count, PIXELS_PER_CALL):
-        yield np.arange(piece.start, piece.stop, dtype=np.uint64)
-
-
 def pieces(pixels: Pixels) -> Iterator[Pixels]:
-    """Some pixels, in such pieces."""
+    """Some pixels, in pieces that take a fraction of a second."""
     for piece in slices(len(pixels), PIXELS_PER_CALL):
         yield pixels[piece]
 
@@ -114,7 +108,7 @@ def fit_all(
     None if stopped before all pixels had theirs.
     """
     sum_sq = np.empty(objective.pixels)
-    for chunk in chunks(objective.pixels):
+    for chunk in pieces(objective.everything):
         if stop():
             return None
         rows = None if prior is None else prior.rows(chunk)

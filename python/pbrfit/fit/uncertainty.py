@@ -92,11 +92,9 @@ def spread(
     layout = objective.layout
     unknowns = layout.maps.stop // layout.pixels
     found = Spread.empty(layout.pixels, unknowns, layout.channels)
-    grid = distributions = None
     if posterior is None and not is_sharp(discrepancy):
         grid = Grid(objective, x, discrepancy.of_pixel)
-        distributions = Distributions.flat(grid)
-    labels = np.zeros(layout.pixels, np.intp)
+        posterior = Distributions.flat(grid).of_all(grid)
     mean_albedo = x[objective.albedo].reshape(layout.channels, -1).mean(axis=1)
     lights = np.ascontiguousarray(objective.lights(x))
     bytes_each = max(8 * 4 * unknowns**2, PIECES_MIN * WORKING_SET // layout.pixels)
@@ -104,11 +102,7 @@ def spread(
 
     def fill(chunk: slice) -> None:
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
-        own = None
-        if posterior is not None:
-            own = posterior.part(chunk)
-        elif grid is not None and distributions is not None:
-            own = distributions.posterior(grid.of_piece(pixels), labels[chunk])
+        own = None if posterior is None else posterior.part(chunk)
         found.put(chunk, _of_pixels(objective, x, discrepancy, own, pixels, mean_albedo, lights))
 
     in_pieces(objective.threads, fill, pieces)

@@ -200,7 +200,6 @@ class _Register:
 
     @cached_property
     def _fine(self) -> Level:
-        """At full resolution, where displacements are measured."""
         return Level(self._pictures, self._pictures.shape, _BLUR)
 
     def _peaks(self) -> dict[int, alignment.Shift]:
@@ -264,25 +263,18 @@ class _Register:
         return [j for j in among if j != i and j not in self._reasons]
 
     def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
-        """Pictures that seem out of line, the most evident first.
-
-        What few windows show at full resolution, where an edge of one may be all that they hold,
-        more of them have to show, too.
-        """
-        whole = self._pictures.shape
-        sizes = {whole, reduced_size(whole, SCREENING_SIDE)}
-        levels = {size: Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)}
-        evident: dict[int, float] = {}
+        """Pictures that seem out of line, not in few windows alone; the most evident first."""
+        sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
+        levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
+        evident = {i: 1.0 for i in peaks if i not in self._reasons}
         for i in self._others(-1, self._all):
-            others, shares = self._others(i, self._all), [1.0] if i in peaks else []
-            for size, level in levels.items():
+            others = self._others(i, self._all)
+            for level in levels:
                 fit = level.fit(i, others)
-                if fit is not None and fit.out_of_line and size == whole:
+                if level is levels[-1] and fit is not None and fit.out_of_line:
                     fit = self._fine.fit(i, others)
                 if fit is not None and fit.out_of_line:
-                    shares.append(max(fit.shift.share, fit.bend.share))
-            if shares:
-                evident[i] = max(shares)
+                    evident[i] = max(evident.get(i, 0.0), fit.shift.share, fit.bend.share)
         return sorted(evident, key=lambda i: -evident[i])
 
     def _settle(self, suspects: list[int], peaks: dict[int, alignment.Shift]) -> None:
@@ -384,9 +376,6 @@ class _Register:
             return affine
         near = np.abs(shift - shift.round()).max() <= ROUNDED
         return np.asarray(shift.round() if near else shift)
-
-
-# --- Putting back ------------------------------------------------------------------------------
 
 
 def put_back(scene: Scene, registration: Registration) -> Scene:

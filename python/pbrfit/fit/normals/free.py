@@ -25,7 +25,7 @@ from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import variance
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import chunks, taken
+from pbrfit.fit.pixels import pieces, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import prior_at
 
@@ -112,7 +112,7 @@ def noise_variance(objective: Objective, sum_sq_residuals: Array) -> float:
 def pixel_sums(objective: Objective, x: Array) -> Array:
     """Summed squared residuals Σ ω (I − T)² of each pixel, (P,)."""
     found = np.empty(objective.pixels)
-    for chunk in chunks(objective.pixels):
+    for chunk in pieces(objective.everything):
         found[chunk] = objective.problem.normal_equations(objective.for_core(x), chunk)[2]
     return found
 
@@ -125,7 +125,7 @@ def offset_variances(objective: Objective, x: Array, precision: Array, variance:
     """
     found = np.empty(objective.pixels)
     channels = objective.channels
-    for chunk in chunks(objective.pixels):
+    for chunk in pieces(objective.everything):
         matrices, _, _ = objective.problem.normal_equations(objective.for_core(x), chunk)
         diagonal = np.einsum("pii->pi", matrices)
         diagonal[:, channels:] += precision[chunk]

@@ -91,15 +91,16 @@ class FittedPrior:
         prior = self.around(posterior, objective)
         x = x.copy()
         _put(objective, x, prior.mean)
-        return x, replace(prior, cluster=None), posterior
+        return x, prior, posterior
 
     def around(self, posterior: Posterior, objective: Objective) -> GaussianPrior:
         """Of pixels with this posterior."""
         prior = posterior.prior(settings.PRIOR_SIGMA_MIN, self.strength * self.variance, objective)
         if not self.counted_once:
             return prior
+        # What clusters of pixels are made of has been found together with the lights.
         precision = prior.precision / posterior.unused[:, None]
-        return replace(prior, precision=precision)
+        return replace(prior, precision=precision, cluster=None)
 
 
 @one_blas_thread()
@@ -119,16 +120,10 @@ def fit_prior(
     what was fitted; None if time ran out before all pixels had theirs. `stop` is asked between
     pieces of the pixels.
     """
-    x = x.copy()
-    grid = Grid(objective, x, variance)
-    distributions = _fit_distributions(grid, pooling)
-    posterior = distributions.of_all(grid, stop)
-    if posterior is None:
-        return None
+    distributions = _fit_distributions(Grid(objective, x, variance), pooling)
     fitted = FittedPrior(distributions, variance, strength, counted_once)
-    prior = fitted.around(posterior, objective)
-    _put(objective, x, prior.mean)
-    return x, prior, posterior, fitted
+    applied = fitted.applied(objective, x, stop)
+    return None if applied is None else (*applied, fitted)
 
 
 def prior_at(
