@@ -282,9 +282,8 @@ class _Register:
         coarse = [Level(self._pictures, self._small, blur) for blur in _BLURS_COARSE]
         scale = max(self._pictures.shape) / max(self._small)
         placed = set(self._others(-1, self._all)) - set(suspects)
-        for i in suspects:
-            if i in peaks:
-                self._affine[i, :, 0] = scale * np.array(peaks[i].shift)
+        for i in peaks.keys() & suspects:
+            self._affine[i, :, 0] = scale * np.array(peaks[i].shift)
         components = COMPONENTS if len(placed) > len(self._all) // 2 else COMPONENTS // 3
         for number in range(ROUNDS_MAX):
             before = self._affine.copy()
@@ -292,13 +291,14 @@ class _Register:
                 others = self._others(i, placed)
                 if len(others) < max(2, len(self._all) // 3):
                     others = self._others(i, self._all)
-                for level in [*coarse, self._fine] if number == 0 else [self._fine]:
+                levels = [*coarse, self._fine] if number == 0 else [self._fine]
+                for level in levels:
                     self._descend(level, i, others, components)
                 if self._too_far(self._affine[i]):
                     self._affine[i] = 0.0
                     suspects.remove(i)
                 placed.add(i)
-                for level in [*coarse, self._fine]:
+                for level in levels:
                     level.move(i, self._affine[i])
             change = max(
                 self._fine.rms(after - was) for after, was in zip(self._affine, before, strict=True)
