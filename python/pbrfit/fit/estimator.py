@@ -40,7 +40,6 @@ from pbrfit.fit.priors.penalties import Monochrome, penalties
 from pbrfit.fit.run import Run
 from pbrfit.result.data import Status
 from pbrfit.result.options import ROBUST_LOSSES
-from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -62,22 +61,21 @@ def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
     start, rows = x, len(run.rows)
-    with one_blas_thread():
-        lights = find_lights(run, x)
-        x = lights.x
-        noise = lights.noise if run.shared_state is None else run.shared_state.noise
-        run.noise = noise
-        if not lights.exact and run.goes_on:
-            weigh_samples(run, run.objective, x, noise)
-        prior = None
-        if run.has_mixture_prior and run.goes_on:
-            if lights.exact:
-                with run.stage("material prior") as notes:
-                    notes.append("left out: the pictures are explained to the last digit")
-            else:
-                x, prior = fit_mixture_prior(run, lights)
-        if run.goes_on:
-            x = fit_all_pixels(run, x, lights, prior)
+    lights = find_lights(run, x)
+    x = lights.x
+    noise = lights.noise if run.shared_state is None else run.shared_state.noise
+    run.noise = noise
+    if not lights.exact and run.goes_on:
+        weigh_samples(run, run.objective, x, noise)
+    prior = None
+    if run.has_mixture_prior and run.goes_on:
+        if lights.exact:
+            with run.stage("material prior") as notes:
+                notes.append("left out: the pictures are explained to the last digit")
+        else:
+            x, prior = fit_mixture_prior(run, lights)
+    if run.goes_on:
+        x = fit_all_pixels(run, x, lights, prior)
     if len(run.rows) == rows:  # lights without materials that were fitted under them
         ended = run.ended("", "; all pixels were fitted once, under the lights so far")
         return fit_once(run, start, x), *ended
@@ -104,8 +102,7 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
     with run.stage("L-BFGS-B"):
         x, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
     if run.has_mixture_prior and not run.out_of_time():
-        with one_blas_thread():
-            x, prior = fit_mixture_prior(run, judged(run.objective.reweighted(x), x))
+        x, prior = fit_mixture_prior(run, judged(run.objective.reweighted(x), x))
         kept = kept if prior is None else ""
         if run.goes_on:  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):

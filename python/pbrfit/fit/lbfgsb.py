@@ -18,7 +18,6 @@ from pbrfit.fit.settings import (
     TRAPPED_MARGIN,
 )
 from pbrfit.result.options import ROBUST_LOSSES
-from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -90,25 +89,24 @@ def by_scipy(
         if run.out_of_time():
             raise StopIteration
 
-    with one_blas_thread():
-        try:
-            found = minimize(
-                evaluate,
-                x,
-                jac=True,
-                method="L-BFGS-B",
-                bounds=Bounds(lower, upper),
-                callback=after_iteration,
-                options={
-                    "maxiter": iterations,
-                    "maxfun": 10**9,  # iterations and time are the limits
-                    # The loss is a mean, so its gradient entries are tiny: scipy's absolute
-                    # tolerances would stop at once. Run on until no step lowers the loss.
-                    "ftol": 0.0,
-                    "gtol": 0.0,
-                },
-            )
-        except StopIteration:
-            assert last is not None
-            return last
+    try:
+        found = minimize(
+            evaluate,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(lower, upper),
+            callback=after_iteration,
+            options={
+                "maxiter": iterations,
+                "maxfun": 10**9,  # iterations and time are the limits
+                # The loss is a mean, so its gradient entries are tiny: scipy's absolute
+                # tolerances would stop at once. Run on until no step lowers the loss.
+                "ftol": 0.0,
+                "gtol": 0.0,
+            },
+        )
+    except StopIteration:
+        assert last is not None
+        return last
     return float(found.fun), found.x

@@ -28,7 +28,6 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import one_blas_thread
 from pbrfit.transport.decision import Kind, Transport, candidates
 from pbrfit.transport.scenery import PixelTransfer, Scenery, filled
 
@@ -89,14 +88,13 @@ def search(
     scenery = Scenery(scene.depth, scene.normals, scene.valid, scene.segments, scene.fov)
     found = Surrounded(scene, Transport(), scenery)
     kinds: tuple[Kind, ...] = ("occlusion", "bounce") if asked == "auto" else (asked,)  # type: ignore[assignment]
-    with one_blas_thread():
-        of = _Search(objective, found, out_of_time)
-        tried = {kind: of.tried(kind, scenery) for kind in kinds}
-        best = of.with_extents(min(tried.values(), key=_score))
-        for other in set(kinds) - {best.kind}:
-            tried[other] = of.tried(other, best.scenery, best)
-            if _score(tried[other]) < _score(best):
-                best = of.with_extents(tried[other])
+    of = _Search(objective, found, out_of_time)
+    tried = {kind: of.tried(kind, scenery) for kind in kinds}
+    best = of.with_extents(min(tried.values(), key=_score))
+    for other in set(kinds) - {best.kind}:
+        tried[other] = of.tried(other, best.scenery, best)
+        if _score(tried[other]) < _score(best):
+            best = of.with_extents(tried[other])
     tried[best.kind] = best
     figures = {f"left_out_{kind}": _score(one) for kind, one in tried.items()}
     figures["left_out_pixels"] = float(len(best.left))

@@ -45,7 +45,7 @@ from pbrfit.fit.sampling import slices
 from pbrfit.model.materials import Materials
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.result.verdict import by_deviations
-from pbrfit.threads import in_pieces, one_blas_thread
+from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,6 @@ class Spread:
             getattr(self, one.name)[pixels] = getattr(other, one.name)[of_other]
 
 
-@one_blas_thread()
 def spread(
     objective: Objective, x: Array, discrepancy: Discrepancy, posterior: Posterior | None
 ) -> Spread:

@@ -32,7 +32,6 @@ from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, Refinement
 from pbrfit.result.uncertainty import Uncertainty
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -269,7 +268,6 @@ def fit_pixels(
     return _with_scale(found, setup.options), Refinement(asked, refined, why)
 
 
-@one_blas_thread()
 def _with_scale(found: refined_fit.PixelFit, options: FitOptions) -> refined_fit.PixelFit:
     """The fit with the scale of its reference, if it has one, and what is known of its scale."""
     run, x = found.run, found.x

@@ -34,7 +34,6 @@ from pbrfit.fit.sampling import pixel_index
 from pbrfit.result.data import Status
 from pbrfit.result.options import ROBUST_LOSSES
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -71,8 +70,7 @@ def fit(
         if run.shared_state is not None:  # a tile of a picture whose subset has found the rest
             noise = run.shared_state.noise
         elif run.camera.how == "assumed":
-            with one_blas_thread():
-                find_lights(run, x)  # and a field of view, with the given normals
+            find_lights(run, x)  # and a field of view, with the given normals
         free = make(run.scene, True)
         free_x, offsets = _start(run, x, free, normals)
         if run.shared_state is None:
@@ -115,7 +113,7 @@ def _find_normals(
     A field of view that nobody told is fitted with the normals once more, for it was found with the
     given ones.
     """
-    with run.stage("lights and normals") as notes, one_blas_thread():
+    with run.stage("lights and normals") as notes:
         level = Level.of(free, settings.COARSE_PIXELS)
         chosen = level.pixels.astype(np.intp)
         given, sigma = _given(run.scene)
@@ -139,7 +137,6 @@ def _find_normals(
     return replace(prior, sigma=of_level.offsets.sigma), found, nuisances
 
 
-@one_blas_thread()
 def _refine(
     run: Run,
     free: Objective,

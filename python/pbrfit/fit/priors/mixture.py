@@ -58,7 +58,6 @@ from pbrfit.fit.priors.posterior import (
     labels_of,
 )
 from pbrfit.fit.sampling import evenly_spaced_over
-from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 Stop = Callable[[], bool]
@@ -103,7 +102,6 @@ class FittedPrior:
         return replace(prior, precision=precision, cluster=None)
 
 
-@one_blas_thread()
 def fit_prior(
     objective: Objective,
     x: Array,

@@ -32,12 +32,10 @@ from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import Refinement
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import one_blas_thread
 
 Array = NDArray[np.float64]
 
 
-@one_blas_thread()
 def fit_tiles(
     scene: Scene,
     setup: FitSetup,
