@@ -137,14 +137,12 @@ class Level:
         normals = np.nan_to_num(np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0))
         self._harmonics = _harmonics(normals).astype(np.float32)
         cut = [self._cut(i, None) for i in range(pictures.count)]
-        self._values, self._used = map(np.stack, zip(*cut, strict=True))
-        self._affine = np.zeros((pictures.count, 2, 3))
+        self._values = np.stack([values for values, _ in cut])
+        self._used = np.stack([used for _, used in cut])
 
     def move(self, i: int, affine: Array) -> None:
         """Take picture i from x + u(x)."""
-        if (affine != self._affine[i]).any():
-            self._values[i], self._used[i] = self._cut(i, affine if affine.any() else None)
-            self._affine[i] = affine
+        self._values[i], self._used[i] = self._cut(i, affine if affine.any() else None)
 
     def _cut(self, i: int, affine: Array | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Blurred windows (n, h, w) of a picture, of RMS 1, and which of the P pixels hold data."""

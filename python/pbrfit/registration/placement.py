@@ -13,7 +13,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -198,10 +197,6 @@ class _Register:
             )
         )
 
-    @cached_property
-    def _fine(self) -> Level:
-        return Level(self._pictures, self._pictures.shape, _BLUR)
-
     def _peaks(self) -> dict[int, alignment.Shift]:
         """Of pictures that are shifted far: where their edges agree with those of the others.
 
@@ -263,27 +258,32 @@ class _Register:
         return [j for j in among if j != i and j not in self._reasons]
 
     def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
-        """Pictures that seem out of line, not in few windows alone; the most evident first."""
+        """Pictures that seem out of line, the most evident first."""
         sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
         levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
-        evident = {i: 1.0 for i in peaks if i not in self._reasons}
+        evident: dict[int, float] = {}
         for i in self._others(-1, self._all):
-            others = self._others(i, self._all)
-            for level in levels:
-                fit = level.fit(i, others)
-                if level is levels[-1] and fit is not None and fit.out_of_line:
-                    fit = self._fine.fit(i, others)
-                if fit is not None and fit.out_of_line:
-                    evident[i] = max(evident.get(i, 0.0), fit.shift.share, fit.bend.share)
+            fits = [level.fit(i, self._others(i, self._all)) for level in levels]
+            shares = [
+                max(fit.shift.share, fit.bend.share)
+                for fit in fits
+                if fit is not None and fit.out_of_line
+            ]
+            if i in peaks:
+                shares.append(1.0)
+            if shares:
+                evident[i] = max(shares)
         return sorted(evident, key=lambda i: -evident[i])
 
     def _settle(self, suspects: list[int], peaks: dict[int, alignment.Shift]) -> None:
         """Find the places of the suspects, in rounds."""
+        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
         coarse = [Level(self._pictures, self._small, blur) for blur in _BLURS_COARSE]
         scale = max(self._pictures.shape) / max(self._small)
         placed = set(self._others(-1, self._all)) - set(suspects)
-        for i in peaks.keys() & suspects:
-            self._affine[i, :, 0] = scale * np.array(peaks[i].shift)
+        for i in suspects:
+            if i in peaks:
+                self._affine[i, :, 0] = scale * np.array(peaks[i].shift)
         components = COMPONENTS if len(placed) > len(self._all) // 2 else COMPONENTS // 3
         for number in range(ROUNDS_MAX):
             before = self._affine.copy()
@@ -291,14 +291,13 @@ class _Register:
                 others = self._others(i, placed)
                 if len(others) < max(2, len(self._all) // 3):
                     others = self._others(i, self._all)
-                levels = [*coarse, self._fine] if number == 0 else [self._fine]
-                for level in levels:
+                for level in [*coarse, self._fine] if number == 0 else [self._fine]:
                     self._descend(level, i, others, components)
                 if self._too_far(self._affine[i]):
                     self._affine[i] = 0.0
                     suspects.remove(i)
                 placed.add(i)
-                for level in levels:
+                for level in [*coarse, self._fine]:
                     level.move(i, self._affine[i])
             change = max(
                 self._fine.rms(after - was) for after, was in zip(self._affine, before, strict=True)
@@ -376,6 +375,9 @@ class _Register:
             return affine
         near = np.abs(shift - shift.round()).max() <= ROUNDED
         return np.asarray(shift.round() if near else shift)
+
+
+# --- Putting back ------------------------------------------------------------------------------
 
 
 def put_back(scene: Scene, registration: Registration) -> Scene:
