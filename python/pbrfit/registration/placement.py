@@ -77,7 +77,6 @@ NEIGHBOURS_AGREE = 0.8
 """Correlation of neighbouring pixels from which what a picture shows is not its noise."""
 
 _BLUR = 0.7  # pixels
-_BLURS_COARSE = (2.0, 1.0)
 _STEPS = 4  # on a level
 _AGREEMENT_NOISE = 0.05
 _LONGEST_STEP = 2.0  # pixels of a level
@@ -178,6 +177,7 @@ class _Register:
         self._scene, self._pictures = scene, Greys(scene)
         self._all = range(len(scene.images))
         self._small = reduced_size(self._pictures.shape, COARSE_SIDE)
+        self._scale = max(self._pictures.shape) / max(self._small)
         self._reasons: dict[int, str] = {}
         self._affine = np.zeros((len(self._all), 2, 3))
         self._fields = [self._edges(i) for i in self._all]
@@ -189,7 +189,7 @@ class _Register:
             return Registration(hindrance="the pictures' edges are mostly of light")
         suspects = self._suspects(peaks)
         if suspects:
-            self._settle(suspects, peaks)
+            self._settle(suspects)
         return Registration(
             tuple(
                 Placement(name, self._affine[i], self._reasons.get(i, ""))
@@ -241,8 +241,7 @@ class _Register:
 
         grey, used = self._pictures.of(i, self._small)
         if affine is not None:
-            pixel = max(self._pictures.shape) / max(self._small)
-            places = _displaced(self._small, affine / pixel)
+            places = _displaced(self._small, affine / self._scale)
             grey = map_coordinates(grey, places, order=3, mode="nearest")
             used = map_coordinates(used.astype(np.float32), places, order=1) > 0.999
         return alignment.edges(grey[..., None], used)
@@ -271,19 +270,37 @@ class _Register:
             ]
             if i in peaks:
                 shares.append(1.0)
-            if shares:
+            if shares and self._confirmed(i, levels, peaks):
                 evident[i] = max(shares)
         return sorted(evident, key=lambda i: -evident[i])
 
-    def _settle(self, suspects: list[int], peaks: dict[int, alignment.Shift]) -> None:
+    def _confirmed(self, i: int, levels: list[Level], peaks: dict[int, alignment.Shift]) -> bool:
+        """Whether the slopes at picture i lead to a place where it is explained better.
+
+        Of a picture in line they are of light: steps along them go on and on, or gain little. What
+        is found of others is kept, to go on from.
+        """
+        others = self._others(i, self._all)
+        before = levels[-1].fit(i, others)
+        if i in peaks:
+            self._affine[i, :, 0] = self._scale * np.array(peaks[i].shift)
+        settled = [self._descend(level, i, others, COMPONENTS) for level in levels][-1]
+        after = levels[-1].fit(i, others) if settled else None
+        for level in levels:
+            level.move(i, np.zeros((2, 3)))
+        confirmed = (
+            before is not None
+            and after is not None
+            and before.share_explained_by(after) >= LEAST_SHARE
+        )
+        if not confirmed:
+            self._affine[i] = 0.0
+        return confirmed
+
+    def _settle(self, suspects: list[int]) -> None:
         """Find the places of the suspects, in rounds."""
         self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
-        coarse = [Level(self._pictures, self._small, blur) for blur in _BLURS_COARSE]
-        scale = max(self._pictures.shape) / max(self._small)
         placed = set(self._others(-1, self._all)) - set(suspects)
-        for i in suspects:
-            if i in peaks:
-                self._affine[i, :, 0] = scale * np.array(peaks[i].shift)
         components = COMPONENTS if len(placed) > len(self._all) // 2 else COMPONENTS // 3
         for number in range(ROUNDS_MAX):
             before = self._affine.copy()
@@ -291,14 +308,12 @@ class _Register:
                 others = self._others(i, placed)
                 if len(others) < max(2, len(self._all) // 3):
                     others = self._others(i, self._all)
-                for level in [*coarse, self._fine] if number == 0 else [self._fine]:
-                    self._descend(level, i, others, components)
+                self._descend(self._fine, i, others, components)
                 if self._too_far(self._affine[i]):
                     self._affine[i] = 0.0
                     suspects.remove(i)
                 placed.add(i)
-                for level in [*coarse, self._fine]:
-                    level.move(i, self._affine[i])
+                self._fine.move(i, self._affine[i])
             change = max(
                 self._fine.rms(after - was) for after, was in zip(self._affine, before, strict=True)
             )
@@ -324,20 +339,25 @@ class _Register:
 
     def _descend(
         self, level: Level, i: int, others: list[int], components: int, *, bend: bool = True
-    ) -> None:
-        """Move picture i to where the others explain it best."""
+    ) -> bool:
+        """Move picture i to where the others explain it best; whether steps end there.
+
+        They do where the last is shorter than the least displacement.
+        """
+        length = np.inf
         for _ in range(_STEPS):
             level.move(i, self._affine[i])
             fit = level.fit(i, others, components)
             if fit is None:
-                return
+                return False
             step = fit.shift.affine
             if bend and (fit.bend.believed or self._affine[i, :, 1:].any()):
                 step = step + fit.bend.affine
             length = level.rms(step) / level.pixel
             self._affine[i] += step * min(1.0, _LONGEST_STEP / max(length, 1e-9))
             if length < SETTLED:
-                return
+                break
+        return length < LEAST_DISPLACEMENT
 
     def _too_far(self, affine: Array) -> bool:
         """Whether no camera that was to stand still moves so."""
