@@ -180,7 +180,7 @@ def of_labels(
 
 
 def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) -> Array:
-    """(P,): Σ (√I − √y)² over a pixel's samples: about what the eye makes of differences.
+    """(P, N): Σ (√I − √y)² over the channels of a sample: about what the eye makes of differences.
 
     A highlight that is missing, or in a wrong place, counts more than shadows and what surfaces are
     not quite diffuse, however many samples these are.
@@ -190,9 +190,9 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
         # Near lamps: in proportion, of which no more than a factor of e counts.
         floor = 0.01 * MEAN_RADIANCE
         logs = np.log(np.maximum(shown, 0) + floor) - np.log(np.maximum(pixels.samples, 0) + floor)
-        return np.asarray((pixels.weights * np.minimum(logs**2, 1.0)).sum(axis=(1, 2)))
+        return np.asarray((pixels.weights * np.minimum(logs**2, 1.0)).sum(axis=2))
     roots = np.sqrt(np.maximum(shown, 0)) - np.sqrt(np.maximum(pixels.samples, 0))
-    return np.asarray((pixels.weights * roots**2).sum(axis=(1, 2)))
+    return np.asarray((pixels.weights * roots**2).sum(axis=2))
 
 
 def likely_roughness(tried: Array, sums: Array, pixels: int) -> float:
@@ -487,40 +487,37 @@ class LampFit:
         Surfaces are fitted to some pictures, and what they show in the others counts: with a normal
         and a narrow lobe of its own a pixel can show any one highlight, but not the next.
         """
-        wrong, turned = [], []
         left_out = np.zeros(few.pictures, bool)
         if few.pictures >= LOOK_PICTURES_MIN:
             left_out[1::3] = True
-        weights = few.weights
-        few = replace(few, weights=weights * ~left_out[None, :, None])
-        others = few
-        if left_out.any():
-            others = replace(few, weights=weights * left_out[None, :, None])
-        free = fit.freedom.normals
+        counted = left_out if left_out.any() else ~left_out
+        # All at once: each pixel with one roughness after the other.
+        tries = np.tile(np.arange(len(few)), len(roughnesses))
+        few, given, prior = few.of_rows(tries), given.of_rows(tries), prior.of_rows(tries)
+        fitted = replace(few, weights=few.weights * ~left_out[None, :, None])
+        free, relative = fit.freedom.normals, fit.noise.proportional
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
-        for roughness, kind in zip(roughnesses, metallic, strict=True):
-            begin = given.with_surface(given.normals, albedo, roughness, kind)
-            starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
-            errors, shown, squares = [], [], []
-            for start in starts:
-                state, *_ = surfaces.robust_surfaces(
-                    few,
-                    start,
-                    fit.noise,
-                    prior,
-                    rounds=1,
-                    free_normals=free,
-                    free_roughness=False,
-                )
-                relative = fit.noise.proportional
-                errors.append(seen_error(few, state, relative=relative))
-                shown.append(seen_error(others, state, relative=relative))
-                away = offsets(few.normals, state.normals)
-                squares.append((prior.precision[:, :2] * away**2).sum(axis=1))
-            best = np.argmin(errors, axis=0)
-            wrong.append(np.take_along_axis(np.array(shown), best[None], 0)[0])
-            turned.append(np.take_along_axis(np.array(squares), best[None], 0)[0])
-        return np.array(wrong), np.array(turned)
+        begin = given.with_surface(given.normals, albedo, roughnesses.ravel(), metallic.ravel())
+        starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
+        errors, shown, squares = [], [], []
+        for start in starts:
+            state, *_ = surfaces.robust_surfaces(
+                fitted,
+                start,
+                fit.noise,
+                prior,
+                rounds=1,
+                free_normals=free,
+                free_roughness=False,
+            )
+            seen = seen_error(few, state, relative=relative)
+            errors.append(seen @ ~left_out)
+            shown.append(seen @ counted)
+            away = offsets(few.normals, state.normals)
+            squares.append((prior.precision[:, :2] * away**2).sum(axis=1))
+        best = np.argmin(errors, axis=0)[None]
+        wrong, turned = (np.take_along_axis(np.array(of), best, 0) for of in (shown, squares))
+        return wrong.reshape(roughnesses.shape), turned.reshape(roughnesses.shape)
 
     def _relative_left(self, fit: JointLamps) -> float:
         """Root mean square of what is left, of that of the samples."""
@@ -532,10 +529,10 @@ class LampFit:
     def _turn(self, fit: JointLamps) -> None:
         """Let pixels turn to their brightest lamp where that surprises less."""
         few, fitted = fit.pixels, partial(surfaces.robust_surfaces, rounds=2, free_normals=True)
-        state, *_, left = fitted(few, fit.state, fit.noise, fit.prior)
-        begin = surfaces.facing_highlights(few, state)
-        turned, *_, left_turned = fitted(few, begin, fit.noise, fit.prior)
-        fit.state, _ = surfaces.better_of(state, left, turned, left_turned)
+        state, *_ = fitted(few, fit.state, fit.noise, fit.prior)
+        turned, *_ = fitted(few, surfaces.facing_highlights(few, state), fit.noise, fit.prior)
+        left = [surfaces.surprise(few, one, fit.noise, fit.prior) for one in (state, turned)]
+        fit.state, _ = surfaces.better_of(state, left[0], turned, left[1])
 
     def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
         """Which samples of some pixels lamps reach, by rays; None without surroundings."""

@@ -17,7 +17,7 @@ the probability; where that is not near 0 or 1 the rest is fitted once more with
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,11 +31,12 @@ from pbrfit.fit.lamps.joint import (
     fit_surfaces,
     offsets,
 )
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
 from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside, slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
+from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
 
@@ -159,8 +160,8 @@ def robust_surfaces(
     free_normals: bool,
     free_roughness: bool = True,
     width: int | None = None,
-) -> tuple[LampState, Array, Array, Array, Array]:
-    """Weights and surfaces in turn; also weights, costs, information, and what still surprises.
+) -> tuple[LampState, Array, Array, Array]:
+    """Weights and surfaces in turn; also weights, costs and information.
 
     With the `width` of the picture samples are judged with their neighbours.
     """
@@ -176,7 +177,36 @@ def robust_surfaces(
             free_normals=free_normals,
             free_roughness=free_roughness,
         )
-    return state, weights, cost, information, surprise(pixels, state, noise, prior)
+    return state, weights, cost, information
+
+
+def by_pieces(
+    pixels: LampPixels, work: Callable[[LampPixels, slice], tuple[Array, ...]]
+) -> tuple[Array, ...]:
+    """What `work` makes of pixels that know nothing of each other, on all processors."""
+    alone = replace(pixels, threads=1)
+    parts = in_pieces(
+        pixels.threads,
+        lambda rows: work(alone.of_rows(rows), rows),
+        slices(len(pixels), PIXELS_AT_ONCE),
+    )
+    return tuple(np.concatenate(of) for of in zip(*parts, strict=True))
+
+
+def fitted_once(
+    pixels: LampPixels, begin: LampState, noise: Noise, prior: SurfacePrior, *, free_normals: bool
+) -> tuple[LampState, Array, Array]:
+    """Surfaces from a start, their samples' weights, and what surprises."""
+
+    def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
+        own = prior.of_rows(rows)
+        state, weights, *_ = robust_surfaces(
+            some, begin.of_rows(rows), noise, own, rounds=1, free_normals=free_normals
+        )
+        return *surface_of(state), weights, surprise(some, state, noise, own)
+
+    *surface, weights, left = by_pieces(pixels, of)
+    return begin.with_surface(*surface), weights, left
 
 
 def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
@@ -204,9 +234,11 @@ def from_neighbours(
         source = np.where(other >= 0, other, own)
         moved = state.of_rows(source)
         trial = state.with_surface(moved.normals, moved.albedo, moved.roughness, moved.metallic)
-        state, surprising = better_of(
-            state, surprising, trial, surprise(pixels, trial, noise, prior)
+        (left,) = by_pieces(
+            pixels,
+            lambda some, rows: (surprise(some, trial.of_rows(rows), noise, prior.of_rows(rows)),),
         )
+        state, surprising = better_of(state, surprising, trial, left)
     return state, surprising
 
 
@@ -237,9 +269,7 @@ def fit_band(
 
     `once` leaves them as one fit finds them, dielectrics alone, in an eighth of the time.
     """
-    state, weights, _, _, left = robust_surfaces(
-        pixels, state, noise, prior, rounds=1, free_normals=freedom.normals
-    )
+    state, weights, left = fitted_once(pixels, state, noise, prior, free_normals=freedom.normals)
     if not once:
         state, weights = _from_more_starts(
             pixels, state, left, noise, prior, width, free=freedom.normals, metals=metals
@@ -271,8 +301,8 @@ def _from_more_starts(
     """Surfaces, and weights of samples, where one fit may have ended in a wrong minimum."""
 
     def fitted(begin: LampState) -> tuple[LampState, Array]:
-        found = robust_surfaces(pixels, begin, noise, prior, rounds=1, free_normals=free)
-        return found[0], found[4]
+        found, _, left = fitted_once(pixels, begin, noise, prior, free_normals=free)
+        return found, left
 
     if free:
         state, left = better_of(state, left, *fitted(facing_highlights(pixels, state)))
@@ -283,7 +313,7 @@ def _from_more_starts(
             same = np.full(len(pixels), roughness)
             begin = state.with_surface(state.normals, state.albedo, same, state.metallic)
             state, left = better_of(state, left, *fitted(begin))
-    state, weights, cost, information, _ = robust_surfaces(
+    state, weights, cost, information = robust_surfaces(
         pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
     )
     if metals:
