@@ -237,39 +237,89 @@ class JointLamps:
         eliminated = flat.T @ np.matmul(np.linalg.inv(own), mixed).reshape(flat.shape)
         return np.asarray(shared - eliminated)
 
-    def part(self, rows: NDArray[np.intp]) -> JointLamps:
-        """Some of the pixels, as they are and with their weights."""
-        found = JointLamps(
-            self.pixels.of_rows(rows),
-            self.state.of_rows(rows),
-            self.noise,
-            self.prior.of_rows(rows),
-            self.freedom,
-        )
-        found.weights = self.weights[rows]
-        return found
+    def scores(self, direction: Array) -> tuple[Array, float]:
+        """Half the gradient of the cost along a direction (M,) of what is shared, pixels solved for.
 
-    def score(self) -> Array:
-        """(M,): half the gradient of the cost by what is shared, pixels solved for."""
-        _, gradient, own, mixed, of_pixels = self.system()
-        solved = np.linalg.solve(own, of_pixels[..., None])
-        return np.asarray(gradient - (mixed * solved).sum(axis=(0, 1)))
+        (P,) of each pixel, and of the priors.
+        """
+        found, weights, residuals = self._linear()
+        own, mixed, of_pixels = self._of_pixels(found, weights, residuals)
+        solved = np.linalg.solve(own, of_pixels[..., None])[..., 0]
+        lamps, pictures = self.state.lamps, self.pixels.pictures
+        places, colors = direction[: 6 * len(lamps)].reshape(2, -1, 3)
+        moved = np.zeros(residuals.shape)
+        for k, picture in enumerate(lamps.pictures):
+            if self.freedom.places:
+                moved[:, picture] += found.by_place[:, k] @ places[k]
+            if self.freedom.colors:
+                moved[:, picture] += found.by_color[:, k] * colors[k]
+        ambient = direction[6 * len(lamps) :].reshape(pictures, 3)
+        moved += found.by_ambient[:, None, :, 0] * ambient
+        each = (weights * residuals * moved).sum(axis=(1, 2))
+        of_priors = self._priors(len(direction))[1] @ direction
+        return each - (solved * (mixed @ direction)).sum(axis=1), float(of_priors)
 
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
-        pixels, state = self.pixels, self.state
-        found = slopes(pixels, state)
-        residuals = pixels.residuals(found.radiance)
-        bounded = (residuals == 0) & (pixels.limits > 0)
-        weights = np.where(bounded, 0.0, self.weights)
-        by_surface = found.by_surface[..., :UNKNOWNS]
-        if not self.freedom.normals:
-            by_surface = by_surface.copy()
-            by_surface[..., :2] = 0.0
-        weighted = (weights[..., None] * by_surface).swapaxes(2, 3)  # (P, N, 6, 3)
-        across = weighted.transpose(0, 2, 1, 3).reshape(len(pixels), UNKNOWNS, -1)
-        own = across @ by_surface.reshape(len(pixels), -1, UNKNOWNS)
-        gradients = (across @ residuals.reshape(len(pixels), -1, 1))[..., 0]
+        found, weights, residuals = self._linear()
+        shared, gradient = self._of_shared(found, weights, residuals)
+        own, mixed, gradients = self._of_pixels(found, weights, residuals)
+        return shared, gradient, own, mixed, gradients
+
+    def pixel_system(self) -> tuple[Array, Array, Array]:
+        """A (P, 6, 6), B (P, 6, M) and gradients (P, 6) of the pixels alone."""
+        return self._of_pixels(*self._linear())
+
+    def _linear(self) -> tuple[Slopes, Array, Array]:
+        """Slopes, weights and residuals of samples; those that only bound tell nothing."""
+        found = slopes(self.pixels, self.state)
+        residuals = self.pixels.residuals(found.radiance)
+        bounded = (residuals == 0) & (self.pixels.limits > 0)
+        return found, np.where(bounded, 0.0, self.weights), residuals
+
+    def _of_pixels(
+        self, found: Slopes, weights: Array, residuals: Array
+    ) -> tuple[Array, Array, Array]:
+        pixels, state, size = self.pixels, self.state, self._size()
+        count, pictures, lamps = len(pixels), pixels.pictures, len(state.lamps)
+        own, mixed = np.zeros((count, UNKNOWNS, UNKNOWNS)), np.zeros((count, UNKNOWNS, size))
+        gradients = np.zeros((count, UNKNOWNS))
+        by_places = mixed[..., : 3 * lamps].reshape(count, UNKNOWNS, lamps, 3)
+        by_colors = mixed[..., 3 * lamps : 6 * lamps].reshape(count, UNKNOWNS, lamps, 3)
+        by_ambient = mixed[..., 6 * lamps :].reshape(count, UNKNOWNS, pictures, 3)
+        of_channel = found.by_ambient[:, None, :, 0]
+        in_order = np.array_equal(state.lamps.pictures, np.arange(pictures))
+        albedo = slice(2, 5)
+        # A channel sees its own albedo alone; all others are seen by all channels.
+        by_albedo = sum(found.by_surface[..., 2 + c] for c in range(3))
+        unknowns = [5, 0, 1] if self.freedom.normals else [5]
+        by_unknown = [(u, found.by_surface[..., u]) for u in unknowns]
+        for u, slope in [*by_unknown, (albedo, by_albedo)]:
+            weighted = weights * slope
+            at_lamps = weighted if in_order else weighted[:, state.lamps.pictures]
+            if u is albedo:
+                diagonal = np.einsum("pnc,pnc->pc", weighted, slope)
+                own[:, [2, 3, 4], [2, 3, 4]] = diagonal
+                gradients[:, albedo] = np.einsum("pnc,pnc->pc", weighted, residuals)
+                for c in range(3):
+                    if self.freedom.places:
+                        by_places[:, 2 + c] = at_lamps[..., c, None] * found.by_place[..., c, :]
+                    if self.freedom.colors:
+                        by_colors[:, 2 + c, :, c] = at_lamps[..., c] * found.by_color[..., c]
+                    by_ambient[:, 2 + c, :, c] = weighted[..., c] * of_channel[..., c]
+                continue
+            for v, other in by_unknown:
+                own[:, u, v] = np.einsum("pnc,pnc->p", weighted, other)
+            own[:, u, albedo] = np.einsum("pnc,pnc->pc", weighted, by_albedo)
+            own[:, albedo, u] = own[:, u, albedo]
+            gradients[:, u] = np.einsum("pnc,pnc->p", weighted, residuals)
+            if self.freedom.places:
+                for a in range(3):
+                    product = at_lamps * found.by_place[..., a]
+                    by_places[:, u, :, a] = product[..., 0] + product[..., 1] + product[..., 2]
+            if self.freedom.colors:
+                by_colors[:, u] = at_lamps * found.by_color
+            by_ambient[:, u] = weighted * of_channel
         prior = self.prior
         surface = np.concatenate(
             [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
@@ -279,7 +329,7 @@ class JointLamps:
         gradients += precision * (surface - prior.mean[:, :UNKNOWNS])
         np.einsum("puu->pu", own)[:] += precision
         # What is held has a row of its own and no gradient.
-        held = np.zeros((len(pixels), UNKNOWNS), bool)
+        held = np.zeros((count, UNKNOWNS), bool)
         held[:, :2] = not self.freedom.normals
         at = surface[:, 2:]
         held[:, 2:] = ((at <= 0) & (gradients[:, 2:] > 0)) | ((at >= 1) & (gradients[:, 2:] < 0))
@@ -289,44 +339,66 @@ class JointLamps:
         np.swapaxes(own, 1, 2)[held] = 0.0
         diagonal[held] = 1.0
         gradients[held] = 0.0
-        weighted[np.broadcast_to(held[:, None], weighted.shape[:3])] = 0.0
-        lamps = len(state.lamps)
-        size = self._size()
-        shared, mixed = np.zeros((size, size)), np.zeros((len(pixels), UNKNOWNS, size))
-        gradient = np.zeros(size)
-        for i in range(pixels.pictures):
-            columns, slope = self._of_picture(i, found)
-            flat = slope.reshape(-1, len(columns))
-            scaled = weights[:, i].reshape(-1, 1) * flat
-            shared[np.ix_(columns, columns)] += flat.T @ scaled
-            gradient[columns] += scaled.T @ residuals[:, i].ravel()
-            mixed[..., columns] = weighted[:, i] @ slope
-        # Priors of what is shared.
-        first = 6 * lamps
+        mixed[held] = 0.0
+        return own, mixed, gradients
+
+    def _of_shared(self, found: Slopes, weights: Array, residuals: Array) -> tuple[Array, Array]:
+        """Matrix (M, M) and gradient (M,) of what is shared, with its priors.
+
+        A channel of a sample is seen by the places and this channel's colours of its picture's
+        lamps, and by this channel of its ambient light.
+        """
+        lamps, pictures = self.state.lamps, self.pixels.pictures
+        count, channels = len(lamps), np.arange(3)
+        parts = np.zeros((count, 3, 4, len(self.pixels)))  # lamp, channel, place and colour
+        if self.freedom.places:
+            parts[:, :, :3] = found.by_place.transpose(1, 2, 3, 0)
+        if self.freedom.colors:
+            parts[:, :, 3] = found.by_color.transpose(1, 2, 0)
+        around = np.broadcast_to(found.by_ambient[..., 0].T, (pictures, 3, len(self.pixels)))
+        weights, residuals = (np.moveaxis(of, 0, -1) for of in (weights, residuals))
+        first, second = np.nonzero(lamps.pictures[:, None] == lamps.pictures)
+        weighted = parts * weights[lamps.pictures, :, None]
+        pairs = np.matmul(weighted[first], parts[second].swapaxes(-1, -2))
+        shared, gradient = self._priors(self._size())
+        places, colors, ambient = slice(3 * count), slice(3 * count, 6 * count), slice(6 * count, None)
+
+        def block(rows: slice, columns: slice) -> Array:
+            found = shared[rows, columns]
+            return found.reshape(len(found) // 3, 3, -1, 3)
+
+        block(places, places)[first, :, second] += pairs[:, :, :3, :3].sum(axis=1)
+        block(places, colors)[first, :, second] += pairs[:, :, :3, 3].swapaxes(1, 2)
+        of_colors = first[:, None], channels, second[:, None], channels
+        block(colors, colors)[of_colors] += pairs[..., 3, 3]
+        with_ambient = np.einsum("kcap,kcp->kca", weighted, around[lamps.pictures])
+        each, own = np.arange(count), lamps.pictures
+        block(places, ambient)[each, :, own] += with_ambient[..., :3].swapaxes(1, 2)
+        of_colors = each[:, None], channels, own[:, None], channels
+        block(colors, ambient)[of_colors] += with_ambient[..., 3]
+        of_ambient = weights * around
+        np.einsum("mm->m", shared)[ambient] += np.einsum("icp,icp->ic", of_ambient, around).ravel()
+        shared[colors, places] = shared[places, colors].T
+        shared[ambient, : 6 * count] = shared[: 6 * count, ambient].T
+        of_lamps = np.einsum("kcap,kcp->kca", weighted, residuals[lamps.pictures])
+        gradient[places] += of_lamps[..., :3].sum(axis=1).ravel()
+        gradient[colors] += of_lamps[..., 3].ravel()
+        gradient[ambient] += np.einsum("icp,icp->ic", of_ambient, residuals).ravel()
+        return shared, gradient
+
+    def _priors(self, size: int) -> tuple[Array, Array]:
+        """Matrix (M, M) and gradient (M,) of the priors of what is shared."""
+        shared, gradient = np.zeros((size, size)), np.zeros(size)
+        lamps, first = len(self.state.lamps), 6 * len(self.state.lamps)
         precision_of = 1 / (AMBIENT_SHARE * MEAN_RADIANCE) ** 2
-        gradient[first:] += precision_of * state.ambient[:, 0].reshape(-1)
+        gradient[first:] += precision_of * self.state.ambient[:, 0].reshape(-1)
         np.einsum("mm->m", shared)[first:] += precision_of
         if self.freedom.colors:
             slope = np.zeros((4, size))
-            slope[:, 3 * lamps : first] = self._slope_of_scale(state.lamps)
+            slope[:, 3 * lamps : first] = self._slope_of_scale(self.state.lamps)
             shared += slope.T @ slope
-            gradient += slope.T @ self.scale_of(state.lamps)
-        return shared, gradient, own, mixed, gradients
-
-    def _of_picture(self, picture: int, found: Slopes) -> tuple[NDArray[np.intp], Array]:
-        """Which of the shared unknowns a picture sees, and its slopes (P, 3, those)."""
-        lamps, count = self.state.lamps, len(self.pixels)
-        columns, parts = [], []
-        for k in np.flatnonzero(lamps.pictures == picture):
-            if self.freedom.places:
-                columns.append(3 * k + np.arange(3))
-                parts.append(found.by_place[:, k])
-            if self.freedom.colors:
-                columns.append(3 * (len(lamps) + k) + np.arange(3))
-                parts.append(found.by_color[:, k, :, None] * np.eye(3))
-        columns.append(6 * len(lamps) + 3 * picture + np.arange(3))
-        parts.append(np.broadcast_to(found.by_ambient[..., :1] * np.eye(3), (count, 3, 3)))
-        return np.concatenate(columns), np.concatenate(parts, axis=-1)
+            gradient += slope.T @ self.scale_of(self.state.lamps)
+        return shared, gradient
 
     def _moved(self, system: tuple[Array, Array, Array, Array, Array]) -> LampState | None:
         """The state after a step with the present damping; None if there is none."""

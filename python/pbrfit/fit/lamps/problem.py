@@ -246,21 +246,29 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
     directions, strengths = state.incident(pixels)
     normals, albedo, roughness, metallic = surface_of(state)
     args = pixels.views, albedo, roughness, metallic
-    of_lamps = _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model)
-    value, by_normal, by_direction = of_lamps[..., 0], of_lamps[..., 1:4], of_lamps[..., 4:7]
+    # The derivatives first: planes (P, K, 3).
+    of_lamps = np.ascontiguousarray(
+        np.moveaxis(
+            _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model), -1, 0
+        )
+    )
+    value = of_lamps[0]
     frames = tangents(normals)
     lit = strengths[..., None] * lamps.colors
-    found = np.zeros(pixels.samples.shape)
-    by_surface = np.zeros((*found.shape, 7))
-    turned = np.matmul(by_normal, frames.swapaxes(1, 2)[:, None])
-    channels = np.arange(3)
-    for k, picture in enumerate(lamps.pictures):
-        found[:, picture] += lit[:, k] * value[:, k]
-        of_picture, own = by_surface[:, picture], lit[:, k, :, None]
-        of_picture[..., :2] += own * turned[:, k]
-        of_picture[:, channels, 2 + channels] += lit[:, k] * of_lamps[:, k, :, 7]
-        of_picture[..., 5:] += own * of_lamps[:, k, :, 8:]
-    by_place = by_direction * lit[..., None]
+    planes = np.zeros((8, *lit.shape))
+    planes[0] = lit * value
+    for t in range(2):
+        turned = sum(of_lamps[1 + a] * frames[:, t, a, None, None] for a in range(3))
+        planes[1 + t] = lit * turned
+    for c in range(3):
+        planes[3 + c, ..., c] = lit[..., c] * of_lamps[7, ..., c]
+    planes[6:] = lit * of_lamps[8:]
+    if not np.array_equal(lamps.pictures, np.arange(pixels.pictures)):
+        of_pictures = np.zeros((8, *pixels.samples.shape))
+        for k, picture in enumerate(lamps.pictures):
+            of_pictures[:, :, picture] += planes[:, :, k]
+        planes = of_pictures
+    by_place = np.moveaxis(of_lamps[4:7] * lit, 0, -1)
     near = lamps.near
     if near.any():
         assert pixels.points is not None
@@ -274,15 +282,17 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
         by_place[:, near] += (lit * value)[:, near, :, None] * by_strength[:, :, None, :]
         by_place[:, near] /= distance[..., None]
     by_ambient = _core.shade(normals, *args, pixels.model).reshape(-1, 3, 16)
-    found += _ambient(by_ambient, state)
-    by_surface += _ambient_by_surface(pixels, state, frames)
-    return Slopes(found, by_surface, by_place, strengths[..., None] * value, by_ambient)
+    planes[0] += _ambient(by_ambient, state)
+    _add_ambient_by_surface(planes[1:], pixels, state, frames)
+    by_surface = np.moveaxis(planes[1:], 0, -1)
+    return Slopes(planes[0], by_surface, by_place, strengths[..., None] * value, by_ambient)
 
 
-def _ambient_by_surface(pixels: LampPixels, state: LampState, frames: Array) -> Array:
-    """(P, N, 3, 7): what ambient light adds to `by_surface`: slopes of weights, times the light."""
+def _add_ambient_by_surface(
+    planes: Array, pixels: LampPixels, state: LampState, frames: Array
+) -> None:
+    """Add to planes (7, P, N, 3) by the surface: slopes of the weights, times ambient light."""
     normals, albedo, roughness, metallic = surface_of(state)
-    found = np.zeros((*pixels.samples.shape, 7))
     for j in np.flatnonzero(state.ambient.any(axis=(0, 2))):
         for c in range(3):
             cotangent = np.zeros((len(pixels), 3, 16))
@@ -290,14 +300,7 @@ def _ambient_by_surface(pixels: LampPixels, state: LampState, frames: Array) -> 
             by_albedo, by_roughness, by_metallic, by_normal = _core.shade_vjp(
                 normals, pixels.views, albedo, roughness, metallic, cotangent, pixels.model
             )
-            of_weight = np.concatenate(
-                [
-                    np.einsum("px,ptx->pt", by_normal, frames),
-                    by_albedo,
-                    by_roughness[:, None],
-                    by_metallic[:, None],
-                ],
-                axis=-1,
-            )
-            found[:, :, c] += of_weight[:, None] * state.ambient[None, :, j, c, None]
-    return found
+            turned = np.einsum("px,ptx->tp", by_normal, frames)
+            of_weight = [*turned, *by_albedo.T, by_roughness, by_metallic]
+            for unknown, slope in enumerate(of_weight):
+                planes[unknown, ..., c] += slope[:, None] * state.ambient[:, j, c]

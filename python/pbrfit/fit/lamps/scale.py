@@ -48,8 +48,9 @@ def with_pulls(covariance: Array, fit: JointLamps, width: int) -> Array:
         return covariance
     _, blocks = np.unique(blocks_of(np.divmod(fit.pixels.places, width)), return_inverse=True)
     count = int(blocks.max()) + 1
-    pulls = np.array([fit.part(np.flatnonzero(blocks == i)).score() @ seen for i in range(count)])
-    more = float(fit.score() @ seen) ** 2
+    each, of_priors = fit.scores(seen)
+    pulls = np.bincount(blocks, each, count)
+    more = float(pulls.sum() + of_priors) ** 2
     if count >= PATCHES_MIN:
         more += count / (count - 1) * float(np.square(pulls - pulls.mean()).sum())
     return covariance + more / own**2 * np.outer(seen, seen)

@@ -181,14 +181,17 @@ def robust_surfaces(
 
 
 def by_pieces(
-    pixels: LampPixels, work: Callable[[LampPixels, slice], tuple[Array, ...]]
+    pixels: LampPixels,
+    work: Callable[[LampPixels, slice], tuple[Array, ...]],
+    *,
+    at_once: int = PIXELS_AT_ONCE,
 ) -> tuple[Array, ...]:
     """What `work` makes of pixels that know nothing of each other, on all processors."""
     alone = replace(pixels, threads=1)
     parts = in_pieces(
         pixels.threads,
         lambda rows: work(alone.of_rows(rows), rows),
-        slices(len(pixels), PIXELS_AT_ONCE),
+        slices(len(pixels), at_once),
     )
     return tuple(np.concatenate(of) for of in zip(*parts, strict=True))
 
@@ -446,18 +449,25 @@ def deviations(
         albedo=np.clip(state.albedo, BOUND_STEP, 1 - BOUND_STEP),
         roughness=np.clip(state.roughness, BOUND_STEP, 1 - BOUND_STEP),
     )
-    variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
-    for some in slices(count, PIXELS_AT_ONCE):
-        few = pixels.of_rows(some)
-        fit = JointLamps(few, inside.of_rows(some), noise, none.of_rows(some), freedom)
-        fit.weights = weights[some]
-        _, _, own, mixed, _ = fit.system()
+    # What is shared and known moves nothing.
+    shared = np.zeros(0, np.intp) if covariance is None else np.flatnonzero(covariance.any(axis=0))
+    of_shared = np.zeros((0, 0)) if covariance is None else covariance[np.ix_(shared, shared)]
+
+    def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
+        fit = JointLamps(some, inside.of_rows(rows), noise, none.of_rows(rows), freedom)
+        fit.weights = weights[rows]
+        own, mixed, _ = fit.pixel_system()
         np.einsum("puu->pu", own)[:] += 1e-9
         inverse = np.linalg.inv(own)
-        variance[some, :UNKNOWNS] = marginal[some, :UNKNOWNS] = np.einsum("puu->pu", inverse)
-        if covariance is not None:
-            moves = inverse @ mixed
-            marginal[some, :UNKNOWNS] += ((moves @ covariance) * moves).sum(axis=-1)
+        moves = (inverse @ mixed[..., shared]).reshape(UNKNOWNS * len(own), len(shared))
+        more = ((moves @ of_shared) * moves).sum(axis=-1)
+        held = np.einsum("puu->pu", inverse)
+        return held, held + more.reshape(held.shape)
+
+    variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
+    variance[:, :UNKNOWNS], marginal[:, :UNKNOWNS] = by_pieces(
+        pixels, of, at_once=max(PIXELS_AT_ONCE // pixels.pictures, 1)
+    )
     for found in (variance, marginal):
         found[~(found > 0)] = np.inf  # singular but for rounding: the samples tell nothing
     chance = state.metallic

@@ -174,9 +174,13 @@ def test_matrices_that_rounding_made_indefinite_tell_nothing(
 ) -> None:
     pixels, state = example("paper")
     own = np.tile(np.diag([1.0, 1, 1, 1, 1, -1e-3]), (PIXELS, 1, 1))
-    parts = (None, None, own, np.zeros((PIXELS, 6, 0)), None)
-    monkeypatch.setattr(JointLamps, "system", lambda _: parts)
     noise, weights = Noise(1.0, 0.0, np.zeros(PICTURES)), np.ones((PIXELS, PICTURES, 3))
+
+    def of_piece(fit: JointLamps) -> tuple[Array, Array, None]:
+        rows = fit.pixels.places
+        return own[rows], np.zeros((len(rows), 6, 0)), None
+
+    monkeypatch.setattr(JointLamps, "pixel_system", of_piece)
     for found in deviations(pixels, state, noise, weights, Freedom(normals=True), None):
         assert np.isinf(found[:, 5]).all()
         np.testing.assert_allclose(found[:, :5], 1)
