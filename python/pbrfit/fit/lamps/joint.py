@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.lamps.problem import LampPixels, LampState, Slopes, slopes, tangents
+from pbrfit.fit.lamps.problem import LampPixels, LampState, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
 from pbrfit.fit.lamps.shared_step import Directions, step_of
 from pbrfit.fit.settings import MEAN_RADIANCE
@@ -134,6 +134,26 @@ def offsets(base: Array, normals: Array) -> Array:
     return np.asarray(np.einsum("px,ptx->pt", normals, tangents(base)) / cosine[:, None])
 
 
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Samples as they change with all unknowns, pixels last.
+
+    A channel of a sample is moved by the surface, by the places and this channel's colours of its
+    picture's lamps, and by this channel of its ambient light.
+    """
+
+    by_surface: Array
+    """(6, N, 3, P)."""
+    by_lamp: Array
+    """(K, 3, 4, P): place and colour of each lamp, 0 of what is held."""
+    by_ambient: Array
+    """(3, P)."""
+    weights: Array
+    """(N, 3, P): 0 where a sample only bounds, and is kept."""
+    residuals: Array
+    """(N, 3, P)."""
+
+
 class JointLamps:
     """The joint fit of some pixels; `state` is where it stands.
 
@@ -238,88 +258,61 @@ class JointLamps:
         return np.asarray(shared - eliminated)
 
     def scores(self, direction: Array) -> tuple[Array, float]:
-        """Half the gradient of the cost along a direction (M,) of what is shared, pixels solved for.
+        """Half the slope of the cost along a direction (M,) of what is shared, pixels solved for.
 
         (P,) of each pixel, and of the priors.
         """
-        found, weights, residuals = self._linear()
-        own, mixed, of_pixels = self._of_pixels(found, weights, residuals)
+        linear = self._linear()
+        own, mixed, of_pixels = self._of_pixels(linear)
         solved = np.linalg.solve(own, of_pixels[..., None])[..., 0]
-        lamps, pictures = self.state.lamps, self.pixels.pictures
+        lamps = self.state.lamps
         places, colors = direction[: 6 * len(lamps)].reshape(2, -1, 3)
-        moved = np.zeros(residuals.shape)
-        for k, picture in enumerate(lamps.pictures):
-            if self.freedom.places:
-                moved[:, picture] += found.by_place[:, k] @ places[k]
-            if self.freedom.colors:
-                moved[:, picture] += found.by_color[:, k] * colors[k]
-        ambient = direction[6 * len(lamps) :].reshape(pictures, 3)
-        moved += found.by_ambient[:, None, :, 0] * ambient
-        each = (weights * residuals * moved).sum(axis=(1, 2))
+        ambient = direction[6 * len(lamps) :].reshape(-1, 3, 1)
+        pushed = linear.weights * linear.residuals
+        moved = np.einsum("kcap,ka->kcp", linear.by_lamp[:, :, :3], places)
+        moved += linear.by_lamp[:, :, 3] * colors[..., None]
+        each = np.einsum("kcp,kcp->p", pushed[lamps.pictures], moved)
+        each += (pushed * linear.by_ambient * ambient).sum(axis=(0, 1))
         of_priors = self._priors(len(direction))[1] @ direction
         return each - (solved * (mixed @ direction)).sum(axis=1), float(of_priors)
 
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
-        found, weights, residuals = self._linear()
-        shared, gradient = self._of_shared(found, weights, residuals)
-        own, mixed, gradients = self._of_pixels(found, weights, residuals)
-        return shared, gradient, own, mixed, gradients
+        linear = self._linear()
+        return *self._of_shared(linear), *self._of_pixels(linear)
 
     def pixel_system(self) -> tuple[Array, Array, Array]:
         """A (P, 6, 6), B (P, 6, M) and gradients (P, 6) of the pixels alone."""
-        return self._of_pixels(*self._linear())
+        return self._of_pixels(self._linear())
 
-    def _linear(self) -> tuple[Slopes, Array, Array]:
-        """Slopes, weights and residuals of samples; those that only bound tell nothing."""
-        found = slopes(self.pixels, self.state)
-        residuals = self.pixels.residuals(found.radiance)
-        bounded = (residuals == 0) & (self.pixels.limits > 0)
-        return found, np.where(bounded, 0.0, self.weights), residuals
+    def _linear(self) -> _Linear:
+        found, pixels = slopes(self.pixels, self.state), self.pixels
+        residuals = pixels.residuals(found.radiance)
+        bounded = (residuals == 0) & (pixels.limits > 0)
+        by_lamp = np.zeros((len(self.state.lamps), 3, 4, len(pixels)))
+        if self.freedom.places:
+            by_lamp[:, :, :3] = found.by_place.transpose(1, 2, 3, 0)
+        if self.freedom.colors:
+            by_lamp[:, :, 3] = found.by_color.transpose(1, 2, 0)
+        return _Linear(
+            found.by_surface.transpose(3, 1, 2, 0)[:UNKNOWNS],
+            by_lamp,
+            found.by_ambient[..., 0].T,
+            np.ascontiguousarray(np.where(bounded, 0.0, self.weights).transpose(1, 2, 0)),
+            np.ascontiguousarray(residuals.transpose(1, 2, 0)),
+        )
 
-    def _of_pixels(
-        self, found: Slopes, weights: Array, residuals: Array
-    ) -> tuple[Array, Array, Array]:
-        pixels, state, size = self.pixels, self.state, self._size()
-        count, pictures, lamps = len(pixels), pixels.pictures, len(state.lamps)
-        own, mixed = np.zeros((count, UNKNOWNS, UNKNOWNS)), np.zeros((count, UNKNOWNS, size))
-        gradients = np.zeros((count, UNKNOWNS))
-        by_places = mixed[..., : 3 * lamps].reshape(count, UNKNOWNS, lamps, 3)
-        by_colors = mixed[..., 3 * lamps : 6 * lamps].reshape(count, UNKNOWNS, lamps, 3)
-        by_ambient = mixed[..., 6 * lamps :].reshape(count, UNKNOWNS, pictures, 3)
-        of_channel = found.by_ambient[:, None, :, 0]
-        in_order = np.array_equal(state.lamps.pictures, np.arange(pictures))
-        albedo = slice(2, 5)
-        # A channel sees its own albedo alone; all others are seen by all channels.
-        by_albedo = sum(found.by_surface[..., 2 + c] for c in range(3))
-        unknowns = [5, 0, 1] if self.freedom.normals else [5]
-        by_unknown = [(u, found.by_surface[..., u]) for u in unknowns]
-        for u, slope in [*by_unknown, (albedo, by_albedo)]:
-            weighted = weights * slope
-            at_lamps = weighted if in_order else weighted[:, state.lamps.pictures]
-            if u is albedo:
-                diagonal = np.einsum("pnc,pnc->pc", weighted, slope)
-                own[:, [2, 3, 4], [2, 3, 4]] = diagonal
-                gradients[:, albedo] = np.einsum("pnc,pnc->pc", weighted, residuals)
-                for c in range(3):
-                    if self.freedom.places:
-                        by_places[:, 2 + c] = at_lamps[..., c, None] * found.by_place[..., c, :]
-                    if self.freedom.colors:
-                        by_colors[:, 2 + c, :, c] = at_lamps[..., c] * found.by_color[..., c]
-                    by_ambient[:, 2 + c, :, c] = weighted[..., c] * of_channel[..., c]
-                continue
-            for v, other in by_unknown:
-                own[:, u, v] = np.einsum("pnc,pnc->p", weighted, other)
-            own[:, u, albedo] = np.einsum("pnc,pnc->pc", weighted, by_albedo)
-            own[:, albedo, u] = own[:, u, albedo]
-            gradients[:, u] = np.einsum("pnc,pnc->p", weighted, residuals)
-            if self.freedom.places:
-                for a in range(3):
-                    product = at_lamps * found.by_place[..., a]
-                    by_places[:, u, :, a] = product[..., 0] + product[..., 1] + product[..., 2]
-            if self.freedom.colors:
-                by_colors[:, u] = at_lamps * found.by_color
-            by_ambient[:, u] = weighted * of_channel
+    def _of_pixels(self, linear: _Linear) -> tuple[Array, Array, Array]:
+        state, count, lamps = self.state, len(self.pixels), self.state.lamps
+        weighted = linear.by_surface * linear.weights
+        own = np.einsum("uncp,vncp->uvp", weighted, linear.by_surface)
+        gradients = np.einsum("uncp,ncp->up", weighted, linear.residuals).T.copy()
+        at_lamps = weighted[:, lamps.pictures]
+        by_places = np.einsum("ukcp,kcap->ukap", at_lamps, linear.by_lamp[:, :, :3])
+        parts = by_places, at_lamps * linear.by_lamp[:, :, 3], weighted * linear.by_ambient
+        flat = [part.reshape(UNKNOWNS, -1, count) for part in parts]
+        mixed = np.concatenate(flat, axis=1).transpose(2, 0, 1).copy()
+        own = own.transpose(2, 0, 1).copy()
         prior = self.prior
         surface = np.concatenate(
             [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
@@ -342,26 +335,19 @@ class JointLamps:
         mixed[held] = 0.0
         return own, mixed, gradients
 
-    def _of_shared(self, found: Slopes, weights: Array, residuals: Array) -> tuple[Array, Array]:
-        """Matrix (M, M) and gradient (M,) of what is shared, with its priors.
-
-        A channel of a sample is seen by the places and this channel's colours of its picture's
-        lamps, and by this channel of its ambient light.
-        """
-        lamps, pictures = self.state.lamps, self.pixels.pictures
-        count, channels = len(lamps), np.arange(3)
-        parts = np.zeros((count, 3, 4, len(self.pixels)))  # lamp, channel, place and colour
-        if self.freedom.places:
-            parts[:, :, :3] = found.by_place.transpose(1, 2, 3, 0)
-        if self.freedom.colors:
-            parts[:, :, 3] = found.by_color.transpose(1, 2, 0)
-        around = np.broadcast_to(found.by_ambient[..., 0].T, (pictures, 3, len(self.pixels)))
-        weights, residuals = (np.moveaxis(of, 0, -1) for of in (weights, residuals))
+    def _of_shared(self, linear: _Linear) -> tuple[Array, Array]:
+        """Matrix (M, M) and gradient (M,) of what is shared, with its priors."""
+        lamps, channels = self.state.lamps, np.arange(3)
+        parts, count, weights = linear.by_lamp, len(lamps), linear.weights
         first, second = np.nonzero(lamps.pictures[:, None] == lamps.pictures)
         weighted = parts * weights[lamps.pictures, :, None]
         pairs = np.matmul(weighted[first], parts[second].swapaxes(-1, -2))
         shared, gradient = self._priors(self._size())
-        places, colors, ambient = slice(3 * count), slice(3 * count, 6 * count), slice(6 * count, None)
+        places, colors, ambient = (
+            slice(3 * count),
+            slice(3 * count, 6 * count),
+            slice(6 * count, None),
+        )
 
         def block(rows: slice, columns: slice) -> Array:
             found = shared[rows, columns]
@@ -371,19 +357,19 @@ class JointLamps:
         block(places, colors)[first, :, second] += pairs[:, :, :3, 3].swapaxes(1, 2)
         of_colors = first[:, None], channels, second[:, None], channels
         block(colors, colors)[of_colors] += pairs[..., 3, 3]
-        with_ambient = np.einsum("kcap,kcp->kca", weighted, around[lamps.pictures])
+        with_ambient = weighted @ linear.by_ambient[:, :, None]
         each, own = np.arange(count), lamps.pictures
-        block(places, ambient)[each, :, own] += with_ambient[..., :3].swapaxes(1, 2)
+        block(places, ambient)[each, :, own] += with_ambient[..., :3, 0].swapaxes(1, 2)
         of_colors = each[:, None], channels, own[:, None], channels
-        block(colors, ambient)[of_colors] += with_ambient[..., 3]
-        of_ambient = weights * around
-        np.einsum("mm->m", shared)[ambient] += np.einsum("icp,icp->ic", of_ambient, around).ravel()
+        block(colors, ambient)[of_colors] += with_ambient[..., 3, 0]
+        of_ambient = weights * linear.by_ambient
+        np.einsum("mm->m", shared)[ambient] += (of_ambient * linear.by_ambient).sum(axis=2).ravel()
         shared[colors, places] = shared[places, colors].T
         shared[ambient, : 6 * count] = shared[: 6 * count, ambient].T
-        of_lamps = np.einsum("kcap,kcp->kca", weighted, residuals[lamps.pictures])
+        of_lamps = (weighted @ linear.residuals[lamps.pictures, :, :, None])[..., 0]
         gradient[places] += of_lamps[..., :3].sum(axis=1).ravel()
         gradient[colors] += of_lamps[..., 3].ravel()
-        gradient[ambient] += np.einsum("icp,icp->ic", of_ambient, residuals).ravel()
+        gradient[ambient] += (of_ambient * linear.residuals).sum(axis=2).ravel()
         return shared, gradient
 
     def _priors(self, size: int) -> tuple[Array, Array]:

@@ -246,29 +246,26 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
     directions, strengths = state.incident(pixels)
     normals, albedo, roughness, metallic = surface_of(state)
     args = pixels.views, albedo, roughness, metallic
-    # The derivatives first: planes (P, K, 3).
+    # Pixels last: planes (K, 3, P), which numpy goes through fast.
     of_lamps = np.ascontiguousarray(
-        np.moveaxis(
-            _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model), -1, 0
-        )
-    )
+        _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model).T
+    ).swapaxes(1, 2)
     value = of_lamps[0]
-    frames = tangents(normals)
-    lit = strengths[..., None] * lamps.colors
+    frames = tangents(normals).transpose(1, 2, 0)
+    lit = strengths.T[:, None] * lamps.colors[..., None]
     planes = np.zeros((8, *lit.shape))
     planes[0] = lit * value
     for t in range(2):
-        turned = sum(of_lamps[1 + a] * frames[:, t, a, None, None] for a in range(3))
-        planes[1 + t] = lit * turned
+        planes[1 + t] = lit * sum(of_lamps[1 + a] * frames[t, a] for a in range(3))
     for c in range(3):
-        planes[3 + c, ..., c] = lit[..., c] * of_lamps[7, ..., c]
+        planes[3 + c, :, c] = lit[:, c] * of_lamps[7, :, c]
     planes[6:] = lit * of_lamps[8:]
     if not np.array_equal(lamps.pictures, np.arange(pixels.pictures)):
-        of_pictures = np.zeros((8, *pixels.samples.shape))
+        of_pictures = np.zeros((8, pixels.pictures, 3, len(pixels)))
         for k, picture in enumerate(lamps.pictures):
-            of_pictures[:, :, picture] += planes[:, :, k]
+            of_pictures[:, picture] += planes[:, k]
         planes = of_pictures
-    by_place = np.moveaxis(of_lamps[4:7] * lit, 0, -1)
+    by_place = (of_lamps[4:7] * lit).T.swapaxes(1, 2)
     near = lamps.near
     if near.any():
         assert pixels.points is not None
@@ -279,19 +276,21 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
         by_strength = -2 * directions[:, near] - gathered * (
             lamps.axes[near] + along * directions[:, near]
         )
-        by_place[:, near] += (lit * value)[:, near, :, None] * by_strength[:, :, None, :]
+        shown = (lit * value).transpose(2, 0, 1)[:, near, :, None]
+        by_place[:, near] += shown * by_strength[:, :, None, :]
         by_place[:, near] /= distance[..., None]
     by_ambient = _core.shade(normals, *args, pixels.model).reshape(-1, 3, 16)
-    planes[0] += _ambient(by_ambient, state)
+    found = planes.transpose(3, 1, 2, 0)
+    found[..., 0] += _ambient(by_ambient, state)
     _add_ambient_by_surface(planes[1:], pixels, state, frames)
-    by_surface = np.moveaxis(planes[1:], 0, -1)
-    return Slopes(planes[0], by_surface, by_place, strengths[..., None] * value, by_ambient)
+    by_color = (strengths.T[:, None] * value).transpose(2, 0, 1)
+    return Slopes(found[..., 0], found[..., 1:], by_place, by_color, by_ambient)
 
 
 def _add_ambient_by_surface(
     planes: Array, pixels: LampPixels, state: LampState, frames: Array
 ) -> None:
-    """Add to planes (7, P, N, 3) by the surface: slopes of the weights, times ambient light."""
+    """Add to planes (7, N, 3, P) by the surface: slopes of the weights, times ambient light."""
     normals, albedo, roughness, metallic = surface_of(state)
     for j in np.flatnonzero(state.ambient.any(axis=(0, 2))):
         for c in range(3):
@@ -300,7 +299,7 @@ def _add_ambient_by_surface(
             by_albedo, by_roughness, by_metallic, by_normal = _core.shade_vjp(
                 normals, pixels.views, albedo, roughness, metallic, cotangent, pixels.model
             )
-            turned = np.einsum("px,ptx->tp", by_normal, frames)
+            turned = np.einsum("px,txp->tp", by_normal, frames)
             of_weight = [*turned, *by_albedo.T, by_roughness, by_metallic]
             for unknown, slope in enumerate(of_weight):
-                planes[unknown, ..., c] += slope[:, None] * state.ambient[:, j, c]
+                planes[unknown, :, c] += slope * state.ambient[:, j, c, None]

@@ -22,6 +22,7 @@ shadow: the weights that have the gradient of the likelihood.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,12 @@ class Left:
     @property
     def counted(self) -> NDArray[np.bool_]:
         """(P, N): samples of which some value is data."""
-        return np.asarray(self.values.any(axis=-1))
+        return np.asarray(over_channels(self.values) > 0)
+
+    @property
+    def dark(self) -> NDArray[np.bool_]:
+        """(P, N): samples that are darker than the model has them."""
+        return np.asarray(over_channels(self.residuals) > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,21 +121,20 @@ class Noise:
         """
         share = np.clip(self.shadows, *SHADOWS)
         odds = np.log(1 / share - 1) + self._log_ordinary(left) + np.log(_shown(left))
-        return np.where(left.residuals.mean(axis=-1) > 0, odds, np.inf)
+        return np.where(left.dark, odds, np.inf)
 
     def _log_ordinary(self, left: Left) -> Array:
         variance = self.variance(left)
         terms = np.square(left.residuals) / variance + np.log(2 * np.pi * variance)
-        values = np.maximum(left.values.sum(axis=-1), 1)
-        return np.asarray(-0.5 * (terms * left.values).sum(axis=-1) / values)
+        values = np.maximum(over_channels(left.values), 1)
+        return np.asarray(-0.5 * over_channels(terms * left.values) / values)
 
     def log_likelihoods(self, left: Left) -> Array:
         """(P, N): ln of the likelihood of samples; 0 of those that are no data."""
         share = np.clip(self.shadows, *SHADOWS)
         ordinary = np.log(1 - share) + self._log_ordinary(left)
         shadow = np.log(share) - np.log(_shown(left))
-        dark = left.residuals.mean(axis=-1) > 0
-        each = np.where(dark, np.logaddexp(ordinary, shadow), ordinary)
+        each = np.where(left.dark, np.logaddexp(ordinary, shadow), ordinary)
         return np.asarray(each * left.counted)
 
     def weights(self, left: Left, odds: Array | None = None) -> Array:
@@ -179,7 +184,12 @@ class Noise:
 
 def _shown(left: Left) -> Array:
     """(P, N): the model's radiance, mean over channels."""
-    return np.asarray(left.shown.mean(axis=-1))
+    return np.asarray(over_channels(left.shown) / 3)
+
+
+def over_channels(values: NDArray[Any]) -> Array:
+    """(...,): sums of (..., 3), several times as fast as along an axis so short."""
+    return np.asarray(np.add(values[..., 0], values[..., 1], dtype=np.float64) + values[..., 2])
 
 
 def probability(odds: Array) -> Array:

@@ -31,7 +31,7 @@ from pbrfit.fit.lamps.joint import (
     fit_surfaces,
     offsets,
 )
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside, slices
@@ -127,14 +127,35 @@ def neighbour_means(
     return found / counts.reshape(-1, *[1] * (values.ndim - 1))
 
 
+def by_pieces(
+    pixels: LampPixels,
+    work: Callable[[LampPixels, slice], tuple[Array, ...]],
+    *,
+    at_once: int = PIXELS_AT_ONCE,
+) -> tuple[Array, ...]:
+    """What `work` makes of pixels that know nothing of each other, on all processors."""
+    alone = replace(pixels, threads=1)
+    parts = in_pieces(
+        pixels.threads,
+        lambda rows: work(alone.of_rows(rows), rows),
+        slices(len(pixels), at_once),
+    )
+    return tuple(np.concatenate(of) for of in zip(*parts, strict=True))
+
+
 def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior) -> Array:
     """(P,): −ln of the posterior of each pixel's surface, up to a constant."""
-    found = -noise.log_likelihoods(Left.of(pixels, state)).sum(axis=-1)
+    (told,) = by_pieces(
+        pixels,
+        lambda some, rows: (
+            noise.log_likelihoods(Left.of(some, state.of_rows(rows))).sum(axis=-1),
+        ),
+    )
     at = np.concatenate(
         [offsets(pixels.normals, state.normals), state.albedo, state.roughness[:, None]], axis=-1
     )
     squares = prior.precision[:, :UNKNOWNS] * (at - prior.mean[:, :UNKNOWNS]) ** 2
-    return np.asarray(found + 0.5 * squares.sum(axis=-1))
+    return np.asarray(0.5 * squares.sum(axis=-1) - told)
 
 
 def better_of(
@@ -180,38 +201,6 @@ def robust_surfaces(
     return state, weights, cost, information
 
 
-def by_pieces(
-    pixels: LampPixels,
-    work: Callable[[LampPixels, slice], tuple[Array, ...]],
-    *,
-    at_once: int = PIXELS_AT_ONCE,
-) -> tuple[Array, ...]:
-    """What `work` makes of pixels that know nothing of each other, on all processors."""
-    alone = replace(pixels, threads=1)
-    parts = in_pieces(
-        pixels.threads,
-        lambda rows: work(alone.of_rows(rows), rows),
-        slices(len(pixels), at_once),
-    )
-    return tuple(np.concatenate(of) for of in zip(*parts, strict=True))
-
-
-def fitted_once(
-    pixels: LampPixels, begin: LampState, noise: Noise, prior: SurfacePrior, *, free_normals: bool
-) -> tuple[LampState, Array, Array]:
-    """Surfaces from a start, their samples' weights, and what surprises."""
-
-    def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
-        own = prior.of_rows(rows)
-        state, weights, *_ = robust_surfaces(
-            some, begin.of_rows(rows), noise, own, rounds=1, free_normals=free_normals
-        )
-        return *surface_of(state), weights, surprise(some, state, noise, own)
-
-    *surface, weights, left = by_pieces(pixels, of)
-    return begin.with_surface(*surface), weights, left
-
-
 def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
     """The same surfaces, turned so that each mirrors the lamp of its brightest sample."""
     directions, strengths = state.incident(pixels)
@@ -237,23 +226,31 @@ def from_neighbours(
         source = np.where(other >= 0, other, own)
         moved = state.of_rows(source)
         trial = state.with_surface(moved.normals, moved.albedo, moved.roughness, moved.metallic)
-        (left,) = by_pieces(
-            pixels,
-            lambda some, rows: (surprise(some, trial.of_rows(rows), noise, prior.of_rows(rows)),),
+        state, surprising = better_of(
+            state, surprising, trial, surprise(pixels, trial, noise, prior)
         )
-        state, surprising = better_of(state, surprising, trial, left)
     return state, surprising
 
 
 def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | None) -> Array:
     """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
-    left = Left.of(pixels, state)
-    odds = noise.log_odds(left)
+    judged: Array | None = None
     if width is not None:
-        dark = left.residuals.mean(axis=-1) > 0
+        odds, dark = by_pieces(pixels, lambda some, rows: _odds(some, state.of_rows(rows), noise))
         around = neighbour_means(np.clip(odds, -20, 20), pixels.places, width)
-        odds = np.where(dark, around, odds)
-    return pixels.weights * noise.weights(left, odds)
+        judged = np.where(dark, around, odds)
+
+    def of(some: LampPixels, rows: slice) -> tuple[Array]:
+        left = Left.of(some, state.of_rows(rows))
+        return (some.weights * noise.weights(left, None if judged is None else judged[rows]),)
+
+    return by_pieces(pixels, of)[0]
+
+
+def _odds(pixels: LampPixels, state: LampState, noise: Noise) -> tuple[Array, Array]:
+    """(P, N) each: ln of the odds to be in no cast shadow, and whether a sample is darker."""
+    left = Left.of(pixels, state)
+    return noise.log_odds(left), left.dark
 
 
 def fit_band(
@@ -272,10 +269,12 @@ def fit_band(
 
     `once` leaves them as one fit finds them, dielectrics alone, in an eighth of the time.
     """
-    state, weights, left = fitted_once(pixels, state, noise, prior, free_normals=freedom.normals)
+    state, weights, *_ = robust_surfaces(
+        pixels, state, noise, prior, rounds=1, free_normals=freedom.normals
+    )
     if not once:
         state, weights = _from_more_starts(
-            pixels, state, left, noise, prior, width, free=freedom.normals, metals=metals
+            pixels, state, noise, prior, width, free=freedom.normals, metals=metals
         )
     residual = pixels.residuals(radiance(pixels, state))
     variance = marginal = np.zeros((len(pixels), 7))
@@ -293,7 +292,6 @@ def fit_band(
 def _from_more_starts(
     pixels: LampPixels,
     state: LampState,
-    left: Array,
     noise: Noise,
     prior: SurfacePrior,
     width: int,
@@ -304,9 +302,10 @@ def _from_more_starts(
     """Surfaces, and weights of samples, where one fit may have ended in a wrong minimum."""
 
     def fitted(begin: LampState) -> tuple[LampState, Array]:
-        found, _, left = fitted_once(pixels, begin, noise, prior, free_normals=free)
-        return found, left
+        found, *_ = robust_surfaces(pixels, begin, noise, prior, rounds=1, free_normals=free)
+        return found, surprise(pixels, found, noise, prior)
 
+    left = surprise(pixels, state, noise, prior)
     if free:
         state, left = better_of(state, left, *fitted(facing_highlights(pixels, state)))
         moved, _ = from_neighbours(pixels, state, left, noise, prior, width)
@@ -459,7 +458,8 @@ def deviations(
         own, mixed, _ = fit.pixel_system()
         np.einsum("puu->pu", own)[:] += 1e-9
         inverse = np.linalg.inv(own)
-        moves = (inverse @ mixed[..., shared]).reshape(UNKNOWNS * len(own), len(shared))
+        moved = mixed if len(shared) == mixed.shape[-1] else mixed[..., shared]
+        moves = (inverse @ moved).reshape(UNKNOWNS * len(own), len(shared))
         more = ((moves @ of_shared) * moves).sum(axis=-1)
         held = np.einsum("puu->pu", inverse)
         return held, held + more.reshape(held.shape)
