@@ -128,7 +128,7 @@ def decompose(
     trace = Trace(options, progress=progress or None, began=began)
     if options.align == "auto" and "alignment" not in scene.assumed:
         with trace.stage("alignment"):
-            scene = aligned(scene)
+            scene = aligned(scene, stop=trace.out_of_time)
     hindered = hindrance(scene)
     if options.refine_normals == "off":
         hindered = "not asked for"

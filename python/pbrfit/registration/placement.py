@@ -11,7 +11,7 @@ better by that share, and its edges lie where the others have theirs (`SURE_AGRE
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -26,7 +26,6 @@ from pbrfit.registration.displacement import (
     LEAST_DISPLACEMENT,
     LEAST_SHARE,
     SCREENING,
-    Fit,
     Greys,
     Level,
     displacement_at,
@@ -137,15 +136,15 @@ class Registration:
         return "; ".join(moved) or IN_LINE
 
 
-def aligned(scene: Scene) -> Scene:
+def aligned(scene: Scene, *, stop: Callable[[], bool] = lambda: False) -> Scene:
     """The scene with pictures that are out of line put back or left out.
 
     `assumed["alignment"]` says what was done; a scene that has it is returned as it is. Where
-    nothing is to be done, all arrays are the given ones.
+    nothing is to be done, or `stop` becomes true before it is known, all arrays are the given ones.
     """
     if "alignment" in scene.assumed:
         return scene
-    found = register(scene)
+    found = register(scene, stop=stop)
     for one in found.placements:
         if not one.in_line:
             place = "" if scene.source is None else f"{scene.source.path}: "
@@ -156,7 +155,7 @@ def aligned(scene: Scene) -> Scene:
     return replace(put_back(scene, found), assumed=assumed)
 
 
-def register(scene: Scene) -> Registration:
+def register(scene: Scene, *, stop: Callable[[], bool] = lambda: False) -> Registration:
     """Find how the pictures of a scene lie relative to each other.
 
     Where most lie in one place, others are put there; where few do, as with a camera in the hand,
@@ -167,14 +166,14 @@ def register(scene: Scene) -> Registration:
     if min(scene.height, scene.width) < LEAST_SIDE:
         return Registration(hindrance=f"pictures below {LEAST_SIDE} pixels")
     with one_blas_thread():
-        return _Register(scene).run()
+        return _Register(scene, stop).run()
 
 
 class _Register:
     """The registration of one scene, under way."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene, self._pictures = scene, Greys(scene)
+    def __init__(self, scene: Scene, stop: Callable[[], bool]) -> None:
+        self._scene, self._pictures, self._stop = scene, Greys(scene), stop
         self._all = range(len(scene.images))
         self._small = reduced_size(self._pictures.shape, COARSE_SIDE)
         self._scale = max(self._pictures.shape) / max(self._small)
@@ -190,6 +189,8 @@ class _Register:
         suspects = self._suspects(peaks)
         if suspects:
             self._settle(suspects)
+        if self._stop():
+            return Registration(hindrance="the time limit was reached before")
         return Registration(
             tuple(
                 Placement(name, self._affine[i], self._reasons.get(i, ""))
@@ -257,22 +258,16 @@ class _Register:
         return [j for j in among if j != i and j not in self._reasons]
 
     def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
-        """Pictures that seem out of line, the most evident first."""
+        """Pictures that are out of line as far as a few pixels tell."""
         sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
         levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
-        evident: dict[int, float] = {}
+        suspects = []
         for i in self._others(-1, self._all):
             fits = [level.fit(i, self._others(i, self._all)) for level in levels]
-            shares = [
-                max(fit.shift.share, fit.bend.share)
-                for fit in fits
-                if fit is not None and fit.out_of_line
-            ]
-            if i in peaks:
-                shares.append(1.0)
-            if shares and self._confirmed(i, levels, peaks):
-                evident[i] = max(shares)
-        return sorted(evident, key=lambda i: -evident[i])
+            seems = i in peaks or any(fit is not None and fit.out_of_line for fit in fits)
+            if seems and self._confirmed(i, levels, peaks):
+                suspects.append(i)
+        return suspects
 
     def _confirmed(self, i: int, levels: list[Level], peaks: dict[int, alignment.Shift]) -> bool:
         """Whether the slopes at picture i lead to a place where it is explained better.
@@ -280,22 +275,14 @@ class _Register:
         Of a picture in line they are of light: steps along them go on and on, or gain little. What
         is found of others is kept, to go on from.
         """
-        others = self._others(i, self._all)
-        before = levels[-1].fit(i, others)
         if i in peaks:
             self._affine[i, :, 0] = self._scale * np.array(peaks[i].shift)
+        others = self._others(i, self._all)
         settled = [self._descend(level, i, others, COMPONENTS) for level in levels][-1]
-        after = levels[-1].fit(i, others) if settled else None
+        self._affine[i] = self._believed(levels[-1], i) if settled else 0.0
         for level in levels:
             level.move(i, np.zeros((2, 3)))
-        confirmed = (
-            before is not None
-            and after is not None
-            and before.share_explained_by(after) >= LEAST_SHARE
-        )
-        if not confirmed:
-            self._affine[i] = 0.0
-        return confirmed
+        return bool(self._affine[i].any())
 
     def _settle(self, suspects: list[int]) -> None:
         """Find the places of the suspects, in rounds."""
@@ -331,27 +318,27 @@ class _Register:
             others = np.mean([now[j] for j in self._others(i, everything)], axis=0)
             was, there = (alignment.in_place(others, of[i]) for of in (self._fields, now))
             if there > max(SURE_AGREEMENT, was - _AGREEMENT_NOISE):
-                believed[i] = self._believed(i)
+                believed[i] = self._believed(self._fine, i)
         if len(suspects) > len(everything) // 2:
             believed[everything] -= np.median(believed[everything], axis=0)
         for i in everything:
             self._affine[i] = self._simplest(believed[i])
 
-    def _descend(
-        self, level: Level, i: int, others: list[int], components: int, *, bend: bool = True
-    ) -> bool:
+    def _descend(self, level: Level, i: int, others: list[int], components: int) -> bool:
         """Move picture i to where the others explain it best; whether steps end there.
 
         They do where the last is shorter than the least displacement.
         """
         length = np.inf
         for _ in range(_STEPS):
+            if self._stop():
+                break
             level.move(i, self._affine[i])
             fit = level.fit(i, others, components)
             if fit is None:
                 return False
             step = fit.shift.affine
-            if bend and (fit.bend.believed or self._affine[i, :, 1:].any()):
+            if fit.bend.believed or self._affine[i, :, 1:].any():
                 step = step + fit.bend.affine
             length = level.rms(step) / level.pixel
             self._affine[i] += step * min(1.0, _LONGEST_STEP / max(length, 1e-9))
@@ -365,25 +352,16 @@ class _Register:
         shift, slope = np.abs(affine[:, 0]).max(), np.abs(affine[:, 1:]).max()
         return bool(shift > LARGEST_SHIFT * longer or slope > LARGEST_TURN * longer / 2)
 
-    def _believed(self, i: int) -> Array:
-        """The displacement of picture i where it explains enough: all, its shift alone, or 0."""
-        others = self._others(i, self._all)
-
-        def fit(affine: Array) -> Fit | None:
-            self._fine.move(i, affine)
-            return self._fine.fit(i, others)
-
+    def _believed(self, level: Level, i: int) -> Array:
+        """The displacement of picture i where it explains enough on a level, else 0."""
         found, none = self._affine[i].copy(), np.zeros((2, 3))
-        before, after = fit(none), fit(found)
+        fits = []
+        for affine in (none, found):
+            level.move(i, affine)
+            fits.append(level.fit(i, self._others(i, self._all)))
+        before, after = fits
         if before is None or after is None or self._too_far(found):
             return none
-        if found[:, 1:].any():
-            self._affine[i, :, 1:] = 0.0
-            self._descend(self._fine, i, others, COMPONENTS, bend=False)
-            shifted = fit(self._affine[i])
-            if shifted is not None and shifted.share_explained_by(after) < LEAST_SHARE:
-                found, after = self._affine[i].copy(), shifted
-            self._fine.move(i, found)
         return found if before.share_explained_by(after) >= LEAST_SHARE else none
 
     def _simplest(self, affine: Array) -> Array:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,10 +130,10 @@ def neighbour_means(
 
 def by_pieces(
     pixels: LampPixels,
-    work: Callable[[LampPixels, slice], tuple[Array, ...]],
+    work: Callable[[LampPixels, slice], tuple[NDArray[Any], ...]],
     *,
     at_once: int = PIXELS_AT_ONCE,
-) -> tuple[Array, ...]:
+) -> tuple[NDArray[Any], ...]:
     """What `work` makes of pixels that know nothing of each other, on all processors."""
     alone = replace(pixels, threads=1)
     parts = in_pieces(
@@ -247,7 +248,7 @@ def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | 
     return by_pieces(pixels, of)[0]
 
 
-def _odds(pixels: LampPixels, state: LampState, noise: Noise) -> tuple[Array, Array]:
+def _odds(pixels: LampPixels, state: LampState, noise: Noise) -> tuple[Array, NDArray[np.bool_]]:
     """(P, N) each: ln of the odds to be in no cast shadow, and whether a sample is darker."""
     left = Left.of(pixels, state)
     return noise.log_odds(left), left.dark
