@@ -138,16 +138,16 @@ def offsets(base: Array, normals: Array) -> Array:
 class _Linear:
     """Samples as they change with all unknowns, pixels last.
 
-    A channel of a sample is moved by the surface, by the places and this channel's colours of its
-    picture's lamps, and by this channel of its ambient light.
+    Sources S are the lamps, with a place and a colour, and each picture's ambient light, which is a
+    colour alone. A channel of a sample sees this channel of the colours of its picture's sources.
     """
 
     by_surface: Array
     """(6, N, 3, P)."""
-    by_lamp: Array
-    """(K, 3, 4, P): place and colour of each lamp, 0 of what is held."""
-    by_ambient: Array
-    """(3, P)."""
+    by_source: Array
+    """(S, 3, 4, P): by place and colour, 0 of what is held."""
+    pictures: NDArray[np.intp]
+    """(S,): of each source."""
     weights: Array
     """(N, 3, P): 0 where a sample only bounds, and is kept."""
     residuals: Array
@@ -265,14 +265,12 @@ class JointLamps:
         linear = self._linear()
         own, mixed, of_pixels = self._of_pixels(linear)
         solved = np.linalg.solve(own, of_pixels[..., None])[..., 0]
-        lamps = self.state.lamps
-        places, colors = direction[: 6 * len(lamps)].reshape(2, -1, 3)
-        ambient = direction[6 * len(lamps) :].reshape(-1, 3, 1)
-        pushed = linear.weights * linear.residuals
-        moved = np.einsum("kcap,ka->kcp", linear.by_lamp[:, :, :3], places)
-        moved += linear.by_lamp[:, :, 3] * colors[..., None]
-        each = np.einsum("kcp,kcp->p", pushed[lamps.pictures], moved)
-        each += (pushed * linear.by_ambient * ambient).sum(axis=(0, 1))
+        places, colors = np.split(direction.reshape(-1, 3), [len(self.state.lamps)])
+        moved = linear.by_source[:, :, 3] * colors[..., None]
+        lamps = linear.by_source[: len(places), :, :3]
+        moved[: len(places)] += np.einsum("kcap,ka->kcp", lamps, places)
+        pushed = (linear.weights * linear.residuals)[linear.pictures]
+        each = np.einsum("scp,scp->p", pushed, moved)
         of_priors = self._priors(len(direction))[1] @ direction
         return each - (solved * (mixed @ direction)).sum(axis=1), float(of_priors)
 
@@ -289,27 +287,31 @@ class JointLamps:
         found, pixels = slopes(self.pixels, self.state), self.pixels
         residuals = pixels.residuals(found.radiance)
         bounded = (residuals == 0) & (pixels.limits > 0)
-        by_lamp = np.zeros((len(self.state.lamps), 3, 4, len(pixels)))
+        lamps = self.state.lamps
+        by_source = np.zeros((len(lamps) + pixels.pictures, 3, 4, len(pixels)))
         if self.freedom.places:
-            by_lamp[:, :, :3] = found.by_place.transpose(1, 2, 3, 0)
+            by_source[: len(lamps), :, :3] = found.by_place.transpose(1, 2, 3, 0)
         if self.freedom.colors:
-            by_lamp[:, :, 3] = found.by_color.transpose(1, 2, 0)
+            by_source[: len(lamps), :, 3] = found.by_color.transpose(1, 2, 0)
+        by_source[len(lamps) :, :, 3] = found.by_ambient[..., 0].T
         return _Linear(
             found.by_surface.transpose(3, 1, 2, 0)[:UNKNOWNS],
-            by_lamp,
-            found.by_ambient[..., 0].T,
+            by_source,
+            np.concatenate([lamps.pictures, np.arange(pixels.pictures)]),
             np.ascontiguousarray(np.where(bounded, 0.0, self.weights).transpose(1, 2, 0)),
             np.ascontiguousarray(residuals.transpose(1, 2, 0)),
         )
 
     def _of_pixels(self, linear: _Linear) -> tuple[Array, Array, Array]:
-        state, count, lamps = self.state, len(self.pixels), self.state.lamps
+        state, count, lamps = self.state, len(self.pixels), len(self.state.lamps)
         weighted = linear.by_surface * linear.weights
         own = np.einsum("uncp,vncp->uvp", weighted, linear.by_surface)
         gradients = np.einsum("uncp,ncp->up", weighted, linear.residuals).T.copy()
-        at_lamps = weighted[:, lamps.pictures]
-        by_places = np.einsum("ukcp,kcap->ukap", at_lamps, linear.by_lamp[:, :, :3])
-        parts = by_places, at_lamps * linear.by_lamp[:, :, 3], weighted * linear.by_ambient
+        at_sources = weighted[:, linear.pictures]
+        places = np.einsum(
+            "ukcp,kcap->ukap", at_sources[:, :lamps], linear.by_source[:lamps, :, :3]
+        )
+        parts = places, at_sources * linear.by_source[:, :, 3]
         flat = [part.reshape(UNKNOWNS, -1, count) for part in parts]
         mixed = np.concatenate(flat, axis=1).transpose(2, 0, 1).copy()
         own = own.transpose(2, 0, 1).copy()
@@ -337,40 +339,22 @@ class JointLamps:
 
     def _of_shared(self, linear: _Linear) -> tuple[Array, Array]:
         """Matrix (M, M) and gradient (M,) of what is shared, with its priors."""
-        lamps, channels = self.state.lamps, np.arange(3)
-        parts, count, weights = linear.by_lamp, len(lamps), linear.weights
-        first, second = np.nonzero(lamps.pictures[:, None] == lamps.pictures)
-        weighted = parts * weights[lamps.pictures, :, None]
-        pairs = np.matmul(weighted[first], parts[second].swapaxes(-1, -2))
+        parts, sources, channels = linear.by_source, len(linear.pictures), np.arange(3)
+        weighted = parts * linear.weights[linear.pictures, :, None]
+        first, second = np.nonzero(linear.pictures[:, None] == linear.pictures)
+        pairs = weighted[first] @ parts[second].swapaxes(-1, -2)
+        # Places and colours of all sources; then without places of ambient light.
+        whole = np.zeros((2, sources, 3, 2, sources, 3))
+        whole[0, first, :, 0, second] = pairs[:, :, :3, :3].sum(axis=1)
+        whole[0, first, :, 1, second] = pairs[:, :, :3, 3].swapaxes(1, 2)
+        whole[1, first, :, 0, second] = pairs[:, :, 3, :3]
+        whole[1, first[:, None], channels, 1, second[:, None], channels] = pairs[..., 3, 3]
+        pushes = (weighted @ linear.residuals[linear.pictures, :, :, None])[..., 0]
+        slope = np.stack([pushes[..., :3].sum(axis=1), pushes[..., 3]]).ravel()
+        kept = np.delete(np.arange(6 * sources), slice(3 * len(self.state.lamps), 3 * sources))
         shared, gradient = self._priors(self._size())
-        places, colors, ambient = (
-            slice(3 * count),
-            slice(3 * count, 6 * count),
-            slice(6 * count, None),
-        )
-
-        def block(rows: slice, columns: slice) -> Array:
-            found = shared[rows, columns]
-            return found.reshape(len(found) // 3, 3, -1, 3)
-
-        block(places, places)[first, :, second] += pairs[:, :, :3, :3].sum(axis=1)
-        block(places, colors)[first, :, second] += pairs[:, :, :3, 3].swapaxes(1, 2)
-        of_colors = first[:, None], channels, second[:, None], channels
-        block(colors, colors)[of_colors] += pairs[..., 3, 3]
-        with_ambient = weighted @ linear.by_ambient[:, :, None]
-        each, own = np.arange(count), lamps.pictures
-        block(places, ambient)[each, :, own] += with_ambient[..., :3, 0].swapaxes(1, 2)
-        of_colors = each[:, None], channels, own[:, None], channels
-        block(colors, ambient)[of_colors] += with_ambient[..., 3, 0]
-        of_ambient = weights * linear.by_ambient
-        np.einsum("mm->m", shared)[ambient] += (of_ambient * linear.by_ambient).sum(axis=2).ravel()
-        shared[colors, places] = shared[places, colors].T
-        shared[ambient, : 6 * count] = shared[: 6 * count, ambient].T
-        of_lamps = (weighted @ linear.residuals[lamps.pictures, :, :, None])[..., 0]
-        gradient[places] += of_lamps[..., :3].sum(axis=1).ravel()
-        gradient[colors] += of_lamps[..., 3].ravel()
-        gradient[ambient] += (of_ambient * linear.residuals).sum(axis=2).ravel()
-        return shared, gradient
+        shared += whole.reshape(6 * sources, -1)[np.ix_(kept, kept)]
+        return shared, gradient + slope[kept]
 
     def _priors(self, size: int) -> tuple[Array, Array]:
         """Matrix (M, M) and gradient (M,) of the priors of what is shared."""
