@@ -21,6 +21,7 @@ from pbrfit.result.metrics import rmse
 from pbrfit.scene.arrays import AT_MOST
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from planted_lamps import far, planted
 from scene_files import write_integers
 
 MOVED = 2
@@ -102,6 +103,30 @@ def test_light_alone_displaces_nothing(kind: str, lights: int) -> None:
     for seed in (31, 32):
         found = register(scene(kind, lights=lights, seed=seed))
         assert found.in_line, found.in_words()
+
+
+def test_slopes_that_lead_nowhere_are_no_displacement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shading asks for displacements of all pictures of a ball under lamps: one is looked into."""
+    asked: list[list[int]] = []
+    settle = placement._Register._settle
+
+    def noted(self: placement._Register, suspects: list[int]) -> None:
+        asked.append(list(suspects))
+        settle(self, suspects)
+
+    monkeypatch.setattr(placement._Register, "_settle", noted)
+    assert register(planted(far(12), size=128).scene).in_line
+    assert sum(map(len, asked)) <= 1
+    assert not register(shaken(affine(0.35, 0.0))).in_line
+    assert asked[-1] == [MOVED]
+
+
+def test_a_limit_ends_registration_and_is_named() -> None:
+    late = aligned(shaken(affine(2, 0)), stop=lambda: True)
+    assert late.assumed["alignment"] == "not checked: the time limit was reached before"
+    assert late.weights is None
+    fit = pbrfit.decompose(shaken(affine(2, 0)), time_limit=0, uncertainty=False)
+    assert fit.assumed["alignment"] == late.assumed["alignment"]
 
 
 def test_a_displacement_counts_from_its_least_length_on() -> None:

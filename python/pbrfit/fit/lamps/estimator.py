@@ -640,7 +640,7 @@ class LampFit:
             # Looks have found the scale where steps have not, and it is as uncertain.
             freedom = fit.freedom
             fit.freedom = replace(freedom, scale=True)
-            basis = fit.directions(len(shared)).basis()
+            basis, _ = fit.directions()
             fit.freedom = freedom
             inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
             found = basis @ inner @ basis.T

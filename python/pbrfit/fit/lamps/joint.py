@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pbrfit import _core
 from pbrfit.fit.lamps.problem import LampPixels, LampState, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
-from pbrfit.fit.lamps.shared_step import Directions, step_of
+from pbrfit.fit.lamps.shared_step import step_of
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
 
@@ -373,7 +373,7 @@ class JointLamps:
     def _moved(self, system: tuple[Array, Array, Array, Array, Array]) -> LampState | None:
         """The state after a step with the present damping; None if there is none."""
         lamps = self.state.lamps
-        found = step_of(*system, self.directions(len(system[1])), self.damping)
+        found = step_of(*system, *self.directions(), self.damping)
         if found is None:
             return None
         change, of_pixels = found
@@ -408,30 +408,28 @@ class JointLamps:
             ),
         )
 
-    def directions(self, size: int) -> Directions:
-        """In which what is shared may move: places, colours, ambient light."""
+    def directions(self) -> tuple[Array, Array]:
+        """In which what is shared may move, (M, columns), and slopes of what is held, (rows, M)."""
+        from scipy.linalg import block_diag
+
         lamps, count = self.state.lamps, len(self.state.lamps)
-        found = Directions(size)
+        places = colors = np.zeros((3 * count, 0))
+        held = np.zeros((0, self._size()))
         if self.freedom.places:
             frames = tangents(np.where(lamps.near[:, None], [0.0, 0.0, 1.0], lamps.places))
-            for k in range(count):
-                vectors = np.eye(3) if lamps.near[k] else frames[k]
-                found.add(3 * k + np.arange(3), vectors.T)
+            each = zip(frames, lamps.near, strict=True)
+            places = block_diag(*(np.eye(3) if near else frame.T for frame, near in each))
         if self.freedom.colors:
-            for k in range(1 if self.freedom.same_lamp else count):
-                rows = 3 * np.arange(count if self.freedom.same_lamp else 1)[:, None] + 3 * k
-                at = (3 * count + rows + np.arange(3)).ravel()
-                found.add(at, np.tile(np.eye(3), (len(rows), 1)))
+            colors = np.eye(3 * count)
+            if self.freedom.same_lamp:
+                colors = np.tile(np.eye(3), (count, 1))
             if not self.freedom.scale:
                 # Changes leave the mean logarithm of each channel.
+                held = np.zeros((3, self._size()))
                 by_log = 1 / np.maximum(lamps.colors, 1e-12)
                 for c in range(3):
-                    slope = np.zeros(size)
-                    slope[3 * count + c : 6 * count : 3] = by_log[:, c]
-                    found.held.append(slope)
-        for i in range(self.pixels.pictures):
-            found.add(6 * count + 3 * i + np.arange(3), np.eye(3))
-        return found
+                    held[c, 3 * count + c : 6 * count : 3] = by_log[:, c]
+        return block_diag(places, colors, np.eye(3 * self.pixels.pictures)), held
 
 
 def minimize(fit: JointLamps, *, steps: int, stop: Callable[[], bool] = lambda: False) -> int:
