@@ -266,10 +266,9 @@ class LampFit:
             scene.through(self.fov), self.normals, self.model, self.setup.threads, like=fit.pixels
         )
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
-        labels = np.unique(fit.pixels.labels)
         roughness = {
             int(label): float(np.median(fit.prior.mean[fit.pixels.labels == label, 5]))
-            for label in labels
+            for label in np.unique(fit.pixels.labels)
         }
         return pixels, band.state, Found(lamps, roughness, self.fov)
 

@@ -7,11 +7,14 @@ the weights W of the samples and the precisions Q of the priors, a step solves
     [Σ J_yᵀ W J_y + Q_y   Σ_p B_pᵀ] [δy]      [g_y]
     [      B_p               A_p  ] [δz_p] = −[g_p],     A_p = J_pᵀ W J_p + Q_p,  B_p = J_pᵀ W J_y.
 
-A_p is 6 × 6, so the pixels are eliminated one by one:
+A_p is 6 × 6, so the pixels are eliminated one by one. What is shared moves along the columns of a
+matrix E, mostly 0, δy = E v. With the damped A_p, G = B E and K = Eᵀ (Σ J_yᵀ W J_y + Q_y) E, damped
+by D, a step solves
 
-    (Σ J_yᵀ W J_y + Q_y − Σ_p B_pᵀ A_p⁻¹ B_p) δy = −g_y + Σ_p B_pᵀ A_p⁻¹ g_p.
+    S v + Cᵀ λ = Σ_p Gᵀ A_p⁻¹ g_p − Eᵀ g_y,    C v = 0,    S = K + D − Σ_p Gᵀ A_p⁻¹ G
 
-Each sample sees one picture's lights, so that B_p is filled picture by picture.
+where C has the slopes of what is held, such as the scale that lamps and albedo share. S takes the
+square, and its solution the cube, of the number of unknowns.
 """
 
 from __future__ import annotations
@@ -25,7 +28,6 @@ from numpy.typing import NDArray
 from pbrfit import _core
 from pbrfit.fit.lamps.problem import LampPixels, LampState, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
-from pbrfit.fit.lamps.shared_step import step_of
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
 
@@ -441,3 +443,45 @@ def minimize(fit: JointLamps, *, steps: int, stop: Callable[[], bool] = lambda: 
         if fit.step() < 1e-4:
             break
     return made
+
+
+def step_of(
+    shared: Array,
+    gradient: Array,
+    own: Array,
+    mixed: Array,
+    gradients: Array,
+    directions: Array,
+    held: Array,
+    damping: float,
+) -> tuple[Array, Array] | None:
+    """The changes of what is shared, (M,), and of the pixels' unknowns, (P, U); None if singular.
+
+    By the matrix (M, M) and gradient of what is shared, A (P, U, U), B (P, U, M) and gradients
+    (P, U) of the pixels, and the `directions` E (M, columns) in which what is shared may move,
+    without what the slopes `held` (rows, M) see. `damping` is the share of the diagonals that is
+    added to them.
+    """
+    from scipy.sparse import csr_array
+
+    own = own.copy()
+    np.einsum("puu->pu", own)[:] *= 1 + damping
+    try:
+        inverse = np.linalg.inv(own)
+        along = csr_array(directions)
+        coupling = np.asarray(along.T @ mixed.reshape(-1, mixed.shape[-1]).T).T
+        solved = np.matmul(inverse, coupling.reshape(*mixed.shape[:2], -1))
+        eliminated = solved.reshape(coupling.shape)
+        matrix = np.asarray(along.T @ shared @ along)
+        np.einsum("uu->u", matrix)[:] += damping * np.maximum(np.diag(matrix), 1e-12)
+        right = eliminated.T @ gradients.reshape(-1) - along.T @ gradient
+        matrix -= coupling.T @ eliminated
+        bound, none = held @ along, np.zeros((len(held), len(held)))
+        bordered = np.block([[matrix, bound.T], [bound, none]])
+        moved = np.linalg.solve(bordered, np.append(right, none[:, :1]))[: len(right)]
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(moved).all():
+        return None
+    of_pixels = -np.einsum("puv,pv->pu", inverse, gradients) - solved @ moved
+    return np.asarray(along @ moved), of_pixels

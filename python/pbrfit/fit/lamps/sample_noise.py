@@ -21,7 +21,7 @@ shadow: the weights that have the gradient of the likelihood.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -174,12 +174,8 @@ class Noise:
                 floor2 = max((d - b * relative2) / max(a, 1e-300), NOISE_MIN**2)
         seen = np.maximum(counted.sum(axis=0), 1)
         share = (counted - ordinary).sum(axis=0) / seen
-        return Noise(
-            float(np.sqrt(floor2)),
-            float(np.sqrt(relative2)),
-            np.clip(share, *SHADOWS),
-            self.proportional,
-        )
+        floor, relative = float(np.sqrt(floor2)), float(np.sqrt(relative2))
+        return replace(self, floor=floor, relative=relative, shadows=np.clip(share, *SHADOWS))
 
 
 def _shown(left: Left) -> Array:

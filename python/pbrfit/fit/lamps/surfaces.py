@@ -32,7 +32,7 @@ from pbrfit.fit.lamps.joint import (
     fit_surfaces,
     offsets,
 )
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
 from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside, slices
@@ -164,12 +164,9 @@ def better_of(
 ) -> tuple[LampState, Array]:
     """Of each pixel the surface that surprises less."""
     take = of_other < of_one
-    return one.with_surface(
-        np.where(take[:, None], other.normals, one.normals),
-        np.where(take[:, None], other.albedo, one.albedo),
-        np.where(take, other.roughness, one.roughness),
-        np.where(take, other.metallic, one.metallic),
-    ), np.where(take, of_other, of_one)
+    both = zip(surface_of(one), surface_of(other), strict=True)
+    taken = (np.where(take if a.ndim == 1 else take[:, None], b, a) for a, b in both)
+    return one.with_surface(*taken), np.where(take, of_other, of_one)
 
 
 def robust_surfaces(
@@ -222,11 +219,8 @@ def from_neighbours(
     width: int,
 ) -> tuple[LampState, Array]:
     """Surfaces of neighbours, where these surprise less than a pixel's own: (state, surprise)."""
-    own = np.arange(len(pixels))
     for other in beside(pixels.places, width, NEIGHBOURS):
-        source = np.where(other >= 0, other, own)
-        moved = state.of_rows(source)
-        trial = state.with_surface(moved.normals, moved.albedo, moved.roughness, moved.metallic)
+        trial = state.of_rows(np.where(other >= 0, other, np.arange(len(pixels))))
         state, surprising = better_of(
             state, surprising, trial, surprise(pixels, trial, noise, prior)
         )
@@ -237,7 +231,13 @@ def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | 
     """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
     judged: Array | None = None
     if width is not None:
-        odds, dark = by_pieces(pixels, lambda some, rows: _odds(some, state.of_rows(rows), noise))
+        odds, dark = by_pieces(
+            pixels,
+            lambda some, rows: (
+                noise.log_odds(left := Left.of(some, state.of_rows(rows))),
+                left.dark,
+            ),
+        )
         around = neighbour_means(np.clip(odds, -20, 20), pixels.places, width)
         judged = np.where(dark, around, odds)
 
@@ -246,12 +246,6 @@ def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | 
         return (some.weights * noise.weights(left, None if judged is None else judged[rows]),)
 
     return by_pieces(pixels, of)[0]
-
-
-def _odds(pixels: LampPixels, state: LampState, noise: Noise) -> tuple[Array, NDArray[np.bool_]]:
-    """(P, N) each: ln of the odds to be in no cast shadow, and whether a sample is darker."""
-    left = Left.of(pixels, state)
-    return noise.log_odds(left), left.dark
 
 
 def fit_band(
@@ -375,13 +369,7 @@ def _with_metals(
     share = metal_shares(odds, pixels.labels)
     chance = 1 / (1 + np.exp(-np.clip(odds + np.log(share / (1 - share)), -50, 50)))
     chance = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))
-    take = chance > 0.5
-    state = state.with_surface(
-        np.where(take[:, None], metal.normals, state.normals),
-        np.where(take[:, None], metal.albedo, state.albedo),
-        np.where(take, metal.roughness, state.roughness),
-        chance,
-    )
+    state = replace(better_of(state, chance, metal, 1 - chance)[0], metallic=chance)
     between = np.flatnonzero((chance > 0) & (chance < 1))
     if len(between):
         refitted, _, _ = fit_surfaces(
@@ -435,7 +423,7 @@ def deviations(
     noise: Noise,
     weights: Array,
     freedom: Freedom,
-    covariance: Array | None,
+    covariance: Array,
 ) -> tuple[Array, Array]:
     """(P, 7) variances with lights held, and with lights as uncertain as `covariance`.
 
@@ -450,8 +438,8 @@ def deviations(
         roughness=np.clip(state.roughness, BOUND_STEP, 1 - BOUND_STEP),
     )
     # What is shared and known moves nothing.
-    shared = np.zeros(0, np.intp) if covariance is None else np.flatnonzero(covariance.any(axis=0))
-    of_shared = np.zeros((0, 0)) if covariance is None else covariance[np.ix_(shared, shared)]
+    shared = np.flatnonzero(covariance.any(axis=0))
+    of_shared = covariance[np.ix_(shared, shared)]
 
     def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
         fit = JointLamps(some, inside.of_rows(rows), noise, none.of_rows(rows), freedom)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, null_space
 
-from pbrfit.fit.lamps.shared_step import step_of
+from pbrfit.fit.lamps.joint import step_of
 
 System = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
