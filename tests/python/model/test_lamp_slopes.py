@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-import reference
-from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model.reflection import MODELS
 from reference import unit
-
-Array = NDArray[np.floating[Any]]
 
 every_model = pytest.mark.parametrize("model", MODELS)
 
@@ -53,51 +47,6 @@ def test_slopes_come_with_the_radiance_and_do_not_depend_on_threads(model: str) 
     np.testing.assert_array_equal(one[..., 0], radiance)
     np.testing.assert_array_equal(one, two)
     assert one.shape == (3000, 2, 3, 10)
-
-
-@every_model
-def test_slopes_are_those_of_the_values(model: str) -> None:
-    given = pixels(200, 3, 2)
-    given["directions"][np.einsum("px,pkx->pk", given["normals"], given["directions"]) < 0.05] = (
-        given["normals"][0]
-    )
-    n, directions = given["normals"], given["directions"]
-    over = np.einsum("px,pkx->pk", n, directions) > 0.05
-    width = 0.02 * given["roughness"] ** 2
-
-    steps = width[:, None, None]
-
-    def radiance(name: str, value: Array) -> Array:
-        return _core.lamp_radiance(**(given | {name: value}), threads=1, model=model)
-
-    def turned(name: str, along: Array, t: float) -> Array:
-        return radiance(name, unit(given[name] + t * along))
-
-    def changed(name: str, t: float) -> Array:
-        return radiance(name, given[name] + t)
-
-    slopes = _core.lamp_slopes(**given, threads=1, model=model)
-    value, by_normal, by_direction = slopes[..., 0], slopes[..., 1:4], slopes[..., 4:7]
-    scale = np.maximum(value, 1e-3)
-
-    def agrees(found: Array, expected: Array, error: Array, unit_of_x: Array | float) -> None:
-        near = np.abs(found - expected) <= 1e-6 * (np.abs(expected) + scale / unit_of_x) + error
-        assert near[over].all()
-
-    for tangent in reference.tangents(n):
-        along = width[:, None] * tangent
-        slope, error = ridders(partial(turned, "normals", along), 1.0)
-        found = np.einsum("pkcx,px->pkc", by_normal, tangent)
-        agrees(found, slope / steps, error / steps, steps)
-    for tangent in reference.tangents(directions.reshape(-1, 3)):
-        tangent = tangent.reshape(directions.shape)
-        slope, error = ridders(partial(turned, "directions", steps * tangent), 1.0)
-        found = np.einsum("pkcx,pkx->pkc", by_direction, tangent)
-        agrees(found, slope / steps, error / steps, steps)
-    for name, found in zip(
-        ("albedo", "roughness", "metallic"), np.moveaxis(slopes[..., 7:], -1, 0), strict=True
-    ):
-        agrees(found, *ridders(partial(changed, name), 0.02), 1.0)
 
 
 @every_model

@@ -105,20 +105,13 @@ def test_light_alone_displaces_nothing(kind: str, lights: int) -> None:
         assert found.in_line, found.in_words()
 
 
-def test_slopes_that_lead_nowhere_are_no_displacement(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slopes_that_lead_nowhere_are_no_displacement() -> None:
     """Shading asks for displacements of all pictures of a ball under lamps: one is looked into."""
-    asked: list[list[int]] = []
-    settle = placement._Register._settle
-
-    def noted(self: placement._Register, suspects: list[int]) -> None:
-        asked.append(list(suspects))
-        settle(self, suspects)
-
-    monkeypatch.setattr(placement._Register, "_settle", noted)
-    assert register(planted(far(12), size=128).scene).in_line
-    assert sum(map(len, asked)) <= 1
-    assert not register(shaken(affine(0.35, 0.0))).in_line
-    assert asked[-1] == [MOVED]
+    ball, moved_by_little = planted(far(12), size=128).scene, shaken(affine(0.35, 0.0))
+    searches = [placement._Register(one, lambda: False) for one in (ball, moved_by_little)]
+    suspects = [search._suspects(search._peaks()) for search in searches]
+    assert len(suspects[0]) <= 1
+    assert suspects[1] == [MOVED]
 
 
 def test_a_limit_ends_registration_and_is_named() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.joint import Freedom, JointLamps
+from pbrfit.fit.lamps.joint import Freedom, JointLamps, SurfacePrior
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.surfaces import deviations
@@ -156,6 +156,43 @@ def test_slopes_by_colours_and_ambient_light(model: Model) -> None:
         assert (expected[:, [0, 2]] == 0).all()
 
 
+@every_model
+def test_the_joint_system_is_of_all_slopes_and_weights(model: Model) -> None:
+    pixels, state = example(model)
+    rng, shape = np.random.default_rng(1), pixels.samples.shape
+    pixels = replace(pixels, samples=rng.uniform(0, 1, shape))
+    pixels.limits[:, 0] = rng.integers(0, 3, (PIXELS, 3))
+    nothing = SurfacePrior(np.zeros((PIXELS, 7)), np.zeros((PIXELS, 7)))
+    noise = Noise(1.0, 0.0, np.zeros(PICTURES))
+    fit = JointLamps(pixels, state, noise, nothing, Freedom(normals=True))
+    fit.weights = rng.uniform(0, 1, shape)
+    found, count = slopes(pixels, state), len(NEAR)
+    size = 6 * count + 3 * PICTURES
+    by_shared, channels = np.zeros((*shape, size)), np.arange(3)
+    for k, picture in enumerate(state.lamps.pictures):
+        by_shared[:, picture, :, 3 * k : 3 * k + 3] = found.by_place[:, k]
+        by_shared[:, picture, channels, 3 * (count + k) + channels] = found.by_color[:, k]
+    for i in range(PICTURES):
+        by_shared[:, i, channels, 6 * count + 3 * i + channels] = found.by_ambient[..., 0]
+    left = pixels.residuals(found.radiance)
+    weights = np.where((left == 0) & (pixels.limits > 0), 0, fit.weights)
+    by_all = np.concatenate([by_shared, found.by_surface[..., :6]], axis=-1)
+    squares = np.einsum("pncu,pnc,pncv->puv", by_all, weights, by_all)
+    pushes = np.einsum("pncu,pnc,pnc->pu", by_all, weights, left)
+    shared, gradient, own, mixed, gradients = fit.system()
+    precision, pulled = fit._priors(size)
+    assert_alike(shared - precision, squares[:, :size, :size].sum(axis=0))
+    assert_alike(gradient - pulled, pushes[:, :size].sum(axis=0))
+    assert_alike(own, squares[:, size:, size:])
+    assert_alike(mixed, squares[:, size:, :size])
+    assert_alike(gradients, pushes[:, size:])
+    along = rng.normal(size=size)
+    solved = np.linalg.solve(own, gradients[..., None])
+    each, of_priors = fit.scores(along)
+    assert_alike(each, (pushes[:, :size] - (mixed * solved).sum(axis=1)) @ along)
+    assert_alike(np.array(of_priors), pulled @ along)
+
+
 def test_clipped_samples_are_bounds() -> None:
     pixels, _ = example("paper")
     limits = pixels.limits.copy()
@@ -175,12 +212,8 @@ def test_matrices_that_rounding_made_indefinite_tell_nothing(
     pixels, state = example("paper")
     own = np.tile(np.diag([1.0, 1, 1, 1, 1, -1e-3]), (PIXELS, 1, 1))
     noise, weights = Noise(1.0, 0.0, np.zeros(PICTURES)), np.ones((PIXELS, PICTURES, 3))
-
-    def of_piece(fit: JointLamps) -> tuple[Array, Array, None]:
-        rows = fit.pixels.places
-        return own[rows], np.zeros((len(rows), 6, 0)), None
-
-    monkeypatch.setattr(JointLamps, "pixel_system", of_piece)
+    parts = own, np.zeros((PIXELS, 6, 0)), None
+    monkeypatch.setattr(JointLamps, "pixel_system", lambda _: parts)
     for found in deviations(pixels, state, noise, weights, Freedom(normals=True), np.zeros((0, 0))):
         assert np.isinf(found[:, 5]).all()
         np.testing.assert_allclose(found[:, :5], 1)

@@ -72,8 +72,7 @@ def test_a_step_solves_the_whole_system(held: bool) -> None:
 
 
 def test_nothing_moves_without_directions() -> None:
-    rng = np.random.default_rng(2)
-    given = system(rng)
+    given = system(np.random.default_rng(2))
     found = step_of(*given, *NOWHERE, 0.0)
     assert found is not None
     assert not found[0].any()
