@@ -139,10 +139,14 @@ class Level:
         cut = [self._cut(i, None) for i in range(pictures.count)]
         self._values = np.stack([values for values, _ in cut])
         self._used = np.stack([used for _, used in cut])
+        flat = self._values.reshape(len(cut), -1)
+        self._products = (flat @ flat.T).astype(np.float64)
 
     def move(self, i: int, affine: Array) -> None:
         """Take picture i from x + u(x)."""
         self._values[i], self._used[i] = self._cut(i, affine if affine.any() else None)
+        flat = self._values.reshape(len(self._values), -1)
+        self._products[i] = self._products[:, i] = flat @ flat[i]
 
     def _cut(self, i: int, affine: Array | None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Blurred windows (n, h, w) of a picture, of RMS 1, and which of the P pixels hold data."""
@@ -176,16 +180,14 @@ class Level:
     def fit(self, i: int, others: Sequence[int], components: int = COMPONENTS) -> Fit | None:
         """How picture i lies relative to the others; None if nothing tells it."""
         others, used = self._common(i, others)
-        values = self._values[others]
-        mean = values.mean(axis=0)
-        parts = [mean * self._harmonics]
+        # Of all pictures without a copy: the mean of the others, and their main components.
         components = min(components, len(others))
-        if components:
-            flat = values.reshape(len(others), -1)
-            _, vectors = np.linalg.eigh((flat @ flat.T).astype(np.float64))
-            main = vectors[:, ::-1][:, :components].T.astype(np.float32)
-            parts.append(np.tensordot(main, values, axes=1))
-        basis = np.concatenate(parts)
+        shares = np.zeros((1 + components, len(self._values)), np.float32)
+        shares[0, others] = 1 / len(others)
+        _, vectors = np.linalg.eigh(self._products[np.ix_(others, others)])
+        shares[1:, others] = vectors[:, ::-1][:, :components].T
+        mean, *main = np.tensordot(shares, self._values, axes=1)
+        basis = np.concatenate([mean * self._harmonics, main])
         if np.count_nonzero(used) < _SAMPLES_OF_UNKNOWN * (len(basis) + 6):
             return None
         return self._solved(self._inner(self._values[i]), basis, used, self._inner(mean))
