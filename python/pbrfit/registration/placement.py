@@ -322,7 +322,7 @@ class _Register:
         if len(suspects) > len(everything) // 2:
             believed[everything] -= np.median(believed[everything], axis=0)
         for i in everything:
-            self._affine[i] = self._simplest(believed[i])
+            self._affine[i] = self._simplest(self._fine, believed[i])
 
     def _descend(self, level: Level, i: int, others: list[int], components: int) -> bool:
         """Move picture i to where the others explain it best; whether steps end there.
@@ -353,8 +353,8 @@ class _Register:
         return bool(shift > LARGEST_SHIFT * longer or slope > LARGEST_TURN * longer / 2)
 
     def _believed(self, level: Level, i: int) -> Array:
-        """The displacement of picture i where it explains enough on a level, else 0."""
-        found, none = self._affine[i].copy(), np.zeros((2, 3))
+        """The simplest displacement of picture i where it explains enough on a level, else 0."""
+        found, none = self._simplest(level, self._affine[i]), np.zeros((2, 3))
         fits = []
         for affine in (none, found):
             level.move(i, affine)
@@ -364,13 +364,13 @@ class _Register:
             return none
         return found if before.share_explained_by(after) >= LEAST_SHARE else none
 
-    def _simplest(self, affine: Array) -> Array:
+    def _simplest(self, level: Level, affine: Array) -> Array:
         """A displacement without what is too small: an affine part, parts of a pixel, or all."""
         shift = np.column_stack([affine[:, 0], np.zeros((2, 2))])
-        if self._fine.rms(affine) < LEAST_DISPLACEMENT:
+        if level.rms(affine) < LEAST_DISPLACEMENT:
             return np.zeros((2, 3))
-        if self._fine.rms(affine - shift) >= LEAST_DISPLACEMENT:
-            return affine
+        if level.rms(affine - shift) >= LEAST_DISPLACEMENT:
+            return affine.copy()
         near = np.abs(shift - shift.round()).max() <= ROUNDED
         return np.asarray(shift.round() if near else shift)
 
