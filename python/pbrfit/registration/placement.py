@@ -272,14 +272,14 @@ class _Register:
     def _confirmed(self, i: int, levels: list[Level], peaks: dict[int, alignment.Shift]) -> bool:
         """Whether the slopes at picture i lead to a place where it is explained better.
 
-        Of a picture in line they are of light: steps along them go on and on, or gain little. What
+        Of a picture in line they are of light: steps along them go on and on, or gain nothing. What
         is found of others is kept, to go on from.
         """
         if i in peaks:
             self._affine[i, :, 0] = self._scale * np.array(peaks[i].shift)
         others = self._others(i, self._all)
         settled = [self._descend(level, i, others, COMPONENTS) for level in levels][-1]
-        self._affine[i] = self._believed(levels[-1], i) if settled else 0.0
+        self._affine[i] = self._believed(levels[-1], i, 0.0) if settled else 0.0
         for level in levels:
             level.move(i, np.zeros((2, 3)))
         return bool(self._affine[i].any())
@@ -318,7 +318,7 @@ class _Register:
             others = np.mean([now[j] for j in self._others(i, everything)], axis=0)
             was, there = (alignment.in_place(others, of[i]) for of in (self._fields, now))
             if there > max(SURE_AGREEMENT, was - _AGREEMENT_NOISE):
-                believed[i] = self._believed(self._fine, i)
+                believed[i] = self._believed(self._fine, i, LEAST_SHARE)
         if len(suspects) > len(everything) // 2:
             believed[everything] -= np.median(believed[everything], axis=0)
         for i in everything:
@@ -352,7 +352,7 @@ class _Register:
         shift, slope = np.abs(affine[:, 0]).max(), np.abs(affine[:, 1:]).max()
         return bool(shift > LARGEST_SHIFT * longer or slope > LARGEST_TURN * longer / 2)
 
-    def _believed(self, level: Level, i: int) -> Array:
+    def _believed(self, level: Level, i: int, least: float) -> Array:
         """The simplest displacement of picture i where it explains enough on a level, else 0."""
         found, none = self._simplest(level, self._affine[i]), np.zeros((2, 3))
         fits = []
@@ -362,7 +362,7 @@ class _Register:
         before, after = fits
         if before is None or after is None or self._too_far(found):
             return none
-        return found if before.share_explained_by(after) >= LEAST_SHARE else none
+        return found if before.share_explained_by(after) >= least else none
 
     def _simplest(self, level: Level, affine: Array) -> Array:
         """A displacement without what is too small: an affine part, parts of a pixel, or all."""
