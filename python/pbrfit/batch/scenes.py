@@ -108,7 +108,6 @@ def decompose_scene(
     from pbrfit.batch.unchanged import kept
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
-    from pbrfit.registration.placement import aligned
     from pbrfit.result import advice
     from pbrfit.result.data import Status
     from pbrfit.result.result import RESULT_FOLDER
@@ -145,10 +144,6 @@ def decompose_scene(
         with step("reading"):
             scene = Scene.load(task.source, task.reading)
         heartbeat.step()
-        if task.options.align == "auto":
-            with step("alignment"):
-                scene = aligned(scene)
-            heartbeat.step()
         result = decompose(
             scene, task.options, threads=task.threads or threads, progress=wanted.show
         )
