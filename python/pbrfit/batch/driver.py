@@ -22,10 +22,6 @@ log = logging.getLogger("pbrfit")
 T = TypeVar("T")
 R = TypeVar("R")
 
-DIED = "its process died"
-PERHAPS_MEMORY = "; memory may be too short (ulimit -v)"
-"""Where address space is limited the core may find none, which ends a process."""
-
 
 @dataclass(frozen=True)
 class Attempt(Generic[R]):
@@ -217,8 +213,10 @@ def _outcome(
     if failure is None:
         return future.result(), False
     if isinstance(failure, (BrokenExecutor, CancelledError, *deaths)):
+        # Where address space is limited the core may find none, which ends a process.
         limited = address_space.left() is not None
-        return Attempt(None, DIED + PERHAPS_MEMORY * limited), True
+        why = "; memory may be too short (ulimit -v)" if limited else ""
+        return Attempt(None, f"its process died{why}"), True
     if not isinstance(failure, Exception):
         raise failure
     return Attempt(None, in_one_line(failure)), False  # such as a value that cannot be pickled
@@ -228,16 +226,14 @@ def _outcome(
 def _listening(apart: bool) -> Iterator[list[tuple[int, str]]]:
     """Collect warnings of another process, which nobody would see there."""
     said: list[tuple[int, str]] = []
-    if not apart:
-        yield said
-        return
 
     class Collector(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             said.append((record.levelno, record.getMessage()))
 
     collector = Collector(logging.WARNING)
-    log.addHandler(collector)
+    if apart:
+        log.addHandler(collector)
     try:
         yield said
     finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from contextlib import suppress
 from multiprocessing import get_context
 from typing import Any
 
@@ -49,16 +50,12 @@ class Watch:
         passed, self._looked = min(now - self._looked, LOOK_MAX), now
         for slot, (steps, silent) in self._seen.items():
             process, found = self.rows[2 * slot : 2 * slot + 2]
-            if process == 0 or found != steps:
-                self._seen[slot] = found, 0.0
-                continue
-            self._seen[slot] = found, silent + passed
-            if silent + passed > self.patience:
+            silent = 0.0 if process == 0 or found != steps else silent + passed
+            self._seen[slot] = found, silent
+            if silent > self.patience:
                 stalled.add(slot)
-                try:
+                with suppress(OSError):  # it has just died
                     os.kill(process, getattr(signal, "SIGKILL", signal.SIGTERM))
-                except OSError:
-                    continue  # it has just died
         return stalled
 
     @property

@@ -161,9 +161,14 @@ def _locked(path: Path) -> IO[bytes] | None:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             file.close()
             raise FileExistsError(errno.EEXIST, "no regular file", str(path))
-        if not _lock(file):
-            file.close()
-            return None
+        if sys.platform != "win32":
+            import fcntl
+
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                file.close()
+                return None
         # Who held it may have removed it meanwhile; then it is no longer what others will open.
         with suppress(OSError):
             if sys.platform == "win32" or os.path.samestat(os.fstat(file.fileno()), path.lstat()):
@@ -175,15 +180,3 @@ _LOCKING = os.O_RDWR | os.O_CREAT | os.O_APPEND
 _LOCKING |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 """Flags with which the lock is opened, should it have become something else since it was looked at:
 a link is not followed, a pipe not waited for."""
-
-
-def _lock(file: IO[bytes]) -> bool:
-    if sys.platform == "win32":
-        return True
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

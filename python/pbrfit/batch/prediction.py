@@ -86,18 +86,16 @@ def picture_size(path: Path) -> tuple[int, int]:
 
     Raises InputError or OSError if it cannot be read.
     """
-    with open_file(images.file_of(path)) as file:
+    stored = images.file_of(path)
+    with open_file(stored) as file:
         head = file.read(_HEAD)
     kind = image_format(head)
     if raw_files.is_raw(path, head, kind):
         return raw_files.size(path)
-    found = None
-    if kind == "EXR":
-        found = _of_exr(head)
-    elif kind == "HDR":
-        found = _of_hdr(head)
-    elif kind is not None:
-        found = _of_raster(images.file_of(path))
+    if kind in ("EXR", "HDR"):
+        found = _of_exr(head) if kind == "EXR" else _of_hdr(head)
+    else:
+        found = None if kind is None else _of_raster(stored)
     if found is not None and min(found) > 0:
         return found
     height, width = images.read_picture(path).pixels.shape[:2]  # such as TIFF of floats

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-STATUS = Path("/proc/self/status")
-CLEAR = Path("/proc/self/clear_refs")
-
 
 def resident_kib() -> int | None:
     """Memory that is resident now."""
@@ -21,7 +18,7 @@ def peak_kib() -> int | None:
 def forget_peak() -> bool:
     """Start a new peak from now. False where that is not possible."""
     try:
-        CLEAR.write_text("5", encoding="ascii")
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     except OSError:
         return False
     return True
@@ -29,7 +26,7 @@ def forget_peak() -> bool:
 
 def _status(name: str) -> int | None:
     try:
-        lines = STATUS.read_text(encoding="ascii").splitlines()
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     except OSError:
         return None
     values = [line.split()[1] for line in lines if line.startswith(f"{name}:")]

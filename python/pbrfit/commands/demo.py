@@ -7,12 +7,7 @@ from pathlib import Path
 
 from pbrfit.batch.scenes import table
 from pbrfit.commands.arguments import DONE, add_flags, add_quiet, switch
-from pbrfit.commands.fit_options import (
-    MODEL_OF_PICTURES,
-    add_fit_options,
-    add_option,
-    fit_options,
-)
+from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_fit_options, add_option, fit_options
 from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.synth import add_synthetic, make_scene
 from pbrfit.commands.terminal import held_out_lines, verdict_lines

@@ -23,12 +23,7 @@ CLEAR = "\r\x1b[K"
 
 
 def progress_bar(
-    total: int,
-    *,
-    quiet: bool,
-    unit: str = "it",
-    name: str | None = None,
-    smoothing: float = 0.3,
+    total: int, *, quiet: bool, unit: str = "it", name: str | None = None, smoothing: float = 0.3
 ) -> Any:
     """Make a `tqdm` bar on stderr; where that is no terminal it prints a line now and then.
 

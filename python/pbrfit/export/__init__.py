@@ -23,26 +23,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pbrfit.export import blender
+from pbrfit.export import blender, lights, materialx, points, rti
 from pbrfit.export.displacement import Displacement
 from pbrfit.export.gltf import glb
-from pbrfit.export.lights import FILES as LIGHT_FILES
-from pbrfit.export.lights import LightPanorama, write_lights
+from pbrfit.export.lights import LightPanorama
 from pbrfit.export.maps import Bits, Maps, NormalConvention
-from pbrfit.export.materialx import HOLDS as MATERIALX_HOLDS
-from pbrfit.export.materialx import mtlx
-from pbrfit.export.points import HOLDS as POINTS_HOLD
-from pbrfit.export.points import ply
 from pbrfit.export.presets import Format, Plan, PresetName, plan
-from pbrfit.export.rti import (
-    LP_FILE,
-    LP_HOLDS,
-    PTM_FILE,
-    PTM_HOLDS,
-    lp,
-    one_lamp_a_picture,
-    ptm,
-)
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io import images
 from pbrfit.io.json_files import UNFIT, path_text, read_json, write_json
@@ -169,26 +155,26 @@ def export_result(
         if "png" in planned.formats:
             files += _write_png(folder, maps, planned, displacement)
         if "mtlx" in planned.formats:
-            (folder / "material.mtlx").write_text(mtlx(planned), encoding="utf-8")
+            (folder / "material.mtlx").write_text(materialx.mtlx(planned), encoding="utf-8")
             colors = "base color sRGB, all else linear"
-            files.append(_file(folder, "material.mtlx", MATERIALX_HOLDS, colors))
+            files.append(_file(folder, "material.mtlx", materialx.HOLDS, colors))
         if preset == "blender" and "png" in planned.formats:
             (folder / blender.ZIP_FILE).write_bytes(blender.extension())
             files.append(_file(folder, blender.ZIP_FILE, blender.ZIP_HOLDS, "none"))
         if "ply" in planned.formats:
-            (folder / "points.ply").write_bytes(ply(result))
+            (folder / "points.ply").write_bytes(points.ply(result))
             colors = "albedo sRGB, all else linear"
-            files.append(_file(folder, "points.ply", POINTS_HOLD, colors))
+            files.append(_file(folder, "points.ply", points.HOLDS, colors))
         if "ptm" in planned.formats:
-            content, white = ptm(result)
-            (folder / PTM_FILE).write_bytes(content)
+            content, white = rti.ptm(result)
+            (folder / rti.PTM_FILE).write_bytes(content)
             codes = f"sRGB codes, white = radiance {white:.4g}"
-            files.append(_file(folder, PTM_FILE, PTM_HOLDS, codes))
+            files.append(_file(folder, rti.PTM_FILE, rti.PTM_HOLDS, codes))
         (folder / "lights").mkdir()
-        if "lp" in planned.formats or one_lamp_a_picture(result.lamps, len(result.pictures)):
-            (folder / "lights" / LP_FILE).write_text(lp(result), encoding="utf-8")
-            files.append(_file(folder, f"lights/{LP_FILE}", LP_HOLDS, "unit vectors"))
-        panoramas = write_lights(folder / "lights", result)
+        if "lp" in planned.formats or rti.one_lamp_a_picture(result.lamps, len(result.pictures)):
+            (folder / "lights" / rti.LP_FILE).write_text(rti.lp(result), encoding="utf-8")
+            files.append(_file(folder, f"lights/{rti.LP_FILE}", rti.LP_HOLDS, "unit vectors"))
+        panoramas = lights.write_lights(folder / "lights", result)
         files += _light_files(folder, panoramas)
         _write_manifest(folder / MANIFEST, result, planned, files, displacement)
     _warn_of_negative(Path(path), panoramas)
@@ -252,7 +238,7 @@ _DATA = "data, linear; float32"
 
 
 def _light_files(folder: Path, panoramas: tuple[LightPanorama, ...]) -> Iterator[ExportedFile]:
-    for name, holds in LIGHT_FILES.items():
+    for name, holds in lights.FILES.items():
         yield _file(folder, f"lights/{name}", holds, "linear, Rec.709 primaries, D65")
     for light in panoramas:
         yield _file(

@@ -159,11 +159,7 @@ def _write_three(path: Path, lighting: Lighting) -> None:
         )
     ]
     content = {
-        "metadata": {
-            "version": 4.6,
-            "type": "Object",
-            "generator": f"pbrfit {__version__}",
-        },
+        "metadata": {"version": 4.6, "type": "Object", "generator": f"pbrfit {__version__}"},
         "object": {"uuid": _uuid("lights"), "type": "Group", "name": "lights", "children": probes},
     }
     write_json(path, content)

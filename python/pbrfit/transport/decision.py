@@ -102,12 +102,7 @@ class Transport:
                 blocks=tuple(map(flag, given["blocks"])),
                 reach=positive(given["reach"]),
             )
-        return cls(
-            kind,
-            text(values["why"]),
-            extents,
-            figures(values["figures"]),
-        )
+        return cls(kind, text(values["why"]), extents, figures(values["figures"]))
 
 
 NOT_TRIED = Transport()

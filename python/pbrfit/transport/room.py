@@ -171,12 +171,8 @@ def _upright(
     top = (room.high[1] - foot @ up) / lean
     if extents.height is None:
         top = float((wall.corners @ rise).max())
-    return np.array(
-        [
-            foot + s * along + t * rise
-            for s, t in ((low, base), (high, base), (high, top), (low, top))
-        ]
-    )
+    corners = (low, base), (high, base), (high, top), (low, top)
+    return np.array([foot + s * along + t * rise for s, t in corners])
 
 
 def name_of(wall: Wall, walls: Sequence[Wall]) -> str:

@@ -425,8 +425,7 @@ class LightOptions:
         description="Instead: an equirectangular picture (HDR or EXR), as of relight --env",
     )
     rotation: FloatProperty(
-        name="Rotation",
-        description="Turns light from the viewer towards the right, in degrees",
+        name="Rotation", description="Turns light from the viewer towards the right, in degrees"
     )
     sun: BoolProperty(name="Sun", description="Instead: hard light from one direction")
     azimuth: FloatProperty(
