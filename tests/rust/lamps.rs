@@ -283,32 +283,6 @@ fn slopes_hold_at_the_borders_of_the_formulas() {
     }
 }
 
-#[test]
-fn below_the_horizon_everything_is_nothing() {
-    let mut numbers = Numbers(3);
-    for model in MODELS {
-        for _ in 0..50 {
-            let normal = numbers.direction();
-            let sight = Sight {
-                model,
-                normal,
-                view: numbers.direction_over(normal, 0.0),
-                light: -numbers.direction_over(normal, 0.0),
-                material: numbers.material(),
-            };
-            let slopes = sight.slopes();
-            assert_eq!(slopes.radiance, [0.0; 3]);
-            assert_eq!(slopes.by_albedo, [0.0; 3]);
-            assert_eq!(slopes.by_roughness, [0.0; 3]);
-            assert_eq!(slopes.by_metallic, [0.0; 3]);
-            for c in 0..3 {
-                assert_eq!(DVec3::from(slopes.by_normal()[c]), DVec3::ZERO);
-                assert_eq!(DVec3::from(slopes.by_direction()[c]), DVec3::ZERO);
-            }
-        }
-    }
-}
-
 /// f_r = I/(π n·l) is the same with light and camera exchanged, and so are its slopes by the normal.
 /// The principled model's ground and its scattering depend on n·v alone, so it holds of the paper's.
 #[test]
@@ -472,19 +446,6 @@ impl Example {
             extents: &[],
             model,
         }
-    }
-}
-
-#[test]
-fn pixels_under_lamps_are_the_same_by_any_way_and_number_of_threads() {
-    let example = Example::new(3000, 6);
-    for model in MODELS {
-        let radiance = lamp_radiance(example.lamplit(model), 1).unwrap();
-        assert_eq!(radiance, lamp_radiance(example.lamplit(model), 3).unwrap());
-        let slopes = lamp_slopes(example.lamplit(model), 1).unwrap();
-        let first: Vec<_> = slopes.iter().step_by(10).copied().collect();
-        assert_eq!(first, radiance);
-        assert_eq!(slopes, lamp_slopes(example.lamplit(model), 2).unwrap());
     }
 }
 

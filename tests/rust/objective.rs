@@ -13,7 +13,7 @@ use pbrfit::reflectance::planes::Material;
 use pbrfit::reflectance::shade::{Frame, shade, shade_vjp};
 use pbrfit::reflectance::tangent_offset;
 use pbrfit::runtime::simd::{Instructions, Isa, Kernel};
-use pbrfit::schur::{Clusters, Elimination, PriorTerm};
+use pbrfit::schur::Elimination;
 
 #[derive(Clone)]
 struct Example {
@@ -399,37 +399,6 @@ fn residuals_are_those_of_the_loss() {
 }
 
 #[test]
-fn same_bits_at_any_thread_count() {
-    for free_normals in [false, true] {
-        let mut example = Example::new(20_000, 3);
-        example.free_normals = free_normals;
-        same_bits(&example);
-    }
-}
-
-fn same_bits(example: &Example) {
-    let x = example.x();
-    let evaluate = |threads: usize| {
-        let problem = example.problem(threads);
-        let mut gradient = vec![0.0; x.len()];
-        let loss = problem.value_and_grad(&x, None, &mut gradient).unwrap();
-        let mut tamed = vec![0.0; x.len()];
-        let robust = Some(0.5);
-        let tamed_loss = problem.value_and_grad(&x, robust, &mut tamed).unwrap();
-        let equations = problem.light_equations(&x[..problem.maps()]).unwrap();
-        let residuals = problem.residuals(&x, &[3, 19_999, 1_000]).unwrap();
-        (loss, gradient, tamed_loss, tamed, equations, residuals)
-    };
-    let one = evaluate(1);
-    for threads in [2, 3, 8] {
-        assert!(
-            one == evaluate(threads),
-            "{threads} threads differ from one"
-        );
-    }
-}
-
-#[test]
 fn rendering_agrees_with_shade() {
     for (pixels, lights) in [(1, 1), (128, 2), (77, 5), (3_000, 3)] {
         let example = Example::new(pixels, lights);
@@ -633,19 +602,6 @@ fn normal_equations(example: &Example, problem: &Problem) -> Vec<f64> {
 }
 
 #[test]
-fn normal_equations_have_the_same_bits_at_any_thread_count() {
-    for free_normals in [false, true] {
-        let mut example = Example::new(2_000, 3);
-        example.free_normals = free_normals;
-        let one = normal_equations(&example, &example.problem(1));
-        for threads in [2, 3, 8] {
-            let many = normal_equations(&example, &example.problem(threads));
-            assert!(one == many, "{threads} threads differ from one");
-        }
-    }
-}
-
-#[test]
 fn normal_equations_agree_in_every_instruction_set() {
     for (channels, sh_order, free_normals) in
         [(1, 3, false), (3, 2, false), (1, 2, true), (3, 3, true)]
@@ -663,68 +619,5 @@ fn normal_equations_agree_in_every_instruction_set() {
                 instructions.name()
             );
         }
-    }
-}
-
-#[test]
-fn products_with_offsets_of_clusters_are_those_of_the_matrix_at_any_thread_count() {
-    let example = Example::new(1_000, 3);
-    let (x, shared) = (example.x(), 2);
-    let pixels: Vec<usize> = (0..example.pixels()).collect();
-    let waves = |a| -> Vec<f64> { (0..shared * pixels.len()).map(|i| wave(i, a)).collect() };
-    let (precision, deviation) = (waves(0.7), waves(0.37));
-    let of_pixels: Vec<usize> = pixels.iter().map(|p| p * p % 7).collect();
-    // Some of which are empty.
-    let count = 7;
-    let clusters = Some(Clusters {
-        of_pixels: &of_pixels,
-        count,
-    });
-    let how = Elimination {
-        damping: 0.1,
-        mono: false,
-        prior: Some(PriorTerm {
-            precision: &precision,
-            deviation: &deviation,
-            clusters,
-        }),
-    };
-    let size = example.lighting.len() + count * shared;
-    let v: Vec<f64> = (0..size).map(|i| wave(i, 1.7)).collect();
-    let at = |threads| {
-        let problem = example.problem(threads);
-        let dense = problem.schur_complement(&x, &pixels, &how).unwrap();
-        let kept = problem.kept_system(&x, &pixels, &how).unwrap();
-        let product = kept.product(&v).unwrap();
-        (
-            dense.matrix,
-            dense.gradient,
-            product,
-            kept.gradient().to_vec(),
-        )
-    };
-    let (matrix, gradient, product, same_gradient) = at(1);
-    let expected: Vec<f64> = matrix
-        .chunks(size)
-        .map(|row| row.iter().zip(&v).map(|(a, b)| a * b).sum())
-        .collect();
-    // What products need is kept in float32.
-    for (found, expected, most) in [
-        (&product, &expected, 1e-5),
-        (&same_gradient, &gradient, 1e-12),
-    ] {
-        let off = norm(found.iter().zip(expected).map(|(a, b)| a - b));
-        assert!(off <= most * norm(expected.iter().copied()));
-    }
-    for threads in [2, 3, 8] {
-        let many = at(threads);
-        assert!(
-            many == (
-                matrix.clone(),
-                gradient.clone(),
-                product.clone(),
-                same_gradient.clone()
-            )
-        );
     }
 }
