@@ -123,6 +123,23 @@ def colorants_to_rec709(to_xyz: ArrayLike, white: NDArray[np.float64]) -> NDArra
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where the pixels of a picture are put, and which: they are averaged to its arrays' size."""
+
+    used: tuple[slice, slice]
+    """Rows and columns of the upright picture."""
+    pixels: NDArray[np.float32]
+    """(height, width, 3), in one piece, to be filled."""
+    limits: Limits
+    """Zeros of that shape, in one piece."""
+
+    @classmethod
+    def new(cls, size: tuple[int, ...], used: tuple[slice, slice] = np.s_[:, :]) -> Place:
+        """Of new arrays of a size (height, width); all of the picture unless part is `used`."""
+        return cls(used, np.empty((*size, 3), np.float32), np.zeros((*size, 3), np.uint8))
+
+
+@dataclass(frozen=True)
 class Conversion:
     """The way from stored samples to linear Rec.709."""
 
@@ -133,34 +150,29 @@ class Conversion:
 
     def __call__(self, samples: NDArray[Any]) -> NDArray[np.float32]:
         """Samples (H, W, 3), uint8, uint16 or floating, as linear Rec.709 float32, a new array."""
-        pixels = np.empty(samples.shape, np.float32)
-        self.average(samples, (slice(None), slice(None)), pixels, np.zeros(pixels.shape, np.uint8))
-        return pixels
+        place = Place.new(samples.shape[:2])
+        self.average(samples, place)
+        return place.pixels
 
     def average(
-        self,
-        samples: NDArray[Any],
-        used: tuple[slice, slice],
-        pixels: NDArray[np.float32],
-        limits: Limits,
-        codes: tuple[int, int] | None = None,
+        self, samples: NDArray[Any], place: Place, codes: tuple[int, int] | None = None
     ) -> bool:
-        """Fill `pixels` (height, width, 3) with linear Rec.709 of samples (H, W, 1 to 4).
+        """Fill a place with linear Rec.709 of samples (H, W, 1 to 4), without alpha.
 
-        Rows and columns that are `used` are averaged, alpha is left out. Integers below and above
-        `codes` are at a limit: `limits`, zeros of that shape, become as by `limits.averaged`.
-        Returns whether one is. Both arrays have to lie in one piece.
+        Integers below and above `codes` are at a limit: its limits become as by `limits.averaged`.
+        Returns whether one is.
         """
+        pixels = place.pixels
         curves = np.empty((1, 1), np.float32)
         if samples.dtype.kind == "u":
             curves = self._sampled(int(np.iinfo(samples.dtype).max) + 1)
         else:
             assert not isinstance(self.curve, np.ndarray), "curves are sampled for integers"
             samples = _decoded(samples, self.curve).astype(np.float32, copy=False)
-        within = zip(used, samples.shape[:2], strict=True)
+        within = zip(place.used, samples.shape[:2], strict=True)
         ranges = [part.indices(length)[:2] for part, length in within]
         colors = of_colors(self.matrix)
-        some = average_light(samples, ranges, curves, codes, colors, pixels, limits)
+        some = average_light(samples, ranges, curves, codes, colors, pixels, place.limits)
         if self.matrix is not None:
             # Plane by plane: the same bits whichever linear algebra library numpy is linked with.
             red, green, blue = (pixels[..., k].copy() for k in range(3))

@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.lib.format import MAGIC_PREFIX, open_memmap
@@ -26,7 +26,7 @@ from pbrfit._core import InputError
 from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
 from pbrfit.io import limits as file_limits
-from pbrfit.io.color import ColorSpace, Conversion, Curve, Primaries
+from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
@@ -93,25 +93,6 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where the pixels of a picture are put, and which: they are averaged to its arrays' size."""
-
-    used: tuple[slice, slice]
-    """Rows and columns of the upright picture."""
-    pixels: NDArray[np.float32]
-    """(height, width, 3), in one piece, to be filled."""
-    limits: Limits
-    """Zeros of that shape."""
-
-    @classmethod
-    def new(cls, size: tuple[int, ...]) -> Place:
-        """Of a whole picture of a size (H, W), as large as it is."""
-        shape = (*size, 3)
-        every = (slice(None), slice(None))
-        return cls(every, np.empty(shape, np.float32), np.zeros(shape, np.uint8))
-
-
-@dataclass(frozen=True)
 class _Decoded:
     """What the reader of a format found in a file."""
 
@@ -159,8 +140,6 @@ def read_picture(
     if the file cannot be read.
     """
     asked = None if code_range is None else checked_codes(code_range)
-    if orientation not in get_args(Orientation):
-        raise InputError(f"orientation: expected exif or as-stored, found {orientation!r}")
     path = Path(path)
     file = file_of(path)
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
@@ -207,18 +186,18 @@ def read_picture(
         negative = np.any(colors < 0, axis=-1)
     if to.pixels.nbytes > samples.nbytes:  # what is smaller is turned
         samples, turn = np.ascontiguousarray(seen), 1
-    used = exif.as_stored(samples.shape[:2], turn, to.used)
-    if turn == 1:
-        limited = convert.average(samples, used, to.pixels, to.limits, codes)
-    else:
-        lying = Place.new(to.limits.shape[1::-1] if turn >= 5 else to.limits.shape[:2])
-        limited = convert.average(samples, used, lying.pixels, lying.limits, codes)
+    lying = to
+    if turn != 1:
+        size = to.limits.shape[1::-1] if turn >= 5 else to.limits.shape[:2]
+        lying = Place.new(size, exif.as_stored(samples.shape[:2], turn, to.used))
+    limited = convert.average(samples, lying, codes)
+    if turn != 1:
         to.pixels[:], to.limits[:] = (exif.turned(a, turn) for a in (lying.pixels, lying.limits))
     if (told := found.limits) is not None:
         if codes is not None:  # where a value is at its end, that is nearer the truth
-            ends = Place.new(told.shape[:2])
-            Conversion("linear").average(samples, ends.used, ends.pixels, ends.limits, codes)
-            told = np.where(ends.limits != 0, ends.limits, told)
+            told = np.where(
+                samples > codes[1], AT_LEAST, np.where(samples < codes[0], AT_MOST, told)
+            )
         to.limits[:] = file_limits.averaged(told[to.used], to.limits.shape[:2], convert.matrix)
         limited = True
     for warning in () if place else found.warnings:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io import limits as file_limits
+from pbrfit.io.color import Place
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.input_files import digest, there
@@ -371,7 +372,7 @@ class Pictures:
         self.shared: dict[str, dict[str, list[str]]] = {}
         """Names of files by camera, exposure and the like, and by the value of each."""
 
-    def place(self, i: int, found: tuple[int, ...]) -> images.Place:
+    def place(self, i: int, found: tuple[int, ...]) -> Place:
         """Where a picture of a size is put; InputError if the others have another size."""
         paths, (height, width) = self._notes.files.pictures, self._notes.size
         if found != (height, width):
@@ -381,7 +382,7 @@ class Pictures:
                 + "; option orientation as-stored turns none"
                 * (found == (width, height))
             )
-        return images.Place(self._window, self.pixels[i], self.limits[i])
+        return Place(self._window, self.pixels[i], self.limits[i])
 
     def put(self, i: int, picture: images.Picture) -> None:
         """Put in what comes with the samples of a picture; others may be put in meanwhile."""
@@ -444,7 +445,7 @@ def _read_pictures(notes: _Notes) -> Pictures:
     how, paths = notes.how, notes.files.pictures
     begun: Future[Pictures] = Future()
 
-    def place(i: int, size: tuple[int, ...]) -> images.Place:
+    def place(i: int, size: tuple[int, ...]) -> Place:
         if i == 0 and not begun.done():
             notes.size = size[0], size[1]
             begun.set_result(Pictures(notes))

@@ -263,7 +263,7 @@ def test_a_part_averaged_while_it_is_read_is_the_mean_of_what_is_read_whole(
     tifffile.imwrite(path, samples, photometric=photometric, extratags=tag)
     whole = images.read_picture(path, space)
     used = np.s_[2:19, 1:22]
-    place = dataclasses.replace(images.Place.new((6, 8)), used=used)
+    place = dataclasses.replace(color.Place.new((6, 8)), used=used)
     found = images.read_picture(path, space, place=lambda _: place)
     means = averaged_channels(whole.pixels[used], (6, 8))
     np.testing.assert_allclose(place.pixels, means, rtol=3e-7, atol=3e-7)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 
-from pbrfit.io import color, images
+from pbrfit.io import color
 from pbrfit.io.limits import AT_LEAST, AT_MOST, converted
 
 
 def test_codes_at_both_ends_of_the_range_are_data() -> None:
     codes = np.array([[[3, 4, 5], [9, 10, 11]]], dtype=np.uint8)
-    place = images.Place.new((1, 2))
-    read = partial(color.Conversion("linear").average, codes, place.used, place.pixels)
-    assert not read(place.limits, (3, 11))
-    assert read(place.limits, (4, 10))
+    place = color.Place.new((1, 2))
+    assert not color.Conversion("linear").average(codes, place, (3, 11))
+    assert color.Conversion("linear").average(codes, place, (4, 10))
     assert place.limits.tolist() == [[[AT_MOST, 0, 0], [0, 0, AT_LEAST]]]
 
 
