@@ -45,7 +45,7 @@ from pbrfit.fit.normal_equations import by_unknowns, products
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, pieces
 from pbrfit.fit.tails import StudentT, Tails, likeliest
-from pbrfit.scene.arrays import AT_LEAST, AT_MOST
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 
 Array = NDArray[np.float64]
 

@@ -14,28 +14,35 @@ REAL = "buif"
 """Kinds of numpy's types that hold real numbers."""
 
 
-def any_array(name: str, values: Any) -> NDArray[Any]:
+Shape = tuple[int, ...] | None
+"""Which an array has to have; None = any."""
+
+
+def any_array(name: str, values: Any, shape: Shape = None) -> NDArray[Any]:
     """As an array of whatever it holds; InputError where it is masked or its rows differ."""
     if np.ma.is_masked(values):  # what the mask leaves out would count as numbers
         raise InputError(f"{name}: expected an array without a mask, found a masked one")
     try:
-        return np.asarray(values)
+        array = np.asarray(values)
     except ValueError as error:
         raise InputError(f"{name}: expected an array, found {error}") from None
+    if shape not in (None, array.shape):
+        raise InputError(f"{name}: expected shape {shape}, found {array.shape}")
+    return array
 
 
-def reals(name: str, values: Any) -> NDArray[Any]:
+def reals(name: str, values: Any, shape: Shape = None) -> NDArray[Any]:
     """As an array of real numbers of the type that they have."""
-    array = any_array(name, values)
+    array = any_array(name, values, shape)
     if array.dtype.kind not in REAL:
         raise InputError(f"{name}: expected real numbers, found {array.dtype}")
     return array
 
 
-def real_array(name: str, values: Any) -> NDArray[np.float64]:
+def real_array(name: str, values: Any, shape: Shape = None) -> NDArray[np.float64]:
     """As a float64 array of real numbers."""
     with np.errstate(over="ignore"):  # of long doubles; they are infinite then
-        return reals(name, values).astype(np.float64, copy=False)
+        return reals(name, values, shape).astype(np.float64, copy=False)
 
 
 def real_number(name: str, value: Any, expected: str = "a number") -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError, average_light
-from pbrfit.io.limits import Limits, of_colors
+from pbrfit.io.limits import Limits, converted
 
 ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
 """How stored values are to be read.
@@ -159,8 +159,8 @@ class Conversion:
     ) -> bool:
         """Fill a place with linear Rec.709 of samples (H, W, 1 to 4), without alpha.
 
-        Integers below and above `codes` are at a limit: its limits become as by `limits.averaged`.
-        Returns whether one is.
+        Integers below and above `codes` are at a limit, and its limits as by `of_limits`. Returns
+        whether one is.
         """
         pixels = place.pixels
         curves = np.empty((1, 1), np.float32)
@@ -171,7 +171,8 @@ class Conversion:
             samples = _decoded(samples, self.curve).astype(np.float32, copy=False)
         within = zip(place.used, samples.shape[:2], strict=True)
         ranges = [part.indices(length)[:2] for part, length in within]
-        colors = of_colors(self.matrix)
+        # Of red, green and blue in all 27 combinations, at 9 red + 3 green + blue.
+        colors = converted(np.indices((3, 3, 3), np.uint8).reshape(3, 27).T, self.matrix)
         some = average_light(samples, ranges, curves, codes, colors, pixels, place.limits)
         if self.matrix is not None:
             # Plane by plane: the same bits whichever linear algebra library numpy is linked with.
@@ -179,6 +180,17 @@ class Conversion:
             for k, row in enumerate(self.matrix.astype(np.float32)):
                 pixels[..., k] = row[0] * red + row[1] * green + row[2] * blue
         return some
+
+    def of_limits(self, limits: Limits, size: tuple[int, ...]) -> Limits:
+        """Limits (height, width, 3), `converted`, of means over the area that falls on each pixel.
+
+        A mean that has a part in a sample of "at least" is at least what it is, whatever else it
+        has a part in; else it is "at most" if it has a part in one of those.
+        """
+        place = Place.new(size)
+        # Below 1 is "at most", above it "at least".
+        self.average(np.array([1, 2, 0], np.uint8)[limits], place, (1, 1))
+        return place.limits
 
     def slopes(self, linear: NDArray[np.floating[Any]], levels: int) -> NDArray[np.float32]:
         """Radiance a code, of `levels`, before the matrix, at linear Rec.709 (..., 3)."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +23,14 @@ def encoded(
     black, and the tone map ``none`` clips each channel at 1. Raises InputError if `tone_map` is
     another, or `exposure` is not finite.
     """
-    if tone_map not in TONE_MAPS:
-        raise InputError(f"tone_map: expected one of {', '.join(TONE_MAPS)}, found {tone_map!r}")
+    if tone_map not in get_args(ToneMap):
+        expected = ", ".join(get_args(ToneMap))
+        raise InputError(f"tone_map: expected one of {expected}, found {tone_map!r}")
     if not np.isfinite(exposure):
         raise InputError(f"exposure: expected a number of stops, found {exposure}")
     exposed = np.maximum(np.asarray(radiance, dtype=np.float64) * 2.0**exposure, 0.0)
-    return np.asarray(encode_srgb(np.clip(TONE_MAPS[tone_map](exposed), 0.0, 1.0)))
+    shown = neutral(exposed) if tone_map == "neutral" else exposed
+    return encode_srgb(np.clip(shown, 0.0, 1.0))
 
 
 def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -54,8 +55,3 @@ def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
 FRESNEL = 0.04
 COMPRESSED_FROM = 0.8 - FRESNEL
 DESATURATION = 0.15
-
-TONE_MAPS: dict[ToneMap, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
-    "none": lambda radiance: radiance,
-    "neutral": neutral,
-}

@@ -25,7 +25,6 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
-from pbrfit.io import limits as file_limits
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
 from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
@@ -195,10 +194,9 @@ def read_picture(
         to.pixels[:], to.limits[:] = (exif.turned(a, turn) for a in (lying.pixels, lying.limits))
     if (told := found.limits) is not None:
         if codes is not None:  # where a value is at its end, that is nearer the truth
-            told = np.where(
-                samples > codes[1], AT_LEAST, np.where(samples < codes[0], AT_MOST, told)
-            )
-        to.limits[:] = file_limits.averaged(told[to.used], to.limits.shape[:2], convert.matrix)
+            told = np.where(samples < codes[0], AT_MOST, told)
+            told = np.where(samples > codes[1], AT_LEAST, told)
+        to.limits[:] = convert.of_limits(told[to.used], to.limits.shape[:2])
         limited = True
     for warning in () if place else found.warnings:
         logger.warning(warning)

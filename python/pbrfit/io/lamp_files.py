@@ -2,8 +2,7 @@
 
 `.lp` is the form of reflectance transformation imaging: a count, then a line a picture with its
 file name and a direction. `lights.csv` is a table, `lights.json` this project's own form. All have
-X right, Y up, Z towards the viewer. Which picture a lamp is of is told by names, else by numbers in
-them, else by order: if nothing speaks against it, and never without a warning that lists pairs.
+X right, Y up, Z towards the viewer.
 """
 
 from __future__ import annotations
@@ -414,7 +413,7 @@ def _forms(name: str) -> tuple[tuple[str, ...], ...]:
 
 
 def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[list[int], str]:
-    """As `matched`, where no name is that of a picture; a warning lists the pairs."""
+    """As `matched`, where no name is that of a picture: a warning always lists the pairs."""
     if len(given) != len(names):
         found = f"{len(given)}, none with a picture's name"
         found += f" (such as {shown(given[0])})" if given[0] else ""

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import _core
-
 ORDINARY, AT_LEAST, AT_MOST = 0, 1, 2
 """What a sample says of the true radiance: what it is; at least so much; at most so much."""
 
@@ -19,11 +17,6 @@ Limits = NDArray[np.uint8]
 
 _NO_PART = 1e-3
 """Share of a file's channel in a converted one up to which it has no part: rounding of profiles."""
-
-
-def of_colors(matrix: NDArray[np.float64] | None) -> Limits:
-    """(27, 3): `converted` limits of red, green and blue, at 9 red + 3 green + blue."""
-    return converted(np.indices((3, 3, 3), dtype=np.uint8).reshape(3, 27).T, matrix)
 
 
 def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
@@ -41,21 +34,4 @@ def converted(limits: Limits, matrix: NDArray[np.float64] | None) -> Limits:
         for same, opposite in ((AT_MOST, AT_LEAST), (AT_LEAST, AT_MOST)):
             sums = (limits == same) @ row
             found[..., c][sums > 0], found[..., c][sums < 0] = same, opposite
-    return found
-
-
-def averaged(
-    limits: Limits, size: tuple[int, int], matrix: NDArray[np.float64] | None = None
-) -> Limits:
-    """Limits (height, width, 3), `converted`, of means over the area that falls on each pixel.
-
-    A mean that has a part in a sample of "at least" is at least what it is, whatever else it has a
-    part in; else it is "at most" if it has a part in one of those.
-    """
-    codes = np.array([1, 2, 0], np.uint8)[limits]  # below 1 is "at most", above it "at least"
-    every = [(0, length) for length in limits.shape[:2]]
-    no_curve, colors = np.zeros((1, 256), np.float32), of_colors(matrix)
-    found = np.zeros((*size, 3), np.uint8)
-    light = np.empty(found.shape, np.float32)
-    _core.average_light(codes, every, no_curve, (1, 1), colors, light, found)
     return found

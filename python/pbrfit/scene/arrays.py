@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io import limits as file_limits
 from pbrfit.io.checks import any_array, of_what, real_array, real_number, reals
 from pbrfit.io.color import Conversion, Curve, decode_srgb, encode_srgb
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
@@ -33,9 +33,6 @@ log = logging.getLogger("pbrfit")
 
 Counted = list[NDArray[np.bool_]] | None
 """(H, W, 3) bool of each picture: the values that count; None = all."""
-
-AT_LEAST, AT_MOST = file_limits.AT_LEAST, file_limits.AT_MOST
-"""Values of `SceneArrays.limits` beside 0: the radiance is at least, or at most, what is stored."""
 
 CHANNELS = "red", "green", "blue"
 
@@ -223,7 +220,10 @@ class SceneArrays:
             if limits is not None:
                 assumed = {**assumed, "exposure": limits_in_words(limits, counted)}
         if limits is not None:
-            _check_some_are_ordinary(limits, counted, names)
+            for name, of_picture in zip(names, counted_limits(limits, counted), strict=True):
+                if of_picture.all():
+                    expected = "expected some sample at no limit in every picture"
+                    raise InputError(f"limits: {expected}, found none in {name}")
         assumed = {topic: said for topic, said in assumed.items() if topic != "negative"}
         if said := _negative_in_words(images, counted):
             assumed["negative"] = said
@@ -239,7 +239,12 @@ class SceneArrays:
             self.lamps.check_pictures(n)
         given: Any = self.normals
         if given is None:
-            normals = np.where(valid[..., None], _facing((height, width), n), np.nan)
+            if n < SHAPE_PICTURES_MIN:
+                raise InputError(
+                    f"normals: expected unit vectors, found none; {SHAPE_PICTURES_MIN} or more "
+                    "pictures under different lights need none"
+                )
+            normals = np.where(valid[..., None], [0.0, 0.0, 1.0], np.nan)
         else:
             normals = unit_normals(given, valid)
         normals_known = bool(self.normals_known and given is not None)
@@ -480,9 +485,7 @@ class SceneArrays:
 def _mask(mask: NDArray[Any] | None, shape: tuple[int, int]) -> NDArray[np.bool_] | None:
     if mask is None:
         return None
-    mask = reals("mask", mask)
-    if mask.shape != shape:
-        raise InputError(f"mask: expected shape {shape}, found {mask.shape}")
+    mask = reals("mask", mask, shape)
     if np.isnan(mask).any():
         raise InputError("mask: expected True or False for each pixel, found NaN")
     mask = mask.astype(bool)
@@ -533,9 +536,7 @@ def check_not_negative(expected: str, values: NDArray[Any], told: NDArray[Any]) 
 
 
 def _limits(limits: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    given = any_array("limits", limits)
-    if given.shape != shape:
-        raise InputError(f"limits: expected shape {shape}, found {given.shape}")
+    given = any_array("limits", limits, shape)
     known = given.dtype == np.uint8 and given.max() <= max(AT_LEAST, AT_MOST)
     if not known and (
         given.dtype.kind not in "buif" or not np.isin(given, (0, AT_LEAST, AT_MOST)).all()
@@ -568,16 +569,6 @@ def counted_limits(limits: NDArray[np.uint8], counted: Counted) -> Iterator[NDAr
     """Those of each picture's values that are counted."""
     for i, of_picture in enumerate(limits):
         yield of_picture.ravel() if counted is None else of_picture[counted[i]]
-
-
-def _check_some_are_ordinary(
-    limits: NDArray[np.uint8], counted: Counted, names: tuple[str, ...]
-) -> None:
-    for name, of_picture in zip(names, counted_limits(limits, counted), strict=True):
-        if of_picture.all():
-            raise InputError(
-                f"limits: expected some sample at no limit in every picture, found none in {name}"
-            )
 
 
 def limits_in_words(limits: NDArray[np.uint8], counted: Counted) -> str:
@@ -675,21 +666,9 @@ def _refuse(bad: NDArray[np.bool_], expected: str, found: str) -> None:
         )
 
 
-def _facing(shape: tuple[int, int], pictures: int) -> NDArray[np.float64]:
-    """Normals (H, W, 3) that face the camera, of surfaces whose normals the pictures will tell."""
-    if pictures < SHAPE_PICTURES_MIN:
-        raise InputError(
-            f"normals: expected unit vectors, found none; {SHAPE_PICTURES_MIN} or more pictures "
-            "under different lights need none"
-        )
-    return np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3))
-
-
 def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(H, W, 3) normals of unit length where `valid`, NaN elsewhere; InputError if one has none."""
-    normals = real_array("normals", normals)
-    if normals.shape != (*valid.shape, 3):
-        raise InputError(f"normals: expected shape {(*valid.shape, 3)}, found {normals.shape}")
+    normals = real_array("normals", normals, (*valid.shape, 3))
     with np.errstate(over="ignore"):  # an infinite length is refused
         length = np.linalg.norm(normals, axis=-1)
     bad = valid & ~((length >= MIN_NORMAL_LENGTH) & np.isfinite(length))
@@ -704,9 +683,7 @@ def _sigma(given: Any, valid: NDArray[np.bool_]) -> NDArray[np.float32] | None:
     """Standard deviations of normals as float32, NaN where not `valid`."""
     if given is None:
         return None
-    degrees = real_array("normal_sigma", given)
-    if degrees.shape != valid.shape:
-        raise InputError(f"normal_sigma: expected shape {valid.shape}, found {degrees.shape}")
+    degrees = real_array("normal_sigma", given, valid.shape)
     with np.errstate(over="ignore"):  # what float32 cannot hold is infinite then, and refused
         sigma: NDArray[np.float32] = np.where(valid, degrees, np.nan).astype(np.float32)
     check_not_negative("normal_sigma: expected finite degrees", np.where(valid, sigma, 0), degrees)

@@ -120,7 +120,8 @@ def find_ball(images: NDArray[np.floating[Any]]) -> Ball:
     """
     size = images.shape[1:3]
     small = reduced_size(size, SEARCH_SIDE)
-    planes = [_brightness(image) for image in images]
+    means = (image.mean(axis=-1, dtype=np.float64) for image in images)
+    planes = [np.nan_to_num(mean, posinf=0.0, neginf=0.0) for mean in means]
     strength, angle = _edges([averaged(plane, small) for plane in planes])
     outlines = [_outlined(one, strength, angle) for one in _candidates(strength, angle)]
     outlines = [one for one in outlines if one.support >= SUPPORT_MIN]
@@ -215,11 +216,6 @@ def lights_of_balls(
         np.mean([[one.residual for one in row] for row in found], axis=0),
         np.array([[one.place for one in row] for row in found]).swapaxes(0, 1),
     )
-
-
-def _brightness(image: NDArray[np.floating[Any]]) -> Array:
-    mean = image.mean(axis=-1, dtype=np.float64)
-    return np.asarray(np.nan_to_num(mean, posinf=0.0, neginf=0.0))
 
 
 # Where the ball is
@@ -473,7 +469,7 @@ def _on_matt(piece: _Piece, picture: int, name: str) -> _Found:
             raise InputError(
                 f"ball: expected a side that a lamp reaches in every picture, found none in {name}"
             )
-        slopes = _slopes(normals[reached], samples[reached])
+        slopes = np.linalg.lstsq(normals[reached], samples[reached], rcond=None)[0]
         direction = slopes.sum(axis=1)
         direction /= np.linalg.norm(direction)
         before, reached = reached, normals @ direction > REACHED_COSINE_MIN
@@ -486,7 +482,7 @@ def _on_matt(piece: _Piece, picture: int, name: str) -> _Found:
     middle = np.median(cosine[reached])
     sloped = np.array(
         [
-            _slopes(normals[half], samples[half]).sum(axis=1)
+            np.linalg.lstsq(normals[half], samples[half], rcond=None)[0].sum(axis=1)
             for half in (reached & (cosine >= middle), reached & (cosine < middle))
         ]
     )
@@ -494,11 +490,6 @@ def _on_matt(piece: _Piece, picture: int, name: str) -> _Found:
     of_halves = float(geometry.angles_between(*sloped)) / 2
     degrees = float(np.hypot(of_halves, np.degrees(0.5 / piece.ball.radius)))
     return _Found(direction, colors, degrees, residual, _facing(piece, direction))
-
-
-def _slopes(normals: Array, samples: Array) -> Array:
-    """(3, 3), a column a channel: b of radiance b·n by least squares."""
-    return np.asarray(np.linalg.lstsq(normals, samples, rcond=None)[0])
 
 
 def _facing(piece: _Piece, direction: Array) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
+from pbrfit.io.checks import any_array
 from pbrfit.io.depth_files import DEPTH_FILES
 from pbrfit.io.input_files import there
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps, write_lamps
@@ -68,9 +69,7 @@ def add_normals(
     pictures.
     """
     check_normals_can_be_added(folder, overwrite=overwrite, height=height is not None)
-    size = picture_size(folder)
-    if normals.shape != (*size, 3):
-        raise InputError(f"normals: expected shape {(*size, 3)}, found {normals.shape}")
+    any_array("normals", normals, (*picture_size(folder), 3))
     stored = _to_convention(folder, normals)
     path, weight_path = folder / "normals.exr", folder / WEIGHT_FILE
     if height is not None:
@@ -104,9 +103,7 @@ def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool
     another size than the pictures.
     """
     check_none(folder, DEPTH_FILES, "depth", overwrite=overwrite)
-    size = picture_size(folder)
-    if depth.shape != size:
-        raise InputError(f"depth: expected shape {size}, found {depth.shape}")
+    any_array("depth", depth, picture_size(folder))
     path = folder / DEPTH_FILES[0]
     images.write_exr(path, {"Z": depth})  # what cannot be written costs nothing
     for name in DEPTH_FILES[1:]:
@@ -161,8 +158,7 @@ def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = Fal
     ids have another size than the pictures.
     """
     check_none(folder, [scene_folder.SEGMENT_FILE], "segments", overwrite=overwrite)
-    if ids.shape != picture_size(folder):
-        raise InputError(f"segments: expected shape {picture_size(folder)}, found {ids.shape}")
+    any_array("segments", ids, picture_size(folder))
     path = folder / scene_folder.SEGMENT_FILE
     images.write_png(path, ids, tag=None)
     return path

@@ -63,10 +63,7 @@ def checked_depth(
     """
     if given is None:
         return None, []
-    array = any_array("depth", given)
-    shape = normals.shape[:2]
-    if array.shape != shape:
-        raise InputError(f"depth: expected shape {shape}, found {array.shape}")
+    array = any_array("depth", given, normals.shape[:2])
     if array.dtype.kind not in "uif":
         raise InputError(f"depth: expected real numbers, found {array.dtype}")
     depth, notes = without_holes(array)

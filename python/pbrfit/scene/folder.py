@@ -95,7 +95,6 @@ _LOOSE_SUFFIXES = {*images.PICTURE_SUFFIXES, *RAW_SUFFIXES} | {
 
 _MULTI_ILLUMINATION = re.compile(r"dir_(\d+)_mip(\d+)\.(exr|jpg)")
 
-
 ScenePath = str | Path | Sequence[str | Path]
 """A scene folder, or the files of pictures that are named one by one."""
 

@@ -43,6 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.checks import any_array
 from pbrfit.model import geometry
 from pbrfit.scene.depth import without_holes
 
@@ -113,8 +114,8 @@ def depth_from_normals(
     shape = np.shape(normals)[:2]
     wanted = np.ones(shape, bool) if mask is None else np.asarray(mask, bool)
     for name, array in (("mask", mask), ("segments", segments), ("depth", depth)):
-        if array is not None and np.shape(array) != shape:
-            raise InputError(f"{name}: expected shape {shape}, found {np.shape(array)}")
+        if array is not None:
+            any_array(name, array, shape)
     known = wanted & np.isfinite(normals).all(axis=-1)
     if not known.any():
         raise InputError("normals: expected some in the mask, found none")
@@ -169,8 +170,7 @@ class _Edges:
         segments: NDArray[np.integer[Any]] | None,
     ) -> _Edges:
         """Of all neighbours in a picture, horizontal ones first."""
-        shape = known.shape
-        height, width = shape
+        shape = height, width = known.shape
         half_width = 1.0 if fov == 0 else math.tan(math.radians(fov) / 2)
         rays = geometry.positions(np.ones(shape), fov)
         cosine = np.einsum("hwi,hwi->hw", normals, geometry.view_directions(height, width, fov))
@@ -196,11 +196,7 @@ class _Edges:
         first, second, differences, weights, certain = (
             np.concatenate([part[k].ravel() for part in parts]) for k in range(5)
         )
-        return cls(
-            *(first, second, differences, weights, certain),
-            pixels_per_unit=width / (2 * half_width),
-            shape=(height, width),
-        )
+        return cls(first, second, differences, weights, certain, width / (2 * half_width), shape)
 
     def residuals(self, unknown: Array) -> Array:
         """(E,), radians for surfaces that face the camera."""

@@ -83,8 +83,11 @@ def _is_cut(planes: list[NDArray[np.floating[Any]]], top: float, *, shared: bool
     below = _next_values(planes, top)
     if below is None:
         return False
+    from scipy.special import bdtrc
+
     values, counts = below
-    if _chance(count, int(counts.sum())) >= CHANCE:
+    # Probability of `count` or more of all being in one of K + 1 equal cells.
+    if bdtrc(count - 1, count + int(counts.sum()), 1 / (NEXT_VALUES + 1)) >= CHANCE:
         return False
     gap = float(values[0] - values[-1]) / (len(values) - 1)
     return shared or float(top - values[0]) <= -math.log(CHANCE) * gap
@@ -106,10 +109,3 @@ def _next_values(
     if len(values) < NEXT_VALUES:
         return None
     return values[: -NEXT_VALUES - 1 : -1], counts[: -NEXT_VALUES - 1 : -1]
-
-
-def _chance(count: int, others: int) -> float:
-    """Probability of `count` or more of all being in one of K + 1 equal cells."""
-    from scipy.special import bdtrc
-
-    return float(bdtrc(count - 1, count + others, 1 / (NEXT_VALUES + 1)))

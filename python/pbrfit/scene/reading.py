@@ -17,19 +17,18 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io import limits as file_limits
 from pbrfit.io.color import Place
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.input_files import digest, there
 from pbrfit.io.lamp_files import find_lamps
+from pbrfit.io.limits import AT_LEAST
 from pbrfit.io.normal_files import MIN_NORMAL_LENGTH, UNCERTAINTY, find_normals, read_normals
 from pbrfit.io.quoting import listed, quoted, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduced_size
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import geometry
-from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import read_materials
 from pbrfit.scene import depth as scene_depth
@@ -82,7 +81,6 @@ EVERY_ROW = 16
 LONGEST_NAME = 250
 """Bytes of a picture's name without its suffix; file systems take 255 with it."""
 
-
 Weights = NDArray[np.float32]
 
 
@@ -116,14 +114,9 @@ class _Notes:
             notes.assumed["layout"] = f"pictures: {files.said}"
         return notes
 
-    @property
-    def folder(self) -> Path:
-        """Where the files are."""
-        return self.files.folder
-
     def has(self, name: str) -> bool:
         """Whether there is a part of that name; if so, it is an input."""
-        path = self.folder / name
+        path = self.files.folder / name
         if self.files.parts and there(path):
             self.inputs[name] = digest(path)
         return name in self.inputs
@@ -164,7 +157,7 @@ class _Notes:
             known, fov = False, FIRST_FOV
             said = f"{fov:g} degrees: neither fov, scene.toml nor EXIF says"
             expected = "fitted from %g degrees on (option fov sets it)"
-            log.warning(f"%s: field of view unknown, {expected}", self.folder, fov)
+            log.warning(f"%s: field of view unknown, {expected}", self.files.folder, fov)
         if self.how.crop is None:
             return fov, known, said
         left, top, width, height = self.how.crop
@@ -175,7 +168,7 @@ class _Notes:
         said += f"; {part:.4g} of the crop"
         if off >= PERSPECTIVE_OFF:
             said += f", whose middle is {off:.1f} degrees off the optical axis: so are all views"
-            log.warning("%s: field of view %s", self.folder, said)
+            log.warning("%s: field of view %s", self.files.folder, said)
         return part, known, said
 
 
@@ -192,7 +185,8 @@ def load(
     without cropping.
     """
     notes = _Notes.of(scene, options, **({"crop": None} if pictures_alone else {}))
-    files, folder, assumed, names = notes.files, notes.folder, notes.assumed, notes.files.names
+    files, assumed = notes.files, notes.assumed
+    folder, names = files.folder, files.names
     if files.parts:
         warn_of_near_misses(folder)
     read = _read_pictures(notes)
@@ -237,7 +231,11 @@ def load(
         lighting = Lighting.load(lighting_path).of(names, lighting_path)
         assumed["lighting"] = "known, from lighting.json"
 
-    lamps = _read_lamps(notes)
+    lamps = None
+    if of_lamps := files.find(find_lamps):
+        for path in of_lamps:
+            notes.has(files.relative(path))
+        lamps, assumed["lamps"] = known_lamps.load(of_lamps[0], names)
 
     fov, fov_known, assumed["fov"] = notes.decided_fov(read.focal_length)
 
@@ -295,18 +293,12 @@ class Surface:
 
 
 def field_of_view(scene: ScenePath, options: ReadOptions = AS_STATED) -> float:
-    """Decide about that of whole pictures as `load` does, of the pictures reading only the first.
-
-    Raises InputError or OSError as `load`.
-    """
+    """That of whole pictures, as `load` decides, and raises; of pictures it reads the first."""
     return _Notes.of(scene, options, crop=None).look_at_first()
 
 
 def read_surface(scene: ScenePath, options: ReadOptions = AS_STATED) -> Surface:
-    """Read whole normals, mask and segments as `load` does; of the pictures only the first.
-
-    Raises InputError or OSError as `load`.
-    """
+    """Read whole normals, mask and segments as `load`, and raise so; of pictures only the first."""
     notes = _Notes.of(scene, options, crop=None)
     fov = notes.look_at_first()
     mask = _read_mask(notes)
@@ -325,8 +317,7 @@ def read_pictures(
 ) -> tuple[Pictures, float, str]:
     """All pictures, whole, as `load` has them before it seeks plateaus, whatever else there is.
 
-    Returns them, the field of view in degrees, and what decided it. Raises InputError or OSError as
-    `load`.
+    Returns them, the field of view in degrees, and what decided it; raises as `load`.
     """
     notes = _Notes.of(scene, options, crop=None, max_size=None)
     read = _read_pictures(notes)
@@ -432,11 +423,11 @@ class Pictures:
         equal = [[notes.files.pictures[i].name for i in of] for of in groups.values() if of[1:]]
         if equal and len(groups) == 1:
             expected = "expected pictures under different lights"
-            raise InputError(f"{notes.folder}: {expected}, found {len(equal[0])} equal ones")
+            raise InputError(f"{notes.files.folder}: {expected}, found {len(equal[0])} equal ones")
         if equal:
             said = "; ".join(listed(names) for names in equal)
             notes.assumed["duplicates"] = f"equal pictures count once: {said}"
-            log.warning("%s: %s", notes.folder, notes.assumed["duplicates"])
+            log.warning("%s: %s", notes.files.folder, notes.assumed["duplicates"])
         return [of[0] for of in groups.values()]
 
 
@@ -548,7 +539,7 @@ def _compare_settings(shared: dict[str, dict[str, list[str]]], notes: _Notes) ->
     for what in filter(differing.__contains__, consequences):
         log.warning(
             "%s: expected one %s of all pictures, found %s: %s",
-            *(notes.folder, what, differing[what], consequences[what]),
+            *(notes.files.folder, what, differing[what], consequences[what]),
         )
 
 
@@ -618,7 +609,7 @@ def _read_frame(notes: _Notes, path: Path | None) -> _Frame | None:
     pixels = picture.pixels[window]
     usable: NDArray[np.bool_] = np.asarray(np.isfinite(pixels).all(axis=-1))
     if picture.limits is not None:
-        usable &= (picture.limits[window] != file_limits.AT_LEAST).all(axis=-1)
+        usable &= (picture.limits[window] != AT_LEAST).all(axis=-1)
     if not usable.any():
         raise InputError(f"{path}: expected some pixel that is not clipped, found all clipped")
     return _Frame(path, np.where(usable[..., None], pixels, 0.0), usable)
@@ -643,7 +634,7 @@ def _calibrate(
     for path in paths:
         notes.has(notes.files.relative(path))
     of_name = {path.stem: path for path in paths}
-    if paths[0].parent == notes.folder:
+    if paths[0].parent == notes.files.folder:
         of_name, said = dict.fromkeys(names, paths[0]), paths[0].name
     else:
         said = f"those of {FLAT_FIELD}/"
@@ -654,7 +645,7 @@ def _calibrate(
         if name not in of_name:
             expected = "expected a flat-field frame for every picture"
             raise InputError(f"{paths[0].parent}: {expected}, found none for {shown(name)}")
-        if not gains or of_name[name].parent != notes.folder:
+        if not gains or of_name[name].parent != notes.files.folder:
             gains.append(_gain(notes, of_name[name], mask, dark))
         np.divide(pixels, gains[-1], out=pixels, where=gains[-1] > 0)
     of_mask = [gain[mask] for gain in gains]
@@ -720,7 +711,7 @@ def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
     """`weights.exr` (1 or N, H, W, 1 or 3) at the working size, that of `mask`; 0 outside it."""
     if not notes.has(WEIGHT_FILE):
         return None
-    path = notes.folder / WEIGHT_FILE
+    path = notes.files.folder / WEIGHT_FILE
     stored = read_weights(path, notes.files.names)
     stored = stored[(..., *notes.window(path, stored.shape[-3:-1]), slice(None))]
     weights = stored if mask.shape == stored.shape[-3:-1] else reduced(stored, mask.shape)
@@ -743,7 +734,7 @@ def _read_weights(notes: _Notes, mask: NDArray[np.bool_]) -> Weights | None:
 def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
     if not notes.has("mask.png"):
         return np.ones(notes.size, dtype=bool)[notes.how.window(notes.size)]
-    path = notes.folder / "mask.png"
+    path = notes.files.folder / "mask.png"
     drawn = images.read_data(path)
     drawn = drawn[notes.window(path, drawn.shape[:2])]
     colors = drawn[..., : 3 if drawn.shape[-1] >= 3 else 1]
@@ -767,8 +758,8 @@ def _read_mask(notes: _Notes) -> NDArray[np.bool_]:
 def _read_segments(notes: _Notes) -> NDArray[np.uint16] | None:
     if not notes.has(SEGMENT_FILE):
         return None
-    segments = images.read_ids(notes.folder / SEGMENT_FILE)
-    return segments[notes.window(notes.folder / SEGMENT_FILE, segments.shape)]
+    segments = images.read_ids(notes.files.folder / SEGMENT_FILE)
+    return segments[notes.window(notes.files.folder / SEGMENT_FILE, segments.shape)]
 
 
 def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
@@ -785,16 +776,6 @@ def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
     said = f"{path.name}: {scene_depth.in_words(depth)}"
     notes.assumed["depth"] = "; ".join([said, *how, *holes])
     return depth
-
-
-def _read_lamps(notes: _Notes) -> Lamps | None:
-    found = notes.files.find(find_lamps)
-    if not found:
-        return None
-    for path in found:
-        notes.has(notes.files.relative(path))
-    lamps, notes.assumed["lamps"] = known_lamps.load(found[0], notes.files.names)
-    return lamps
 
 
 def _averaged(
@@ -826,7 +807,7 @@ def _read_normals(
 
     Pixels that have none are taken out of the mask, in place.
     """
-    folder = notes.folder
+    folder = notes.files.folder
     found = notes.files.find(find_normals)
     if not found:
         raise InputError(

@@ -11,8 +11,8 @@ import pytest
 from pbrfit.fit import causes
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.independent_lights import NUMBERS_MIN, Shown
+from pbrfit.io.limits import AT_LEAST
 from pbrfit.result.verdict import PARAMETERS, Verdict, level_of
-from pbrfit.scene.arrays import AT_LEAST
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.transport.decision import Transport

@@ -18,8 +18,8 @@ from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.tails import NORMAL, WithOutliers
 from pbrfit.io.color import encode_srgb
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.result.metrics import rmse
-from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 from pbrfit.synthetic import make_scene
 
 SIGMA = 0.01

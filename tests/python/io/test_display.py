@@ -7,7 +7,7 @@ import pytest
 
 from pbrfit import InputError
 from pbrfit.io.color import decode_srgb
-from pbrfit.io.display import TONE_MAPS, ToneMap, encoded
+from pbrfit.io.display import ToneMap, encoded
 
 
 def test_without_a_tone_map_radiance_is_clipped_and_encoded() -> None:
@@ -20,7 +20,7 @@ def test_a_stop_doubles_radiance() -> None:
     np.testing.assert_array_equal(encoded(radiance, exposure=1), encoded(2 * radiance))
 
 
-@pytest.mark.parametrize("tone_map", TONE_MAPS)
+@pytest.mark.parametrize("tone_map", ["none", "neutral"])
 def test_outside_the_mask_stays_nan_and_black_is_black(tone_map: ToneMap) -> None:
     shown = encoded(np.array([[np.nan] * 3, [0.0] * 3]), tone_map=tone_map)
     np.testing.assert_array_equal(shown, [[np.nan] * 3, [0.0] * 3])

@@ -15,10 +15,10 @@ from scipy.ndimage import map_coordinates
 
 import pbrfit
 from command_runs import done
+from pbrfit.io.limits import AT_MOST
 from pbrfit.registration import displacement, placement
 from pbrfit.registration.placement import Placement, Registration, aligned, put_back, register
 from pbrfit.result.metrics import rmse
-from pbrfit.scene.arrays import AT_MOST
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from planted_lamps import far, planted

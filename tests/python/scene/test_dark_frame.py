@@ -14,8 +14,8 @@ import pbrfit
 from command_runs import done
 from pbrfit import InputError, Scene
 from pbrfit.io import images
+from pbrfit.io.limits import AT_LEAST
 from pbrfit.scene import folder as scene_folder
-from pbrfit.scene.arrays import AT_LEAST
 from scene_files import FORMATS, SIZE, room, write_exr, write_folder, write_integers
 
 LEVEL = 0.02

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pbrfit import InputError, Scene
 from pbrfit.io.color import decode_srgb, encode_srgb
-from pbrfit.scene.arrays import AT_LEAST, AT_MOST
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.scene.plateaus import NEXT_VALUES, plateaus
 from pbrfit.synthetic import make_scene
 

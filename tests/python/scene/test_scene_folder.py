@@ -21,8 +21,8 @@ from PIL import Image, ImageCms
 from pbrfit import InputError, Scene, Truth, threads
 from pbrfit.acquire.photo import shown_to_network
 from pbrfit.io import images, normal_files
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.lighting import Lighting
-from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 from pbrfit.scene.reading import read_pictures
 from pbrfit.synthetic import make_scene
 from scene_files import (

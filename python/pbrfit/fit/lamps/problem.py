@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.geometry import positions, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
-from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.sampling import stride
-from pbrfit.io import limits as file_limits
+from pbrfit.io.color import Conversion
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.lazy import lazy
 from pbrfit.model import geometry
@@ -154,7 +154,7 @@ def without_shape(scene: Scene, side: int) -> Scene:
         return scene
     limits: NDArray[np.uint8] = np.zeros(images.shape, np.uint8)
     if scene.limits is not None:
-        limits = np.stack([file_limits.averaged(np.array(of), size) for of in scene.limits])
+        limits = np.stack([Conversion("linear").of_limits(of, size) for of in scene.limits])
     weights = None
     if scene.weights is not None:
         weights = np.stack([averaged_channels(of, size) for of in scene.weights])

@@ -13,9 +13,9 @@ from pbrfit.fit.lamps.joint import Freedom, JointLamps, SurfacePrior
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.surfaces import deviations
+from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS, Model
-from pbrfit.scene.arrays import AT_LEAST, AT_MOST
 from reference import unit
 
 Array = NDArray[np.float64]
