@@ -93,13 +93,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class _Decoded:
-    """What the reader of a format found in a file."""
+    """What the reader of a format found in a file; names that `Picture` has mean the same."""
 
     samples: NDArray[Any]
     """(H, W, 1 to 4), as stored."""
     conversion: Conversion
     color: str
-    """One sentence on how the colour was decided."""
     taken: exif.Exif = field(default_factory=exif.Exif)
     curve_told: bool = True
     turn: int = 1

@@ -206,9 +206,8 @@ def check_free(path: Path, *, overwrite: bool, form: FolderForm = FolderForm()) 
     """Check that a folder may be made at `path`.
 
     Only an earlier output is replaced: an empty folder, or one of the given form in which there is
-    nothing else. Pictures that somebody took, and what somebody put beside a result, are not lost
-    to a slip of the fingers. Raises FileExistsError if something is there, unless it is such a
-    folder and `overwrite` is True. A folder that the process works in is never replaced.
+    nothing else. Raises FileExistsError if something is there, unless it is such a folder and
+    `overwrite` is True. A folder that the process works in is never replaced.
     """
     check_is_output(path, overwrite=overwrite, form=form)
     if there(path) and (foreign := list(form.foreign(path))):

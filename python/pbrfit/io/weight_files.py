@@ -24,9 +24,8 @@ COLORS = "R", "G", "B"
 
 
 def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
-    """Read weights.
+    """Read weights from channels as of `ALL` and `COLORS`.
 
-    The file has a channel `Y`; or for each picture `NAME.Y`, or `NAME.R`, `NAME.G` and `NAME.B`.
     Returns (H, W, 1) for all pictures alike, (N, H, W, 1) in the order of `names`, or (N, H, W, 3)
     where some picture has colours; as stored. Raises InputError if channels are missing, or the
     file has more than one kind for a picture.
