@@ -56,7 +56,7 @@ def main() -> None:
     worst = mp.mpf(0)
     step = mp.mpf(10) ** -25  # the derivative by a complex step is exact in 60 digits
     for name, order in (("BAND", 0), ("BAND_SLOPE", 1)):
-        print(f"const {name}: [[f64; {DEGREE + 1}]; 3] = [")
+        bands = []
         for l in (1, 2, 3):
             f = (
                 (lambda r, l=l: band(l, r))
@@ -64,13 +64,13 @@ def main() -> None:
                 else (lambda r, l=l: mp.im(band(l, mp.mpc(r, step))) / step)
             )
             series = [mp.mpf(float(c)) for c in coefficients(f)]
-            print("    [")
-            for c in series:
-                print(f"        {float(c)!r},")
-            print("    ],")
+            bands.append(series)
             for i in range(101):
                 r = LOWER + (UPPER - LOWER) * i / 100
                 worst = max(worst, abs(evaluate(series, r) - f(r)))
+        print(f"const {name}: [[f64; 3]; {DEGREE + 1}] = [")
+        for of_term in zip(*bands, strict=True):
+            print(f"    [{', '.join(repr(float(c)) for c in of_term)}],")
         print("];")
     print(f"// largest error of the rounded series: {mp.nstr(worst, 3)}")
 
