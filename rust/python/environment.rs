@@ -8,20 +8,15 @@ use crate::environment::lobes::{CELLS, LOBES, nodes};
 use crate::environment::render::render_environment;
 use crate::runtime::check;
 
-pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(environment_lobes, module)?)?;
-    module.add_class::<PyEnvironment>()
-}
-
 /// (roughness, n·v, lobe, 4): angle, level, a and b of the lobes.
 #[pyfunction]
-fn environment_lobes<'py>(py: Python<'py>, model: &str) -> PyResult<Out<'py, 4, f32>> {
+pub(super) fn environment_lobes<'py>(py: Python<'py>, model: &str) -> PyResult<Out<'py, 4, f32>> {
     let numbers = nodes(model.parse()?).iter().flatten().copied().collect();
     Ok(out(py, numbers, [CELLS[0] + 1, CELLS[1] + 1, LOBES, 4]))
 }
 
 #[pyclass(frozen, name = "Environment", module = "pbrfit._core")]
-struct PyEnvironment {
+pub(super) struct PyEnvironment {
     light: Blurred,
 }
 

@@ -15,22 +15,9 @@ use super::arrays::{ANY, Contiguous, array, copied, given, shape};
 use crate::image_file::{self, ExrChannel, Format, PngTag, Samples, Stored};
 use crate::runtime::{Error, Result};
 
-pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Raster>()?;
-    module.add_function(wrap_pyfunction!(image_format, module)?)?;
-    module.add_function(wrap_pyfunction!(decode_exr, module)?)?;
-    module.add_function(wrap_pyfunction!(decode_raster, module)?)?;
-    module.add_function(wrap_pyfunction!(tiff_pages, module)?)?;
-    module.add_function(wrap_pyfunction!(decode_icc, module)?)?;
-    module.add_function(wrap_pyfunction!(average_light, module)?)?;
-    module.add_function(wrap_pyfunction!(write_exr, module)?)?;
-    module.add_function(wrap_pyfunction!(write_png, module)?)?;
-    module.add_function(wrap_pyfunction!(encode_png, module)?)
-}
-
 /// A decoded picture file: samples as stored, nothing converted.
 #[pyclass(frozen, get_all, module = "pbrfit._core")]
-struct Raster {
+pub(super) struct Raster {
     format: &'static str,
     samples: Py<PyAny>,
     icc_profile: Option<Py<PyBytes>>,
@@ -44,13 +31,13 @@ struct Raster {
 
 /// The format by the first bytes: EXR, PNG, JPEG, TIFF, HDR or None.
 #[pyfunction]
-fn image_format(data: PyBackedBytes) -> Option<&'static str> {
+pub(super) fn image_format(data: PyBackedBytes) -> Option<&'static str> {
     Format::of(&data).map(Format::name)
 }
 
 /// Channels by name, (H, W) float32 each, and the chromaticities attribute.
 #[pyfunction]
-fn decode_exr<'py>(
+pub(super) fn decode_exr<'py>(
     py: Python<'py>,
     data: PyBackedBytes,
     path: PathBuf,
@@ -66,14 +53,14 @@ fn decode_exr<'py>(
 
 /// The number of pictures in a TIFF file.
 #[pyfunction]
-fn tiff_pages(py: Python<'_>, path: PathBuf) -> PyResult<usize> {
+pub(super) fn tiff_pages(py: Python<'_>, path: PathBuf) -> PyResult<usize> {
     Ok(py.detach(|| image_file::count_tiff_pages(&path))?)
 }
 
 /// PNG, JPEG, TIFF or HDR. `indices`: palette and low-bit values as stored; `page` of a TIFF.
 #[pyfunction]
 #[pyo3(signature = (data, path, indices, page=None))]
-fn decode_raster(
+pub(super) fn decode_raster(
     py: Python<'_>,
     data: PyBackedBytes,
     path: PathBuf,
@@ -106,7 +93,7 @@ type Curves<'py> = (Vec<Bound<'py, PyArray1<f32>>>, Option<[[f64; 3]; 3]>);
 
 /// Curves sampled at `levels` levels and the matrix to CIE XYZ under D50.
 #[pyfunction]
-fn decode_icc(
+pub(super) fn decode_icc(
     py: Python<'_>,
     profile: PyBackedBytes,
     levels: usize,
@@ -125,7 +112,7 @@ fn decode_icc(
 /// integers through curves (1 or 3, levels), floats as they are. Marks in zeros (h, w, 3) which
 /// colours are limited by integers outside of `codes`; returns whether one is.
 #[pyfunction]
-fn average_light<'py>(
+pub(super) fn average_light<'py>(
     samples: &Bound<'py, PyAny>,
     used: [[usize; 2]; 2],
     curves: &Bound<'py, PyAny>,
@@ -181,7 +168,7 @@ fn average<'py, T: Element + Copy + PartialOrd + Sync>(
 
 /// One part, ZIP, Rec.709; all of the file or none of it.
 #[pyfunction]
-fn write_exr(
+pub(super) fn write_exr(
     py: Python<'_>,
     path: PathBuf,
     channels: Vec<(String, PyReadonlyArray2<'_, f32>)>,
@@ -203,7 +190,7 @@ fn write_exr(
 
 /// 8 or 16-bit samples, (H, W) or (H, W, C); all of the file or none of it.
 #[pyfunction]
-fn write_png(
+pub(super) fn write_png(
     py: Python<'_>,
     path: PathBuf,
     image: Bound<'_, PyAny>,
@@ -216,7 +203,7 @@ fn write_png(
 
 /// The bytes that `write_png` would write.
 #[pyfunction]
-fn encode_png<'py>(
+pub(super) fn encode_png<'py>(
     py: Python<'py>,
     image: Bound<'_, PyAny>,
     tag: Option<&str>,

@@ -13,12 +13,6 @@ use crate::lamps::render::{
     Lamplit, WITH_SLOPES, lamp_radiance as radiance_of_pixels, lamp_slopes as slopes_of_pixels,
 };
 
-pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(lamp_radiance, module)?)?;
-    module.add_function(wrap_pyfunction!(lamp_slopes, module)?)?;
-    module.add_function(wrap_pyfunction!(fit_under_lamps, module)?)
-}
-
 /// Angular radii of lamps; none are points.
 fn given_extents(extents: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<f64>> {
     extents.map_or(Ok(Vec::new()), |extents| {
@@ -29,7 +23,7 @@ fn given_extents(extents: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<V
 #[pyfunction]
 #[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, threads, model = "paper", extents = None))]
 #[expect(clippy::too_many_arguments)]
-fn lamp_radiance<'py>(
+pub(super) fn lamp_radiance<'py>(
     py: Python<'py>,
     normals: &Bound<'py, PyAny>,
     views: &Bound<'py, PyAny>,
@@ -70,7 +64,7 @@ fn lamplit<'a>(
 #[pyfunction]
 #[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, threads, model = "paper"))]
 #[expect(clippy::too_many_arguments)]
-fn lamp_slopes<'py>(
+pub(super) fn lamp_slopes<'py>(
     py: Python<'py>,
     normals: &Bound<'py, PyAny>,
     views: &Bound<'py, PyAny>,
@@ -96,7 +90,7 @@ fn lamp_slopes<'py>(
     free_metallic, free_roughness, iterations, threads, model = "paper"
 ))]
 #[expect(clippy::too_many_arguments)]
-fn fit_under_lamps<'py>(
+pub(super) fn fit_under_lamps<'py>(
     py: Python<'py>,
     pictures: &Bound<'py, PyAny>,
     weights: &Bound<'py, PyAny>,

@@ -58,21 +58,41 @@ impl From<Error> for PyErr {
 
 /// The extension module `pbrfit._core`.
 #[pymodule]
-fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    // Under the interpreter lock, without which nobody forks: a child that was forked while another
-    // thread makes the table would wait for it for ever.
-    LazyLock::force(&band_table::TABLE);
-    lobe_table::prepare();
-    lobes::prepare();
-    // Numpy's functions are looked up when first used, where a Ctrl-C would become a panic.
-    module.py().import("numpy")?;
-    PyArray1::<f64>::zeros(module.py(), 0, false);
-    module.add("InputError", module.py().get_type::<InputError>())?;
-    model::register(module)?;
-    lamps::register(module)?;
-    environment::register(module)?;
-    problem::register(module)?;
-    surroundings::register(module)?;
-    ending::register(module)?;
-    image_file::register(module)
+mod _core {
+    use super::*;
+
+    #[pymodule_export]
+    use super::InputError;
+    #[pymodule_export]
+    use super::ending::{allow_end, end_when_told, finished, hold_end, last_word, unfinished};
+    #[pymodule_export]
+    use super::environment::{PyEnvironment, environment_lobes};
+    #[pymodule_export]
+    use super::image_file::{
+        Raster, average_light, decode_exr, decode_icc, decode_raster, encode_png, image_format,
+        tiff_pages, write_exr, write_png,
+    };
+    #[pymodule_export]
+    use super::lamps::{fit_under_lamps, lamp_radiance, lamp_slopes};
+    #[pymodule_export]
+    use super::model::{
+        ggx_band_weights, lobe_functions, lobe_table_file, render, sh_basis, shade, shade_vjp,
+    };
+    #[pymodule_export]
+    use super::problem::{PyKeptSystem, PyProblem};
+    #[pymodule_export]
+    use super::surroundings::PySurroundings;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        // Under the interpreter lock, without which nobody forks: a child that was forked while
+        // another thread makes the table would wait for it for ever.
+        LazyLock::force(&band_table::TABLE);
+        lobe_table::prepare();
+        lobes::prepare();
+        // Numpy's functions are looked up when first used, where a Ctrl-C would become a panic.
+        module.py().import("numpy")?;
+        PyArray1::<f64>::zeros(module.py(), 0, false);
+        Ok(())
+    }
 }

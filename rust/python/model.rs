@@ -15,18 +15,11 @@ use crate::runtime::check::{self, MAX_SAMPLES};
 use crate::runtime::memory::collect;
 use crate::runtime::{Error, Result};
 
-pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(sh_basis, module)?)?;
-    module.add_function(wrap_pyfunction!(ggx_band_weights, module)?)?;
-    module.add_function(wrap_pyfunction!(lobe_functions, module)?)?;
-    module.add_function(wrap_pyfunction!(lobe_table_file, module)?)?;
-    module.add_function(wrap_pyfunction!(shade, module)?)?;
-    module.add_function(wrap_pyfunction!(shade_vjp, module)?)?;
-    module.add_function(wrap_pyfunction!(render, module)?)
-}
-
 #[pyfunction]
-fn sh_basis<'py>(py: Python<'py>, directions: &Bound<'py, PyAny>) -> PyResult<Out<'py, 2>> {
+pub(super) fn sh_basis<'py>(
+    py: Python<'py>,
+    directions: &Bound<'py, PyAny>,
+) -> PyResult<Out<'py, 2>> {
     let directions = vectors("directions", directions, ANY)?;
     let basis = py.detach(|| {
         check::unit_vectors("directions", &directions)?;
@@ -37,7 +30,7 @@ fn sh_basis<'py>(py: Python<'py>, directions: &Bound<'py, PyAny>) -> PyResult<Ou
 }
 
 #[pyfunction]
-fn ggx_band_weights<'py>(
+pub(super) fn ggx_band_weights<'py>(
     py: Python<'py>,
     r: &Bound<'py, PyAny>,
 ) -> PyResult<(Out<'py, 2>, Out<'py, 2>)> {
@@ -51,7 +44,7 @@ fn ggx_band_weights<'py>(
 }
 
 #[pyfunction]
-fn lobe_functions<'py>(
+pub(super) fn lobe_functions<'py>(
     py: Python<'py>,
     r: &Bound<'py, PyAny>,
     cosine: &Bound<'py, PyAny>,
@@ -71,7 +64,7 @@ fn lobe_functions<'py>(
 
 #[pyfunction]
 #[pyo3(name = "lobe_table")]
-fn lobe_table_file(py: Python<'_>) -> Bound<'_, PyBytes> {
+pub(super) fn lobe_table_file(py: Python<'_>) -> Bound<'_, PyBytes> {
     PyBytes::new(py, lobe_table::file())
 }
 
@@ -85,7 +78,7 @@ fn unit_pixels(given: [&Bound<'_, PyAny>; 5]) -> PyResult<Pixels> {
 
 #[pyfunction]
 #[pyo3(signature = (normal, view, albedo, roughness, metallic, model = "paper"))]
-fn shade<'py>(
+pub(super) fn shade<'py>(
     py: Python<'py>,
     normal: &Bound<'py, PyAny>,
     view: &Bound<'py, PyAny>,
@@ -114,7 +107,7 @@ fn shade<'py>(
 #[pyfunction]
 #[pyo3(signature = (normal, view, albedo, roughness, metallic, cotangent, model = "paper"))]
 #[expect(clippy::too_many_arguments)]
-fn shade_vjp<'py>(
+pub(super) fn shade_vjp<'py>(
     py: Python<'py>,
     normal: &Bound<'py, PyAny>,
     view: &Bound<'py, PyAny>,
@@ -156,7 +149,7 @@ fn shade_vjp<'py>(
 #[pyfunction]
 #[pyo3(signature = (normals, views, albedo, roughness, metallic, lighting, threads, model = "paper", transfer = None, bounced = None))]
 #[expect(clippy::too_many_arguments)]
-fn render<'py>(
+pub(super) fn render<'py>(
     py: Python<'py>,
     normals: &Bound<'py, PyAny>,
     views: &Bound<'py, PyAny>,

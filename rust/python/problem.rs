@@ -22,11 +22,6 @@ use crate::runtime::{Error, check, pool};
 use crate::schur::kept::KeptSystem;
 use crate::schur::{Clusters, Elimination, PriorTerm};
 
-pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyProblem>()?;
-    module.add_class::<PyKeptSystem>()
-}
-
 /// The scale of a robust loss, which is Cauchy's.
 fn of_name((name, scale): (String, f64)) -> Result<f64, Error> {
     match name.as_str() {
@@ -36,7 +31,7 @@ fn of_name((name, scale): (String, f64)) -> Result<f64, Error> {
 }
 
 #[pyclass(frozen, name = "Problem", module = "pbrfit._core")]
-struct PyProblem {
+pub(super) struct PyProblem {
     problem: Problem,
     /// The last copy of x, or of its first part: its memory serves again.
     copy: Mutex<Vec<f64>>,
@@ -410,7 +405,7 @@ impl PyProblem {
 }
 
 #[pyclass(frozen, name = "KeptSystem", module = "pbrfit._core")]
-struct PyKeptSystem(KeptSystem);
+pub(super) struct PyKeptSystem(KeptSystem);
 
 #[pymethods]
 impl PyKeptSystem {

@@ -11,12 +11,8 @@ use crate::runtime::{Error, check};
 use crate::transport::surroundings::{LARGEST, Surroundings};
 use crate::transport::table::{Origins, Radiance, Transfer, transfer};
 
-pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PySurroundings>()
-}
-
 #[pyclass(frozen, name = "Surroundings", module = "pbrfit._core")]
-struct PySurroundings {
+pub(super) struct PySurroundings {
     surroundings: Surroundings,
 }
 
