@@ -5,14 +5,12 @@ use glam::DVec3;
 
 use crate::block::basis::Basis;
 use crate::reflectance::ggx::MIN_COSINE;
-use crate::reflectance::planes::BlockFunctions;
 use crate::reflectance::planes::{
-    BLOCK, ChannelFactors, ChannelSums, Directions, Doubles, Materials, Plane,
+    BLOCK, BlockFunctions, ChannelFactors, ChannelSums, Directions, Doubles, Materials, Plane,
 };
 use crate::reflectance::reflection::{
-    Factors, OPEN_DIFFUSE, Reflection, first_entry, rows_of_band,
+    Factors, OPEN_DIFFUSE, Reflection, factors_of, first_entry, rows_of_band, sums_of,
 };
-use crate::reflectance::reflection::{factors_of, sums_of};
 use crate::reflectance::sh::{self, BAND_OF, COEFFICIENTS, COSINE_TRANSFER, Real};
 use crate::reflectance::tangent_offset;
 use crate::runtime::Result;

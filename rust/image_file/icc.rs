@@ -13,8 +13,7 @@ pub struct IccProfile {
     /// Linear light of the levels 0, 1/(n-1), ..., 1: one curve of a grey
     /// profile, else those of red, green and blue.
     pub curves: Vec<Vec<f32>>,
-    /// Linear RGB to CIE XYZ under D50, the profile connection space; `None`
-    /// of a grey profile.
+    /// Linear RGB to CIE XYZ under D50, the profile connection space; `None` of a grey profile.
     pub to_xyz: Option<[[f64; 3]; 3]>,
 }
 
@@ -71,9 +70,8 @@ pub fn decode_icc(profile: &[u8], levels: usize, path: &Path) -> Result<IccProfi
 /// numbers that profiles can hold would overflow on it.
 const LARGEST: f64 = 1e6;
 
-/// Linear light at `x` in [0, 1] (ICC.1:2022, 10.6 and 10.18), or `None` if the
-/// curve has no value there. In double precision: the evaluators of
-/// `moxcms` 0.8 use a fast power that is -4 at 0.
+/// Linear light at `x` in [0, 1] (ICC.1:2022, 10.6 and 10.18), or `None` if the curve has no value
+/// there. In double precision: the evaluators of `moxcms` 0.8 use a fast power that is -4 at 0.
 fn evaluate(curve: &ToneReprCurve, x: f64) -> Option<f64> {
     let value = match curve {
         ToneReprCurve::Lut(table) => match table.as_slice() {

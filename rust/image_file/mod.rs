@@ -1,5 +1,4 @@
-//! Picture files in and out: the one place that names `exr`, `image`, `png`,
-//! `tiff` and `moxcms`.
+//! Picture files in and out: the one place that names `exr`, `image`, `png`, `tiff` and `moxcms`.
 //!
 //! Nothing here decides on a colour: samples come out as they are stored, with
 //! what the file says about them beside, and go through curves that are given. Every decoder gets a whole file in
@@ -114,9 +113,8 @@ fn broken(path: &Path, format: Format, error: impl std::fmt::Display) -> Error {
     )
 }
 
-/// Refuses a size, before anything is allocated for it, that is beyond the
-/// limit or more than `most` pixels, which is what no encoder could have
-/// squeezed into a file of `file_size` bytes.
+/// Refuses a size, before anything is allocated for it, that is beyond the limit or more than
+/// `most` pixels, which is what no encoder could have squeezed into a file of `file_size` bytes.
 fn check_size(path: &Path, width: u64, height: u64, most: u64, file_size: u64) -> Result<()> {
     // Both sides are at most 32 bits wide in every format, so the product cannot wrap.
     let pixels = width * height;

@@ -2,8 +2,7 @@
 //!
 //! Pixels then have nothing to do with each other. A pixel's sum of squares may have several
 //! minima, most of them apart in roughness and metallic; so it descends from several starts, its
-//! own material and the best nodes of a grid ([`material_grid`]), and keeps
-//! the lowest.
+//! own material and the best nodes of a grid ([`material_grid`]), and keeps the lowest.
 //!
 //! Most of the way costs the same for any number of pictures: the sum of squared residuals comes from
 //! products over them ([`product_form`](super::product_form)), at the normals that x has. These know

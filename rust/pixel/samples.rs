@@ -18,9 +18,8 @@ use crate::block::weights::FillWeights;
 use crate::pixel::weight_jacobian::WeightJacobian;
 use crate::problem::Problem;
 use crate::reflectance::planes::{
-    BLOCK, ChannelFactors, Directions, Doubles, Materials, no_functions,
+    BLOCK, ChannelFactors, Directions, Doubles, MAX_ROWS, Material, Materials, no_functions,
 };
-use crate::reflectance::planes::{MAX_ROWS, Material};
 use crate::reflectance::reflection::{ExactFunctions, Factors, Reflection};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::reflectance::tangent_offset::OFFSETS;

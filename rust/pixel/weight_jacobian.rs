@@ -15,8 +15,7 @@ use crate::block::normal_jacobian::{
     FillBasisSlopes, GivenDirections, NormalJacobian, OffsetNormals, TangentOffsets,
 };
 use crate::problem::Problem;
-use crate::reflectance::planes::{BLOCK, Directions, Doubles, Materials};
-use crate::reflectance::planes::{MAX_ROWS, Material};
+use crate::reflectance::planes::{BLOCK, Directions, Doubles, MAX_ROWS, Material, Materials};
 use crate::reflectance::reflection::{
     ExactFunctions, Factors, OPEN_DIFFUSE, Reflection, each_entry,
 };

@@ -8,9 +8,8 @@ use crate::block::factors::FillFactors;
 use crate::block::radiance::Radiance;
 use crate::block::weights::FillWeights;
 use crate::reflectance::model::{Model, with_model};
-use crate::reflectance::planes::Material;
 use crate::reflectance::planes::{
-    BLOCK, ChannelFactors, Directions, Materials, Plane, no_functions,
+    BLOCK, ChannelFactors, Directions, Material, Materials, Plane, no_functions,
 };
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;

@@ -1,8 +1,7 @@
 //! The one place that names pyo3 and numpy: arrays in, arrays out.
 //!
-//! Every function copies its input before it releases the interpreter lock: a
-//! borrowed numpy array could be changed by another thread meanwhile. Only making a `Problem`
-//! keeps the lock instead.
+//! Every function copies its input before it releases the interpreter lock: a borrowed numpy array
+//! could be changed by another thread meanwhile. Only making a `Problem` keeps the lock instead.
 
 mod arrays;
 mod ending;

@@ -14,8 +14,9 @@ use std::f64::consts::FRAC_1_PI;
 use crate::reflectance::band_table::{FUNCTIONS, TABLE};
 use crate::reflectance::ggx::{self, Bands, DIELECTRIC_F0};
 use crate::reflectance::lobe_table::Tabled;
-use crate::reflectance::planes::{BLOCK, Plane};
-use crate::reflectance::planes::{BlockFunctions, ByRow, MAX_ENTRIES, MAX_ROWS, Material};
+use crate::reflectance::planes::{
+    BLOCK, BlockFunctions, ByRow, MAX_ENTRIES, MAX_ROWS, Material, Plane,
+};
 use crate::reflectance::reflection::{self, Reflection};
 use crate::reflectance::sh::{self, BANDS, COEFFICIENTS, Real};
 use crate::runtime::simd::Isa;

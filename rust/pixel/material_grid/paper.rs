@@ -13,8 +13,7 @@ use std::f64::consts::FRAC_1_PI;
 use crate::pixel::material_grid::{AlbedoFromProducts, ByAlbedo, Given, STARTS};
 use crate::reflectance::ggx::{self, DIELECTRIC_F0};
 use crate::reflectance::paper::Paper;
-use crate::reflectance::planes::BlockFunctions;
-use crate::reflectance::planes::{BLOCK, Doubles, Plane};
+use crate::reflectance::planes::{BLOCK, BlockFunctions, Doubles, Plane};
 use crate::reflectance::sh::BANDS;
 use crate::runtime::simd::{Instructions, Isa, Kernel};
 

@@ -6,8 +6,9 @@
 
 use super::{Mixer, ROWS, Surface, worth};
 use crate::reflectance::lobe_table::SECTION;
-use crate::reflectance::planes::BlockFunctions;
-use crate::reflectance::planes::{BLOCK, ChannelFactors, ChannelSums, Materials, Plane};
+use crate::reflectance::planes::{
+    BLOCK, BlockFunctions, ChannelFactors, ChannelSums, Materials, Plane,
+};
 use crate::reflectance::sh::Real;
 
 #[inline(always)]

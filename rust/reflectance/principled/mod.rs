@@ -37,8 +37,10 @@ use std::f64::consts::{FRAC_1_PI, PI};
 
 use crate::reflectance::ggx::DIELECTRIC_F0;
 use crate::reflectance::lobe_table::{self, SECTION, Tabled};
-use crate::reflectance::planes::{BlockFunctions, ByRow, MAX_ENTRIES, Material};
-use crate::reflectance::planes::{ChannelFactors, ChannelSums, Directions, Materials, Plane};
+use crate::reflectance::planes::{
+    BlockFunctions, ByRow, ChannelFactors, ChannelSums, Directions, MAX_ENTRIES, Material,
+    Materials, Plane,
+};
 use crate::reflectance::reflection::{self, Reflection};
 use crate::reflectance::sh::{BANDS, Real};
 use crate::runtime::simd::Isa;
