@@ -80,12 +80,11 @@ pub fn averaged<T: Copy + PartialOrd>(
                 }
                 marked = true;
                 let touched = x * width / wide..((x + 1) * width).div_ceil(wide);
-                for (bound, found) in limits[touched]
-                    .iter_mut()
-                    .flat_map(|of| of.iter_mut().zip(found))
-                {
-                    if found != 0 && *bound != AT_LEAST {
-                        *bound = found;
+                for of_pixel in &mut limits[touched] {
+                    for (bound, found) in of_pixel.iter_mut().zip(found) {
+                        if found != 0 && *bound != AT_LEAST {
+                            *bound = found;
+                        }
                     }
                 }
             }

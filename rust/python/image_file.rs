@@ -146,11 +146,9 @@ fn average<'py, T: Element + Copy + PartialOrd + Sync>(
     (mut pixels, mut limits): (PyReadwriteArray3<'py, f32>, PyReadwriteArray3<'py, u8>),
 ) -> PyResult<bool> {
     let given = array::<T, Ix3>("samples", samples)?;
-    let (&[_, width, channels], &[high, wide, 3]) = (given.shape(), pixels.shape()) else {
-        return Err(
-            Error::argument("pixels", "three colours", format!("{:?}", pixels.shape())).into(),
-        );
-    };
+    let (width, channels) = (given.shape()[1], given.shape()[2]);
+    let (high, wide) = (pixels.shape()[0], pixels.shape()[1]);
+    shape("pixels", &[high, wide, 3], pixels.shape())?;
     shape("limits", &[high, wide, 3], limits.shape())?;
     // Read where they are: the decoder made them for this alone, and a copy takes a tenth as long.
     let held = Contiguous::try_of("samples", &given)?;
