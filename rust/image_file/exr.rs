@@ -22,8 +22,7 @@ use crate::runtime::{Error, Result};
 /// Largest accepted sum of samples over all channels: 4 GiB as float.
 const MAX_SAMPLES: u64 = 1 << 30;
 
-/// Pixels that a window may have however small the file: a crop may lie in a
-/// large empty frame.
+/// Pixels that a window may have however small the file: a crop may lie in a large empty frame.
 const EMPTY_PIXELS: u64 = 1 << 24;
 
 /// The same for samples, over all channels: 256 MiB as float.
@@ -61,9 +60,8 @@ pub struct Exr {
     pub chromaticities: Option<[f32; 8]>,
 }
 
-/// Reads the bytes of an EXR file: half, float or 32-bit integer channels (integers above
-/// 2^24 are rounded to float), scan lines or tiles (the largest level), one or
-/// several parts.
+/// Reads the bytes of an EXR file: half, float or 32-bit integer channels (integers above 2^24 are
+/// rounded to float), scan lines or tiles (the largest level), one or several parts.
 ///
 /// With several parts a channel is named `part.channel`, unless the part has
 /// no name or the channel already starts with it. The data window is placed
@@ -206,29 +204,27 @@ fn place(line: &LineRef<'_>, kind: SampleType, shift: [i64; 2], plane: &mut [f32
     let row = y as usize * width;
     let target = &mut plane[row + start.max(0) as usize..row + end as usize];
     match kind {
-        SampleType::F16 => {
-            for (value, bytes) in target.iter_mut().zip(&line.value.as_chunks().0[skipped..]) {
-                *value = f16::from_ne_bytes(*bytes).to_f32();
-            }
-        }
-        SampleType::F32 => {
-            for (value, bytes) in target.iter_mut().zip(&line.value.as_chunks().0[skipped..]) {
-                *value = f32::from_ne_bytes(*bytes);
-            }
-        }
-        SampleType::U32 => {
-            for (value, bytes) in target.iter_mut().zip(&line.value.as_chunks().0[skipped..]) {
-                *value = u32::from_ne_bytes(*bytes) as f32;
-            }
-        }
+        SampleType::F16 => fill(target, line, skipped, |b| f16::from_ne_bytes(b).to_f32()),
+        SampleType::F32 => fill(target, line, skipped, f32::from_ne_bytes),
+        SampleType::U32 => fill(target, line, skipped, |b| u32::from_ne_bytes(b) as f32),
     }
 }
 
-/// The DWA decoder of `exr` 1.74 allocates whatever the eleven 64-bit counters
-/// in front of a chunk say, and a failed allocation ends the process. So the
-/// ones that size its buffers (all but the first, a version, and the last, a
-/// kind) are held against the pixels of the block. Blocks of 8 x 8 are padded,
-/// hence the generous factor.
+fn fill<const BYTES: usize>(
+    target: &mut [f32],
+    line: &LineRef<'_>,
+    skipped: usize,
+    value: impl Fn([u8; BYTES]) -> f32,
+) {
+    for (to, &bytes) in target.iter_mut().zip(&line.value.as_chunks().0[skipped..]) {
+        *to = value(bytes);
+    }
+}
+
+/// The DWA decoder of `exr` 1.74 allocates whatever the eleven 64-bit counters in front of a chunk
+/// say, and a failed allocation ends the process. So the ones that size its buffers (all but the
+/// first, a version, and the last, a kind) are held against the pixels of the block. Blocks of 8 x
+/// 8 are padded, hence the generous factor.
 fn check_dwa(chunk: &Chunk, header: &Header, path: &Path) -> Result<()> {
     if !matches!(
         header.compression,
@@ -264,9 +260,8 @@ fn check_dwa(chunk: &Chunk, header: &Header, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Refuses, before anything is allocated, what cannot be read (deep and
-/// subsampled data were refused with the header). Returns the display window
-/// that all parts share.
+/// Refuses, before anything is allocated, what cannot be read (deep and subsampled data were
+/// refused with the header). Returns the display window that all parts share.
 fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<IntegerBounds> {
     let Some(first) = headers.first() else {
         return Err(content(
@@ -341,16 +336,14 @@ fn samples_in_a_byte(header: &Header) -> u64 {
     }
 }
 
-/// Writes one part of scan lines with ZIP compression and the chromaticities
-/// of Rec.709. Equal input gives equal bytes. With `half`, values beyond 65504
-/// become infinite.
+/// Writes one part of scan lines with ZIP compression and the chromaticities of Rec.709. Equal
+/// input gives equal bytes. With `half`, values beyond 65504 become infinite.
 ///
 /// The file is there as a whole or not at all.
 ///
 /// # Errors
-/// [`Error::Argument`] if there is no channel, a name comes twice or is empty,
-/// or a channel does not hold `width * height` values; [`Error::Io`] if the
-/// file cannot be written.
+/// [`Error::Argument`] if there is no channel, a name comes twice or is empty, or a channel does
+/// not hold `width * height` values; [`Error::Io`] if the file cannot be written.
 pub fn write_exr(
     path: &Path,
     width: usize,
@@ -360,29 +353,25 @@ pub fn write_exr(
 ) -> Result<()> {
     let pixels = width as u64 * height as u64;
     if channels.is_empty() || pixels == 0 || pixels > super::MAX_PIXELS {
-        return Err(Error::argument(
-            "channels",
-            format!("at least one channel of 1 to {} pixels", super::MAX_PIXELS),
-            format!("{} channels of {height} x {width}", channels.len()),
-        ));
+        let expected = format!("at least one channel of 1 to {} pixels", super::MAX_PIXELS);
+        let found = format!("{} channels of {height} x {width}", channels.len());
+        return Err(Error::argument("channels", expected, found));
     }
     let mut names = HashSet::new();
     let mut list = SmallVec::new();
     for ExrChannel { name, values } in channels {
         let Some(text) = Text::new_or_none(&name).filter(|_| (1..=255).contains(&name.len()))
         else {
+            let found = format!("{name:?}");
             return Err(Error::argument(
                 "channels",
                 "names of 1 to 255 letters",
-                format!("{name:?}"),
+                found,
             ));
         };
         if values.len() != width * height {
-            return Err(Error::argument(
-                "channels",
-                format!("{height} x {width} values in {name}"),
-                values.len(),
-            ));
+            let expected = format!("{height} x {width} values in {name}");
+            return Err(Error::argument("channels", expected, values.len()));
         }
         let samples = if half {
             FlatSamples::F16(values.into_iter().map(f16::from_f32).collect())

@@ -24,8 +24,7 @@ const DEFLATED: u64 = 1032;
 /// some scan, and at the oddest sampling nine blocks cover 1024 pixels.
 const JPEG_PIXELS: u64 = 1024;
 
-/// Most pixels of a TIFF in one byte: a deflated byte holds 1032 of 8 bits, LZW
-/// not more than 1500.
+/// Most pixels of a TIFF in one byte: a deflated byte holds 1032 of 8 bits, LZW not more than 1500.
 const TIFF_PIXELS: u64 = 2048;
 
 /// Most pixels of an HDR file in one byte: the old kind of runs takes 12 bytes for
@@ -57,8 +56,7 @@ impl Samples {
     }
 }
 
-/// A decoded picture file. No colour was converted and the orientation was not
-/// applied.
+/// A decoded picture file. No colour was converted and the orientation was not applied.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Raster {
     /// Which format the content is in.
@@ -201,8 +199,7 @@ fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
     })
 }
 
-/// Samples of 1, 2 or 4 bits, the first in the high bits, each row starting on
-/// a byte.
+/// Samples of 1, 2 or 4 bits, the first in the high bits, each row starting on a byte.
 fn unpack(buffer: &[u8], width: usize, height: usize, bits: usize) -> Vec<u8> {
     let stride = (width * bits).div_ceil(8);
     let mask = (1u8 << bits) - 1;
@@ -601,11 +598,9 @@ pub fn encode_png(
         || pixels > MAX_PIXELS
         || count != width * height * channels
     {
-        return Err(Error::argument(
-            "image",
-            format!("(H, W) or (H, W, 1 to 4) with 1 to {MAX_PIXELS} pixels"),
-            format!("{count} samples as ({height}, {width}, {channels})"),
-        ));
+        let expected = format!("(H, W) or (H, W, 1 to 4) with 1 to {MAX_PIXELS} pixels");
+        let found = format!("{count} samples as ({height}, {width}, {channels})");
+        return Err(Error::argument("image", expected, found));
     }
     let mut bytes = Vec::new();
     // Both sides fit 32 bits because their product does.

@@ -8,7 +8,7 @@ use crate::pixel::pixel_fit::PRIOR_MAX;
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::Material;
 use crate::reflectance::tangent_offset::{OFFSET_MAX, OFFSETS, tangents};
-use crate::runtime::check::{LARGEST_F32, MAX_SAMPLES};
+use crate::runtime::check::LARGEST_F32;
 use crate::runtime::memory::{collect, zeros};
 use crate::runtime::{Error, Result, check, pool};
 
@@ -167,7 +167,7 @@ fn start_offsets(base: &[DVec3], start: &[DVec3]) -> Result<Vec<[f64; OFFSETS]>>
 impl LampPictures<'_> {
     fn check(&self, start: &[DVec3], materials: &[Material]) -> Result<Lights> {
         let (pixels, pictures) = (materials.len(), self.ambient.len());
-        let samples = check::samples(pictures, pixels)?;
+        let samples = check::samples("pictures", "pictures", pictures, pixels)?;
         check::length("pictures", samples, self.pictures.len())?;
         check::length("weights", samples, self.weights.len())?;
         if let Some(limits) = self.limits {
@@ -184,16 +184,9 @@ impl LampPictures<'_> {
         check::length("prior_mean", pixels, self.prior_mean.len())?;
         check::length("prior_precision", pixels, self.prior_precision.len())?;
         let lamps = self.picture_of.len();
-        if pixels.saturating_mul(lamps) > MAX_SAMPLES {
-            let expected = format!("at most {MAX_SAMPLES} pixels times lamps");
-            return Err(Error::argument(
-                "directions",
-                expected,
-                pixels.saturating_mul(lamps),
-            ));
-        }
-        check::length("directions", pixels * lamps, self.directions.len())?;
-        check::length("intensities", pixels * lamps, self.intensities.len())?;
+        let of_lamps = check::samples("directions", "lamps", lamps, pixels)?;
+        check::length("directions", of_lamps, self.directions.len())?;
+        check::length("intensities", of_lamps, self.intensities.len())?;
         check::moderate("pictures", self.pictures.as_flattened(), LARGEST_F32)?;
         check::not_negative("weights", self.weights.as_flattened(), WEIGHT_MAX)?;
         check::moderate("intensities", self.intensities.as_flattened(), LARGEST_F32)?;
@@ -207,11 +200,8 @@ impl LampPictures<'_> {
         check::unit_vectors("start_normals", start)?;
         check::indices("picture_of", pictures, self.picture_of)?;
         if !self.picture_of.is_sorted() {
-            return Err(Error::argument(
-                "picture_of",
-                "numbers in rising order",
-                "others",
-            ));
+            let expected = "numbers in rising order";
+            return Err(Error::argument("picture_of", expected, "others"));
         }
         Ok(Lights::new(self.picture_of, self.ambient))
     }

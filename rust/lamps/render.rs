@@ -7,7 +7,6 @@ use super::samples::{LANES, Lanes};
 use super::surface::Surface;
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
-use crate::runtime::check::MAX_SAMPLES;
 use crate::runtime::memory::zeros;
 use crate::runtime::simd::{Instructions, Isa, Kernel, Vectors};
 use crate::runtime::{Error, Result, check, pool};
@@ -17,16 +16,6 @@ const PIECE: usize = 1024;
 
 /// Largest angular radius of a lamp, radians: beyond, it is no lamp but a sky, for panoramas.
 pub const LARGEST_EXTENT: f64 = std::f64::consts::FRAC_PI_4;
-
-fn check_extents(extents: &[f64]) -> Result<()> {
-    match extents
-        .iter()
-        .find(|&&e| !(0.0..=LARGEST_EXTENT).contains(&e))
-    {
-        None => Ok(()),
-        Some(found) => Err(Error::argument("extents", "0 to π/4 radians", found)),
-    }
-}
 
 /// Pixels, each with directions of its own.
 #[derive(Clone, Copy, Debug)]
@@ -51,15 +40,15 @@ impl Lamplit<'_> {
         let pixels = check::pixels(self.normals, self.views, self.materials.len())?;
         let count = self.directions.len();
         let lamps = count.checked_div(pixels).unwrap_or(0);
-        check::length("directions", pixels * lamps, count)?;
-        if count > MAX_SAMPLES {
-            let expected = format!("at most {MAX_SAMPLES} pixels times lamps");
-            return Err(Error::argument("directions", expected, count));
-        }
+        let expected = check::samples("directions", "lamps", lamps, pixels)?;
+        check::length("directions", expected, count)?;
         check::unit_vectors("directions", self.directions)?;
         if !self.extents.is_empty() {
-            check::length("extents", self.directions.len(), self.extents.len())?;
-            check_extents(self.extents)?;
+            check::length("extents", count, self.extents.len())?;
+            let mut extents = self.extents.iter();
+            if let Some(found) = extents.find(|&e| !(0.0..=LARGEST_EXTENT).contains(e)) {
+                return Err(Error::argument("extents", "0 to π/4 radians", found));
+            }
         }
         Ok(lamps)
     }

@@ -167,11 +167,8 @@ impl Problem {
 
         if let Some(transfer) = &transfer {
             if options.free_normals {
-                return Err(Error::argument(
-                    "transfer",
-                    "given normals, which it was made with",
-                    "free ones",
-                ));
+                let expected = "given normals, which it was made with";
+                return Err(Error::argument("transfer", expected, "free ones"));
             }
             let rows = pixels * with_model!(options.model, M => 1 + M::ROWS);
             check::length("transfer", rows * COEFFICIENTS, transfer.rows.len())?;
@@ -261,11 +258,8 @@ impl Problem {
     /// The normals of all pixels; `maps` is the first part of x.
     pub fn normals(&self, maps: &[f64]) -> Result<Vec<DVec3>> {
         check::length("maps", self.maps(), maps.len())?;
-        check::moderate(
-            "maps (tangent offset)",
-            self.split_maps(maps).1,
-            tangent_offset::OFFSET_MAX,
-        )?;
+        let (_, offsets) = self.split_maps(maps);
+        check::moderate("maps (tangent offset)", offsets, tangent_offset::OFFSET_MAX)?;
         let normals = (0..self.pixels).map(|p| self.normal(maps, p));
         collect("normals", self.pixels, normals)
     }

@@ -23,12 +23,8 @@ pub(super) fn check(scale: f64) -> Result<()> {
     if SCALES.contains(&scale) {
         return Ok(());
     }
-    let found = format!("{scale:e}");
-    Err(Error::argument(
-        "robust",
-        "a scale from 1e-15 to 1e15",
-        found,
-    ))
+    let expected = "a scale from 1e-15 to 1e15";
+    Err(Error::argument("robust", expected, format!("{scale:e}")))
 }
 
 /// Turns residuals e into ω φ'(e)/2 and returns Σ ω φ(e).

@@ -29,16 +29,14 @@ impl Targets {
     /// Room for so many pictures of so many pixels, with 1 or 3 channels.
     pub fn new(pixels: usize, pictures: usize, channels: usize, threads: usize) -> Result<Self> {
         if pixels == 0 || pictures == 0 {
-            return Err(Error::argument(
-                "images",
-                "at least one picture and one pixel",
-                format!("{pictures} pictures of {pixels} pixels"),
-            ));
+            let found = format!("{pictures} pictures of {pixels} pixels");
+            let expected = "at least one picture and one pixel";
+            return Err(Error::argument("images", expected, found));
         }
         if !matches!(channels, 1 | 3) {
             return Err(Error::argument("images", "1 or 3 channels", channels));
         }
-        check::samples(pictures, pixels)?;
+        check::samples("images", "pictures", pictures, pixels)?;
         Ok(Self {
             pixels,
             layout: PlaneLayout {
@@ -106,11 +104,8 @@ impl Targets {
     }
 
     fn wrong_count(&self, found: usize) -> Error {
-        Error::argument(
-            "images",
-            format!("{} pictures", self.layout.pictures),
-            found,
-        )
+        let expected = format!("{} pictures", self.layout.pictures);
+        Error::argument("images", expected, found)
     }
 
     /// Pixels of a picture.

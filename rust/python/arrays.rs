@@ -55,6 +55,19 @@ where
     Ok(given(name, argument, expected)?.0)
 }
 
+/// Those of an argument that may be None.
+pub(super) fn optional<T: Element + Copy, const N: usize>(
+    name: &'static str,
+    argument: Option<&Bound<'_, PyAny>>,
+    expected: [usize; N],
+) -> PyResult<Option<Vec<T>>>
+where
+    Dim<[usize; N]>: Dimension,
+{
+    let values = argument.map(|argument| values(name, argument, expected));
+    values.transpose()
+}
+
 /// As an array of some shape.
 pub(super) fn out<T: Element, const N: usize>(
     py: Python<'_>,
@@ -252,9 +265,6 @@ pub(super) fn shape(name: &'static str, expected: &[usize], found: &[usize]) -> 
     if expected == found {
         return Ok(());
     }
-    Err(Error::argument(
-        name,
-        format!("shape {expected:?}"),
-        format!("shape {found:?}"),
-    ))
+    let [expected, found] = [expected, found].map(|shape| format!("shape {shape:?}"));
+    Err(Error::argument(name, expected, found))
 }

@@ -4,21 +4,14 @@ use glam::DVec3;
 use pyo3::prelude::*;
 
 use super::arrays::{
-    ANY, Out, Pixels, given, indices, out, rows, shape, values, vectors, vectors_of,
+    ANY, Out, Pixels, given, indices, optional, out, rows, shape, values, vectors, vectors_of,
 };
-use super::model::not_too_many;
 use crate::lamps::descent::Free;
 use crate::lamps::pixel_fit::{LampFit, LampPictures, NUMBERS, fit_under_lamps as fit_pixels};
 use crate::lamps::render::{
     Lamplit, WITH_SLOPES, lamp_radiance as radiance_of_pixels, lamp_slopes as slopes_of_pixels,
 };
-
-/// Angular radii of lamps; none are points.
-fn given_extents(extents: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<f64>> {
-    extents.map_or(Ok(Vec::new()), |extents| {
-        values("extents", extents, [count])
-    })
-}
+use crate::runtime::check;
 
 #[pyfunction]
 #[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, threads, model = "paper", extents = None))]
@@ -38,7 +31,7 @@ pub(super) fn lamp_radiance<'py>(
     let given = [normals, views, albedo, roughness, metallic];
     let pixels = Pixels::new(["normals", "views"], given)?;
     let (lamps, directions) = lamp_vectors("directions", directions, pixels.count())?;
-    let extents = given_extents(extents, directions.len())?;
+    let extents = optional("extents", extents, [directions.len()])?.unwrap_or_default();
     let lamplit = lamplit(&pixels, &directions, &extents, model)?;
     let radiance = py.detach(|| radiance_of_pixels(lamplit, threads))?;
     Ok(out(py, radiance, [pixels.count(), lamps, 3]))
@@ -128,9 +121,7 @@ pub(super) fn fit_under_lamps<'py>(
     let samples = [pixels, count, 3];
     let pictures = values::<f64, 3>("pictures", pictures, samples)?;
     let weights = values::<f64, 3>("weights", weights, samples)?;
-    let limits = limits
-        .map(|limits| values::<u8, 3>("limits", limits, samples))
-        .transpose()?;
+    let limits = optional::<u8, 3>("limits", limits, samples)?;
     let (lamps, directions) = lamp_vectors("directions", directions, pixels)?;
     let intensities = values::<f64, 3>("intensities", intensities, [pixels, lamps, 3])?;
     let picture_of = indices("picture_of", picture_of)?;
@@ -185,6 +176,6 @@ fn lamp_vectors(
     pixels: usize,
 ) -> PyResult<(usize, Vec<DVec3>)> {
     let (values, [_, lamps, _]) = given::<f64, 3>(name, argument, [pixels, ANY, 3])?;
-    not_too_many(name, lamps, pixels)?;
-    Ok((lamps, vectors_of(name, pixels * lamps, &values)?))
+    let count = check::samples(name, "lamps", lamps, pixels)?;
+    Ok((lamps, vectors_of(name, count, &values)?))
 }

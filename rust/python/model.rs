@@ -11,9 +11,8 @@ use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::shade::{Frame, shade as shade_pixel, shade_vjp as pull_back_pixel};
 use crate::reflectance::{ggx, sh};
-use crate::runtime::check::{self, MAX_SAMPLES};
+use crate::runtime::check;
 use crate::runtime::memory::collect;
-use crate::runtime::{Error, Result};
 
 #[pyfunction]
 pub(super) fn sh_basis<'py>(
@@ -167,7 +166,7 @@ pub(super) fn render<'py>(
     let pixels = Pixels::new(["normals", "views"], given_pixels)?;
     let expected = [ANY, sh::COEFFICIENTS, 3];
     let (lighting, [lights, ..]) = given::<f64, 3>("lighting", lighting, expected)?;
-    not_too_many("lighting", lights, pixels.count())?;
+    check::samples("lighting", "lights", lights, pixels.count())?;
     let rows = with_model!(model, M => 1 + M::ROWS);
     let transfer = given_transfer(transfer, bounced, [pixels.count(), rows, lights * 3])?;
     let surface = (model, transfer.as_ref());
@@ -176,14 +175,4 @@ pub(super) fn render<'py>(
     let images =
         py.detach(|| render_pixels(normals, views, materials, &lighting, surface, threads))?;
     Ok(out(py, images, [lights, pixels.count(), 3]))
-}
-
-/// Pictures of so many pixels under so many lights must be possible.
-pub(super) fn not_too_many(name: &'static str, lights: usize, pixels: usize) -> Result<()> {
-    let samples = lights.saturating_mul(pixels);
-    if samples > MAX_SAMPLES {
-        let expected = format!("at most {MAX_SAMPLES} lights times pixels");
-        return Err(Error::argument(name, expected, samples));
-    }
-    Ok(())
 }

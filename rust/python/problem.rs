@@ -10,7 +10,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::arrays::{
-    ANY, Contiguous, Out, array, given, indices, out, rows, shape, values, vector_rows, writable,
+    ANY, Contiguous, Out, array, given, indices, optional, out, rows, shape, values, vector_rows,
+    writable,
 };
 use super::images::Images;
 use super::surroundings::given as given_transfer;
@@ -65,7 +66,7 @@ impl PyProblem {
         let views = array("views", views)?;
         let samples @ [pictures, pixels, channels] = images.shape;
         // Before anything is copied: a broadcast array may pretend to more than any memory holds.
-        check::samples(pictures, pixels)?;
+        check::samples("images", "pictures", pictures, pixels)?;
         let rows = normals.shape()[0];
         shape("normals", &[rows, 3], normals.shape())?;
         shape("views", &[rows, 3], views.shape())?;
@@ -81,9 +82,7 @@ impl PyProblem {
             2 | 3 => (sh_order + 1).pow(2),
             _ => ANY, // refused below
         };
-        let lighting = lighting
-            .map(|lighting| values("lighting", lighting, [pictures, coefficients, channels]))
-            .transpose()?;
+        let lighting = optional("lighting", lighting, [pictures, coefficients, channels])?;
         let (normals, views) = (
             vector_rows("normals", &normals)?,
             vector_rows("views", &views)?,
@@ -248,11 +247,8 @@ impl PyProblem {
         let metallic = values("metallic", metallic, [ANY])?;
         let (q, d) = (pixels.len(), self.problem.unknowns_of_pixel());
         let shape = [q, d - self.problem.channels()];
-        let of_pixels = |name, argument: Option<&Bound<'py, PyAny>>| {
-            let values = argument.map(|argument| values::<f64, 2>(name, argument, shape));
-            values.transpose()
-        };
-        let (mean, precision) = (of_pixels("mean", mean)?, of_pixels("precision", precision)?);
+        let mean = optional("mean", mean, shape)?;
+        let precision = optional("precision", precision, shape)?;
         let prior = match (&mean, &precision) {
             (None, None) => None,
             (Some(mean), Some(precision)) => Some(GaussianPrior { mean, precision }),

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use pyo3::prelude::*;
 
-use super::arrays::{ANY, Out, given as given_array, out, values, vectors};
+use super::arrays::{ANY, Out, given as given_array, optional, out, values, vectors};
 use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::sh::COEFFICIENTS;
@@ -92,10 +92,7 @@ impl PySurroundings {
         let radiance = radiance
             .map(|radiance| given_array::<f32, 3>("radiance", radiance, [ANY; 3]))
             .transpose()?;
-        let nearest = match nearest {
-            Some(nearest) => values::<u32, 1>("nearest", nearest, [ANY])?,
-            None => Vec::new(),
-        };
+        let nearest = optional::<u32, 1>("nearest", nearest, [ANY])?.unwrap_or_default();
         let origins = Origins {
             points: &points,
             normals: &normals,
@@ -134,12 +131,9 @@ pub(super) fn given(
         return Ok(None);
     };
     let [pixels, rows, brought] = expected;
-    let rows_of_pixels = values("transfer", transfer, [pixels, rows, COEFFICIENTS])?;
-    let bounced = bounced
-        .map(|bounced| values("bounced", bounced, [pixels, rows, brought]))
-        .transpose()?;
+    let bounced = optional("bounced", bounced, [pixels, rows, brought])?;
     Ok(Some(Transfer {
-        rows: rows_of_pixels,
+        rows: values("transfer", transfer, [pixels, rows, COEFFICIENTS])?,
         bounced: bounced.unwrap_or_default(),
     }))
 }

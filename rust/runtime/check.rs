@@ -32,15 +32,17 @@ pub(crate) fn pixels(normals: &[DVec3], views: &[DVec3], materials: usize) -> Re
     Ok(normals.len())
 }
 
-/// Pixels times pictures, which must not be too many.
-pub(crate) fn samples(pictures: usize, pixels: usize) -> Result<usize> {
-    let samples = pixels.checked_mul(pictures).filter(|&s| s <= MAX_SAMPLES);
+/// Pixels times `count` pictures, lights or lamps, which must not be too many.
+pub(crate) fn samples(
+    name: &'static str,
+    kind: &str,
+    count: usize,
+    pixels: usize,
+) -> Result<usize> {
+    let samples = pixels.checked_mul(count).filter(|&s| s <= MAX_SAMPLES);
     samples.ok_or_else(|| {
-        Error::argument(
-            "images",
-            format!("at most {MAX_SAMPLES} pixels times pictures"),
-            format!("{pictures} pictures of {pixels} pixels"),
-        )
+        let expected = format!("at most {MAX_SAMPLES} pixels times {kind}");
+        Error::argument(name, expected, format!("{count} {kind} of {pixels} pixels"))
     })
 }
 
@@ -88,11 +90,10 @@ pub(crate) fn unit_interval<T: Copy + Into<f64>>(name: &'static str, values: &[T
         .position(|&v| !(0.0..=1.0).contains(&v.into()))
     {
         None => Ok(()),
-        Some(i) => Err(Error::argument(
-            name,
-            "numbers in [0, 1]",
-            format!("{} at {i}", values[i].into()),
-        )),
+        Some(i) => {
+            let found = format!("{} at {i}", values[i].into());
+            Err(Error::argument(name, "numbers in [0, 1]", found))
+        }
     }
 }
 
@@ -131,10 +132,9 @@ pub(crate) fn unit_vectors(name: &'static str, vectors: &[DVec3]) -> Result<()> 
     let is_unit = |v: &DVec3| (v.length() - 1.0).abs() <= UNIT_TOLERANCE;
     match vectors.iter().position(|v| !is_unit(v)) {
         None => Ok(()),
-        Some(i) => Err(Error::argument(
-            name,
-            "unit vectors",
-            format!("{} of length {} at {i}", vectors[i], vectors[i].length()),
-        )),
+        Some(i) => {
+            let found = format!("{} of length {} at {i}", vectors[i], vectors[i].length());
+            Err(Error::argument(name, "unit vectors", found))
+        }
     }
 }

@@ -125,12 +125,9 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
         elimination: &'a Elimination<'a>,
     ) -> Result<Self> {
         let (maps, lights) = problem.at(x, pixels)?;
-        if !(0.0..f64::INFINITY).contains(&elimination.damping) {
-            return Err(Error::argument(
-                "damping",
-                "a share, 0 or more",
-                elimination.damping,
-            ));
+        let damping = elimination.damping;
+        if !(0.0..f64::INFINITY).contains(&damping) {
+            return Err(Error::argument("damping", "a share, 0 or more", damping));
         }
         if let Some(prior) = elimination.prior {
             let expected = pixels.len() * (problem.unknowns_of_pixel() - C);
@@ -140,10 +137,7 @@ impl<'a, M: Reflection, const C: usize, const D: usize, const U: usize>
             check::moderate("deviation", prior.deviation, check::LARGEST_F64)?;
             if let Some(clusters) = prior.clusters {
                 check::length("cluster", pixels.len(), clusters.of_pixels.len())?;
-                if let Some(&found) = clusters.of_pixels.iter().find(|&&g| g >= clusters.count) {
-                    let expected = format!("numbers below {}", clusters.count);
-                    return Err(Error::argument("cluster", expected, found));
-                }
+                check::indices("cluster", clusters.count, clusters.of_pixels)?;
             }
         }
         let of_prior = problem.unknowns_of_pixel() - C;

@@ -43,16 +43,14 @@ impl Surroundings {
     /// which has a number.
     pub fn new(triangles: &[[[f32; 3]; 3]], surfaces: &[u8]) -> Result<Self> {
         check::length("surfaces", triangles.len(), surfaces.len())?;
-        check::moderate(
-            "triangles",
-            triangles.as_flattened().as_flattened(),
-            LARGEST,
-        )?;
-        if u32::try_from(triangles.len()).is_err() {
+        let coordinates = triangles.as_flattened().as_flattened();
+        check::moderate("triangles", coordinates, LARGEST)?;
+        let count = triangles.len();
+        if u32::try_from(count).is_err() {
             return Err(Error::argument(
                 "triangles",
-                "fewer than 2³² triangles",
-                triangles.len(),
+                "fewer than 2³² of them",
+                count,
             ));
         }
         let given: Vec<_> = triangles
