@@ -466,7 +466,7 @@ def test_too_many_rendered_samples_are_refused_before_they_are_made() -> None:
         Kind(2**18, 1, 3, 3, "none", known_lights=False, metallic=None), np.random.default_rng(0)
     )
     pixels["lighting"] = np.broadcast_to(1.0, (2**14, 16, 3))
-    with pytest.raises(InputError, match=r"^lighting: expected at most 2147483648 lights times"):
+    with pytest.raises(InputError, match=r"^lighting: expected at most 2147483648 pixels times"):
         _core.render(**pixels)
 
 
