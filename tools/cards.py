@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pbrfit import Result
-from pbrfit.io.display import encoded
+from pbrfit.display.tone import encoded
 from pbrfit.result import metrics
 
 GROUND = (27, 29, 32)

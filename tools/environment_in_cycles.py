@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import Environment, Materials
-from pbrfit.io.display import encoded
+from pbrfit.display.tone import encoded
 from pbrfit.model.environment import render_environment
 from pbrfit.result.metrics import white_of
 from pbrfit_evaluation.cycles.process import find_python, run_worker

@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 from pbrfit import DirectionalLight, Result, Scene, relight
-from pbrfit.io import display, images
+from pbrfit.display import tone
+from pbrfit.io import images
 from pbrfit.result import metrics
 from pbrfit.result.sheet import Panel, Row, displayed, outside_grey, sheet
 
@@ -34,7 +35,7 @@ def main() -> None:
             displayed(result.albedo),
             outside_grey(result.roughness),
             outside_grey(result.metallic),
-            display.encoded(relight(result, LAMP)),
+            tone.encoded(relight(result, LAMP)),
         )
         rows.append([Panel(name, pixels) for name, pixels in zip(captions, maps, strict=True)])
     rows[0].insert(0, Panel(f"{found.pictures[0]}, rendered again", displayed(again, white)))

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import DirectionalLight, Environment, Result, Scene, relight
-from pbrfit.io import display, images
+from pbrfit.display import tone
+from pbrfit.io import images
 from pbrfit.result.metrics import white_of
 from pbrfit.result.sheet import Panel, Row, sheet
 
@@ -44,7 +45,7 @@ def main() -> None:
         for row, caption, picture in zip(
             rows, (name, "true materials"), (relit, expected), strict=True
         ):
-            row.append(Panel(caption, _enlarged(display.encoded(picture, exposure, "neutral"))))
+            row.append(Panel(caption, _enlarged(tone.encoded(picture, exposure, "neutral"))))
     images.write_png(out, sheet(rows), "srgb")
 
 

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from browser import launched
 from pbrfit import Environment, Result
-from pbrfit.io.display import ToneMap
+from pbrfit.display.tone import ToneMap
 from pbrfit.model.reflection import MODELS
 from pbrfit.result.relighting import DirectionalLight, own_light
 from relight_view import View, expected, made, opened

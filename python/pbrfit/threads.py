@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 AT_ONCE_MAX = 4
 """Pieces of work at once, at most: each has arrays of its own, and a copy of x."""
 
-
 T = TypeVar("T")
 R = TypeVar("R")
 

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use pbrfit::lamps::descent::Free;
 use pbrfit::lamps::pixel_fit::{LampFit, LampFitted, LampPictures, NUMBERS, fit_under_lamps};
-use pbrfit::lamps::render::{Lamplit, lamp_radiance, lamp_slopes};
+use pbrfit::lamps::render::{Lamplit, lamp_radiance};
 use pbrfit::lamps::surface::{Reflected, Surface};
 use pbrfit::reflectance::ggx::MIN_COSINE;
 use pbrfit::reflectance::model::Model;

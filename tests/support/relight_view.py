@@ -17,7 +17,7 @@ from PIL import Image
 
 from browser import Visit, visit, wait_until
 from pbrfit import DirectionalLight, Environment, Result, decompose, relight
-from pbrfit.io.display import ToneMap, encoded
+from pbrfit.display.tone import ToneMap, encoded
 from pbrfit.model.materials import Materials
 from pbrfit.report import viewer
 from pbrfit.report.html import document

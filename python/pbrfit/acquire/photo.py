@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.display.tone import encoded
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.display import encoded
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import fov_from_focal_length
 from pbrfit.result.metrics import display, white_of

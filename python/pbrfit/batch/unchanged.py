@@ -34,10 +34,10 @@ def kept(
     file = output / "result.json"
     try:
         content = table(json.loads(read_text(file, TEXT_BYTES)))
-        of_pictures = scene_folder.locate(scene).settings().model
+        found, of_pictures = model_of(content, file), scene_folder.locate(scene).settings().model
     except (OSError, ValueError, RecursionError):
         return None
-    found, wanted = model_of(content, file), chosen_model(options.model, of_pictures)
+    wanted = chosen_model(options.model, of_pictures)
     if found != wanted:
         raise InputError(
             f"{output}: expected a result of model {wanted} to resume, found one of model {found}; "

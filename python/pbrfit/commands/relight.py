@@ -10,10 +10,11 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import add_light, choose_light
-from pbrfit.io import images, relit_files
-from pbrfit.io.display import ToneMap
+from pbrfit.display import files
+from pbrfit.display.files import Radiance, Screen
+from pbrfit.display.tone import ToneMap
+from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
-from pbrfit.io.relit_files import Radiance, Screen
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS
 from pbrfit.result.metrics import white_of
@@ -250,12 +251,12 @@ def _write(
             _write_picture(path, next(frames), screen)
         else:
             shown = (screen.shown(frame) for frame in frames)
-            relit_files.write_animation(path, kind, shown, options.fps or FPS)
+            files.write_animation(path, kind, shown, options.fps or FPS)
 
 
 def _write_picture(path: Path, frame: Radiance, screen: Screen) -> None:
     if path.suffix.lower() == ".exr":
-        relit_files.write_exr(path, frame)
+        files.write_exr(path, frame)
     else:
         images.write_png(path, screen.shown(frame), "srgb")
 

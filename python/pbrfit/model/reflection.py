@@ -31,9 +31,6 @@ MODELS: tuple[Model, ...] = get_args(Model)
 DEFAULT_MODEL: Model = "paper"
 """Where nobody says which, and nobody knows what the pictures were rendered with."""
 
-FIRST_MODEL: Model = "paper"
-"""Of results that do not say which: there was no other when they were written."""
-
 
 def checked_model(name: Any) -> Model:
     """Return the name of a model as it is; InputError that says which there are otherwise."""

@@ -204,11 +204,10 @@ class _Register:
         The others are taken from where they agree best, found in rounds. Pictures of something else
         are left out here.
         """
-        fields = self._fields
-        place = np.zeros((len(fields), 2), int)
+        place = np.zeros((len(self._fields), 2), int)
         found: dict[int, alignment.Shift] = {}
         for _ in range(ROUNDS_MAX):
-            there = [np.roll(f, -at, (0, 1)) for f, at in zip(fields, place, strict=True)]
+            there = [np.roll(f, -at, (0, 1)) for f, at in zip(self._fields, place, strict=True)]
             peaks = [
                 alignment.shift_between(reference, field)
                 for reference, field in zip(alignment.of_the_others(there), there, strict=True)

@@ -59,7 +59,8 @@ def blocks(result: Result, truth: Materials | None) -> list[Block]:
     """Everything that is shown, in its order; `truth` where the result was compared with it."""
     found = [_recovered(result)]
     if truth is not None:
-        found += [_truth(truth), _errors(result, truth)]
+        true = tuple(_maps(truth, "true", dict.fromkeys(PARAMETERS, "")))
+        found += [Block("Ground truth", "", "", true), _errors(result, truth)]
     if result.uncertainty is not None:
         found.append(_deviations(result))
     if result.depth is not None and np.isfinite(result.depth).any():
@@ -128,10 +129,6 @@ def _recovered(result: Result) -> Block:
         "materials.exr holds all of them as linear numbers."
     )
     return Block("Recovered", text, key, tuple(pictures))
-
-
-def _truth(truth: Materials) -> Block:
-    return Block("Ground truth", "", "", tuple(_maps(truth, "true", dict.fromkeys(PARAMETERS, ""))))
 
 
 def _errors(result: Result, truth: Materials) -> Block:

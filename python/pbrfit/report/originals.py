@@ -80,7 +80,7 @@ def _check(result: Result, scene: Scene, name: str) -> None:
 def _what_differs(result: Result, scene: Scene) -> str:
     """The first difference in words; nothing where the result may be of this scene."""
     if result.inputs and scene.inputs:
-        # The truth takes no part in a fit, and earlier versions did not tell of its files.
+        # The truth takes no part in a fit.
         then, now = (
             {file: digest for file, digest in one.inputs.items() if not file.startswith("truth/")}
             for one in (result, scene)

@@ -175,15 +175,11 @@ def _scale(result: Result) -> str:
 
 def _doubts_about_fov(result: Result) -> list[str]:
     camera = result.camera
-    if camera is None:  # of an earlier version
-        guessed = "neither" in result.assumed.get("fov", "")
-    else:
-        guessed = camera.how == "assumed"
-    if guessed:
+    if camera is None or camera.how == "assumed":
         return [f"the field of view is a guess ({result.fov:g} degrees)"]
-    if camera is not None and camera.contradicted:
+    if camera.contradicted:
         return [f"the field of view is {camera.in_words()}; {camera.contradiction()}"]
-    if camera is not None and camera.fov_sigma is not None and camera.fov_sigma > FOV_DOUBTED:
+    if camera.fov_sigma is not None and camera.fov_sigma > FOV_DOUBTED:
         return [f"the field of view is hardly known: {camera.in_words()}"]
     return []
 
@@ -217,11 +213,12 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
     """Two compact tables: the fit, and its errors."""
     height, width = result.mask.shape
     valid = int(np.count_nonzero(result.mask))
+    across = f"{result.fov:.4g}° across" if result.fov else "orthographic"
     done: list[Fact] = [
         ("pictures", str(len(result.pictures)), len(result.pictures)),
         ("size", f"{width} × {height} pixels", None),
         ("pixels fitted", f"{valid:,} of {width * height:,}", valid),
-        ("field of view", _fov(result.fov), result.fov),
+        ("field of view", across, result.fov),
         ("reflection model", result.model, None),
         ("status", str(result.status), None),
         ("iterations", f"{result.history.iterations:,}", result.history.iterations),
@@ -245,7 +242,3 @@ def key_numbers(result: Result, pictures: Sequence[Picture]) -> list[Table]:
         Table((), [(Cell(label), number(text, value)) for label, text, value in facts])
         for facts in (done, well)
     ]
-
-
-def _fov(fov: float) -> str:
-    return f"{fov:.4g}° across" if fov else "orthographic"

@@ -95,8 +95,7 @@ class ResultData:
     metrics
         Final errors; `metrics.PROTOCOL` says how they are taken. Against ground truth where known.
     uncertainty
-        Deviations, intervals and verdicts of the maps; None where they were not asked for, and in
-        results of earlier versions, whose deviations were of noise alone.
+        Deviations, intervals and verdicts of the maps; None where they were not asked for.
     options, assumed, left_out, inputs
         Run details: options, decisions about the input, work that the scene did not
         need, sha256 of the files.
@@ -105,8 +104,7 @@ class ResultData:
     refinement
         Whether normals were refined, why, and the figures of that decision.
     camera
-        What was decided about the field of view, and what the pictures say of it; None in results
-        of versions that did not say.
+        What was decided about the field of view, and what the pictures say of it.
     given_normals
         (H, W, 3), the scene's normals where they were refined; else None. NaN outside the mask.
     depth

@@ -257,10 +257,7 @@ class FitOptions:
             object.__setattr__(self, name, value)
 
     def check_priors(self) -> None:
-        """Raise InputError where the solver does not know a prior of weight above 0.
-
-        Results of earlier versions may have such options, so they can be made.
-        """
+        """Raise InputError where the solver does not know a prior of weight above 0."""
         for name in ("cohesion", "smoothness", "sparsity"):
             if getattr(self.priors, name) and self.solver != "lbfgsb":
                 raise InputError(
@@ -275,20 +272,14 @@ class FitOptions:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> FitOptions:
-        """Undo `to_json`; ValueError or TypeError if it is something else.
-
-        Results of versions without `refine_normals`, `align`, `transport` or `light` were fitted
-        without.
-        """
-        older = dict.fromkeys(("refine_normals", "align"), "off")
-        values = {**older, "transport": "none", "light": "sh", **table(content)}
+        """Undo `to_json`; ValueError, KeyError or TypeError if it is something else."""
+        values = table(content)
         if values.get("white") is not None:
             values["white"] = tuple(values["white"])
-        if "priors" in values:
-            values["priors"] = Priors(**table(values["priors"]))
-        unknown = sorted(set(values) - {one.name for one in fields(cls)})
-        if unknown:
-            raise ValueError(f"options {listed(unknown)}")
+        others = sorted(set(values) ^ {one.name for one in fields(cls)})
+        if others:
+            raise ValueError(f"options {listed(others)}")
+        values["priors"] = Priors(**table(values["priors"]))
         return cls(**values)
 
 

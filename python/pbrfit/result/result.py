@@ -32,7 +32,7 @@ from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, of_channels, write_materials
-from pbrfit.model.reflection import FIRST_MODEL, MODELS, Model
+from pbrfit.model.reflection import MODELS, Model
 from pbrfit.registration.placement import IN_LINE, aligned
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
@@ -40,7 +40,7 @@ from pbrfit.result.held_out import HeldOut
 from pbrfit.result.history import History
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.options import FitOptions
-from pbrfit.result.refinement import NOT_ASKED, Refinement
+from pbrfit.result.refinement import Refinement
 from pbrfit.result.relighting import Light, relight
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.scene.folder import HEIGHT_FILE, is_scene
@@ -218,9 +218,7 @@ class Result(ResultData):
         try:
             details = details_of(content, folder)
             refined, blocked = details["refinement"].refined, details["transport"].blocks
-            summary = content.get("uncertainty")
-            if summary is not None and "median_marginal" in table(summary):
-                summary = None  # of an earlier version, whose deviations were of noise alone
+            summary = content["uncertainty"]
             return cls(
                 **details,
                 materials=materials,
@@ -233,16 +231,13 @@ class Result(ResultData):
                     None if summary is None else _uncertainty(layers, of_maps, mask, summary)
                 ),
                 given_normals=_given_normals(layers, of_maps, mask) if refined else None,
-                # Earlier versions wrote the depth of the mask alone, and nearest pixels around it.
-                depth=_depth(layers, None if "transport" in content else mask),
+                depth=_depth(layers),
                 segments=(
                     layers[SEGMENT].astype(np.int32) if blocked and SEGMENT in layers else None
                 ),
                 lamps=lighting.lamps,
                 height=(
-                    _height(folder / HEIGHT_FILE, mask)
-                    if HEIGHT_FILE in content.get("files", {})
-                    else None
+                    _height(folder / HEIGHT_FILE, mask) if HEIGHT_FILE in content["files"] else None
                 ),
             )
         except UNFIT as error:
@@ -259,11 +254,9 @@ def details_of(content: Any, folder: Path) -> dict[str, Any]:
     content = table(content)
     fov = number(content["fov"])
     check_fov(fov)
-    table(content.get("files", {}))
+    table(content["files"])
     whole(content["iterations"])
-    # Earlier versions wrote none of these.
-    source, of_normals = content.get("scene"), content.get("normals")
-    camera = content.get("camera")
+    source, camera = content["scene"], content["camera"]
     return {
         "fov": fov,
         "model": model_of(content, folder / "result.json"),
@@ -276,12 +269,12 @@ def details_of(content: Any, folder: Path) -> dict[str, Any]:
         "assumed": {k: text(v) for k, v in table(content["assumed"]).items()},
         "left_out": texts(content["left_out"]),
         "inputs": {k: text(v) for k, v in table(content["inputs"]).items()},
-        "stages": tuple(map(_stage, content.get("stages", ()))),
+        "stages": tuple(map(_stage, content["stages"])),
         "source": None if source is None else _source(source, folder),
-        "refinement": NOT_ASKED if of_normals is None else Refinement.from_json(of_normals),
+        "refinement": Refinement.from_json(content["normals"]),
         "camera": None if camera is None else Camera.from_json(table(camera)),
-        "transport": Transport.from_json(content.get("transport")),
-        "held_out": HeldOut.from_json(content.get("held_out")),
+        "transport": Transport.from_json(content["transport"]),
+        "held_out": HeldOut.from_json(content["held_out"]),
     }
 
 
@@ -334,7 +327,7 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
 
     Raises InputError if that is none; the message names the file.
     """
-    name = content.get("model", FIRST_MODEL)  # earlier versions had one model and did not say so
+    name = content.get("model")
     for model in MODELS:
         if name == model:
             return model
@@ -342,7 +335,7 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
 
 
 def _stage(content: Mapping[str, Any]) -> Stage:
-    return Stage(text(content["name"]), positive(content["seconds"]), text(content.get("note", "")))
+    return Stage(text(content["name"]), positive(content["seconds"]), text(content["note"]))
 
 
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
@@ -362,7 +355,7 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
     return Source(
         path=(folder / path_text(content["path"])).resolve(),
         options=ReadOptions.from_json(content),
-        files=tuple(map(text, content.get("files", ()))),  # earlier versions did not write them
+        files=texts(content["files"]),
     )
 
 
@@ -383,14 +376,11 @@ def _given_normals(layers: Layers, file: Path, mask: NDArray[np.bool_]) -> NDArr
     return np.where(mask[..., None], given, np.nan)
 
 
-def _depth(layers: Layers, mask: NDArray[np.bool_] | None) -> NDArray[np.float32] | None:
+def _depth(layers: Layers) -> NDArray[np.float32] | None:
     if DEPTH not in layers:
         return None
     depth = layers[DEPTH]
-    there = (depth > 0) & np.isfinite(depth)
-    if mask is not None:
-        there &= mask
-    return np.where(there, depth, np.float32(np.nan))
+    return np.where((depth > 0) & np.isfinite(depth), depth, np.float32(np.nan))
 
 
 def _height(path: Path, mask: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -86,9 +86,7 @@ class Transport:
 
     @classmethod
     def from_json(cls, content: Any) -> Transport:
-        """Undo `as_json`; ValueError if it is something else. None, of older results, is none."""
-        if content is None:
-            return cls(why="the fit knew no surroundings")
+        """Undo `as_json`; ValueError if it is something else."""
         values = table(content)
         [kind] = [one for one in get_args(Kind) if one == values.get("kind")]
         extents = None

@@ -16,8 +16,9 @@ from PIL import Image, ImageSequence
 
 from command_runs import Ran, done, ran, refused
 from pbrfit import DirectionalLight, Environment, Result, relight
-from pbrfit.io import display, images
-from pbrfit.io.relit_files import ANIMATIONS, write_animation
+from pbrfit.display import tone
+from pbrfit.display.files import ANIMATIONS, write_animation
+from pbrfit.io import images
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting, rotated
 from pbrfit.result.relighting import rendered_picture
@@ -145,7 +146,7 @@ def test_exposure_and_tone_curve_by_themselves(room: Path, tmp_path: Path) -> No
     radiance = relight(Result.load(room), DirectionalLight(20, 30, (9, 9, 9)))
     exposure = round(-np.log2(np.percentile(radiance, 98)), 1)
     assert facts["shown"].startswith(f"exposure {exposure:g} EV (by itself), tone map neutral; ")
-    shown = np.rint(255 * display.encoded(radiance, exposure, "neutral"))
+    shown = np.rint(255 * tone.encoded(radiance, exposure, "neutral"))
     with Image.open(out) as picture:
         np.testing.assert_array_equal(np.asarray(picture), shown)
 
@@ -172,7 +173,7 @@ def test_png_is_encoded_for_a_screen_and_says_so(
     arguments = ("--exposure", exposure, "--tone-map", tone_map)
     facts = said(done("relight", room, "--light", "20,30", *arguments, "--out", out))
     radiance = relight(Result.load(room), DirectionalLight(20, 30))
-    shown = np.rint(255 * display.encoded(radiance, exposure, tone_map))  # type: ignore[arg-type]
+    shown = np.rint(255 * tone.encoded(radiance, exposure, tone_map))  # type: ignore[arg-type]
     with Image.open(out) as picture:
         assert picture.mode == "RGB"
         assert "srgb" in picture.info

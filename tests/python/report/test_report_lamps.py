@@ -38,7 +38,7 @@ def written(result: Result, path: Path) -> Page:
 
 def test_lamps_have_a_section_in_the_place_of_lights(page: Page) -> None:
     sections = [e.attributes["id"] for e in page.all("section")]
-    assert sections == ["summary", "maps", "pictures", "lamps", "origin"]
+    assert sections == ["summary", "maps", "pictures", "lamps", "history", "origin"]
     assert "lit by 2 far lamps" in page.text
     assert "light2 far lamps" in page.text
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from browser import launched, visit, wait_until
 from pbrfit import DirectionalLight, Environment, Result, relight, sh_basis
-from pbrfit.io.display import ToneMap, encoded
+from pbrfit.display.tone import ToneMap, encoded
 from pbrfit.model import panorama
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import rotated

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit import InputError, Scene, ggx_band_weights
-from pbrfit.io.display import encoded
+from pbrfit.display.tone import encoded
 from pbrfit.model.geometry import view_directions
 from pbrfit.report.viewer import BAND_NODES, film, fragment, maps
 from pbrfit.result import metrics

@@ -17,7 +17,6 @@ from pbrfit import InputError, Result, Scene, Status, decompose
 from pbrfit.io import images
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.result.options import Priors
-from pbrfit.result.refinement import NOT_ASKED
 from pbrfit.synthetic import make_scene
 from result_files import FILES, KEYS
 
@@ -179,24 +178,6 @@ def test_save_and_load_give_the_same_result(result: Result, tmp_path: Path) -> N
         assert again == (tmp_path / "out" / name).read_bytes(), name
 
 
-def test_a_result_from_before_the_options_were_added_is_read(
-    result: Result, tmp_path: Path
-) -> None:
-    result.save(tmp_path / "out")
-    file = tmp_path / "out" / "result.json"
-    content = json.loads(file.read_text("utf-8"))
-    for name in ("sh_order", "metallic", "seed", "refine_normals"):
-        del content["options"][name]
-    del content["stages"], content["normals"]
-    file.write_text(json.dumps(content), encoding="utf-8")
-    loaded = Result.load(tmp_path / "out")
-    options = loaded.options
-    assert (options.sh_order, options.metallic, options.seed) == (3, None, 0)
-    assert options.refine_normals == "off"
-    assert (loaded.refinement, loaded.given_normals) == (NOT_ASKED, None)
-    assert loaded.stages == ()
-
-
 def edit(name: str, old: str, new: str) -> Any:
     def apply(folder: Path) -> None:
         text = (folder / name).read_text("utf-8")
@@ -292,15 +273,11 @@ def test_where_the_scene_was_is_told_from_the_result_folder(tmp_path: Path) -> N
     assert Result.load(tmp_path / "copy").source == scene.source
 
 
-def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
-    result: Result, tmp_path: Path
-) -> None:
+def test_a_result_of_arrays_names_no_scene(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
     file = tmp_path / "out" / "result.json"
     content = json.loads(file.read_text("utf-8"))
-    assert content.pop("scene") is None
-    assert Result.load(tmp_path / "out").source is None
-    file.write_text(json.dumps(content), encoding="utf-8")
+    assert content["scene"] is None
     assert Result.load(tmp_path / "out").source is None
     whole = {"path": "x", "color_space": None, "max_size": None, "code_range": [1, 250]}
     for wrong in ({"path": 3}, {"color_space": "film"}, {"code_range": [1]}, {"orientation": 3}):
@@ -310,24 +287,12 @@ def test_a_result_of_arrays_and_one_of_an_earlier_version_name_no_scene(
             Result.load(tmp_path / "out")
 
 
-def test_the_uncertainty_of_an_earlier_version_is_passed_over(
-    result: Result, tmp_path: Path
-) -> None:
+def test_an_uncertainty_without_its_layers_is_refused(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
-    file, of_maps = tmp_path / "out" / "result.json", tmp_path / "out" / "materials.exr"
+    of_maps = tmp_path / "out" / "materials.exr"
     layers = images.read_channels(of_maps)
-    earlier = {name: of for name, of in layers.items() if not name.startswith("uncertainty")}
-    images.write_exr(of_maps, earlier | {"uncertainty.marginal.albedo.R": earlier["albedo.R"]})
-    content = json.loads(file.read_text("utf-8"))
-    noise = {"noise": 0.01, "median_marginal": {"albedo": 0.01}, "priors": True}
-    file.write_text(json.dumps(content | {"uncertainty": noise}), encoding="utf-8")
-    loaded = Result.load(tmp_path / "out")
-    assert loaded.uncertainty is None
-    loaded.save(tmp_path / "again")
-    again = json.loads((tmp_path / "again" / "result.json").read_text("utf-8"))
-    assert again["uncertainty"] is None
-    # What is of no version is no uncertainty.
-    file.write_text(json.dumps(content | {"uncertainty": {"noise": 0.01}}), encoding="utf-8")
+    without = {name: of for name, of in layers.items() if not name.startswith("uncertainty")}
+    images.write_exr(of_maps, without)
     with pytest.raises(InputError, match="expected channel uncertainty"):
         Result.load(tmp_path / "out")
 

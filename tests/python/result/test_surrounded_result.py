@@ -109,21 +109,6 @@ def test_the_decision_is_kept(
     assert not any(line.startswith("surroundings") for line in loaded.left_out)
 
 
-def test_older_results_have_no_surroundings(
-    made: tuple[Scene, Result, list[Scenery]], tmp_path: Path
-) -> None:
-    made[1].save(tmp_path / "result")
-    file = tmp_path / "result" / "result.json"
-    content = json.loads(file.read_text("utf-8"))
-    del content["transport"]
-    file.write_text(json.dumps(content), "utf-8")
-    older = Result.load(tmp_path / "result")
-    assert not older.transport.blocks
-    assert older.scenery is None
-    assert older.segments is None
-    assert np.isnan(known(older.depth)[~older.mask]).all()
-
-
 def test_a_result_without_depth_says_that_nothing_was_done() -> None:
     result = fitted()
     assert result.transport == Transport()

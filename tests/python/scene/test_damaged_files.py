@@ -251,7 +251,7 @@ def result(saved: Path, tmp_path: Path) -> Path:
         ("stop_reason", 3, "in place of a text"),
         ("left_out", "abc", "in place of a list"),
         ("stages", [[]], "TypeError"),
-        ("options", {"k" * 10_000: 1}, "options kkk"),
+        ("options", {"k" * 10_000: 1}, "options "),
         ("inputs", {"a": None}, "in place of a text"),
         ("normals", {"asked": "on", "refined": 1, "why": "", "figures": {}}, "true or false"),
     ],

@@ -13,9 +13,9 @@ from pbrfit.acquire.generators import Generated, Request
 from pbrfit.acquire.padding import resized
 from pbrfit.acquire.photo import LEAST_SIDE, Photo, exposure_of
 from pbrfit.acquire.prompts import Catalogue
+from pbrfit.display.tone import encoded
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
-from pbrfit.io.display import encoded
 from pbrfit.io.input_files import digest
 
 ASPECT_TOLERANCE = 0.01

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from pbrfit._core import environment_lobes
-from pbrfit.io.display import encoded
+from pbrfit.display.tone import encoded
 from pbrfit.model.reflection import Model, ggx_band_weights
 from pbrfit.report import figures, raster
 from pbrfit.report.html import in_base64, png_address

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.io.display import encoded
+from pbrfit.display.tone import encoded
 from pbrfit.report import budget
 from pbrfit.report.html import png_address
 from pbrfit.report.raster import picture_png, reduced

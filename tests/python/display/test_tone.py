@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError
+from pbrfit.display.tone import ToneMap, encoded
 from pbrfit.io.color import decode_srgb
-from pbrfit.io.display import ToneMap, encoded
 
 
 def test_without_a_tone_map_radiance_is_clipped_and_encoded() -> None:

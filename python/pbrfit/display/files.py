@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
-from pbrfit.io import display, images
-from pbrfit.io.display import ToneMap
+from pbrfit.display import tone
+from pbrfit.display.tone import ToneMap
+from pbrfit.io import images
 
 Radiance = NDArray[np.float64]
 """(H, W, 3) linear Rec.709; NaN outside the mask."""
@@ -72,7 +73,7 @@ class Screen:
 
     exposure: float = 0.0
     tone_map: ToneMap = "neutral"
-    """As for `display.encoded`."""
+    """As for `tone.encoded`."""
     clipped: int = 0
     black: int = 0
     pixels: int = 0
@@ -81,7 +82,7 @@ class Screen:
     def shown(self, radiance: Radiance) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB codes; (H, W, 4) where there is a mask, 0 outside it."""
         inside = _inside(radiance)
-        values = display.encoded(
+        values = tone.encoded(
             np.where(inside[..., None], radiance, 0.0), self.exposure, self.tone_map
         )
         codes = np.rint(255 * values).astype(np.uint8)

@@ -1,0 +1,1 @@
+"""What a screen shows of radiance, and files of it."""
