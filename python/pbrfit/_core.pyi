@@ -15,6 +15,7 @@ __all__ = [
     "Raster",
     "Surroundings",
     "allow_end",
+    "average_light",
     "decode_exr",
     "decode_icc",
     "decode_raster",
