@@ -1,4 +1,4 @@
-"""What a user waits for: `make bench-users`, the second table of docs/benchmarks/growth.md.
+"""What a user waits for: `make bench-users`, which leaves its table in docs/evidence/users.json.
 
 Photographs as cameras make them, and renders: each case is a scene folder, one run of the command
 in a process of its own, and beside it, in the same run, decoding alone by Pillow (EXR: by pbrfit)
@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--docs", type=Path, default=Path("docs"))
     parser.add_argument("--only", type=int, nargs="*", help="numbers of cases, from 0")
     options = parser.parse_args()
-    columns = ["", "time, s", "of it reading, s", "processors, s", "peak, GiB"]
+    columns = ["", "time, s", "outside the fit, s", "processors, s", "peak, GiB"]
     columns += ["decoding alone, s", "matt least squares, s"]
     lines: list[list[Value]] = []
     for number in options.only or range(len(CASES)):
@@ -83,10 +83,10 @@ def measure(case: Case) -> list[Value]:
         shorter = least_squares(case, size * size)
         asked = ["--max-size", str(case.max_size)] if case.max_size else []
         found = run([scene, *asked], result)
-    reading = found["seconds"] - found["seconds_of_fit"]
+    outside = found["seconds"] - found["seconds_of_fit"]
     return [
         case.name,
-        *(found["seconds"], reading, found["processor_seconds"], found["peak_bytes"] / GIB),
+        *(found["seconds"], outside, found["processor_seconds"], found["peak_bytes"] / GIB),
         *(alone, shorter),
     ]
 
