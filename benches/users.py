@@ -21,15 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from growth import GIB, NOISE, SEED, enlarged, larger, run
+from growth import BASE, GIB, NOISE, SEED, enlarged, larger, run
 from pbrfit.io import images
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import render_lamps
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.report import evidence, markdown
 from pbrfit_evaluation.suite import Table, Value
-
-BASE = 512
 
 
 @dataclass(frozen=True)

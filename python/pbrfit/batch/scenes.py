@@ -108,6 +108,7 @@ def decompose_scene(
     from pbrfit.batch.unchanged import kept
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
+    from pbrfit.registration.placement import aligned
     from pbrfit.result import advice
     from pbrfit.result.data import Status
     from pbrfit.result.result import RESULT_FOLDER
@@ -144,6 +145,13 @@ def decompose_scene(
         with step("reading"):
             scene = Scene.load(task.source, task.reading)
         heartbeat.step()
+        if task.options.align == "auto":
+            # Here: pictures that are put back are written too, and the others are let go.
+            limit = task.options.time_limit
+            end = time.monotonic() + (float("inf") if limit is None else limit)
+            with step("alignment"):
+                scene = aligned(scene, stop=lambda: time.monotonic() >= end)
+            heartbeat.step()
         result = decompose(
             scene, task.options, threads=task.threads or threads, progress=wanted.show
         )

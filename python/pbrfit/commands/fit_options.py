@@ -5,13 +5,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pbrfit.commands import arguments as cli
 from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions, Priors, prior_names
-
-if TYPE_CHECKING:
-    pass
 
 DEFAULTS = {one.name: one.default for one in fields(FitOptions)}
 

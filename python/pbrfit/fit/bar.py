@@ -12,11 +12,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def notebook_bar(iterations: int) -> Iterator[Callable[[Progress], None]]:
-    """Give what moves a bar: a widget in a notebook, else a line on stderr.
-
-    A large picture's lights take iterations; after that tiles are counted, which tell how much time
-    is left.
-    """
+    """Give what moves a bar, in notebooks a widget: by iterations, of large pictures then tiles."""
     from tqdm.auto import tqdm
 
     with tqdm(total=iterations, unit="it", desc="fit") as bar:

@@ -80,7 +80,7 @@ _STEPS = 4  # on a level
 _AGREEMENT_NOISE = 0.05
 _LONGEST_STEP = 2.0  # pixels of a level
 
-
+NOT_CHECKED = "not checked"
 IN_LINE = "pictures line up"
 """In `Scene.assumed` where no picture was moved or left out."""
 
@@ -131,7 +131,7 @@ class Registration:
     def in_words(self) -> str:
         """For `Scene.assumed`."""
         if not self.placements:
-            return f"not checked: {self.hindrance}"
+            return f"{NOT_CHECKED}: {self.hindrance}"
         moved = [one.in_words() for one in self.placements if not one.in_line]
         return "; ".join(moved) or IN_LINE
 

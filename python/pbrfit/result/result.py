@@ -33,7 +33,7 @@ from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials, of_channels, write_materials
 from pbrfit.model.reflection import MODELS, Model
-from pbrfit.registration.placement import IN_LINE, aligned
+from pbrfit.registration.placement import IN_LINE, NOT_CHECKED, aligned
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import DEPTH, GIVEN_NORMALS, SEGMENT, ResultData, Stage, Status
 from pbrfit.result.held_out import HeldOut
@@ -151,7 +151,8 @@ class Result(ResultData):
 
     def as_fitted(self, scene: Scene) -> Scene:
         """The scene with its pictures where they were fitted, decoded as they were."""
-        if self.options.align == "auto" and self.assumed.get("alignment") != IN_LINE:
+        said = self.assumed.get("alignment", "")
+        if self.options.align == "auto" and not said.startswith((IN_LINE, NOT_CHECKED)):
             scene = aligned(scene)
         response = None if self.camera is None else self.camera.response
         if response is None or scene.response is None:
