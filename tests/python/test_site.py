@@ -54,11 +54,15 @@ def test_every_page_is_in_the_navigation() -> None:
     assert there <= named, f"mkdocs.yml lacks {', '.join(sorted(there - named))}"
 
 
-def test_notebooks_hold_no_outputs() -> None:
-    cells = [cell for path in NOTEBOOKS for cell in json.loads(path.read_text("utf-8"))["cells"]]
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_hold_no_outputs_and_import_what_there_is(path: Path) -> None:
+    cells = json.loads(path.read_text("utf-8"))["cells"]
     code = [cell for cell in cells if cell["cell_type"] == "code"]
-    assert code
     assert not any(cell["outputs"] or cell["execution_count"] for cell in code)
+    lines = [line for cell in code for line in cell["source"]]
+    imports = [line for line in lines if re.match(r"(from|import) pbrfit\b", line)]
+    assert imports
+    exec("".join(imports), {})
 
 
 @pytest.mark.slow

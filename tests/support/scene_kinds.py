@@ -90,3 +90,16 @@ def all_pixels(objective: Objective) -> NDArray[np.uint64]:
 def sum_sq_at(objective: Objective, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Σ ω (I − T)² of each pixel (P,) at x, from its normal equations."""
     return objective.problem.normal_equations(objective.for_core(x), all_pixels(objective))[2]
+
+
+def holed(height: int, width: int) -> NDArray[np.bool_]:
+    valid = np.ones((height, width), bool)
+    valid[1, 1:-1] = valid[2:4, 2] = False
+    return valid
+
+
+def with_entry(array: NDArray[Any], value: float) -> Any:
+    """The array with another last entry."""
+    changed = array.copy()
+    changed.reshape(-1)[-1] = value
+    return changed

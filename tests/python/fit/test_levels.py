@@ -17,7 +17,7 @@ from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
 from pbrfit.fit.settings import NOISE_PIXELS_MAX, PATCH_SIDE
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
-from scene_kinds import FREE_LIGHTS, all_pixels, of_kind, sum_sq_at
+from scene_kinds import FREE_LIGHTS, all_pixels, holed, of_kind, sum_sq_at
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +31,6 @@ def noisy() -> Scene:
 def level_of(valid: NDArray[np.bool_], at_most: int) -> Level:
     whole: Any = SimpleNamespace(layout=SimpleNamespace(valid=valid), restricted=lambda _: None)
     return Level.of(whole, at_most)
-
-
-def holed(height: int, width: int) -> NDArray[np.bool_]:
-    valid = np.ones((height, width), bool)
-    valid[1, 1:-1] = valid[2:4, 2] = False
-    return valid
 
 
 def check_subset(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int]:

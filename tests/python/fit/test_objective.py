@@ -25,6 +25,7 @@ from pbrfit._core import Problem
 from pbrfit.model.reflection import MODELS, Model
 from random_pixels import Example, Kind
 from reference import unit
+from scene_kinds import with_entry
 
 Array = NDArray[Any]
 
@@ -307,12 +308,6 @@ def test_arrays_of_the_caller_stay_the_callers() -> None:
 
 
 # --- Refusals ---
-
-
-def with_entry(array: Array, value: float) -> Any:
-    changed = array.copy()
-    changed.reshape(-1)[-1] = value
-    return changed
 
 
 GOOD = Seen(Kind(), 20, 2)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.settings import NORMALS_OFFSET_SIGMA_ALONE, NORMALS_OFFSET_SIGMA_RANGE
+from scene_kinds import holed
 
 Array = NDArray[np.float64]
 
@@ -26,12 +27,6 @@ def around(
     count = int(index.max()) + 1
     normals = np.array([0.0, 0.0, 1.0]) + bend * np.random.default_rng(3).normal(size=(count, 3))
     return Neighbourhood.of(index, unit(normals), normal_sigma)
-
-
-def holed(height: int, width: int) -> NDArray[np.bool_]:
-    valid = np.ones((height, width), bool)
-    valid[1, 1:-1] = valid[2:4, 2] = False
-    return valid
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ import reference
 from finite_differences import ridders
 from pbrfit.model.reflection import MODELS, Model
 from reference import seen_at, unit
+from scene_kinds import with_entry
 
 # Whatever the default is.
 render = partial(pbrfit.render, model="paper")
@@ -296,12 +297,6 @@ GOOD: dict[str, Any] = {
     "metallic": np.full(4, 0.5),
 }
 GOOD_COTANGENT = np.ones((4, 3, 16))
-
-
-def with_entry(array: Array, value: float) -> Array:
-    changed = array.copy()
-    changed.reshape(-1)[-1] = value
-    return changed
 
 
 BAD: list[tuple[str, str, Any]] = [

@@ -1,5 +1,5 @@
 // One pixel of the view: the model that the result was fitted with, then display as in
-// pbrfit.io.display. What stands above this file: the version, and of SH, LAMPS and ENVIRONMENT those
+// pbrfit.display.tone. What stands above this file: the version, and of SH, LAMPS and ENVIRONMENT those
 // that the light has, so that no program pays for another kind of light. With neither it shows maps.
 precision highp float;
 precision highp int;
