@@ -100,7 +100,7 @@ def rounds(
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
-        left, before, fit = _left(level, x, sum_sq, shared, noise, fixed), weight, None
+        left, before, fit = left_of(level, x, sum_sq, shared, noise, fixed), weight, None
         total = float(sum_sq.sum())
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
@@ -141,7 +141,7 @@ def rounds(
             if shared is not None:
                 shared.stale = True
     if nuisances is not None or (noise is not None and noise.tails.has_outliers):
-        left = _left(level, x, sum_sq, shared, noise, fixed)
+        left = left_of(level, x, sum_sq, shared, noise, fixed)
     if nuisances is not None:
         nuisances.judge(left)
     return Lights(x, left, exact, shared, watch.stopped or run.out_of_time(), noise, deviance)
@@ -205,7 +205,7 @@ def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
     return GaussianPrior(mean, precision)
 
 
-def _left(
+def left_of(
     level: Level,
     x: Array,
     sum_sq: Array,
@@ -244,7 +244,7 @@ def judged(
             sum_sq = fit_level(few, part)
         level = replace(level, objective=few)
     shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
-    left = _left(level, part, sum_sq, shared, noise)
+    left = left_of(level, part, sum_sq, shared, noise)
     if shared is not None:
         weight = left.design_effect * left.variance
         shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)

@@ -8,8 +8,8 @@
    only noise next to nothing in the end.
 2. **Material prior** (`priors.mixture`): what roughness and metallic each segment is made of, found
    together with the lights by as many pixels, evenly spread over the segments.
-3. **All pixels**: each by itself under these lights, from the grid and around its prior; without
-   one, joint steps of all pixels and lights follow.
+3. **All pixels**: without a material prior, joint steps of a second level first, of 16 times as
+   many pixels; then each by itself under these lights, from the grid and around its prior.
 
 A scene that the model fits and one that it does not go the same way. Where lights are known, steps
 that move them are left out. A robust loss is lowered as squares with the weights that it gives to
@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import discrepancy, lbfgsb, misfit, settings
-from pbrfit.fit.coarse import Lights, Watch, judged, reweighted, rounds
+from pbrfit.fit.coarse import Lights, Watch, judged, left_of, reweighted, rounds
 from pbrfit.fit.discrepancy import Discrepancy
-from pbrfit.fit.joint import minimize
+from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
@@ -233,47 +233,80 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     With one, lights have been found by many pixels whose materials the prior summed up. Now that
     each pixel has its own, lights would follow the bias that these have in common (J. Neyman and
     E. Scott, Econometrica 16, 1948). They move only where the monochrome prior, which is known from
-    here on, weighs. The prior on lights weighs less where less is left of all pixels than was of
-    the coarse level.
+    here on, weighs.
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
-    watch, shared = Watch(run, x), lights.shared
-    variance, gain = lights.misfit.variance, settings.GAIN_MIN
-    if prior is None and not lights.exact:
-        gain *= max(lights.misfit.design_effect, 1.0)
+    objective, options, watch, shared = run.objective, run.options, Watch(run, x), lights.shared
     if shared is not None:
-        weight = sum(one.weight for one in run.objective.penalties if isinstance(one, Monochrome))
-        of_sum = weight * run.objective.total_weight / run.objective.pixels
+        weight = sum(one.weight for one in objective.penalties if isinstance(one, Monochrome))
+        of_sum = weight * objective.total_weight / objective.pixels
         shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
-        if prior is not None and not shared.lights.grey:
-            shared = None
     with run.stage("all pixels") as notes:
-        for number in range(settings.GLOBAL_ROUNDS_MAX):
-            objective = reweighted(run, run.objective, x)
-            before, starts = x.copy(), 1 if number == 0 else 0
-            sum_sq = fit_all(objective, x, starts=starts, prior=prior, stop=run.out_of_time)
+        before, level = x.copy(), Level.of(objective, settings.LIGHTS_PIXELS)
+        if shared is not None and (prior is None or shared.lights.grey):
+            move_lights(run, x, level, lights, shared, prior)
+            if not run.goes_on and len(level.pixels) == objective.pixels:
+                return x
+        passes = settings.ROBUST_ROUND if options.robust in ROBUST_LOSSES else 1
+        for number in range(passes):  # in which weights settle
+            weighed, starts = reweighted(run, objective, x), 1 if number == 0 else 0
+            sum_sq = fit_all(weighed, x, starts=starts, prior=prior, stop=run.out_of_time)
             if sum_sq is None:
                 notes.append("stopped before all pixels had their turn")
                 return before
-            del before  # of the size of x, which counts
             if prior is None:
-                retry_outliers(objective, x, sum_sq, run.out_of_time)
-            total = float(sum_sq.sum())
+                retry_outliers(weighed, x, sum_sq, run.out_of_time)
             if watch.visit(x, sum_sq):
                 break
-            if shared is not None:
-                last, variance = variance, min(variance, misfit.variance(objective, sum_sq))
-                shared.lights = shared.lights.times(variance / last if last else 1.0)
-                fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
-                minimize(fit, settings.GLOBAL_STEPS_MAX, gain, watch.visit)
-            more = prior is None and shared is not None
-            if run.options.robust in ROBUST_LOSSES and number < settings.ROBUST_ROUND:
-                more = True  # whose weights settle
-            elif total - float(sum_sq.sum()) <= gain * misfit.variance(objective, sum_sq):
-                more = False
-            if not more or not run.goes_on:
-                break
     return x
+
+
+def move_lights(
+    run: Run,
+    x: Array,
+    level: Level,
+    lights: Lights,
+    shared: SharedFit,
+    prior: GaussianPrior | None,
+) -> None:
+    """Rounds of joint steps of a level's pixels and of trying them again; its part of x changes.
+
+    The prior on lights weighs less where less is left of the level than was of the coarse one. A
+    step has to promise more where the design effect is large: where residuals are alike, the many
+    squares that it lowers are few.
+    """
+    objective, gain, variance = run.objective, settings.GAIN_MIN, lights.misfit.variance
+    part = objective.part_of(x, level.pixels)
+    rows = None if prior is None else prior.rows(level.pixels)
+    whole = len(level.pixels) == objective.pixels
+    watch = Watch(run, x, None if whole else level)
+
+    def visit(part: Array, sum_sq: Array) -> bool:
+        objective.put_part(x, level.pixels, part)
+        return watch.visit(x, sum_sq) if whole else watch.visit_few(part, sum_sq)
+
+    for number in range(settings.GLOBAL_ROUNDS_MAX):
+        few, starts = reweighted(run, level.objective, part), 1 if number == 0 else 0
+        sum_sq = fit_all(few, part, starts=starts, prior=rows, stop=run.out_of_time)
+        if sum_sq is None:
+            return
+        if prior is None:
+            retry_outliers(few, part, sum_sq, run.out_of_time)
+            if number == 0 and not lights.exact:
+                found = left_of(replace(level, objective=few), part, sum_sq, shared, lights.noise)
+                gain *= max(found.design_effect, 1.0)
+        total = float(sum_sq.sum())
+        if visit(part, sum_sq):
+            return
+        last, variance = variance, min(variance, misfit.variance(few, sum_sq))
+        shared.lights = shared.lights.times(variance / last if last else 1.0)
+        fit = shared.joint_fit(few, part, sum_sq, prior=rows, stop=run.out_of_time)
+        minimize(fit, settings.GLOBAL_STEPS_MAX, gain, visit)
+        more = prior is None and total - float(sum_sq.sum()) > gain * misfit.variance(few, sum_sq)
+        if run.options.robust in ROBUST_LOSSES and number < settings.ROBUST_ROUND:
+            more = True  # whose weights settle
+        if not more or not run.goes_on:
+            return
 
 
 def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | None) -> None:

@@ -8,13 +8,8 @@ those by the lights, and both with the priors' rows, pixels are solved for first
 
 with the prior on lights Q. S δ = −s is solved by conjugate gradients: products with S cost a pass
 over the pictures, S itself the square of the lights' number for each pixel. What makes them few is
-a preconditioner (`pbrfit.fit.preconditioner`), which is kept while it serves; and of many pixels
-products are those of some, scaled up, with the s of all. What these products leave out, other
-pixels and how residuals bend, shows in how s changed along the steps before: as secants (δ_j, y_j)
-they correct S⁻¹ as in L-BFGS (J. Nocedal, Math. Comp. 35, 1980). A step that gains far less than
-its quadratic model says is of another place, and ends them. Steps of few pixels have all products,
-and do without. After each step every pixel descends by itself under its new lights, and those that
-are worse off start again.
+a preconditioner (`pbrfit.fit.preconditioner`), which is kept while it serves. After each step every
+pixel descends by itself under its new lights, and those that are worse off start again.
 
 Offsets that clusters of pixels share in a prior are shared unknowns like the lights: without them
 each step would have to be won against the priors of many pixels.
@@ -107,10 +102,6 @@ class JointFit:
         self.offsets = None
         if self.prior is not None and self.prior.cluster is not None:
             self.offsets = self.prior.offsets(self.x)
-        self._few = _Sample.of(self, settings.PRODUCT_PIXELS)
-        self._secants: list[_Secant] = []
-        self._gradient, self._predicted = np.empty(0), 0.0
-        self._last_step: tuple[Array, Array] | None = None
 
     def pixel_prior(self, offsets: Array | None) -> GaussianPrior | None:
         """The prior of each pixel by itself, with these offsets of the clusters."""
@@ -173,25 +164,18 @@ class JointFit:
         assert self.shared.inverse is not None
         return self.shared.inverse(v) / self.objective.pixels
 
-    def _system(self) -> tuple[Array, Callable[[Array], Array]] | None:
-        """The gradient s of all pixels, in order, and S v; None if stopped."""
-        few, end, at = self._few, self.lights.mean.size, self._few.objective
-        part, options = few.at(self)
-        kept = at.problem.kept_system(at.for_core(part), at.everything, **options)
+    def _system(self) -> tuple[Array, Callable[[Array], Array]]:
+        """The gradient s, in order, and S v."""
+        end, every = self.lights.mean.size, self.objective.everything
+        options = self.options(self.objective, self.x, every, every)
+        kept = self.objective.problem.kept_system(self.objective.for_core(self.x), every, **options)
         gradient = kept.gradient
-        if few.is_part:
-            gradient, for_core = np.zeros(len(gradient)), self.objective.for_core(self.x)
-            for chunk in pieces(self.objective.everything):
-                if self.stop():
-                    return None
-                options = self.options(self.objective, self.x, chunk, chunk)
-                gradient += self.objective.problem.kept_system(for_core, chunk, **options).gradient
         gradient[:end] += self.lights.half_gradient(self._lights(self.x))
         if self.offsets is not None:
             gradient[end:] += (self._offset_precision * self.offsets).ravel()
 
         def product(v: Array) -> Array:
-            found = few.times * kept.product(v)
+            found = kept.product(v)
             found[:end] += self.lights.product(v[:end])
             if self.offsets is not None:
                 found[end:] += self._offset_precision.ravel() * v[end:]
@@ -205,41 +189,17 @@ class JointFit:
         The latter is by how much the sum falls in the quadratic model; if it cannot exceed
         `enough`, no product is made.
         """
-        system = self._system()
-        if system is None:
-            return np.zeros(0), 0.0
-        gradient, product = system
+        gradient, product = self._system()
         if self.shared.stale:
             self.renew_preconditioner()
-        self._learn_secant(gradient)
-        right, shares = -gradient, []
-        for secant in reversed(self._secants):
-            shares.append(float(secant.move @ right) / secant.curvature)
-            right = right - shares[-1] * secant.change
-        moves = self._conjugate_gradients(right, product, enough)
-        for secant, share in zip(self._secants, reversed(shares), strict=True):
-            moves += (share - float(secant.change @ moves) / secant.curvature) * secant.move
-        self._predicted = -float(gradient @ moves)
-        return moves, self._predicted
-
-    def _learn_secant(self, gradient: Array) -> None:
-        """That of the last step, if there was one, where the gradient is this now."""
-        if self._last_step is not None and self._few.is_part:
-            moved, before = self._last_step
-            change = gradient - before
-            curvature = float(moved @ change)
-            if curvature > 0:  # else S⁻¹ would not stay positive definite
-                self._secants.append(_Secant(moved, change, curvature))
-        self._gradient, self._last_step = gradient, None
+        moves = self._conjugate_gradients(-gradient, product, enough)
+        return moves, -float(gradient @ moves)
 
     def inverse(self) -> tuple[Array, Callable[[Array], Array]]:
         """The gradient s of all pixels, and S⁻¹ v."""
-        system = self._system()
+        gradient, product = self._system()
         if self.shared.stale:
             self.renew_preconditioner()
-        if system is None:  # stopped
-            return np.zeros(self.shared.size), np.zeros_like
-        gradient, product = system
         ratio = settings.NUISANCE_ERROR_RATIO
         return gradient, lambda v: self._conjugate_gradients(v, product, 0.0, ratio)
 
@@ -300,12 +260,7 @@ class JointFit:
             lower = self.total(trial, left, offsets)
             if lower < total:
                 self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
-                if total - lower >= settings.SECANT_GAIN_MIN * self._predicted:
-                    self._last_step = moved, self._gradient
-                else:
-                    self._secants.clear()
                 return lower
-        self._secants.clear()
         return None
 
     def _restart_worse(self, trial: Array, left: Array, prior: GaussianPrior | None) -> None:
@@ -319,16 +274,6 @@ class JointFit:
             own = taken(objective, self.x, chunk)
             rows = None if prior is None else prior.rows(chunk)
             try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)
-
-
-@dataclass(frozen=True, eq=False)
-class _Secant:
-    """A step δ that was taken, and by how much the gradient changed along it."""
-
-    move: Array
-    change: Array
-    curvature: float
-    """Their product."""
 
 
 @dataclass(frozen=True, eq=False)

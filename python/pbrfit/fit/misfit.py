@@ -24,6 +24,7 @@ likelihood, which the mixture prior rests on. No threshold tells misfit from noi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -117,7 +118,8 @@ def design_effect(
 ) -> float:
     """κ; `inverse` gives S⁻¹ v for v (M,), and `prior` is that of the pixels."""
     objective, layout = level.objective, level.objective.layout
-    patches = level.patches(settings.PATCH_SIDE)
+    finer = round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS))
+    patches = level.patches(settings.PATCH_SIDE * max(finer, 1))
     if len(patches) < settings.PATCHES_MIN:
         return 1.0
     unknowns = layout.light_channels * layout.pictures * layout.coefficients

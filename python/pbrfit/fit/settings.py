@@ -202,11 +202,15 @@ RETRY_METALLIC_NODES = (0.0, 1.0, 11)
 RETRY_STARTS = 6
 """Nodes for these pixels, as above, and from how many of the best they descend."""
 
+LIGHTS_PIXELS = 16_384
+"""Pixels of the second level. Each of the 48 numbers of a picture's light is then as uncertain as a
+sample divided by √(3 · 16384 / 48) = 32, which adds a two-thousandth to the error of a pixel."""
+
 GLOBAL_ROUNDS_MAX = 4
-"""Rounds of joint steps of all pixels and of trying pixels again."""
+"""Rounds of joint steps of that level and of trying pixels again."""
 
 GLOBAL_STEPS_MAX = 8
-"""Joint steps of all pixels in a round."""
+"""Joint steps in a round."""
 
 GLOBAL_STEP_SHARES = (1.0, 0.4)
 """Shares of a joint step that are tried before the damping grows; each costs a pass over all."""
@@ -221,19 +225,11 @@ WORSE_RATIO = 1.02
 """Ratio of a pixel's sum of squared residuals after a joint step to that before, above which it may
 have fallen into another minimum and starts again."""
 
-PRODUCT_PIXELS = 16_384
-"""Pixels that products with the lights' system are from: with the gradient of all pixels, steps end
-where those of all would."""
-
 PRECONDITIONER_PIXELS = 1024
 """Pixels whose system is the preconditioner: the square of the lights' number for each."""
 
 PRECONDITIONER_DAMPING = 1e-6
 """Share of the preconditioner's diagonal that is added to it."""
-
-SECANT_GAIN_MIN = 0.5
-"""Share of what a joint step of all pixels promised that it has to gain for its secant to be kept:
-less tells that the sum is not quadratic so far, and those before are forgotten too."""
 
 CG_ITERATIONS_MAX = 20
 """Products with the lights' system in a joint step."""

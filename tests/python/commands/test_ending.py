@@ -28,6 +28,7 @@ from pathlib import Path
 from pbrfit import _core, ending
 from pbrfit.batch.place import of_batch
 from pbrfit.io.output import FolderForm, new_file, new_folder, undisturbed, unfinished
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where tests run under nohup
 ending.watch()
 here, old = Path(sys.argv[1]), FolderForm(holds=("old.txt",))
 def ready(): print("ready", flush=True)
@@ -190,8 +191,7 @@ def test_the_command_says_so_once(here: Path, number: signal.Signals) -> None:
         " with new_folder(here / 'a' / 'out'):\n"
         "  ready(); time.sleep(60)\n"
         "decompose.run = fit\n"
-        "import sys; sys.argv = ['pbrfit', 'decompose', 'x', '--out', 'y']\n"
-        "cli.run()\n"
+        "sys.argv = ['pbrfit', 'decompose', 'x', '--out', 'y']; cli.run()\n"
     )
     with running(script, here) as process:
         process.send_signal(number)

@@ -214,20 +214,6 @@ def test_planted_lights_are_found(room: Scene) -> None:
     np.testing.assert_allclose(found * scale, planted, rtol=0, atol=1e-5 * np.abs(planted).max())
 
 
-def test_products_of_some_pixels_serve_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As long as they are many beside the unknowns that are shared, here 144 lights."""
-    scene = make_scene("room", size=48, lights=3, noise=0.01, seed=2001, held_out=2)
-    sums = []
-    for few in (settings.PRODUCT_PIXELS, 1500):
-        monkeypatch.setattr(settings, "PRODUCT_PIXELS", few)
-        fit = joint_fit(objective_of(scene, "colour"), "clusters")
-        before = fit.total(fit.x, fit.sum_sq, fit.offsets)
-        minimize(fit, 20, settings.GAIN_MIN)
-        sums.append(fit.total(fit.x, fit.sum_sq, fit.offsets))
-    assert sums[0] < 0.9 * before
-    assert sums[1] < sums[0] + 0.02 * (before - sums[0])
-
-
 @pytest.mark.parametrize("looks", range(8))
 def test_a_step_that_is_stopped_is_not_taken(
     noisy: Scene, looks: int, monkeypatch: pytest.MonkeyPatch
