@@ -31,9 +31,9 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.outline import outline
-from pbrfit.fit.lamps.photometric import DARK, ROUNDS, brightness, solved
+from pbrfit.fit.lamps.photometric import DARK, ROUNDS, solved
 from pbrfit.fit.lamps.problem import LampPixels
-from pbrfit.fit.lamps.samples import grey_samples
+from pbrfit.fit.lamps.samples import brightness, grey_samples
 from pbrfit.fit.left_out import patches_of
 from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape

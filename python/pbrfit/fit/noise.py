@@ -44,8 +44,10 @@ from pbrfit.fit import settings
 from pbrfit.fit.normal_equations import by_unknowns, products
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import Pixels, pieces
+from pbrfit.fit.sampling import slices
 from pbrfit.fit.tails import StudentT, Tails, likeliest
 from pbrfit.io.limits import AT_LEAST, AT_MOST
+from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
 
@@ -96,8 +98,9 @@ class NoiseModel:
         # What V over w is at least: that of a sample of weight 1.
         least = float(self.variances.min() * self.shares[0] / self.tails.largest_weight)
         found = np.empty((len(self.variances), objective.pixels, objective.channels), np.float32)
-        for pixels in pieces(objective.everything):
-            samples = _Samples.of(objective, pixels, x)
+
+        def fill(part: tuple[Pixels, Array]) -> None:
+            samples = _Samples.of(objective, *part)
             variances = self.sample_variances(samples)
             squares = np.square(samples.residuals) / variances
             weights = tails.weights(squares) / (tails.largest_weight / self.tails.largest_weight)
@@ -106,14 +109,19 @@ class NoiseModel:
                 weights[bounded] = wide.weights(squares[bounded]) / wide.largest_weight
             weights *= least / variances
             weights[~samples.used | samples.satisfied()] = 0.0
-            found[:, pixels] = weights
+            found[:, part[0]] = weights
+
+        for pixels in pieces(objective.everything):
+            left = _residuals(objective, pixels, x)
+            parts = slices(len(pixels), settings.PIXELS_AT_ONCE)
+            in_pieces(objective.threads, fill, [(pixels[one], left[:, one]) for one in parts])
         return found
 
     def deviance(self, objective: Objective, x: Array) -> float:
         """−2 ln of the likelihood of a sample at x, in the mean, less a constant."""
         total, count = 0.0, 0
         for pixels in pieces(objective.everything):
-            samples = _Samples.of(objective, pixels, x)
+            samples = _Samples.of(objective, pixels, _residuals(objective, pixels, x))
             variances = self.sample_variances(samples)[samples.ordinary]
             squares = np.square(samples.residuals[samples.ordinary]) / variances
             total += float(self.tails.deviances(squares).sum() + np.log(variances).sum())
@@ -151,12 +159,8 @@ class _Samples:
     limits: NDArray[np.uint8] | None
 
     @classmethod
-    def of(cls, objective: Objective, pixels: Pixels, x: Array | None) -> _Samples:
+    def of(cls, objective: Objective, pixels: Pixels, residuals: Array) -> _Samples:
         pictures = objective.pictures(pixels)
-        residuals = np.zeros_like(pictures)
-        if x is not None:
-            of_pixels = objective.problem.residuals(objective.for_core(x), pixels)
-            residuals = of_pixels.astype(np.float64)
         return cls(
             residuals,
             (pictures + residuals).clip(0),
@@ -178,13 +182,21 @@ class _Samples:
         return np.asarray(above | ((self.limits == AT_MOST) & (self.residuals <= 0)))
 
 
+def _residuals(objective: Objective, pixels: Pixels, x: Array | None) -> Array:
+    """(N, Q, C): of some pixels at x; 0 without."""
+    if x is None:
+        return np.zeros((objective.layout.pictures, len(pixels), objective.channels))
+    return objective.problem.residuals(objective.for_core(x), pixels).astype(np.float64)
+
+
 def estimated(objective: Objective, x: Array, *, outliers: bool = False) -> NoiseModel:
     """From what is left of a level's pixels at x, which minimises its (weighted) squares.
 
     Without `outliers` no sample is taken for one: sound ones may be as far from an x that is on its
     way, and Student's t lets go of none.
     """
-    samples = _Samples.of(objective, objective.everything, x)
+    every = objective.everything
+    samples = _Samples.of(objective, every, _residuals(objective, every, x))
     used, of_file = samples.ordinary, samples.of_file
     counts = used.sum(axis=(1, 2))
     mean_radiance = max(float(samples.radiance[used].mean()), settings.NOISE_SIGMA_MIN)

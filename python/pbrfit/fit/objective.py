@@ -404,13 +404,12 @@ class Objective:
         """(N, Q, C): the variances that files' encoding left, in units of x; None if none did."""
         places, found = self._all_places()[pixels], None
         for i, unit in enumerate(self._units):
-            sigma = self._scene.noise_floor(i)
+            sigma = self._scene.noise_floor(i, places)
             if sigma is None:
                 continue
             if found is None:
                 found = np.zeros((self.layout.pictures, len(pixels), self.channels))
-            rows = sigma.reshape(-1, 3)[places, : self.channels].astype(np.float64)
-            found[i] = np.square(rows / unit)
+            found[i] = np.square(sigma[:, : self.channels].astype(np.float64) / unit)
         return found
 
     @property
@@ -439,7 +438,7 @@ class Objective:
         return np.asarray(rows * width + np.arange(width)[window.columns][columns])
 
     def _all_places(self) -> NDArray[np.intp]:
-        return np.flatnonzero(self._scene.valid) if self._places is None else self._places
+        return self._scene.places if self._places is None else self._places
 
     def among(self, transfer: PixelTransfer | None) -> Objective:
         """The same with light that is blocked, and brought, as a transfer of these pixels says."""

@@ -364,7 +364,7 @@ PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
 
 PIXELS_AT_ONCE = 8192
-"""Pixels whose likelihoods are held at a time by each processor; changes no result."""
+"""Pixels whose likelihoods, or samples, are held at a time by each processor; changes no result."""
 
 EM_ITERATIONS, EM_PIXELS_AT_ONCE = 100, 512
 """Iterations of EM for a distribution; pixels whose likelihoods a processor's cache holds."""

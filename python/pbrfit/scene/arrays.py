@@ -310,6 +310,11 @@ class SceneArrays:
         return found if self.mask is None else found & self.mask
 
     @lazy
+    def places(self) -> NDArray[np.intp]:
+        """(P,): where these are in the picture, row by row."""
+        return np.flatnonzero(self.valid)
+
+    @lazy
     def all_valid(self) -> bool:
         """Whether that are all."""
         return bool(self.valid.all())
@@ -382,14 +387,20 @@ class SceneArrays:
             ordinary *= weights
         return ordinary
 
-    def noise_floor(self, picture: int) -> NDArray[np.float32] | None:
+    def noise_floor(
+        self, picture: int, places: NDArray[np.intp] | None = None
+    ) -> NDArray[np.float32] | None:
         """(H, W, 3): standard deviation of what its file did to the samples of a picture.
 
-        In the pictures' units: of rounding to codes and of JPEG; not of the camera. None for
-        pictures that were floats, or are of no file.
+        In the pictures' units: of rounding to codes and of JPEG; not of the camera. Of some places
+        of the picture, row by row, alone (Q, 3). None for pictures that were floats, or are of no
+        file.
         """
         noise = None if self.file_noise is None else self.file_noise[picture]
-        return None if noise is None else noise.deviation(self.images[picture])
+        if noise is None:
+            return None
+        image = self.images[picture]
+        return noise.deviation(image if places is None else image.reshape(-1, 3)[places])
 
     @property
     def file_correlation(self) -> float:

@@ -233,7 +233,7 @@ class LampFit:
     def solve(self) -> FitOutput:
         """All stages."""
         scene = self.scene
-        places = np.flatnonzero(scene.valid.ravel())
+        places = scene.places
         labels = np.zeros(len(places), np.intp) if scene.labels is None else scene.labels[0]
         rows = evenly_spaced_over(labels, LAMP_PIXELS).astype(np.intp)
         fit = self.joint(places[rows])
@@ -259,7 +259,7 @@ class LampFit:
     def of_all_pixels(self) -> tuple[LampPixels, LampState, Found]:
         """All pixels of a small scene, fitted together and then each by itself."""
         scene = self.scene
-        places = np.flatnonzero(scene.valid.ravel())
+        places = scene.places
         fit = self.joint(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
         [band] = self._surfaces(fit, scene.valid)
         pixels = LampPixels.of(

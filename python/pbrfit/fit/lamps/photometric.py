@@ -25,6 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.lamps.samples import some_of
+from pbrfit.fit.sampling import slices
+from pbrfit.fit.settings import PIXELS_AT_ONCE
+from pbrfit.threads import in_pieces
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -45,6 +50,9 @@ MEDIAN_TO_SIGMA = 1.4826
 
 ROUNDS = 8
 """Rounds of weighted least squares at a pixel."""
+
+SCALE_PIXELS = 4000
+"""Pixels that tell σ: a median of so many samples and more is known to 2 %."""
 
 SAMPLES_AT_ONCE = 1 << 16
 """Samples times triples that are compared at once: half a megabyte, which caches hold."""
@@ -73,32 +81,34 @@ class PseudoNormals:
     precision: Array
 
 
-def brightness(samples: Array, usable: Mask) -> Array:
-    """Brightness q (P,): the median of each pixel's samples that are not black.
-
-    At least a ten-thousandth of that of all pixels, which keeps black pixels finite.
-    """
-    lit = np.where(usable & (samples > 0), samples, np.nan)
-    some = np.isfinite(lit).any(axis=1)
-    middle = np.zeros(len(samples))
-    middle[some] = np.nanmedian(lit[some], axis=1)
-    floor = 1e-4 * float(np.median(middle[some])) if some.any() else 1.0
-    return np.maximum(middle, max(floor, np.finfo(np.float64).tiny))
-
-
 def pseudo_normals(relative: Array, usable: Mask, lamps: Array) -> PseudoNormals:
     """The pseudo-normal of each pixel, divided by its brightness, under known lamps.
 
     By radiance (P, N), divided by the pixel's brightness, of samples of which some are usable;
     lamps (N, 3) are direction times strength.
     """
-    found = _best_of_triples(relative, usable, lamps)
-    sigma = SCALE_START
+    chosen = some_of(len(relative), SCALE_PIXELS)
+    sigmas = _scales(relative[chosen], usable[chosen], lamps)
+
+    def of_piece(piece: slice) -> tuple[Array, Array, Array]:
+        own, used = relative[piece], usable[piece]
+        found = _best_of_triples(own, used, lamps)
+        for sigma in sigmas[:-1]:
+            found = refined(own, used, lamps, found, sigma)
+        weights = weights_of(own, used, found @ lamps.T, sigmas[-1])
+        return found, weights, moments(weights, lamps) / sigmas[-1] ** 2
+
+    parts = in_pieces(0, of_piece, slices(len(relative), PIXELS_AT_ONCE))
+    return PseudoNormals(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _scales(relative: Array, usable: Mask, lamps: Array) -> list[float]:
+    """σ of each round, and after the last."""
+    found, sigmas = _best_of_triples(relative, usable, lamps), [SCALE_START]
     for _ in range(ROUNDS):
-        found = refined(relative, usable, lamps, found, sigma)
-        sigma = scale_of(relative, usable, found @ lamps.T)
-    weights = weights_of(relative, usable, found @ lamps.T, sigma)
-    return PseudoNormals(found, weights, moments(weights, lamps) / sigma**2)
+        found = refined(relative, usable, lamps, found, sigmas[-1])
+        sigmas.append(scale_of(relative, usable, found @ lamps.T))
+    return sigmas
 
 
 def refined(relative: Array, usable: Mask, lamps: Array, vectors: Array, sigma: float) -> Array:

@@ -68,7 +68,7 @@ class LampPixels:
 
         Scale and largest weight are those of others of the same scene, where some are there.
         """
-        valid = np.flatnonzero(scene.valid.ravel())
+        valid = scene.places
         places = valid if places is None else places
         count = len(scene.images)
         samples = np.empty((len(places), count, 3))

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.lamps.photometric import brightness
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -92,6 +91,19 @@ class FirstShape:
     """What the pictures leave open, each in words."""
     note: str = ""
     """How they were found, and what the pictures leave open."""
+
+
+def brightness(samples: Array, usable: Mask) -> Array:
+    """Brightness q (P,): the median of each pixel's samples that are not black.
+
+    At least a ten-thousandth of that of all pixels, which keeps black pixels finite.
+    """
+    lit = np.where(usable & (samples > 0), samples, np.nan)
+    some = np.isfinite(lit).any(axis=1)
+    middle = np.zeros(len(samples))
+    middle[some] = np.nanmedian(lit[some], axis=1)
+    floor = 1e-4 * float(np.median(middle[some])) if some.any() else 1.0
+    return np.maximum(middle, max(floor, np.finfo(np.float64).tiny))
 
 
 def grey_samples(colors: Array, told: Mask) -> tuple[Array, Mask]:

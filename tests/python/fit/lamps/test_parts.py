@@ -9,7 +9,8 @@ from lamp_scenes import LampScene, around, ball, relief
 from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.integrability import equations
 from pbrfit.fit.lamps.outline import outline
-from pbrfit.fit.lamps.photometric import DARK, brightness, pseudo_normals, weights_of
+from pbrfit.fit.lamps.photometric import DARK, pseudo_normals, weights_of
+from pbrfit.fit.lamps.samples import brightness
 
 
 def sine_between(first: np.ndarray, second: np.ndarray) -> float:
