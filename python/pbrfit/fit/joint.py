@@ -32,7 +32,6 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import (
     Pixels,
     fit_all,
-    pieces,
     place,
     taken,
     try_from,
@@ -227,7 +226,8 @@ class JointFit:
     def step(self, moves: Array, total: float) -> float | None:
         """The sum after the longest step of a few that lowers it, which is taken; None if none."""
         objective, trial = self.objective, np.empty_like(self.x)
-        end = self.lights.mean.size
+        end, every = self.lights.mean.size, objective.everything
+        options = self.options(objective, self.x, every, every)
         for share in settings.GLOBAL_STEP_SHARES:
             moved = share * moves
             trial[:] = self.x
@@ -235,16 +235,10 @@ class JointFit:
             offsets = self.offsets
             if offsets is not None:
                 offsets = offsets + moved[end:].reshape(offsets.shape)
-            for chunk in pieces(objective.everything):
-                if self.stop():
-                    return None
-                followed = objective.problem.back_substitute(
-                    objective.for_core(self.x),
-                    chunk,
-                    moved,
-                    **self.options(objective, self.x, chunk, chunk),
-                )
-                place(objective, trial, chunk, followed)
+            followed = objective.problem.back_substitute(
+                objective.for_core(self.x), every, moved, **options
+            )
+            place(objective, trial, every, followed)
             prior = self.pixel_prior(offsets)
             left = fit_all(
                 objective,
@@ -267,13 +261,9 @@ class JointFit:
         """Let pixels that a step to `trial` left worse off start again; it and the sums change."""
         worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
         steps = 2 * settings.DESCENT_STEPS_AFTER_JOINT
-        objective = self.objective
-        for chunk in pieces(worse):
-            if self.stop():
-                return
-            own = taken(objective, self.x, chunk)
-            rows = None if prior is None else prior.rows(chunk)
-            try_from(objective, trial, left, chunk, own, steps=steps, starts=1, prior=rows)
+        own = taken(self.objective, self.x, worse)
+        rows = None if prior is None else prior.rows(worse)
+        try_from(self.objective, trial, left, worse, own, steps=steps, starts=1, prior=rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -214,7 +214,7 @@ def test_planted_lights_are_found(room: Scene) -> None:
     np.testing.assert_allclose(found * scale, planted, rtol=0, atol=1e-5 * np.abs(planted).max())
 
 
-@pytest.mark.parametrize("looks", range(8))
+@pytest.mark.parametrize("looks", range(6))
 def test_a_step_that_is_stopped_is_not_taken(
     noisy: Scene, looks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
