@@ -16,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pbrfit.commands import add_commands
+from pbrfit.commands import SUMMARIES, add_commands
 from pbrfit.commands.arguments import (
     DONE,
     INTERRUPTED,
@@ -30,6 +30,11 @@ from pbrfit.io.quoting import visible
 
 PRINTED_AT_ONCE = ("-h", "--help", "--version")
 """What needs neither a command nor the core, whose start takes longer than all the rest."""
+
+START = """pbrfit PHOTOS               a folder of pictures of one view under different lights
+pbrfit demo out             the same with a scene that is made up
+pbrfit decompose --help     what can be set; pbrfit --help lists all commands"""
+"""What to type first."""
 
 ALIKE = 0.7
 """Likeness of two names, as `difflib` has it from 0 to 1, from which on one may be a misspelling
@@ -58,8 +63,10 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that lacks a sign: no reason
     given = sys.argv[1:] if arguments is None else arguments
     if not given:
-        _parser().print_help()
+        print(START)
         return DONE
+    if _is_path(given[0]):
+        given = ["decompose", *given]
     if given[0] not in PRINTED_AT_ONCE:
         from pbrfit import address_space
 
@@ -110,6 +117,13 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     except ending.Terminated:
         end_with(ending.WORD)
         raise
+
+
+def _is_path(argument: str) -> bool:
+    """Whether it names pictures in place of a command: then they are decomposed."""
+    if argument in SUMMARIES or argument[:1] == "-":
+        return False
+    return Path(argument).name != argument or Path(argument).exists()
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
@@ -177,10 +191,12 @@ def _parser() -> argparse.ArgumentParser:
         prog="pbrfit",
         description="Recover physically based materials (albedo, roughness, metallic) and the "
         "lighting of each picture from several pictures of one view under different lights.",
-        epilog="Start with: pbrfit demo out",
+        usage="%(prog)s [--version] COMMAND ...\n       %(prog)s PHOTOS ...   as decompose",
     )
     parser.add_argument("--version", action="version", version=f"pbrfit {version('pbrfit')}")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True, title="commands")
+    commands = parser.add_subparsers(
+        metavar="COMMAND", required=True, title="commands", prog=parser.prog
+    )
 
     add_commands(commands)
     return parser

@@ -35,6 +35,16 @@ than was predicted for scenes of 16² to 128², and 40 more as dask's workers.""
 NO_SCENES = re.compile(r"\..*|(flat|truth|lost\+found)$")
 """Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
 
+ERRORS = {
+    "recon_rmse": "reconstruction",
+    "albedo_rmse": "albedo",
+    "albedo_scaled_rmse": "albedo, best scale",
+    "roughness_rmse": "roughness",
+    "metallic_rmse": "metallic",
+    "relight_rmse": "relight",
+}
+"""Metrics of a result, in words."""
+
 LOOK_EVERY = 0.2
 """Seconds after which a worker looks whether its scene is still wanted."""
 
@@ -57,6 +67,8 @@ class SceneTask:
     """Whether a result that would come out again stays."""
     overwrite: bool = False
     """Whether a result that is there is replaced, whatever it is."""
+    report: bool = True
+    """Whether the result has a page about it."""
     temporaries: Path | None = None
     """Folder for what is unfinished; None = beside the output. Whoever waits for the task removes
     it to say that the task is no longer wanted."""
@@ -91,6 +103,8 @@ class SceneOutcome:
     results that were kept."""
     table: str = ""
     """The result in words and figures, lines for people, without held-out error and verdicts."""
+    details: tuple[str, ...] = ()
+    """Stages and decisions, in lines; none of a result that was kept."""
     steps: tuple[str, ...] = ()
     """What would make it better, as `result.advice` says; of a result that was kept what its
     verdicts say."""
@@ -109,9 +123,10 @@ def decompose_scene(
     from pbrfit.fit.decompose import decompose
     from pbrfit.io.output import new_folder
     from pbrfit.registration.placement import aligned
+    from pbrfit.report import write_report
     from pbrfit.result import advice
     from pbrfit.result.data import Status
-    from pbrfit.result.result import RESULT_FOLDER
+    from pbrfit.result.result import REPORT_FILE, RESULT_FOLDER
     from pbrfit.scene.scene import Scene
     from pbrfit.steps import step
 
@@ -159,6 +174,9 @@ def decompose_scene(
         with step("writing"):
             result.write(folder, scene, task.output)
         wanted.check()
+        if task.report:
+            with step("report"):
+                write_report(result, folder / REPORT_FILE, scene)
     if result.status is Status.TIME_LIMIT:
         reason = result.stop_reason
         log.warning("%s: unfinished: %s; the best state so far is written", task.output, reason)
@@ -172,6 +190,7 @@ def decompose_scene(
         held_out=result.held_out,
         peak_bytes=None if peak is None else 1024 * peak,
         table="\n".join(table(result, scene, task.output)),
+        details=tuple(details(result)),
         steps=advice.next_steps(result),
     )
 
@@ -238,37 +257,28 @@ class _Wanted:
 
 
 def table(result: Result, scene: Scene, output: Path) -> list[str]:
-    """How a fit went, line by line."""
-    iterations = result.history.iterations
+    """What was fitted and the errors that are known, line by line."""
     lines = [
         f"{output}: {len(scene.images)} pictures of {scene.width} × {scene.height}, "
-        f"{iterations} iterations in {result.seconds:.1f} s ({result.stop_reason}), "
-        f"model {result.model}"
+        f"model {result.model}, {result.stop_reason}",
+        "",
     ]
+    return lines + [
+        f"{name:<22}{rmse_in_words(result.metrics[key]):>10}  RMSE"
+        for key, name in ERRORS.items()
+        if key in result.metrics
+    ]
+
+
+def details(result: Result) -> list[str]:
+    """How a fit went and what it decided, line by line."""
+    lines = [f"fit: {result.history.iterations} iterations in {result.seconds:.1f} s"]
     for stage in result.stages:
         note = f" ({stage.note})" if stage.note else ""
         lines.append(f"{stage.seconds:>6.1f} s  {stage.name}{note}")
-    rows = [
-        ("reconstruction", "recon_rmse"),
-        ("albedo", "albedo_rmse"),
-        ("albedo, best scale", "albedo_scaled_rmse"),
-        ("roughness", "roughness_rmse"),
-        ("metallic", "metallic_rmse"),
-        ("relight", "relight_rmse"),
-    ]
-    lines.append(f"\n{'RMSE':<22}{'start':>10}{'result':>10}")
-    for name, key in rows:
-        if key in result.metrics:
-            known = key in result.history.columns
-            at_start = rmse_in_words(result.history[key][0]) if known else ""
-            lines.append(f"{name:<22}{at_start:>10}{rmse_in_words(result.metrics[key]):>10}")
-    lines.append(f"\nnormals ({result.refinement.asked}): {result.refinement.in_words()}")
-    if result.depth is not None:
-        found = result.assumed.get("surroundings", f"none: {result.transport.why}")
-        lines.append(f"surroundings ({result.options.transport}): {found}")
-    if result.left_out:
-        lines.append(f"left out: {'; '.join(result.left_out)}")
-    return lines
+    lines.append(f"normals: {result.refinement.in_words()}")
+    lines += [f"{name}: {said}" for name, said in result.assumed.items() if name != "normals"]
+    return [*lines, *(f"left out: {said}" for said in result.left_out)]
 
 
 def rmse_in_words(value: float) -> str:

@@ -43,6 +43,27 @@ def choice(values: Any, said: str, **more: Any) -> Flag:
     return {"choices": get_args(values) or values, "help": said, **more}
 
 
+class _ShortHelp(argparse.Action):
+    """Shows the options named in `const`, and says how to see the others."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        more = [one for one in parser._actions if one.option_strings and one.dest not in self.const]
+        for action in more:
+            action.help = argparse.SUPPRESS
+        parser.epilog = f"--help-all shows {len(more)} more options."
+        parser.print_help()
+        parser.exit()
+
+
+def add_short_help(parser: argparse.ArgumentParser, shown: Sequence[str]) -> None:
+    """Let `--help` show only some options, by their names, and `--help-all` every one."""
+    group = parser.add_argument_group("help", conflict_handler="resolve")
+    more: dict[str, Any] = {"nargs": 0, "default": argparse.SUPPRESS}
+    said = "show the most used options"
+    group.add_argument("-h", "--help", action=_ShortHelp, const=(*shown, "help"), help=said, **more)
+    group.add_argument("--help-all", action="help", help="show all options")
+
+
 def add_flags(parser: Any, **flags: Flag) -> None:
     """Add options to a parser or to a group of one."""
     for name, arguments in flags.items():
@@ -73,32 +94,26 @@ def tell(options: argparse.Namespace, lines: Iterable[str]) -> None:
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
     """Add a result folder, and `--out` and `--overwrite` for what is made of it."""
     parser.add_argument("result", metavar="RESULT", type=Path, help="result folder")
-    add_out(parser, what, metavar, "replace an earlier output that holds nothing else")
+    add_out(parser, what, metavar, required=True)
 
 
-def add_out(
-    parser: argparse.ArgumentParser,
-    what: str,
-    metavar: str = "DIR",
-    replaced: str = "replace existing results that hold nothing else",
-) -> None:
+def add_out(parser: Any, what: str, metavar: str = "DIR", *, required: bool = True) -> None:
     """Add `--out` and `--overwrite`."""
-    add_flags(parser, out=value(metavar, Path, what, required=True), overwrite=switch(replaced))
+    replaced = "replace an earlier output that holds nothing else"
+    add_flags(parser, out=value(metavar, Path, what, required=required), overwrite=switch(replaced))
 
 
-def add_quiet(
-    parser: argparse.ArgumentParser, what: str = "no progress bar, no table, no warnings"
-) -> None:
+def add_quiet(parser: Any, what: str = "no progress bar, no table, no warnings") -> None:
     """Add `--quiet`."""
     add_flags(parser, quiet=switch(what))
 
 
-def add_jobs(parser: argparse.ArgumentParser, what: str) -> None:
+def add_jobs(parser: Any, what: str) -> None:
     """Add `--jobs`."""
     add_flags(parser, jobs=value("J", positive, what))
 
 
-def add_cluster(parser: argparse.ArgumentParser) -> None:
+def add_cluster(parser: Any) -> None:
     """Add `--cluster`."""
     said = (
         "hand scenes to the workers of a dask scheduler, which share storage with this machine, "
@@ -108,7 +123,7 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
     add_flags(parser, cluster=value("local|ADDRESS", str, said))
 
 
-def add_threads(parser: argparse.ArgumentParser) -> None:
+def add_threads(parser: Any) -> None:
     """Add `--threads`."""
     said = "0 = one for each processor; results do not depend on it"
     add_flags(parser, threads=value("T", whole_number, said, default=0))

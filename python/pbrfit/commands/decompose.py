@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -22,37 +23,57 @@ from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_display import SceneDisplay
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit import memory
+from pbrfit.io.input_files import there
 from pbrfit.io.output import check_is_output
 from pbrfit.result.result import RESULT_FOLDER
 from pbrfit.scene.folder import locate
 
+MOST_USED = (
+    *("out", "overwrite", "verbose", "fov", "color_space", "max_size", "light", "white"),
+    *("time_limit", "resume", "jobs", "help_all"),
+)
+"""Options that `--help` shows."""
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
+    cli.add_short_help(parser, MOST_USED)
+    parser.usage = "%(prog)s PHOTOS [PHOTOS ...] [--out DIR] [OPTION ...]"
     parser.add_argument(
         "scenes",
-        metavar="SCENE",
+        metavar="PHOTOS",
         nargs="+",
         type=Path,
-        help="scene folder, or a folder of them; or the pictures of one scene",
+        help="folder of pictures of one view, or of such folders; or the pictures of one view",
     )
-    cli.add_out(parser, "result folder; with several scenes it holds one result folder a scene")
+    output = parser.add_argument_group("output")
+    said = "result folder, or with several scenes one of them (default: NAME-pbrfit)"
+    cli.add_out(output, said, required=False)
     cli.add_flags(
-        parser,
+        output,
+        no_report=cli.switch("leave out report.html"),
+        verbose=cli.switch("say more: stages of the fit, decisions, what was left out"),
+        json=cli.switch("print a line of JSON a scene instead of a table"),
+    )
+    cli.add_quiet(output)
+    add_input(parser.add_argument_group("pictures"))
+    add_fit_options(parser.add_argument_group("fit"))
+    batch = parser.add_argument_group("several scenes")
+    cli.add_flags(
+        batch,
         resume=cli.switch(
             "keep results that are whole and would come out again: the same files, options and "
             "version of pbrfit; do all others"
         ),
-        json=cli.switch("print a line of JSON a scene instead of a table"),
         strict=cli.switch(
             "exit code 3 if no map of a scene is usable; its result is written all the same. "
             "Exit codes 1 and 2, of scenes that failed, come first"
         ),
     )
-    cli.add_jobs(parser, "scenes at the same time, each in a process of its own (default: 1)")
-    cli.add_cluster(parser)
+    cli.add_jobs(batch, "scenes at the same time, each in a process of its own (default: 1)")
+    cli.add_cluster(batch)
     cli.add_flags(
-        parser,
+        batch,
         patience=cli.value(
             "SECONDS",
             cli.whole_number,
@@ -60,21 +81,29 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             f"0 = never (default: {PATIENCE:.0f}; without --jobs, none: one process does all)",
         ),
     )
-    add_input(parser)
-    add_fit_options(parser)
-    cli.add_quiet(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Decompose the scenes, here or by workers."""
     if options.resume and options.overwrite:
         raise InputError("expected --resume or --overwrite, found both")
+    if options.verbose and (options.quiet or options.json):
+        raise InputError("--verbose: goes without --quiet and --json")
+    if options.same_lamp and options.light == "sh":
+        raise InputError("--same-lamp: goes with --light lamps or auto, found sh")
     options.reading = reading(options)
     options.pictures = tuple(options.scenes) if any(map(Path.is_file, options.scenes)) else ()
     if options.pictures:
         scenes, one = [locate(options.pictures).folder], True
     else:
         scenes, one = _find_scenes(options.scenes)
+    if options.out is None:
+        options.out = _default_output(scenes if one else options.scenes)
+        if there(options.out) and not (options.resume or options.overwrite):
+            raise FileExistsError(
+                f"{options.out}: expected no earlier result, found one; --overwrite replaces it, "
+                "--out DIR writes elsewhere"
+            )
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
     # Where address space is limited a process may find none in the midst of a step, and ends: then
@@ -83,6 +112,14 @@ def run(options: argparse.Namespace) -> int:
     if one and options.cluster is None and safe:
         return _run_one(_task(scenes[0], outputs[0], options), options)
     return _run_all(scenes, outputs, options, one=one)
+
+
+def _default_output(paths: Sequence[Path]) -> Path:
+    """NAME-pbrfit in the current folder, by the folder that holds all of the paths."""
+    folder = paths[0].resolve()
+    if len(paths) > 1:
+        folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
+    return Path(f"{folder.name or 'scene'}-pbrfit")
 
 
 def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing: bool) -> None:
@@ -110,6 +147,7 @@ def _task(
         threads=options.threads,
         resume=options.resume,
         overwrite=options.overwrite,
+        report=not options.no_report,
         temporaries=temporaries,
     )
 
@@ -174,7 +212,9 @@ def _run_all(
 
 
 def _display(scenes: int, options: argparse.Namespace) -> SceneDisplay:
-    return SceneDisplay(scenes, quiet=options.quiet, as_json=options.json, strict=options.strict)
+    names = ("quiet", "strict", "verbose")
+    how = {name: getattr(options, name) for name in names}
+    return SceneDisplay(scenes, as_json=options.json, **how)
 
 
 def _find_scenes(paths: Sequence[Path]) -> tuple[list[Path], bool]:

@@ -45,10 +45,10 @@ DEMO_FOLDER = FolderForm(
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument("out", metavar="DIR", type=Path, help="folder to write")
-    add_synthetic(parser, "of scene, lights and noise, and of what the fit draws at random")
+    add_synthetic(parser)
     add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL)
     add_option(parser, "sh_order", "of the lights, true and fitted")
-    add_fit_options(parser, there=("seed", "model", "sh_order"))
+    add_fit_options(parser, there=("model", "sh_order"))
     add_flags(parser, overwrite=switch("replace an existing folder"))
     add_quiet(parser)
 

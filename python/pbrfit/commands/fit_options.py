@@ -19,7 +19,7 @@ MODEL_OF_PICTURES = f"how surfaces reflect light. {MODELS_IN_WORDS}"
 """Help of `--model` where pictures are rendered with it."""
 
 
-def add_fit_options(parser: argparse.ArgumentParser, *, there: Collection[str] = ()) -> None:
+def add_fit_options(parser: Any, *, there: Collection[str] = ()) -> None:
     """Add all flags of a fit, those of the priors and `--threads`; `fit_options` reads them.
 
     Options of the names in `there` have flags already.
@@ -31,9 +31,7 @@ def add_fit_options(parser: argparse.ArgumentParser, *, there: Collection[str] =
     cli.add_threads(parser)
 
 
-def add_option(
-    parser: argparse.ArgumentParser, name: str, said: str | None = None, default: Any = None
-) -> None:
+def add_option(parser: Any, name: str, said: str | None = None, default: Any = None) -> None:
     """Add the flag of one option, perhaps with a help or a default of its own."""
     flag = FLAGS[name]
     said = said or flag.help
@@ -41,8 +39,7 @@ def add_option(
     if flag.kind is bool:
         arguments = cli.switch(said)
     elif flag.values is None:
-        kind = cli.whole_number if name == "seed" else flag.kind
-        arguments = cli.value(flag.metavar, kind, said, default=default)
+        arguments = cli.value(flag.metavar, flag.kind, said, default=default)
     else:
         if isinstance(flag.values, Mapping):
             default = next(word for word, meant in flag.values.items() if meant == default)
@@ -65,7 +62,7 @@ def fit_options(options: argparse.Namespace) -> FitOptions:
     return found
 
 
-def add_priors(parser: argparse.ArgumentParser) -> None:
+def add_priors(parser: Any) -> None:
     """Add `--prior` and `--no-priors`; `given_priors` reads them."""
     said = f"weight of a prior ({', '.join(prior_names())}); 0 leaves it out; can be repeated"
     cli.add_flags(

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
@@ -20,6 +21,7 @@ from pbrfit.commands.messages import complain, in_flags, unread_is_no_failure
 from pbrfit.commands.progress import progress_bar
 from pbrfit.commands.terminal import DIM, columns_of, held_out_lines, marked, painted, verdict_lines
 from pbrfit.io.quoting import shown
+from pbrfit.result.result import REPORT_FILE
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
 
 OF_OUTCOME = ("peak_bytes", "stop_reason", "iterations")
@@ -53,11 +55,15 @@ class SceneDisplay:
         A line of JSON a scene on stdout, instead of the table.
     strict
         Complain of scenes without a usable map.
+    verbose
+        Tell how the fit of a single scene went, too.
     """
 
-    def __init__(self, scenes: int, *, quiet: bool, as_json: bool, strict: bool) -> None:
+    def __init__(
+        self, scenes: int, *, quiet: bool, as_json: bool, strict: bool, verbose: bool
+    ) -> None:
         self._scenes, self._quiet, self._as_json = scenes, quiet, as_json
-        self._strict = strict
+        self._strict, self._verbose = strict, verbose
         self._bar: Any = None
         self._rows: list[Row] = []
         self._began = time.perf_counter()
@@ -100,11 +106,13 @@ class SceneDisplay:
                 elif self._scenes > 1:
                     self._rows.append(_row(task, attempt))
                 elif outcome is not None:
-                    lines = [
-                        *held_out_lines(outcome.held_out),
-                        *verdict_lines(outcome.verdicts, outcome.steps),
+                    parts = [
+                        outcome.details if self._verbose else (),
+                        held_out_lines(outcome.held_out)[: 1 + self._verbose],
+                        verdict_lines(outcome.verdicts, outcome.steps),
+                        report_lines(task.output),
                     ]
-                    print("\n".join([outcome.table, *(["", *lines] if lines else [])]))
+                    print("\n\n".join([outcome.table, *map("\n".join, filter(None, parts))]))
         if self._bar is not None:
             kept = outcome is not None and outcome.status == "kept"
             if kept and not self._bar.disable:
@@ -128,6 +136,12 @@ class SceneDisplay:
         if self.failed:
             names = ", ".join(str(task.scene) for task in self.failed)
             complain(f"{len(self.failed)} of {self._scenes} scenes failed: {names}")
+
+
+def report_lines(folder: Path) -> list[str]:
+    """Where the page about a result is; none where there is none."""
+    page = folder / REPORT_FILE
+    return [f"{page}: open it in a browser"] if page.is_file() else []
 
 
 def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:

@@ -47,7 +47,7 @@ def field_of_view(kind: Callable[[str], float], otherwise: str) -> cli.Flag:
     )
 
 
-def add_input(parser: argparse.ArgumentParser) -> None:
+def add_input(parser: Any) -> None:
     """Add them; `reading` reads them."""
     cli.add_flags(
         parser,

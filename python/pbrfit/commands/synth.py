@@ -24,9 +24,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_flags(parser, overwrite=switch("replace an existing folder"))
 
 
-def add_synthetic(
-    parser: argparse.ArgumentParser, what_seed: str = "of scene, lights and noise"
-) -> None:
+def add_synthetic(parser: argparse.ArgumentParser) -> None:
     """Add what says which scene is made; `make_scene` reads it, `--model` and `--sh-order`."""
     add_flags(
         parser,
@@ -46,7 +44,7 @@ def add_synthetic(
         size=value("PIXELS", int, "side of a picture", default=128),
         lights=value("N", int, "number of pictures", default=16),
         noise=value("S", float, "Gaussian; mean radiance is 0.4", default=0.0),
-        seed=value(None, whole_number, what_seed, default=0),
+        seed=value(None, whole_number, "of scene, lights and noise", default=0),
     )
 
 

@@ -13,9 +13,9 @@ MOST = 12
 """Names of a list that are shown."""
 
 # Controls, which a terminal obeys, but for line ends and tabs; letters that turn the direction of
-# writing, so that a text reads as another one.
+# writing, so that a text reads as another one; bytes of names that are no UTF-8.
 _UNSEEN = re.compile(
-    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxstring, _short.maxlong, _short.maxother = 4, 60, 40, 60
@@ -29,7 +29,7 @@ def shown(text: object) -> str:
 
 
 def visible(text: str) -> str:
-    """Whole text of any length with \ufffd for what is obeyed instead of shown."""
+    """Whole text of any length with \ufffd for what a terminal obeys or no file can hold."""
     return _UNSEEN.sub("\ufffd", text)
 
 

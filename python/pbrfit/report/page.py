@@ -98,7 +98,7 @@ def page(result: Result, originals: Originals) -> str:
         )
     view = budget.largest_that_fits(
         lambda side: viewer.fragment(result, side, tiles, _head(result)),
-        lambda html: len(html.encode()),
+        lambda html: len(html.encode(errors="replace")),
         budget.sides_for(longer, budget.VIEW_SIDES),
         budget.VIEW_SHARE * budget.LIMIT,
     )

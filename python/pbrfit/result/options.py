@@ -170,8 +170,6 @@ class FitOptions:
         of the pictures, and those around it there is a diffuse white or grey reference of this
         albedo, 0.9 where none is given. It fixes the scale between lights and albedo
         (docs/uncertainty.md). None = no reference.
-    seed
-        Seed of what is drawn at random, which is nothing now: it changes no result.
     align
         `"auto"`: pictures that are out of line with the others are put back, by a shift or an
         affine map, and pictures of something else left out (`pbrfit.registration.placement`);
@@ -212,7 +210,6 @@ class FitOptions:
     refine_normals: RefineNormals = "auto"
     align: Align = "auto"
     white: tuple[float, float, float] | None = None
-    seed: int = 0
     model: Model | None = None
     transport: TransportChoice = "auto"
     light: LightChoice = "auto"
@@ -230,7 +227,6 @@ class FitOptions:
             light=_one_of("light", self.light, LIGHTS),
             same_lamp=_flag("same_lamp", self.same_lamp),
             iterations=whole_number("iterations", self.iterations),
-            seed=whole_number("seed", self.seed),
             sh_order=whole_number("sh_order", self.sh_order),
             priors=Priors.none() if self.priors is None else self.priors,
             mono_light=_flag("mono_light", self.mono_light),
@@ -343,10 +339,6 @@ FLAGS: dict[str, Flag] = {
         f"(default: {WHITE_ALBEDO:g}; a grey card: 0.18): fixes the scale of albedo",
         kind=lambda text: _reference(text.split(",")),
         metavar="X,Y[,VALUE]",
-    ),
-    "seed": Flag(
-        "of what a fit draws at random, which is nothing now (default: %(default)s)",
-        metavar="SEED",
     ),
     "model": Flag(
         f"how surfaces reflect light. {MODELS_IN_WORDS} (default: what the scene was rendered "

@@ -55,8 +55,11 @@ if TYPE_CHECKING:
 FILES = ("materials.exr", "lighting.json", "history.csv", "preview.png")
 """Files of a result folder whose sha256 is in `result.json`."""
 
+REPORT_FILE = "report.html"
+
 RESULT_FOLDER = FolderForm(
-    contains=("result.json", "materials.exr"), holds=("result.json", *FILES, HEIGHT_FILE)
+    contains=("result.json", "materials.exr"),
+    holds=("result.json", *FILES, HEIGHT_FILE, REPORT_FILE),
 )
 """Form of a result folder."""
 

@@ -247,7 +247,7 @@ def test_a_single_scene_is_kept_too(folder: Path, tmp_path: Path) -> None:
     assert all(line in before for line in said if line not in steps)
     # The causes are those of its verdicts; why that fit ended is no longer told.
     assert steps[0][len("next: ") :] in before
-    assert statuses(done(*arguments, "--json", "--seed", 3)) == {"one": "done"}
+    assert statuses(done(*arguments, "--json", "--sh-order", 2)) == {"one": "done"}
 
 
 def test_resuming_replaces_only_results(folder: Path, tmp_path: Path) -> None:
@@ -347,7 +347,6 @@ OTHERWISE: dict[str, Any] = {
     "robust": "cauchy",
     "equal_exposures": True,
     "refine_normals": "on",
-    "seed": 1,
 }
 
 

@@ -17,12 +17,14 @@ import pytest
 
 from command_runs import Ran, done, ran, refused
 from pbrfit import InputError, Result, Scene, decompose
+from pbrfit.batch.scenes import ERRORS
+from pbrfit.commands.decompose import MOST_USED
 from pbrfit.commands.fit_options import add_priors, given_priors
 from pbrfit.io import images
 from pbrfit.model.lighting import Lighting
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
-from result_files import FILES, KEYS
+from result_files import FILES, KEYS, WITH_REPORT
 from scene_files import FORMATS, LIGHTS, SIZE, room, run, write_folder
 
 FEW = ("--iterations", 3)
@@ -51,8 +53,8 @@ def test_decompose_every_format(tmp_path: Path, form: str) -> None:
     folder, out = write_folder(tmp_path / "scene", form), tmp_path / "out"
     found = ran("decompose", folder, "--out", out, *FEW)
     assert found.err == ""  # no progress bar where stderr is no terminal
-    assert re.search(rf"{out}: 3 pictures of 16 × 16, [23] iterations in ", found.out)
-    assert sorted(path.name for path in out.iterdir()) == FILES
+    assert re.search(rf"{out}: 3 pictures of 16 × 16, model paper, ", found.out)
+    assert sorted(path.name for path in out.iterdir()) == WITH_REPORT
     facts = outcome(out)
     assert list(facts) == KEYS
     assert facts["version"] == version("pbrfit")
@@ -111,12 +113,12 @@ def test_what_is_asked_for_is_done_and_told(
     folder: Path, tmp_path: Path, arguments: Any, options: dict[str, Any], left_out: list[str]
 ) -> None:
     out = tmp_path / "out"
-    said = done("decompose", folder, "--out", out, *FEW, *arguments)
+    said = done("decompose", folder, "--out", out, *FEW, *arguments, "--verbose")
     facts = outcome(out)
     assert options.items() <= facts["options"].items()
     assert without_priors(facts["left_out"]) == left_out
     assert ("priors: none asked for" in facts["left_out"]) == ("--no-priors" in arguments)
-    assert not left_out or f"\nleft out: {'; '.join(facts['left_out'])}\n" in said
+    assert all(f"\nleft out: {entry}\n" in said for entry in facts["left_out"])
     lighting = Result.load(out).lighting
     assert lighting[:, 9:].any() == (BAND not in left_out)
     assert (lighting[..., 0] == lighting[..., 2]).all() == (MONO in left_out)
@@ -263,9 +265,8 @@ def test_synth_then_decompose(tmp_path: Path) -> None:
     assert "expected a folder that does not exist yet" in refused("synth", scene)
     assert run("synth", scene, *arguments, "--overwrite", "--sh-order", 2) == 0
     table = done("decompose", scene, "--out", tmp_path / "out", *FEW)
-    for name in ("reconstruction", "albedo", "albedo, best scale", "roughness", "metallic"):
-        assert re.search(rf"^{name} .*\d\.\d{{4}}$", table, re.MULTILINE)
-    assert re.search(r"^relight +\d\.\d{4}$", table, re.MULTILINE)
+    for name in ERRORS.values():
+        assert re.search(rf"^{name} +\d\.\d{{4}}  RMSE$", table, re.MULTILINE)
     history = Result.load(tmp_path / "out").history
     assert history.columns[5:] == ("albedo_rmse", "roughness_rmse", "metallic_rmse")
 
@@ -392,9 +393,60 @@ def test_version_as_a_module() -> None:
     assert (found.stdout, found.stderr) == (f"pbrfit {version('pbrfit')}\n", "")
 
 
-def test_alone_it_shows_its_help() -> None:
-    assert ran() == ran("--help")
-    assert ran().out.startswith("usage: pbrfit")
+def test_alone_it_says_what_to_type() -> None:
+    for line in done().splitlines():
+        assert line.startswith("pbrfit ")
+    assert len(done().splitlines()) == 3
+
+
+def test_pictures_are_decomposed_without_a_verb(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By default the result is named as the folder, and never replaces anything."""
+    monkeypatch.chdir(tmp_path)
+    assert f"{Path('scene-pbrfit', 'report.html')}: open it in a browser\n" in done(folder, *FEW)
+    assert sorted(path.name for path in Path("scene-pbrfit").iterdir()) == WITH_REPORT
+    for again in (("scene",), sorted((folder / "images").iterdir())):
+        assert "scene-pbrfit: expected no earlier result, found one; --overwrite" in refused(*again)
+    done("scene", *FEW, "--overwrite", "--no-report", "--quiet")
+    assert sorted(path.name for path in Path("scene-pbrfit").iterdir()) == FILES
+    assert done("scene", *FEW, "--resume").startswith("scene-pbrfit: kept")
+    write_folder(tmp_path / "both" / "one")
+    write_folder(tmp_path / "two")
+    done("both/one", "two", *FEW)
+    assert sorted(path.name for path in Path(f"{tmp_path.name}-pbrfit").iterdir()) == ["one", "two"]
+    assert "none/of/them: expected a scene folder, found nothing" in refused("none/of/them")
+
+
+def test_one_photograph_is_told_about_generate(tmp_path: Path) -> None:
+    photo = tmp_path / "my photos" / "one.png"
+    photo.parent.mkdir()
+    images.write_png(photo, np.full((8, 8, 3), 99, np.uint8), tag=None)
+    for given in (photo, photo.parent):
+        said = refused("decompose", given, "--out", tmp_path / "out")
+        assert f"found one photograph; others are made of it by: pbrfit generate '{photo}'" in said
+
+
+def test_help_shows_the_most_used_options_and_help_all_every_one() -> None:
+    said = [done("decompose", how) for how in ("--help", "--help-all")]
+    few, every = (set(re.findall(r"^  (?:-h, )?--([a-z-]+)", text, re.MULTILINE)) for text in said)
+    assert few == {name.replace("_", "-") for name in (*MOST_USED, "help")} < every
+    assert f"--help-all shows {len(every - few)} more options" in said[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("decompose", "--same-lamp", "--light", "sh"), "--same-lamp: goes with --light lamps or"),
+        (("decompose", "--verbose", "--quiet"), "--verbose: goes without --quiet and --json"),
+        (("inspect", "--overwrite"), "--overwrite: goes with --preview"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    folder: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    command, *options = arguments
+    assert message in refused(command, folder, *options)
 
 
 @pytest.mark.parametrize(
@@ -403,7 +455,7 @@ def test_alone_it_shows_its_help() -> None:
         ("fit x", "invalid choice: 'fit' (choose from decompose, "),
         ("decompos x", "invalid choice: 'decompos'; did you mean decompose? see"),
         ("--versoin", "pbrfit: unrecognized option --versoin; did you mean --version? see"),
-        ("decompose", "the following arguments are required: SCENE, --out"),
+        ("decompose", "the following arguments are required: PHOTOS"),
         ("decompose s --out o --solver adam", "--solver: invalid choice: 'adam'"),
         ("decompose s --out o --solver gaus-newton", "; did you mean gauss-newton? see"),
         # Said before anything that it leads to, such as a missing --out.

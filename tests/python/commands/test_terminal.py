@@ -219,7 +219,8 @@ def test_a_scene_says_how_its_left_out_pictures_are_explained(
     scene, out = write_folder(tmp_path / "scenes" / "one"), tmp_path / "out"
     fit_of_one = ("decompose", scene, "--out", out, "--iterations", 1)
     for how in ((), ("--resume",)):  # a result that is kept says the same
-        assert f"\n\n{SENTENCE}\n{DECISION}\n" in done(*fit_of_one, *how)
+        assert f"\n\n{SENTENCE}\n\n" in done(*fit_of_one, *how)
+        assert f"\n\n{SENTENCE}\n{DECISION}\n" in done(*fit_of_one, "--resume", "--verbose")
     assert done(*fit_of_one, "--resume", "--quiet") == ""
     for again in ("--overwrite", "--resume"):
         [line] = done(*fit_of_one, "--json", again).splitlines()

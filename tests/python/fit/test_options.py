@@ -17,7 +17,6 @@ UNUSABLE: dict[str, tuple[str, list[Any]]] = {
     "solver": ("one of gauss-newton, lbfgsb, found", ["auto", "adam", "LBFGSB", "", None, 3]),
     "robust": ("one of auto, none, cauchy, found", ["l1", "huber", None, 1]),
     "refine_normals": ("one of off, auto, on, found", ["yes", "", "ON", None, True]),
-    "seed": ("", [-1, 0.5]),
     "iterations": ("", [4.5, -1]),
     "threads": ("", [-1, 10**20]),
     "time_limit": ("seconds, 0 or more", [float("inf"), -1.0]),

@@ -21,7 +21,7 @@ import pytest
 from pbrfit import Result, Scene, decompose
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
-from result_files import FILES
+from result_files import WITH_REPORT
 from scene_files import room, run
 
 PBRFIT = (sys.executable, "-m", "pbrfit")
@@ -121,7 +121,7 @@ def test_a_time_limit_ends_with_a_whole_result(scene: Path, tmp_path: Path) -> N
     # The other solvers are done before that.
     arguments = ("--solver", "lbfgsb", "--iterations", 10**6, "--time-limit", 0.3, "--quiet")
     assert run("decompose", scene, "--out", out, *arguments) == 0
-    assert sorted(path.name for path in out.iterdir()) == FILES
+    assert sorted(path.name for path in out.iterdir()) == WITH_REPORT
     result = Result.load(out)
     assert result.status == "time_limit"
     assert "0.3 s" in result.stop_reason

@@ -104,7 +104,6 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
         "equal_exposures": None,
         "white": None,
         "align": "auto",
-        "seed": 0,
         "response": "auto",
         "transport": "auto",
         "light": "auto",
