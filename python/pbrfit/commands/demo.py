@@ -18,7 +18,6 @@ from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.report import write_report
 from pbrfit.result.advice import next_steps
-from pbrfit.result.drawing import plot_history
 from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.result import RESULT_FOLDER, Result
 from pbrfit.scene.folder import SCENE_FOLDER
@@ -35,7 +34,7 @@ DEMO_FOLDER = FolderForm(
     holds=(
         *(f"scene/{path}" for path in SCENE_FOLDER.holds),
         *(f"result/{path}" for path in RESULT_FOLDER.holds),
-        *("history.png", "relit.png", "relit.webp", "report.html"),
+        *("relit.png", "relit.webp", "report.html"),
     ),
     listed=lambda folder: [f"scene/{path}" for path in SCENE_FOLDER.listed(folder / "scene")],
 )
@@ -61,7 +60,6 @@ def run(options: argparse.Namespace) -> int:
         with fit_steps(quiet=options.quiet) as show:
             result = decompose(scene, fit_options(options), threads=options.threads, progress=show)
         result.save(folder / "result", scene=scene)
-        plot_history(result, folder / "history.png")
         _relight(result, folder, options.threads)
         write_report(result, folder / "report.html", scene)
     if not options.quiet:

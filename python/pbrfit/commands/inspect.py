@@ -19,10 +19,7 @@ from pbrfit.scene.scene import Scene
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     add_scene(parser, pictures=True)
-    said = (
-        "write a PNG with a picture, the normals, which of them face the camera, and how far off "
-        "they may be, where the scene says it"
-    )
+    said = "write a contact sheet, PNG: pictures with histograms, normals, which face the camera"
     add_flags(
         parser, preview=value("FILE", Path, said), overwrite=switch("replace an existing preview")
     )
@@ -40,6 +37,6 @@ def run(options: argparse.Namespace) -> int:
         print(visible(f"{topic:<17} {fact}"))
     if options.preview is not None:
         with new_file(options.preview, overwrite=options.overwrite) as path:
-            images.write_png(path, preview.normals_preview(scene), tag="srgb")
+            images.write_png(path, preview.contact_sheet(scene), tag="srgb")
         print(f"{'preview':<17} {options.preview}")
     return DONE

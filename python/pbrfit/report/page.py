@@ -45,6 +45,9 @@ from pbrfit.result.result import Result
 OPEN_TABLE = 24
 """Tables with more rows are folded away."""
 
+PLOTTED = 5
+"""Points of a history below which a plot says no more than the table of stages."""
+
 TITLES = {
     "summary": "How the fit went",
     "maps": "Maps",
@@ -327,11 +330,11 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
 
 
 def _history(result: Result) -> str:
-    if len(result.history.rows) < 2:  # a plot of one point says nothing
+    if len(result.history.rows) < PLOTTED:
         return _stages(result)
     svg = as_svg(draw_history(result.history)).encode()
     address = f"data:image/svg+xml;base64,{in_base64(svg)}"
-    what = "Root mean square errors against run time and against iterations, logarithmic"
+    what = "Root mean square errors against run time and against iterations"
     text = "Residual of the pictures" + (
         " and errors of the maps against ground truth"
         if "albedo_rmse" in result.history.columns

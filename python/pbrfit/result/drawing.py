@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import io
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from pbrfit.result.data import ResultData
 from pbrfit.result.history import History
 
 if TYPE_CHECKING:
@@ -59,9 +55,9 @@ SERIES = {
 """Name in the legend, colour and marker of each error, by column."""
 
 
-def draw_history(history: History, title: str = "") -> Figure:
-    """Draw errors against run time and against iterations, all axes logarithmic."""
-    figure = new_figure(8, 4.5 if title else 4.2)
+def draw_history(history: History) -> Figure:
+    """Draw errors against run time and against iterations, all axes from 0."""
+    figure = new_figure(8, 4.2)
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, column, label in (
         (left, "elapsed_s", "run time [s]"),
@@ -69,8 +65,8 @@ def draw_history(history: History, title: str = "") -> Figure:
     ):
         for name, (legend, color, marker) in SERIES.items():
             if name in history.columns:
-                axes.loglog(
-                    np.maximum(history[column], 1e-3 if column == "elapsed_s" else 0.5),
+                axes.plot(
+                    history[column],
                     history[name],
                     color=color,
                     marker=marker,
@@ -79,19 +75,10 @@ def draw_history(history: History, title: str = "") -> Figure:
                     label=legend,
                 )
         axes.set_xlabel(label)
+        axes.set_xlim(left=0)
         axes.grid(visible=True, which="major", alpha=0.3)
+    right.xaxis.get_major_locator().set_params(integer=True)
+    left.set_ylim(bottom=0)
     left.set_ylabel("RMSE")
     left.legend()
-    if title:
-        figure.suptitle(title)
     return figure
-
-
-def plot_history(result: ResultData, path: Path) -> None:
-    """Errors against run time and iterations, logarithmic, as PNG."""
-    height, width = result.mask.shape
-    title = (
-        f"Error against run time: {len(result.pictures)} pictures, {width} × {height} pixels, "
-        f"{result.options.solver}"
-    )
-    path.write_bytes(as_png(draw_history(result.history, title), 120))

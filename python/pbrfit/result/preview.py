@@ -1,9 +1,10 @@
-"""Pictures for people: the preview of a result and plots of its history."""
+"""Pictures for people: the preview of a result, and the contact sheet of a scene."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,12 @@ from pbrfit.result.relighting import rendered_picture
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
 from pbrfit.result.verdict import MARKS, PARAMETERS
 from pbrfit.scene.arrays import SceneArrays
+
+SHOWN, ACROSS = 24, 4
+"""Pictures of a scene on its contact sheet at most, and those in a row."""
+
+CLASSES = 64
+"""Classes of a histogram."""
 
 
 def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.uint8]:
@@ -84,11 +91,57 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     return sheet(rows, title=title, labels=labels, keys=keys)
 
 
-def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
-    """Sheet for checking normals: (H, W, 3) uint8 sRGB.
+def contact_sheet(scene: SceneArrays) -> NDArray[np.uint8]:
+    """Sheet for checking a scene: (H, W, 3) uint8 sRGB.
 
-    The first picture, the normals, n·v, and their standard deviation, where the scene has it.
+    A row about given normals: the first picture, the normals, n·v, and their standard deviation
+    where the scene has it. Then up to `SHOWN` pictures, evenly spread and all of one exposure, each
+    above its histogram: from black to white in sRGB codes, the fullest of 64 classes of a channel
+    as high as the panel.
     """
+    rows, keys = [], []
+    if scene.normals_known:
+        row = _given_normals(scene)
+        rows.append(row)
+        if len(row) > 3:
+            ticks = differences.tick_places(degrees=True)
+            keys = [_key("standard deviation of the normals", ticks, {})]
+    count = len(scene.images)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, SHOWN)).round().astype(int))
+    found = [
+        metrics.showable(scene.images[i], scene.valid, scene.channel_weights(i)) for i in chosen
+    ]
+    white = max(white for _, white in found)
+    for first in range(0, len(chosen), ACROSS):
+        of_row = range(first, min(first + ACROSS, len(chosen)))
+        pictures = [np.where(scene.valid[..., None], found[k][0], np.nan) for k in of_row]
+        names = [scene.names[chosen[k]] for k in of_row]
+        shown = [displayed(picture, white) for picture in pictures]
+        rows.append([Panel(name, picture) for name, picture in zip(names, shown, strict=True)])
+        rows.append([Panel("", _histogram(picture, scene.valid)) for picture in shown])
+    title = f"{count} pictures of {scene.width} x {scene.height}"
+    if len(chosen) < count:
+        title += f", {len(chosen)} of them shown"
+    return sheet(rows, title=title, keys=keys)
+
+
+def _histogram(
+    picture: NDArray[np.floating[Any]], inside: NDArray[np.bool_]
+) -> NDArray[np.floating[Any]]:
+    """(H, W, 3): how often values in [0, 1] occur, as coloured areas on white, where `inside`."""
+    height, width = inside.shape
+    drawn = np.ones((height, width, 3))
+    classes = np.arange(width) * CLASSES // width
+    for channel in range(3):
+        counts, _ = np.histogram(picture[inside, channel], CLASSES, (0.0, 1.0))
+        tops = height * counts[classes] / counts.max()
+        area = np.arange(height, 0, -1)[:, None] <= tops
+        drawn[area] *= 0.45 + 0.55 * np.eye(3)[channel]
+    return drawn
+
+
+def _given_normals(scene: SceneArrays) -> Row:
+    """The first picture, the normals, n·v, and their standard deviation where it is known."""
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
     facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
     facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
@@ -99,14 +152,10 @@ def normals_preview(scene: SceneArrays) -> NDArray[np.uint8]:
         Panel("normals: R right, G up", outside_grey(0.5 + 0.5 * scene.normals)),
         Panel("n·v, orange faces away", facing),
     ]
-    if scene.normal_sigma is None:
-        return sheet([row])
-    sigma = Difference(np.radians(scene.normal_sigma))
-    ticks = differences.tick_places(degrees=True)
-    return sheet(
-        [[*row, Panel("standard deviation", _painted(sigma))]],
-        keys=[_key("standard deviation of the normals", ticks, {})],
-    )
+    if scene.normal_sigma is not None:
+        sigma = Difference(np.radians(scene.normal_sigma))
+        row.append(Panel("standard deviation", _painted(sigma)))
+    return row
 
 
 def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:

@@ -372,7 +372,7 @@ def test_grey_pictures_are_fitted_in_one_channel(tmp_path: Path) -> None:
 def test_demo(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     assert "roughness" in done("demo", out, "--size", 8, "--lights", 3, *FEW)
-    made = ["history.png", "relit.png", "relit.webp", "report.html", "result", "scene"]
+    made = ["relit.png", "relit.webp", "report.html", "result", "scene"]
     assert sorted(path.name for path in out.iterdir()) == made
     assert sorted(path.name for path in (out / "result").iterdir()) == FILES
     assert Result.load(out / "result").metrics["relight_rmse"] > 0

@@ -5,22 +5,20 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from pbrfit import Result, Scene, decompose
 from pbrfit.result import differences
-from pbrfit.result.drawing import plot_history
-from pbrfit.result.preview import normals_preview, preview
+from pbrfit.result.preview import _histogram, contact_sheet, preview
 from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, caption_height, sheet
 from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, Verdict
 from pbrfit.synthetic import make_scene
 from refined import degrees_of, refined
 
 LINE = caption_height(PANEL_SIDE[0])
+TITLE = round(1.5 * LINE)
 SIZES = [(1, 1), (1, 24), (24, 1), (7, 24), (24, 24)]
 
 
@@ -55,8 +53,23 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     rows = 2 * (panel_height(height, width) + LINE + MARGIN)
     assert 0 < alone.shape[0] - rows < 3 * LINE
     assert 2 * LINE < found.shape[0] - alone.shape[0] < 4 * LINE
-    row = LINE + MARGIN + panel_height(height, width)
-    assert normals_preview(scene).shape == (row + MARGIN, 3 * (PANEL_SIDE[0] + MARGIN) + MARGIN, 3)
+    row = panel_height(height, width) + MARGIN
+    found = contact_sheet(scene)  # normals, pictures, and histograms without captions
+    assert 0 < found.shape[0] - (3 * row + 2 * LINE) < 3 * LINE
+    assert found.shape[1:] == (3 * (PANEL_SIDE[0] + MARGIN) + MARGIN, 3)
+
+
+def test_a_histogram_shows_how_often_values_occur() -> None:
+    """Three quarters of red at the middle and the rest at its end; masked pixels do not count."""
+    values = np.zeros((8, 64, 3))
+    values[:, :, 0] = np.where(np.arange(64) < 48, 0.5, 1.0)
+    values[4:, :] = 0.3
+    inside = np.zeros((8, 64), bool)
+    inside[:4] = True
+    red = _histogram(values, inside)[..., 1] < 1  # red areas have less of the other channels
+    assert red[:, 32].all()
+    assert red[:, 63].sum() == round(8 / 3) - 1
+    assert not red[:, 1:32].any()
 
 
 def test_the_run_time_does_not_show() -> None:
@@ -76,7 +89,7 @@ def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() ->
         images[0, :8] = value
         changed = dataclasses.replace(scene, images=images, weights=weights)
         previews.append(preview(decompose(changed, iterations=1, uncertainty=False), changed))
-        assert np.isfinite(normals_preview(changed)).all()  # and no warning
+        assert np.isfinite(contact_sheet(changed)).all()  # and no warning
     for found in previews[1:]:
         rows, columns = np.nonzero((found != previews[0]).any(axis=-1))
         # Only the samples themselves, which are in the first panel, look different.
@@ -171,30 +184,22 @@ def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:
     mask = np.ones((24, 24), bool)
     mask[:12] = False
     scene = Scene(images=np.ones((2, 24, 24, 3)), normals=normals, mask=mask, fov=0.0)
-    made = normals_preview(scene)
-    facing = made[LINE + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
+    made = contact_sheet(scene)
+    facing = made[TITLE + LINE + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
     assert tuple(facing[150, 50]) == (255, 255, 255)
     assert tuple(facing[150, 150]) == (214, 94, 0)
     assert tuple(facing[50, 50]) == tuple(facing[50, 150]) == (217, 217, 217)
-
-
-@pytest.mark.parametrize(("truth", "iterations"), [(False, 0), (True, 1)])
-def test_a_history_plot_even_of_no_iterations(tmp_path: Path, truth: bool, iterations: int) -> None:
-    result = decompose(part(24, 24, truth=truth), iterations=iterations)
-    plot_history(result, tmp_path / "plot.png")
-    with Image.open(tmp_path / "plot.png") as picture:
-        assert picture.size == (960, 540)
 
 
 def test_how_far_off_normals_may_be_is_a_panel_with_a_key() -> None:
     scene = part(24, 24)
     sigma = np.full((24, 24), 90.0)  # beyond the upper end of the scale
     sigma[:, :12] = 0.01  # beyond the lower
-    without = normals_preview(scene)
-    found = normals_preview(dataclasses.replace(scene, normal_sigma=sigma))
+    without = contact_sheet(scene)
+    found = contact_sheet(dataclasses.replace(scene, normal_sigma=sigma))
     assert found.shape[1] == without.shape[1] + PANEL_SIDE[0] + MARGIN
     assert found.shape[0] > without.shape[0] + LINE
-    panel = found[LINE + MARGIN :, MARGIN + 3 * (PANEL_SIDE[0] + MARGIN) :]
+    panel = found[TITLE + LINE + MARGIN :, MARGIN + 3 * (PANEL_SIDE[0] + MARGIN) :]
     low, high = (tuple(np.rint(255 * differences.PALETTE[i])) for i in (0, differences.STEPS - 1))
     assert tuple(panel[90, 40]) == low
     assert tuple(panel[90, 150]) == high
