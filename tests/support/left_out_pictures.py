@@ -7,7 +7,7 @@ from dataclasses import replace
 from pbrfit.result.held_out import Candidate, HeldOut
 
 LAMP = "a lamp in each picture, linear values"
-AROUND = "light from all around, linear values, material prior"
+AROUND = "environment light, linear values, material prior"
 
 EXPLAINED = HeldOut(
     error=0.0391,

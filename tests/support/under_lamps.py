@@ -24,7 +24,7 @@ def near_lamp(place: Sequence[float]) -> Lamps:
 
 
 def ball_under_lamps() -> Result:
-    """A sphere seen straight on: three pictures, ambient light from all around, and its height."""
+    """A sphere seen straight on: three pictures, ambient environment light, and its height."""
     like = ball(fitted())
     ambient = np.zeros((3, 16, 3))
     ambient[:, 0] = np.array([0.2, 0.5, 0.1])[:, None]

@@ -36,7 +36,7 @@ NO_SCENES = re.compile(r"\..*|(flat|truth|lost\+found)$")
 """Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
 
 ERRORS = {
-    "recon_rmse": "reconstruction",
+    "recon_rmse": "residual",
     "albedo_rmse": "albedo",
     "albedo_scaled_rmse": "albedo, best scale",
     "roughness_rmse": "roughness",

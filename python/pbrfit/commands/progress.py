@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from typing import TYPE_CHECKING, Any
 
 from pbrfit.commands.messages import complain
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
 LINE_EVERY = 5.0
 """Seconds between two lines: few enough for a log, often enough to see that it goes on."""
+
+TICK = 1.0
+"""Seconds between two views of the running step in a terminal."""
 
 CLEAR = "\r\x1b[K"
 """Begins the line of a terminal anew."""
@@ -66,12 +70,19 @@ def fit_steps(*, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     if quiet or sys.stderr is None:
         yield None
         return
-    shown = _Steps()
+    shown, ended = _Steps(), threading.Event()
+
+    def tick() -> None:
+        while not ended.wait(TICK):
+            shown.tick()
+
     log.addHandler(shown)
     log.setLevel(logging.INFO)
+    threading.Thread(target=tick, daemon=True).start()
     try:
         yield shown.progress
     finally:
+        ended.set()
         log.removeHandler(shown)
         log.setLevel(logging.NOTSET)
         if shown.live:
@@ -84,12 +95,14 @@ class _Steps(logging.Handler):
     def __init__(self) -> None:
         super().__init__()
         self.live = sys.stderr.isatty()
-        self._running, self._told = "", 0.0
+        self._running, self._tiles = "", ""
+        self._began = self._told = 0.0
 
     def emit(self, record: logging.LogRecord) -> None:
         name, seconds = record.getMessage(), record.__dict__["seconds"]
         if seconds is None:
-            self._running, self._told = name, time.monotonic()
+            self._running, self._tiles = name, ""
+            self._began = self._told = time.monotonic()
             if self.live:
                 _write(f"{CLEAR}… {name}\r")
             return
@@ -100,16 +113,23 @@ class _Steps(logging.Handler):
             complain(f"{name}: done in {seconds:.1f} s")
 
     def progress(self, now: Progress) -> None:
-        """Say how far the running step is."""
-        if not self._running:
-            return
-        tiles = "" if now.tiles is None else f"tile {now.tiles[0]} of {now.tiles[1]}, "
-        said = f"{self._running}: {tiles}residual {now.recon_rmse:.2g}"
-        if self.live:
-            _write(f"{CLEAR}… {said}\r")
-        elif time.monotonic() - self._told >= LINE_EVERY:
-            self._told = time.monotonic()
-            complain(said)
+        """Note which tile is done, and tell."""
+        if now.tiles is not None:
+            self._tiles = f"tile {now.tiles[0]} of {now.tiles[1]}, "
+        self.tick()
+
+    def tick(self) -> None:
+        """Say how long the running step has taken so far."""
+        with self.lock or nullcontext():
+            now = time.monotonic()
+            if not self._running or now - self._told < (TICK if self.live else LINE_EVERY):
+                return
+            self._told = now
+            said = f"{self._running}: {self._tiles}{now - self._began:.0f} s"
+            if self.live:
+                _write(f"{CLEAR}… {said}\r")
+            else:
+                complain(said)
 
 
 def _write(text: str) -> None:

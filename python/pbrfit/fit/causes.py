@@ -61,7 +61,8 @@ def with_causes(
     of_albedo = found["albedo"]
     by_scale = np.nanmean(np.square(albedo)) * np.mean(albedo_scale) ** 2
     if of_albedo.level != "usable" and by_scale > SCALE_PART * of_albedo.expected_error**2:
-        cause = "the pictures hardly tell the common factor of albedo and light"
+        share = np.mean(albedo_scale)
+        cause = f"the overall brightness of albedo is uncertain by {share:.0%}".replace("%", " %")
         remedy = "a patch of known albedo (option white) would help"
         found["albedo"] = replace(of_albedo, cause=cause, remedy=remedy)
     if shown is None:

@@ -229,7 +229,7 @@ class _Comparison:
         return [*of_open, *among, *(one for one in kinds if one not in of_open)]
 
     def _find_surroundings(self) -> None:
-        """Those that a scene's depth tells, if light from all around may be what lights it."""
+        """Those that a scene's depth tells, if environment light may be what lights it."""
         scene, asked = self._scene, self._options.transport
         for missing, what in ((scene.depth is None, "depth"), (not scene.normals_known, "normals")):
             if asked in ("occlusion", "bounce") and missing:
@@ -259,7 +259,7 @@ class _Comparison:
         if not scene.normals_known:
             return "no normals are given"
         if "sh" not in self._lights():
-            return "they are known for light from all around alone"
+            return "they are known for environment light alone"
         if options.iterations == 0:
             return "0 iterations asked for"
         return "" if self._folds or options.transport != "auto" else NOT_COMPARED

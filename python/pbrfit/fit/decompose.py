@@ -152,14 +152,14 @@ def decompose(
         why_normals=hindered or "",
     )
     check_light(scene, setup)
-    with trace.stage("comparison of explanations"):
+    with trace.stage("model selection"):
         chosen = compare.choose(scene, setup, start_given=begin is not None)
     how = chosen.explanation
     if how.response is not None:
         scene = scene.decoded_by(how.response)
     start_shape = None
     if not scene.normals_known:
-        with trace.stage("shape by matt shading"):
+        with trace.stage("photometric stereo"):
             start_shape = first_shape(scene)
         for said in start_shape.undetermined:
             log.warning("normals: %s", said)
@@ -242,11 +242,11 @@ def _result(
     if not transport.blocks:
         left_out = (*left_out, f"surroundings: {transport.why}")
     if found.lamps is None:
-        why = "light from all around explains the pictures"
+        why = "environment light explains the pictures"
         if options.light == "sh" or options.mono_light:
             why = "not asked for"
         elif chosen.held_out is None:
-            why = "not compared with light from all around"
+            why = "not compared with environment light"
         left_out = (*left_out, f"lamps: {why}")
     uncertainty = found.uncertainty
     if uncertainty is not None:

@@ -95,7 +95,7 @@ class Discrepancy:
     def in_words(self) -> str:
         """For a stage's note."""
         return (
-            f"samples off by {self.variance**0.5:.2g} by noise, {self.misfit:.2g} by the model; "
+            f"noise {self.variance**0.5:.2g}, model error {self.misfit:.2g}; "
             f"light share {self.light_share:.2g}"
         )
 

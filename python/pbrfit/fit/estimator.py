@@ -79,7 +79,7 @@ def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     if len(run.rows) == rows:  # lights without materials that were fitted under them
         ended = run.ended("", "; all pixels were fitted once, under the lights so far")
         return fit_once(run, start, x), *ended
-    return x, *run.ended("no joint step lowers the sum further")
+    return x, *run.ended("converged")
 
 
 def fit_once(run: Run, start: Array, x: Array) -> Array:
@@ -108,7 +108,7 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
             with run.stage("L-BFGS-B with the material prior"):
                 _, x = lbfgsb.by_scipy(run, x, run.left)
     # With zero tolerances scipy stops early only where rounding hides any further descent.
-    return x, *run.ended("no step lowers the loss further", kept)
+    return x, *run.ended("converged", kept)
 
 
 def find_lights(run: Run, x: Array) -> Lights:
@@ -316,7 +316,7 @@ def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | 
     """
     if noise is None or (noise.is_even and not objective.has_limits):
         return
-    with run.stage("noise of samples") as notes:
+    with run.stage("noise") as notes:
         weighed = objective.weighed(noise.weights(objective, None))
         for number in range(settings.WEIGHT_ROUNDS):
             if fit_all(weighed, x, starts=1 if number == 0 else 0, stop=run.out_of_time) is None:

@@ -56,7 +56,7 @@ class Explanation:
 
     def in_words(self) -> str:
         """In a few words, for people."""
-        light = "light from all around" if self.light == "sh" else "a lamp in each picture"
+        light = "environment light" if self.light == "sh" else "a lamp in each picture"
         words = [light]
         if self.surroundings != "none":
             bring = ", and bring some" if self.surroundings == "bounce" else ""
@@ -65,7 +65,7 @@ class Explanation:
             words.append(f"{'sRGB' if self.response == 'srgb' else self.response} values")
         if self.light == "sh":
             words.append("material prior" if self.material else "no material prior")
-            words.append("samples alike" if self.robust == "none" else "samples weighed")
+            words.append("equal weights" if self.robust == "none" else "weights by noise")
         if self.other_fov:
             words.append("another field of view")
         if self.free_normals:

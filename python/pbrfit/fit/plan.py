@@ -51,7 +51,7 @@ def _idle(
     if priors.monochrome is None and lighting is not None and "monochrome" not in idle:
         found = color_deviation(lighting)
         if found > NEAR_GREY:
-            idle["monochrome"] = f"lights are {found:.2g} off grey, above {NEAR_GREY:g}"
+            idle["monochrome"] = f"coloured lights, {found:.2g} from grey, above {NEAR_GREY:g}"
     return idle
 
 
@@ -69,11 +69,12 @@ def left_out(
         yield f"{masked} pixels outside the mask"
     without = scene.valid.size - masked - layout.pixels
     if without:
-        bounded = "" if scene.limits is None else " or at limits"
+        bounded = "" if scene.limits is None else " or over- or underexposed"
         yield f"{without} pixels of weight 0{bounded} in all pictures"
     if scene.limits is not None:
         counted = ... if scene.all_valid else scene.valid
-        yield f"{sum(np.count_nonzero(of[counted]) for of in scene.limits)} values at a limit"
+        count = sum(np.count_nonzero(of[counted]) for of in scene.limits)
+        yield f"{count:,} over- or underexposed values"
     if scene.weights is not None:
         single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
         if single:

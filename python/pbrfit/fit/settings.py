@@ -134,7 +134,7 @@ PICTURE_DEVIATION_NAMED = 2.0
 """Ratio of a picture's deviation to the median from which the result names it."""
 
 WEIGHT_ROUNDS = 3
-"""Times that all pixels are fitted and their samples weighed in turn."""
+"""Times that all pixels are fitted and their weights by noise in turn."""
 
 LEVERAGE_MAX = 0.9
 """Largest share of a sample's noise that the fit is said to take up."""

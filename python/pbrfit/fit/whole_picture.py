@@ -163,7 +163,7 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
     run, x = found.run, found.x
     uncertainty = None
     if setup.options.uncertainty:
-        with run.stage("deviations"):
+        with run.stage("uncertainty"):
             run.discrepancy = run.discrepancy or discrepancy_of(run, run.objective, x)
             found_spread = spread(run.objective, x, run.discrepancy, run.posterior)
             uncertainty = uncertainty_of(run, found_spread, run.objective.layout)
@@ -276,11 +276,11 @@ def _with_scale(found: refined_fit.PixelFit, options: FitOptions) -> refined_fit
     of_material = [one for one in run.objective.penalties if isinstance(one, GaussianPrior)]
     prior = of_material[0] if of_material else None
     if options.white is not None:
-        with run.stage("scale by the reference"):
+        with run.stage("albedo scale by the reference"):
             x, run.scale = scale.refer(run.objective, x, prior, options.white)
             run.record(x, run.evaluate(x)[0])
     elif run.scale is None and options.uncertainty:
-        with run.stage("scale"):
+        with run.stage("albedo scale"):
             run.scale = scale.judge(run.objective, x, prior, run.picture_effect)
     return replace(found, x=x)
 

@@ -185,7 +185,7 @@ class _Register:
         """How all pictures lie."""
         peaks = self._peaks()
         if self._usual < SURE_AGREEMENT:
-            return Registration(hindrance="the pictures' edges are mostly of light")
+            return Registration(hindrance="most edges are shadows or highlights")
         suspects = self._suspects(peaks)
         if suspects:
             self._settle(suspects)

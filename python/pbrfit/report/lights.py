@@ -40,7 +40,7 @@ class Light:
     elevation: float
     """Of the main direction, which is that of band 1, in degrees."""
     directed: float
-    """0 for light from all around, 1 for light from one direction."""
+    """0 for environment light, 1 for light from one direction."""
     color: tuple[float, float, float]
     """Mean radiance in the channels, the largest 1."""
     negative: float

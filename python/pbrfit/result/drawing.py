@@ -47,7 +47,7 @@ def as_svg(figure: Figure) -> str:
 
 # Marker shapes are for those who see no colours.
 SERIES = {
-    "recon_rmse": ("reconstruction", BLACK, "o"),
+    "recon_rmse": ("residual", BLACK, "o"),
     "albedo_rmse": ("albedo", ORANGE, "s"),
     "roughness_rmse": ("roughness", BLUE, "^"),
     "metallic_rmse": ("metallic", GREEN, "D"),

@@ -183,8 +183,8 @@ class FitOptions:
         they block it; `"bounce"`, they also bring what pictures show of them; `"none"`; `"auto"`,
         whichever explains pixels best that lights were not fitted to. `Result.transport` tells.
     light
-        What lights the pictures (docs/lamps.md): `"sh"`, light from all around, as spherical
-        harmonics; `"lamps"`, in each picture a lamp and faint light from all around; `"auto"`,
+        What lights the pictures (docs/lamps.md): `"sh"`, environment light, as spherical
+        harmonics; `"lamps"`, in each picture a lamp and faint environment light; `"auto"`,
         whichever explains left-out pictures better.
     same_lamp
         Whether all lamps have the same colour and strength: one that was carried around.
@@ -328,8 +328,8 @@ FLAGS: dict[str, Flag] = {
         values=TRANSPORTS,
     ),
     "light": Flag(
-        "sh: light from all around, as spherical harmonics; lamps: a lamp in each picture and "
-        "faint light from all around; auto: whichever explains left-out pictures best (default: "
+        "sh: environment light, as spherical harmonics; lamps: a lamp in each picture and "
+        "faint environment light; auto: whichever explains left-out pictures best (default: "
         "%(default)s)",
         values=LIGHTS,
     ),

@@ -589,8 +589,8 @@ def limits_in_words(limits: NDArray[np.uint8], counted: Counted) -> str:
         total += of_picture.size
         bounded += [np.count_nonzero(of_picture == limit) for limit in (AT_LEAST, AT_MOST)]
     shares = [
-        f"{100 * count / total:.2g} % clipped {side}"
-        for count, side in zip(bounded, ("from above", "from below"), strict=True)
+        f"{100 * count / total:.2g} % {side}exposed"
+        for count, side in zip(bounded, ("over", "under"), strict=True)
         if count
     ]
     return f"of the values {', '.join(shares)}: they only bound the radiance"

@@ -156,9 +156,9 @@ class _Notes:
             said = f"{fov:.2f} degrees, from EXIF ({focal_length:g} mm equivalent)"
         else:
             known, fov = False, FIRST_FOV
-            said = f"{fov:g} degrees: neither fov, scene.toml nor EXIF says"
-            expected = "fitted from %g degrees on (option fov sets it)"
-            log.warning(f"%s: field of view unknown, {expected}", self.files.folder, fov)
+            said = f"{fov:g} degrees until it is fitted, as neither scene.toml nor EXIF says"
+            unknown = "field of view unknown, so it is fitted (option fov gives it)"
+            log.warning("%s: %s", self.files.folder, unknown)
         if self.how.crop is None:
             return fov, known, said
         left, top, width, height = self.how.crop
@@ -599,7 +599,7 @@ class _Frame:
     pixels: NDArray[np.float32]
     """(H, W, 3) at the files' size, linear Rec.709; 0 where it is not usable."""
     usable: NDArray[np.bool_]
-    """(H, W): where it is not clipped from above, and finite."""
+    """(H, W): where it is not overexposed, and finite."""
 
 
 def _read_frame(notes: _Notes, path: Path | None) -> _Frame | None:

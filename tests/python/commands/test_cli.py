@@ -71,12 +71,12 @@ def test_decompose_says_what_it_assumed(tmp_path: Path) -> None:
     fit = ("decompose", folder, "--out", out, *FEW)
     message = ran(*fit, "--max-size", 8).err
     assert "WARNING" in message
-    assert f"{folder}: field of view unknown, fitted from 60 degrees on" in message
+    assert f"{folder}: field of view unknown, so it is fitted (--fov gives it)" in message
     assumed = outcome(out)["assumed"]
     assert assumed["fov"].endswith("degrees, fitted")
     assert outcome(out)["camera"]["how"] == "fitted"
     assert assumed["size"] == "averaged down from 16 × 16 to 8 × 8 pixels"
-    assert "% clipped from above" in assumed["exposure"]  # the room's brightest pixel is 255
+    assert "% overexposed" in assumed["exposure"]  # the room's brightest pixel is 255
     assert assumed["encoding"] == "8-bit PNG"
     arguments = ("--fov", 40, "--color-space", "linear", "--code-range", "0,255", "--overwrite")
     assert ran(*fit, *arguments).err == ""

@@ -285,13 +285,13 @@ def test_steps_of_a_fit_are_told_as_they_end(monkeypatch: pytest.MonkeyPatch) ->
     shown = terminal.getvalue().replace(progress.CLEAR, "").replace("\r", "\n").splitlines()
     assert shown == [
         "… lamps",
-        "… lamps: tile 1 of 4, residual 0.012",
+        "… lamps: tile 1 of 4, 6 s",
         "✓ lamps                         12.0 s",
         "… writing",
         "✓ writing                        1.0 s",
     ]
     assert pipe.getvalue().splitlines() == [
-        "pbrfit: lamps: tile 1 of 4, residual 0.012",
+        "pbrfit: lamps: tile 1 of 4, 6 s",
         "pbrfit: lamps: done in 12.0 s",
     ]
 

@@ -114,7 +114,7 @@ def test_clipping_is_named_from_a_share_on(scene: Scene) -> None:
 
 def test_the_scale_is_named_beside_albedo_alone(scene: Scene) -> None:
     found = said(scene, albedo_scale=(0.4, 0.4, 0.4))
-    assert "factor" in found["albedo"].cause
+    assert "brightness of albedo is uncertain by 40 %" in found["albedo"].cause
     assert "option white" in found["albedo"].remedy
     assert "factor" not in found["roughness"].cause
     assert "factor" not in said(scene, albedo_scale=(0.1, 0.1, 0.1))["albedo"].cause

@@ -286,8 +286,8 @@ def test_nothing_is_compared_where_it_cannot_be_or_all_is_told() -> None:
     [
         ({"light": "sh"}, "not asked for"),
         ({"mono_light": True}, "not asked for"),
-        ({"iterations": 0}, "not compared with light from all around"),
-        ({}, "light from all around explains the pictures"),
+        ({"iterations": 0}, "not compared with environment light"),
+        ({}, "environment light explains the pictures"),
     ],
 )
 def test_a_result_says_why_there_are_no_lamps(options: dict[str, Any], why: str) -> None:

@@ -173,7 +173,7 @@ def test_monochrome_is_for_lights_near_grey(deviation: float, weight: float) -> 
     found = left_out(of, layout, Priors(), lighting=lighting)
     said = [entry for entry in found if "monochrome" in entry]
     assert len(said) == (weight == 0)
-    assert all("off grey, above 0.05" in entry for entry in said)
+    assert all("from grey, above 0.05" in entry for entry in said)
 
 
 def test_monochrome_waits_for_lights_and_obeys() -> None:

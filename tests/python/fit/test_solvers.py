@@ -39,7 +39,7 @@ def rms(scene: Scene) -> float:
 
 
 def names_of(result: Result) -> list[str]:
-    around = ("alignment", "comparison of explanations", "scale", "deviations")
+    around = ("alignment", "model selection", "albedo scale", "uncertainty")
     return [stage.name for stage in result.stages if stage.name not in around]
 
 

@@ -63,7 +63,7 @@ def test_clipped_pictures_are_fitted_as_whole_ones(
         ]
         errors.append([one.metrics["albedo_rmse"] for one in each])
         values = np.count_nonzero(clipped.limits[:, clipped.valid])
-        assert f"{values} values at a limit" in each[1].left_out
+        assert f"{values:,} over- or underexposed values" in each[1].left_out
     whole, found, as_data = np.sum(errors, axis=0)
     assert found < 1.2 * whole
     assert as_data > 1.3 * found

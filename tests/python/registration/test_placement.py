@@ -271,7 +271,7 @@ def test_bodies_whose_edges_are_of_light_are_not_registered() -> None:
     images = np.repeat(shaded[..., None], 3, axis=-1) ** 8 + 1e-3
     found = register(Scene(images=images, normals=normals, mask=x**2 + y**2 < 0.9))
     assert found.in_line
-    assert found.in_words() == "not checked: the pictures' edges are mostly of light"
+    assert found.in_words() == "not checked: most edges are shadows or highlights"
 
 
 def test_small_pictures_are_not_judged() -> None:

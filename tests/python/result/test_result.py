@@ -123,9 +123,9 @@ def test_lighting_and_result_json(result: Result, tmp_path: Path) -> None:
     }
     masked, monochrome, surroundings, lamps = content["left_out"]
     assert masked == f"{SIZE + 12} pixels outside the mask"
-    assert monochrome.startswith("prior monochrome: lights are 0.")
+    assert monochrome.startswith("prior monochrome: coloured lights, 0.")
     assert surroundings == "surroundings: no depth is given"
-    assert lamps == "lamps: not compared with light from all around"
+    assert lamps == "lamps: not compared with environment light"
     assert content["inputs"] == {"images/a.exr": "0" * 64}
 
     light = json.loads((tmp_path / "out" / "lighting.json").read_text("utf-8"))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
-from pbrfit.batch.scenes import table
+from pbrfit.batch.scenes import details
 from pbrfit.fit import compare, settings
 from pbrfit.fit import transport as fit_transport
 from pbrfit.model.reflection import MODELS, Model
@@ -218,9 +218,8 @@ def test_what_was_decided_is_said_and_what_was_found_before(
     made: tuple[Scene, Result, list[Scenery]], tmp_path: Path
 ) -> None:
     scene, result, _ = made
-    lines = table(result, scene, tmp_path)
-    [said] = [line for line in lines if line.startswith("surroundings")]
-    assert said.startswith("surroundings (occlusion): block light (asked for): things up to")
+    [said] = [line for line in details(result) if line.startswith("surroundings")]
+    assert said.startswith("surroundings: block light (asked for): things up to")
     found = dict(facts(scene))["surroundings"]
     assert "floor" in found
     assert dict(facts(dataclasses.replace(scene, depth=None)))["surroundings"].startswith("unknown")

@@ -116,7 +116,7 @@ def test_rendered_scenes_have_none(kind: str, noise: float) -> None:
     np.testing.assert_array_equal(
         (clipped.limits == AT_LEAST)[:, scene.valid], (scene.images >= highest)[:, scene.valid]
     )
-    assert clipped.assumed["exposure"].startswith("of the values 1 % clipped from above")
+    assert clipped.assumed["exposure"].startswith("of the values 1 % overexposed")
 
 
 # What a Scene takes

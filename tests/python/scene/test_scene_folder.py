@@ -137,11 +137,9 @@ def test_fov_of_flag_then_scene_toml_then_exif_then_60(
     assert focal.assumed["fov"] == "80.72 degrees, from EXIF (18 mm equivalent)"
     assert default.fov == 60.0
     assert [one.fov_known for one in (asked, stated, focal, default)] == [True, True, True, False]
-    assert "neither fov, scene.toml nor EXIF" in default.assumed["fov"]
+    assert "neither scene.toml nor EXIF" in default.assumed["fov"]
     [record] = caplog.records
-    assert (
-        f"{tmp_path / 'other'}: field of view unknown, fitted from 60 degrees on" in record.message
-    )
+    assert f"{tmp_path / 'other'}: field of view unknown, so it is fitted" in record.message
 
 
 # 2 atan(19.349 / 18) along the longer and 2 atan(9.6747 / 18) along the shorter side
@@ -337,8 +335,8 @@ def test_codes_outside_the_range_are_limits_by_channel(folder: Path) -> None:
     assert np.count_nonzero(~scene.valid) == 1
     share = 100 / (LIGHTS * SIZE * SIZE * 3)
     assert scene.assumed["exposure"] == (
-        f"of the values {(1 + 3 * LIGHTS) * share:.2g} % clipped from above, "
-        f"{8 * share:.2g} % clipped from below: they only bound the radiance; "
+        f"of the values {(1 + 3 * LIGHTS) * share:.2g} % overexposed, "
+        f"{8 * share:.2g} % underexposed: they only bound the radiance; "
         "pixels left with none: 1"
     )
 

@@ -1,6 +1,6 @@
 """A fit under lamps: from a scene to surfaces, lamps and ambient light.
 
-Stages: `lamps: start`, normals and lamps by matt shading; `lamps`, the joint fit of pixels that
+Stages: `first lamps`, normals and lamps by matt shading; `lamps`, the joint fit of pixels that
 stand for all (`joint`), alternatives far and near where there is depth; `surfaces`, each pixel by
 itself with shadows and metals (`surfaces`).
 """
@@ -245,7 +245,7 @@ class LampFit:
 
     def joint(self, places: NDArray[np.intp]) -> JointLamps:
         """The joint fit of pixels at places that explains them best."""
-        with self.trace.stage("lamps: start") as notes:
+        with self.trace.stage("first lamps") as notes:
             few, starts = self._starts(places)
             notes += [name for name, _, _ in starts]
         with self.trace.stage("lamps") as notes:
@@ -668,10 +668,8 @@ class LampFit:
         row = HistoryRow(
             trace.elapsed, trace.iteration, trace.evaluations, trace.rows[-1].loss, rmse, **errors
         )
-        once = "; pixels that were left were fitted once, under the lamps so far"
-        status, reason = trace.ended(
-            "lamps, ambient light and surfaces change no more", once if trace.out_of_time() else ""
-        )
+        once = "; the other pixels were fitted once, under the lamps found so far"
+        status, reason = trace.ended("converged", once if trace.out_of_time() else "")
         shown = self._shown(fit.pixels, squares / max(total, 1e-300))
         refined = self.free_normals and scene.normals_known
         why = "asked for" if refined else FROM_PICTURES if self.free_normals else "held"
