@@ -19,8 +19,9 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "evaluation"
 
 from test_cycles import sphere_errors
 
-from pbrfit import Scene, render
+from pbrfit import Scene
 from pbrfit.io.color import encode_srgb
+from pbrfit.kernel import render
 from pbrfit.model.reflection import MODELS, Model, shade
 from pbrfit.synthetic import World, draw, random_lights
 from pbrfit_evaluation.cycles import SAMPLES, Light, Transport, render_scene

@@ -29,7 +29,7 @@ import numpy as np
 from pbrfit import Result, Scene
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.output import new_folder
-from pbrfit.result.relighting import rendered_picture
+from pbrfit.result.relighting import relight
 from pbrfit.scene.folder import find_pictures
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import explained_by, relative_error
@@ -365,7 +365,7 @@ def loop(entry: Entry, which: Split, result: Result) -> None:
     The pictures of others stay where they come from: shown is how the fit explains two of them.
     """
     at = entry.inputs or (0, len(which.kept) // 2)
-    pictures = [rendered_picture(result, i) for i in at]
+    pictures = [relight(result, picture=i) for i in at]
     names = [f"picture {i + 1}, as fitted" for i in at]
     frames = moving_lamp.frames_of(result, pictures, names, count=FRAMES, height=HEIGHT)
     path = OUT / f"{entry.name}.webp"
@@ -496,7 +496,7 @@ def section(entry: Entry) -> str:
         "",
     ]
     lines += [f"<!-- live: {entry.name} -->", "", filled(entry.about), ""]
-    verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
+    verdicts = result.verdicts
     alike: dict[tuple[str, str], list[str]] = {}
     for name, one in verdicts.items():
         alike.setdefault((one.level, one.why), []).append(name)

@@ -96,7 +96,7 @@ def nominal_lights(names: list[str]) -> np.ndarray:
     """SH coefficients l ≤ 2 (N, 9, 3) times the transfer, by directions all over the sphere."""
     points = np.random.default_rng(0).normal(size=(20_000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    basis = pbrfit.sh_basis(points)[:, :9] * TRANSFER
+    basis = pbrfit.kernel.sh_basis(points)[:, :9] * TRANSFER
     lights = np.zeros((len(names), 9, 3))
     for light, name in zip(lights, names, strict=True):
         for towards, half_angle, color in NOMINAL[name]:

@@ -24,7 +24,7 @@ from browser import launched
 from pbrfit import Environment, Result
 from pbrfit.display.tone import ToneMap
 from pbrfit.model.reflection import MODELS
-from pbrfit.result.relighting import DirectionalLight, own_light
+from pbrfit.result.relighting import DirectionalLight
 from relight_view import View, expected, made, opened
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -62,7 +62,7 @@ def own_lights(view: View, result: Result) -> Iterator[Pair]:
         for exposure, tone_map in SHOWN:
             view.go(f"light={name}&exposure={exposure}&tone={tone_map}")
             stops = view.automatic() + exposure
-            light = own_light(result, i)
+            light = result.lights[i]
             yield view.saved(), expected(result, light, exposure=stops, tone_map=tone_map)
 
 

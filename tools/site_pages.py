@@ -43,8 +43,8 @@ NAMES = {
     "From pictures to a result": ("Scene", "decompose", "FitOptions", "Priors", "Progress"),
     "Results": ("Result", "Materials", "Status", "Truth"),
     "Light": ("relight", "DirectionalLight"),
-    "The forward model": ("render", "shade", "shade_vjp", "sh_basis", "ggx_band_weights"),
-    "Bring your own optimiser": ("Objective", "view_directions"),
+    "The forward model": tuple(f"kernel.{name}" for name in pbrfit.kernel.__all__),
+    "Bring your own optimiser": ("Objective",),
     "Other": ("InputError",),
 }
 """Public names by what they are for. One that stands nowhere here goes to the last."""
@@ -145,14 +145,14 @@ def with_reports(markdown: str) -> str:
 def python_page() -> str:
     """The reference of all public names."""
     known = {name for names in NAMES.values() for name in names}
-    if gone := known - set(pbrfit.__all__):
+    if gone := {name for name in known if "." not in name} - set(pbrfit.__all__):
         raise PluginError(f"tools/site_pages.py: no public names any more: {', '.join(gone)}")
     rest = tuple(name for name in pbrfit.__all__ if name not in known and name[0] != "_")
     groups = {**NAMES, "Other": (*NAMES["Other"], *rest)}
     parts = [
         "# Python",
-        "Everything public is in `pbrfit`. Arrays are linear Rec.709; axes, spherical harmonics "
-        "and units are in [Conventions](conventions.md).",
+        "Everything public is in `pbrfit` and `pbrfit.kernel`. Arrays are linear Rec.709; axes, "
+        "spherical harmonics and units are in [Conventions](conventions.md).",
     ]
     for title, names in groups.items():
         parts.append(f"## {title}")
@@ -172,7 +172,13 @@ def commands_page() -> str:
 def help_of(*command: str) -> str:
     """Help of pbrfit, or of a command of it."""
     environment: dict[str, Any] = {**os.environ, "COLUMNS": "88", "NO_COLOR": "1"}
-    asked = [sys.executable, "-m", "pbrfit", *command, "--help"]
+    asked = [
+        sys.executable,
+        "-m",
+        "pbrfit",
+        *command,
+        "--help-all" if command == ("decompose",) else "--help",
+    ]
     return subprocess.run(
         asked, env=environment, cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout

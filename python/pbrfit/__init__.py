@@ -7,14 +7,13 @@ if TYPE_CHECKING:
     __version__: str
     """Of the installed distribution."""
 
+    from pbrfit import kernel as kernel
     from pbrfit._core import InputError
     from pbrfit.export import Exported, export_result
     from pbrfit.fit.decompose import Progress, decompose
     from pbrfit.fit.objective import Objective
     from pbrfit.model.environment import Environment
-    from pbrfit.model.geometry import view_directions
     from pbrfit.model.materials import Materials
-    from pbrfit.model.reflection import ggx_band_weights, render, sh_basis, shade, shade_vjp
     from pbrfit.report import write_report
     from pbrfit.result.data import Status
     from pbrfit.result.options import FitOptions, Priors
@@ -40,13 +39,7 @@ __all__ = [
     "Truth",
     "decompose",
     "export_result",
-    "ggx_band_weights",
     "relight",
-    "render",
-    "sh_basis",
-    "shade",
-    "shade_vjp",
-    "view_directions",
     "write_report",
 ]
 
@@ -56,9 +49,7 @@ _MODULES = {
     "fit.decompose": ("Progress", "decompose"),
     "fit.objective": ("Objective",),
     "model.environment": ("Environment",),
-    "model.geometry": ("view_directions",),
     "model.materials": ("Materials",),
-    "model.reflection": ("ggx_band_weights", "render", "sh_basis", "shade", "shade_vjp"),
     "report": ("write_report",),
     "result.data": ("Status",),
     "result.options": ("FitOptions", "Priors"),
@@ -77,6 +68,8 @@ def __getattr__(name: str) -> Any:
 
         globals()[name] = version("pbrfit")
         return globals()[name]
+    if name == "kernel":
+        return import_module("pbrfit.kernel")
     for module, names in _MODULES.items():
         if name in names:
             value = globals()[name] = getattr(import_module(f"pbrfit.{module}"), name)
@@ -85,4 +78,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return [*__all__, "__version__", "kernel"]

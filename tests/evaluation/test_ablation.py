@@ -52,7 +52,7 @@ def test_truth_explains_the_pictures_but_for_the_noise(name: cases.CaseName) -> 
     maps = truth_of(scene).materials
     given = (scene.images, lights_of(scene), 0.01), (*held_out_of(scene), 0.0)
     for images, lighting, noise in given:
-        rendered = pbrfit.render(maps, scene.normals, lighting, scene.fov)
+        rendered = pbrfit.kernel.render(maps, scene.normals, lighting, scene.fov)
         assert np.std(images - rendered) == pytest.approx(noise, rel=0.03, abs=1e-12)
     assert scene.images.mean() == pytest.approx(MEAN_RADIANCE, abs=1e-3)
 

@@ -66,12 +66,12 @@ def test_conditioning_goes_from_near_the_best_to_nearly_singular() -> None:
 def test_pictures_are_those_of_the_lights(lights: Any) -> None:
     scene = make(replace(SMALL, lights=lights), seed=101)
     maps = truth_of(scene).materials
-    rendered = pbrfit.render(maps, scene.normals, true_lighting(scene), scene.fov)
+    rendered = pbrfit.kernel.render(maps, scene.normals, true_lighting(scene), scene.fov)
     np.testing.assert_allclose(scene.images, rendered, rtol=1e-12, atol=1e-14)
     assert scene.images.mean() == pytest.approx(0.4)
     assert scene.images.min() > 0
     directions = np.random.default_rng(0).normal(size=(2000, 3))
-    basis = pbrfit.sh_basis(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    basis = pbrfit.kernel.sh_basis(directions / np.linalg.norm(directions, axis=1, keepdims=True))
     assert np.einsum("dk,nkc->dnc", basis, true_lighting(scene)).min() >= -1e-12
 
 

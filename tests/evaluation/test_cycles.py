@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import InputError, Scene, render, sh_basis, shade, view_directions
+from pbrfit import InputError, Scene
+from pbrfit.kernel import render, sh_basis, shade, view_directions
 from pbrfit.model.reflection import MODELS
 from pbrfit.synthetic import World, draw, random_lights
 from pbrfit.synthetic.geometry import trace

@@ -163,7 +163,7 @@ def test_same_seed_same_figures() -> None:
 @pytest.mark.parametrize("error", [1e-9, math.nan])
 def test_wrong_bands_fail(monkeypatch: pytest.MonkeyPatch, nth: int, error: float) -> None:
     def wrong(r: Array) -> tuple[Array, Array]:
-        found = pbrfit.ggx_band_weights(r)
+        found = pbrfit.kernel.ggx_band_weights(r)
         found[nth][len(r) // 2, 2] += error
         return found
 
@@ -240,7 +240,7 @@ def test_stiff_scenes_are_what_their_names_say() -> None:
         scene = one.scene
         assert scene.images.dtype == np.float32
         known = truth_of(scene).materials, scene.normals, lights_of(scene)
-        rendered = pbrfit.render(*known, scene.fov)
+        rendered = pbrfit.kernel.render(*known, scene.fov)
         np.testing.assert_allclose(
             rendered[:, one.counted], scene.images[:, one.counted], rtol=1e-6, atol=1e-7
         )

@@ -21,6 +21,7 @@ FLOORS = (
     ("io",),
     ("display",),
     ("model",),
+    ("kernel",),
     ("scene",),
     ("registration",),
     ("transport",),

@@ -32,7 +32,7 @@ Terms = list[tuple[float, tuple[int, int, int]]]
 
 
 def basis_polynomials() -> list[Terms]:
-    """The 16 functions of `pbrfit.sh_basis` as polynomials of a unit vector (x, y, z).
+    """The 16 functions of `kernel.sh_basis` as polynomials of a unit vector (x, y, z).
 
     Returns
     -------

@@ -80,7 +80,7 @@ class Response:
     error: float
 
     def weights(self, albedo: Array, metallic: Array) -> Array:
-        """(..., 3, 16) as `pbrfit.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""
+        """(..., 3, 16) as `kernel.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""
         rho = np.asarray(albedo, dtype=np.float64)[..., None]
         m = np.asarray(metallic, dtype=np.float64)[..., None, None]
         f0 = 0.04 * (1 - m) + m * rho

@@ -1,6 +1,6 @@
 """Models beside integrals of BRDFs at points of a table, and on spheres under random lights.
 
-A model is a function with the signature of `pbrfit.shade`: material, normal and view in, weights of
+A model is a function with the signature of `kernel.shade`: material, normal and view in, weights of
 the 16 SH light coefficients out.
 
 **Responses.** The weights of band l at one (r, n·v) are reduced to one number,

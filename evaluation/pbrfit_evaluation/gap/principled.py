@@ -75,7 +75,7 @@ BRDF = Choices()
 """The BRDF above."""
 
 TABULATED = Choices(fresnel="scaled")
-"""What `pbrfit.shade(..., model="principled")` has in its table."""
+"""What `kernel.shade(..., model="principled")` has in its table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ class PrincipledResponse:
         return fit * self.glass[0] / fit[0] if self.choices.fresnel == "scaled" else fit
 
     def weights(self, albedo: Array, metallic: Array) -> Array:
-        """(..., 3, 16) as `pbrfit.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""
+        """(..., 3, 16) as `kernel.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""
         rho = np.asarray(albedo, dtype=np.float64)[..., None]
         m = np.asarray(metallic, dtype=np.float64)[..., None, None]
         multiple, coat = self.factor(F0_DIELECTRIC), self._coat()

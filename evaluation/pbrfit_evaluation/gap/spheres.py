@@ -133,7 +133,7 @@ def integral(
 ) -> Array:
     """(P, 3, 16): weights by brute force, in the frame of the camera.
 
-    Arguments as for `pbrfit.shade`, P pixels that all are of one material.
+    Arguments as for `kernel.shade`, P pixels that all are of one material.
     """
     angle = np.arccos(np.clip(np.einsum("pi,pi->p", normals, views), 0.0, 1.0))
     widest = float(angle.max())

@@ -1,6 +1,6 @@
 """The objective in float64, and the size that its rounding errors are measured against.
 
-Vectorised numpy on top of `pbrfit.shade` and `pbrfit.shade_vjp`, in pieces that fit the cache; sums
+Vectorised numpy on top of `kernel.shade` and `kernel.shade_vjp`, in pieces that fit the cache; sums
 over pieces are exact (`math.fsum`). It shares with the fast objective the model in double
 precision, not the arithmetic that is under test.
 """

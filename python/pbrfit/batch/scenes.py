@@ -186,7 +186,7 @@ def decompose_scene(
         stop_reason=result.stop_reason,
         iterations=result.history.iterations,
         metrics=dict(result.metrics),
-        verdicts={} if result.uncertainty is None else result.uncertainty.verdicts,
+        verdicts=result.verdicts,
         held_out=result.held_out,
         peak_bytes=None if peak is None else 1024 * peak,
         table="\n".join(table(result, scene, task.output)),

@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
         _relight(result, folder, options.threads)
         write_report(result, folder / "report.html", scene)
     if not options.quiet:
-        verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
+        verdicts = result.verdicts
         lines = [
             *table(result, scene, options.out / "result"),
             "",

@@ -8,14 +8,16 @@ from dataclasses import fields, replace
 from typing import Any
 
 from pbrfit.commands import arguments as cli
-from pbrfit.result.options import FLAGS, MODELS_IN_WORDS, FitOptions, Priors, prior_names
+from pbrfit.result.options import FLAGS, FitOptions, Priors, described, prior_names
 
 DEFAULTS = {one.name: one.default for one in fields(FitOptions)}
 
 UNKNOWNS = ("sh_order", "metallic", "robust", "equal_exposures", "mono_light")
 """Options that say which unknowns there are and how residuals count."""
 
-MODEL_OF_PICTURES = f"how surfaces reflect light. {MODELS_IN_WORDS}"
+DESCRIBED = described(FitOptions)
+
+MODEL_OF_PICTURES, _, _ = DESCRIBED.get("model", "").partition(" Default:")
 """Help of `--model` where pictures are rendered with it."""
 
 
@@ -34,7 +36,7 @@ def add_fit_options(parser: Any, *, there: Collection[str] = ()) -> None:
 def add_option(parser: Any, name: str, said: str | None = None, default: Any = None) -> None:
     """Add the flag of one option, perhaps with a help or a default of its own."""
     flag = FLAGS[name]
-    said = said or flag.help
+    said = said or flag.help or DESCRIBED.get(name, "")
     default = DEFAULTS[name] if default is None else default
     if flag.kind is bool:
         arguments = cli.switch(said)

@@ -6,7 +6,7 @@ light. So, of each channel, a panorama E ≥ 0 is sought that changes least of w
 
     minimise ½ (c − L)ᵀ M (c − L) + ε/2 ∫ E² dω,    c_k = ∫ E Y_k dω,    M = mean of w wᵀ.
 
-L is the light, w are the weights of a pixel (`pbrfit.shade`), and ε keeps light out of directions
+L is the light, w are the weights of a pixel (`kernel.shade`), and ε keeps light out of directions
 that the surfaces tell nothing of. With μ = M (L − c)/ε, the derivative by E is ε (E − Σ_k μ_k Y_k).
 So where E is not held at 0 it vanishes, and
 

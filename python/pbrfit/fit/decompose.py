@@ -45,6 +45,7 @@ from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import FOV_CONTRADICTED, capped, doubted
 from pbrfit.scene import exposure
+from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces, one_blas_thread
 
@@ -319,6 +320,8 @@ def _read(scene: Scene | str | Path) -> Scene:
 def _overridden(options: FitOptions | None, overrides: dict[str, Any]) -> FitOptions:
     known = [one.name for one in fields(FitOptions)]
     for name in overrides:
+        if name in (one.name for one in fields(ReadOptions)):
+            raise TypeError(f"decompose: {name} is an option of Scene.load(path, {name}=...)")
         if name not in known:
             raise TypeError(f"decompose: expected options {', '.join(known)}, found {name!r}")
     if options is None:
@@ -452,3 +455,8 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) 
 
 
 decompose.__signature__ = _signature()  # type: ignore[attr-defined]
+if decompose.__doc__ and FitOptions.__doc__:  # neither is there under python -OO
+    _, _, described = inspect.cleandoc(FitOptions.__doc__).partition("Attributes\n----------\n")
+    described, _, _ = described.partition("\n\nRaises")
+    own = inspect.cleandoc(decompose.__doc__)
+    decompose.__doc__ = own.replace("\n\nReturns\n", f"\n{described}\n\nReturns\n")

@@ -15,7 +15,7 @@ from pbrfit.report.lights import Light
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences, metrics
 from pbrfit.result.differences import Difference
-from pbrfit.result.relighting import rendered_picture
+from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
@@ -114,7 +114,7 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
 def _one(
     result: Result, scene: Scene | None, i: int, sides: Sequence[int]
 ) -> tuple[Fit | None, _Shown]:
-    rendered = rendered_picture(result, i)
+    rendered = relight(result, picture=i)
     small = raster.reduced(rendered, sides[0])
     if scene is None:
         return None, _Shown(sides, metrics.white_of(rendered), (small,), None)

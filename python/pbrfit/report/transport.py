@@ -13,7 +13,7 @@ from pbrfit.report.html import Cell, Table, number, paragraph, table
 from pbrfit.report.notation import plain
 from pbrfit.report.surroundings import plan_key, plan_view
 from pbrfit.result import metrics
-from pbrfit.result.relighting import DirectionalLight, LampLight, own_light, relight
+from pbrfit.result.relighting import DirectionalLight, LampLight, relight
 from pbrfit.result.result import Result
 from pbrfit.transport.decision import Kind
 from pbrfit.transport.room import counted, name_of
@@ -98,7 +98,7 @@ def _supposed(scenery: Scenery) -> str:
 def _relit(result: Result, scenery: Scenery) -> str:
     """The same light with and without surroundings."""
     first = f"light of {result.pictures[0]}"
-    cards = _pair(result, own_light(result, 0), first)
+    cards = _pair(result, result.lights[0], first)
     lamp = _lamp(scenery)
     if lamp is not None:
         cards += _pair(result, lamp, "a hard lamp")

@@ -48,7 +48,7 @@ def of_verdicts(verdicts: Mapping[str, Verdict]) -> tuple[str, ...]:
 
 def _steps(result: ResultData) -> Iterator[str]:
     yield from _unfinished(result)
-    verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
+    verdicts = result.verdicts
     yield from of_verdicts(verdicts)
     named = {one.cause for one in verdicts.values()}
     if result.held_out is not None and not result.held_out.explains and UNEXPLAINED not in named:

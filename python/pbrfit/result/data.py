@@ -22,6 +22,7 @@ from pbrfit.result.history import History
 from pbrfit.result.options import FitOptions
 from pbrfit.result.refinement import NOT_ASKED, Refinement
 from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.result.verdict import Verdict
 from pbrfit.scene.options import Source
 from pbrfit.transport.decision import NOT_TRIED, Transport
 
@@ -185,8 +186,7 @@ class ResultData:
         ]
         if "recon_rmse" in self.metrics:
             parts.append(f"residual {self.metrics['recon_rmse']:.3g}")
-        if self.uncertainty is not None:
-            parts += [f"{name} {one.level}" for name, one in self.uncertainty.verdicts.items()]
+        parts += [f"{name} {one.level}" for name, one in self.verdicts.items()]
         return f"{type(self).__name__}({', '.join(parts)})"
 
     @lazy
@@ -281,6 +281,19 @@ class ResultData:
             light = np.pi * sh_basis(directions)[:, :, None] * colors[:, None, :]
             np.add.at(found, self.lamps.pictures, light)
         return found
+
+    @property
+    def verdicts(self) -> Mapping[str, Verdict]:
+        """What each map can be used for, by its name; empty without an uncertainty."""
+        return {} if self.uncertainty is None else self.uncertainty.verdicts
+
+    @property
+    def lights(self) -> tuple[NDArray[np.float64] | tuple[Lamps, NDArray[np.float64]], ...]:
+        """Of each picture, as `relight` takes it: SH light (16, 3), with its lamps before it."""
+        if self.lamps is None:
+            return tuple(self.lighting)
+        each = enumerate(self.lighting)
+        return tuple((self.lamps.of_pictures([i]), ambient) for i, ambient in each)
 
     @property
     def normal_change(self) -> NDArray[np.float64] | None:

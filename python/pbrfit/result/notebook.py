@@ -36,7 +36,7 @@ def html(result: ResultData) -> str:
     ]
     if "recon_rmse" in result.metrics:
         facts.append(f"residual {result.metrics['recon_rmse']:.2g}")
-    verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
+    verdicts = result.verdicts
     maps = {
         "albedo": metrics.display(result.albedo, 1.0),
         "roughness": result.roughness,

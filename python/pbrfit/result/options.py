@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, get_args
@@ -14,7 +16,7 @@ from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
 from pbrfit.io.json_files import table
 from pbrfit.io.quoting import listed
-from pbrfit.model.reflection import DEFAULT_MODEL, MODELS, Model, checked_model, whole_number
+from pbrfit.model.reflection import MODELS, Model, checked_model, whole_number
 from pbrfit.result.refinement import CHOICES, RefineNormals
 
 Solver = Literal["gauss-newton", "lbfgsb"]
@@ -35,12 +37,6 @@ LIGHTS: tuple[LightChoice, ...] = get_args(LightChoice)
 
 Response = Literal["auto", "srgb", "linear", "fit"]
 RESPONSES: tuple[Response, ...] = get_args(Response)
-
-MODELS_IN_WORDS = (
-    "paper: the paper's approximation (eq. 12); principled: the BRDF of Blender's Principled node, "
-    "glTF and game engines, integrated exactly"
-)
-
 
 WHITE_ALBEDO = 0.9
 """Albedo of a white reference of which none is given: the white patch of a ColorChecker has a
@@ -111,8 +107,8 @@ def prior_names() -> tuple[str, ...]:
 class Flag:
     """How the command line asks for an option."""
 
-    help: str
-    """What it does, in words."""
+    help: str = ""
+    """What it does, in words; empty = what `FitOptions` says of the field."""
     name: str | None = None
     """Without dashes, where it is not the field's."""
     values: Mapping[str, Any] | Sequence[Any] | None = None
@@ -131,17 +127,15 @@ class FitOptions:
     ----------
     solver
         `"gauss-newton"`: joint steps of lights and materials; above 2 MP, or where memory is short,
-        lights from a subset of the pixels and then tiles. `"lbfgsb"`: scipy's L-BFGS-B on the joint
-        problem (the paper's recipe), in stages that keep off roughness 0; in one stage when `start`
-        is given. It alone knows the priors cohesion, smoothness and sparsity. docs/solver.md has
-        more.
+        lights from a subset of the pixels and then tiles. `"lbfgsb"`: scipy's L-BFGS-B, the paper's
+        recipe, which alone knows the priors cohesion, smoothness and sparsity (docs/solver.md).
     iterations
         Largest number of iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these
         at most as many steps on a subset of the pixels, which find the lights and do not count.
     time_limit
-        In seconds; the fit stops after the iteration that passes it. None = no limit.
+        In seconds; the fit of a scene stops after the iteration that passes it (default: none).
     sh_order
-        Highest band of the lights: 3, or 2 to fit lights without band 3.
+        Order of the lights' spherical harmonics: 3, or 2 to fit lights without band 3.
     metallic
         A number in [0, 1] that all pixels have, then it is not fitted; None = fitted.
     mono_light
@@ -149,43 +143,40 @@ class FitOptions:
     priors
         Weights of the priors; None stands for `Priors.none()`.
     robust
-        `"auto"`: samples weigh by their noise, which is found from what the fit leaves of them, by
-        picture, radiance and file, and outliers weigh less where there are some (`lbfgsb` takes
-        squares); `"cauchy"`: a loss in which outliers weigh less in any case, its scale estimated
-        from the residuals; `"none"`: squares (docs/solver.md).
+        `"auto"`: samples weigh by their noise, which is estimated from residuals by picture,
+        radiance and file, and outliers weigh less where there are some (`lbfgsb` takes squares);
+        `"cauchy"`: a loss in which outliers weigh less in any case, its scale estimated from the
+        residuals; `"none"`: squares (docs/solver.md).
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
     response
-        The tone curve of the pictures: `"srgb"` and `"linear"`, by which integer files are decoded;
-        `"auto"`, that of these which explains left-out pictures, where no file or flag says it;
-        `"fit"`, a monotone curve common to all is fitted beside what files were decoded by.
+        Tone curve of the pictures. `"srgb"`, `"linear"`: integer files are decoded by it; `"auto"`:
+        by the one that explains left-out pictures, where no file or option says it; `"fit"`: a
+        monotone curve common to all is fitted beside what files were decoded by.
     refine_normals
-        Whether to refine the given normals together with materials and lights (docs/normals.md):
-        `"off"`; `"on"`; `"auto"`, where the pictures say that the given ones are wrong. Fewer than
-        three pictures cannot say it, then normals stay as they are; with `"auto"` also where there
-        is not enough memory. `Result.refinement` tells what was decided and why.
+        Whether the given normals are refined together with materials and lights (docs/normals.md);
+        `"auto"`: where three or more pictures say that they are wrong, and memory is enough.
     white
-        (x, y) or (x, y, value): at this pixel, counted from 0 to the right and down as in the files
-        of the pictures, and those around it there is a diffuse white or grey reference of this
-        albedo, 0.9 where none is given. It fixes the scale between lights and albedo
-        (docs/uncertainty.md). None = no reference.
+        X, Y and perhaps albedo of a diffuse white or grey reference: pixels from the left and the
+        top of the files, albedo 0.9 unless given (a grey card: 0.18). It fixes the scale between
+        lights and albedo (docs/uncertainty.md).
     align
         `"auto"`: pictures that are out of line with the others are put back, by a shift or an
-        affine map, and pictures of something else left out (`pbrfit.registration.placement`);
-        `"off"`: pictures are taken as they are. `Result.assumed` says what was done.
+        affine map, and pictures of something else left out; `"off"`: pictures are used as they are.
     model
-        How surfaces reflect light (docs/model.md): "paper", its eq. 12; "principled", the BRDF of
-        Blender's Principled node. None = that which the scene says its pictures were rendered
-        with, else the default, `pbrfit.model.reflection.DEFAULT_MODEL`.
+        How surfaces reflect light (docs/model.md). `"paper"`: the paper's approximation (eq. 12);
+        `"principled"`: the BRDF of Blender's Principled node, glTF and game engines, integrated
+        exactly. Default: what the pictures were rendered with, where the scene says it, else
+        `"paper"`.
     transport
-        What surroundings do to light, where the scene has depth (docs/transport.md): `"occlusion"`,
-        they block it; `"bounce"`, they also bring what pictures show of them; `"none"`; `"auto"`,
-        whichever explains pixels best that lights were not fitted to. `Result.transport` tells.
+        What surroundings do to light, where the scene has depth (docs/transport.md).
+        `"occlusion"`: they block it; `"bounce"`: they also reflect it; `"auto"`: whichever explains
+        left-out pictures best.
     light
-        What lights the pictures (docs/lamps.md): `"sh"`, environment light, as spherical
-        harmonics; `"lamps"`, in each picture a lamp and faint environment light; `"auto"`,
-        whichever explains left-out pictures better.
+        What lights the pictures (docs/lamps.md). `"sh"`: environment light, as spherical harmonics;
+        `"lamps"`: a lamp in each picture and faint environment light; `"auto"`: whichever explains
+        left-out pictures better.
     same_lamp
         Whether all lamps have the same colour and strength: one that was carried around.
     uncertainty
@@ -279,72 +270,38 @@ class FitOptions:
         return cls(**values)
 
 
+def described(options: type) -> dict[str, str]:
+    """What the docstring of a class says of its attributes, as text for the command line."""
+    _, _, said = inspect.cleandoc(options.__doc__ or "").partition("Attributes\n----------\n")
+    parts = re.findall(r"^(\w+)\n((?:    .*\n)+)", said, re.MULTILINE)
+    return {name: " ".join(re.sub(r'`"?|"?`', "", text).split()) for name, text in parts}
+
+
 FLAGS: dict[str, Flag] = {
-    "solver": Flag(
-        "gauss-newton: joint steps of lights and materials; lbfgsb: scipy's L-BFGS-B, the paper's "
-        "recipe (default: %(default)s)",
-        values=SOLVERS,
-    ),
-    "iterations": Flag("at most so many", metavar="K"),
-    "time_limit": Flag(
-        "stop the fit of a scene after so many seconds (default: none)", kind=float, metavar="S"
-    ),
-    "sh_order": Flag("of the lights; 2 leaves out band 3", values=(2, 3)),
+    "solver": Flag(values=SOLVERS),
+    "iterations": Flag(metavar="K"),
+    "time_limit": Flag(kind=float, metavar="S"),
+    "sh_order": Flag(values=(2, 3)),
     "metallic": Flag(
         "0: no pixel is a metal, and metallic is not fitted",
         values={"free": None, "0": 0.0},
     ),
-    "robust": Flag(
-        "auto: samples weigh by their noise, and outliers less; cauchy: a loss in which outliers "
-        "weigh less; none: squares (default: %(default)s)",
-        values=LOSSES,
-    ),
-    "response": Flag(
-        "tone curve of the pictures. srgb, linear: how integer files are decoded; auto: by the "
-        "one that explains left-out pictures, where no file says it; fit: fit one common to all "
-        "beside (default: %(default)s)",
-        values=RESPONSES,
-    ),
+    "robust": Flag(values=LOSSES),
+    "response": Flag(values=RESPONSES),
     "equal_exposures": Flag(
         "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "
         "dark ones; as-is: they are not; auto: where one has more than 4 times the mean of another",
         name="exposures",
         values={"auto": None, "as-is": False, "equal": True},
     ),
-    "mono_light": Flag("lights are grey: the same in all colour channels", kind=bool),
-    "refine_normals": Flag(
-        "fit the normals too, from three pictures on; auto: where the pictures say that the given "
-        "ones are wrong (default: %(default)s)",
-        values=CHOICES,
-    ),
-    "align": Flag(
-        "auto: pictures that are out of line with the others are put back, those of something else "
-        "left out; off: pictures are taken as they are (default: %(default)s)",
-        values=ALIGNMENTS,
-    ),
-    "transport": Flag(
-        "with depth: occlusion, surroundings block light; bounce, they also reflect it; auto: "
-        "whichever explains left-out pictures best (default: %(default)s)",
-        values=TRANSPORTS,
-    ),
-    "light": Flag(
-        "sh: environment light, as spherical harmonics; lamps: a lamp in each picture and "
-        "faint environment light; auto: whichever explains left-out pictures best (default: "
-        "%(default)s)",
-        values=LIGHTS,
-    ),
-    "same_lamp": Flag("all lamps have one colour and strength", kind=bool),
-    "white": Flag(
-        "a white or grey reference at this pixel, from the left and the top, and its albedo "
-        f"(default: {WHITE_ALBEDO:g}; a grey card: 0.18): fixes the scale of albedo",
-        kind=lambda text: _reference(text.split(",")),
-        metavar="X,Y[,VALUE]",
-    ),
-    "model": Flag(
-        f"how surfaces reflect light. {MODELS_IN_WORDS} (default: what the scene was rendered "
-        f"with, where it says so, else {DEFAULT_MODEL})",
-        values=MODELS,
-    ),
+    "mono_light": Flag(kind=bool),
+    "refine_normals": Flag(values=CHOICES),
+    "align": Flag(values=ALIGNMENTS),
+    "transport": Flag(values=TRANSPORTS),
+    "light": Flag(values=LIGHTS),
+    "same_lamp": Flag(kind=bool),
+    "white": Flag(kind=lambda text: _reference(text.split(",")), metavar="X,Y[,ALBEDO]"),
+    "model": Flag(values=MODELS),
 }
 """Options that have a flag, by the names of the fields; priors have flags of their own."""
 

@@ -13,7 +13,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result import differences, metrics
 from pbrfit.result.data import ResultData
 from pbrfit.result.differences import PALETTE, Difference
-from pbrfit.result.relighting import rendered_picture
+from pbrfit.result.relighting import relight
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
 from pbrfit.result.verdict import MARKS, PARAMETERS
 from pbrfit.scene.arrays import SceneArrays
@@ -36,7 +36,7 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     labels = ["", "recovered"]
     # Names of the maps stand above the first row of them alone.
     of_normals = "normals" if result.normal_change is None else "normals, refined"
-    verdicts = {} if result.uncertainty is None else result.uncertainty.verdicts
+    verdicts = result.verdicts
     maps = [
         replace(one, note=verdicts[name].in_words(), mark=MARKS[verdicts[name].level])
         if name in verdicts
@@ -160,7 +160,7 @@ def _given_normals(scene: SceneArrays) -> Row:
 
 def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
     """The first picture, its reconstruction, and the residual, as far as there are pictures."""
-    reconstruction = rendered_picture(result, 0)
+    reconstruction = relight(result, picture=0)
     name = result.pictures[0]
     if scene is None:
         white = metrics.white_of(reconstruction)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.checks import of_what, real_number
+from pbrfit.io.quoting import listed, quoted
 from pbrfit.model import lighting
 from pbrfit.model.environment import Environment, render_environment
 from pbrfit.model.lamps import Lamps
@@ -136,9 +138,10 @@ without SH light beside them."""
 
 def relight(
     result: ResultData,
-    light: ArrayLike | Light,
+    light: ArrayLike | Light | str | Path | None = None,
     threads: int = 0,
     *,
+    picture: int | str | None = None,
     model: Model | None = None,
     shadows: bool = True,
 ) -> NDArray[np.float64]:
@@ -158,10 +161,13 @@ def relight(
         What `decompose` found.
     light
         SH light (16, 3), or (N, 16, 3) for N pictures, linear Rec.709; or a `DirectionalLight`,
-        `PointLight` or `Environment`; or `Lamps` of one picture, alone or in a tuple with ambient
-        SH light (16, 3). `own_light` has that of a picture.
+        `PointLight` or `Environment`, or the file of a panorama (.hdr, .exr); or `Lamps` of one
+        picture, alone or in a tuple with ambient SH light (16, 3), such as `result.lights[i]`.
     threads
         0 = one for each processor; the result does not depend on it.
+    picture
+        In place of `light`, that of a picture of the result, by its index or name: gives its
+        reconstruction.
     model
         Which model the result is expected to be of; None = whichever it is.
     shadows
@@ -175,45 +181,55 @@ def relight(
     ------
     InputError
         If the light has another shape or numbers that are not finite, or the result is of another
-        model, or has no depth and a lamp is near.
+        model, or has no depth and a lamp is near, or no such picture.
+    OSError
+        If the file of a panorama cannot be read.
     """
+    asked: Any = _asked(result, light, picture)
     if model is not None and checked_model(model) != result.model:
         raise InputError(
             f"model: expected {result.model}, with which the result was fitted, found {model}"
         )
     scenery = result.scenery if shadows else None
-    if isinstance(light, DirectionalLight):
-        picture = render_directional(
-            *(result.materials, result.normals, light.direction, light.color, result.fov, threads),
+    if isinstance(asked, DirectionalLight):
+        rendered = render_directional(
+            *(result.materials, result.normals, asked.direction, asked.color, result.fov, threads),
             model=result.model,
-            extents=math.radians(light.softness),
+            extents=math.radians(asked.softness),
         )
         if scenery is not None:
-            picture[result.mask] *= scenery.open_to(light.direction)[:, None]
-        return picture
-    if isinstance(light, Environment):
-        return _under_panorama(result, light, threads, shadows=scenery is not None)
-    if isinstance(light, PointLight):
-        return _under_lamps(result, light.lamps, None, threads, scenery, light.radius)
-    if isinstance(light, Lamps):
-        return _under_lamps(result, light, None, threads, scenery)
-    if isinstance(light, tuple) and len(light) == 2 and isinstance(light[0], Lamps):
-        return _under_lamps(result, light[0], light[1], threads, scenery)
+            rendered[result.mask] *= scenery.open_to(asked.direction)[:, None]
+        return rendered
+    if isinstance(asked, Environment):
+        return _under_panorama(result, asked, threads, shadows=scenery is not None)
+    if isinstance(asked, PointLight):
+        return _under_lamps(result, asked.lamps, None, threads, scenery, asked.radius)
+    if isinstance(asked, Lamps):
+        return _under_lamps(result, asked, None, threads, scenery)
+    if isinstance(asked, tuple) and len(asked) == 2 and isinstance(asked[0], Lamps):
+        return _under_lamps(result, asked[0], asked[1], threads, scenery)
     if scenery is not None:
-        return _among_surroundings(result, light)
-    return render(result.materials, result.normals, light, result.fov, threads, model=result.model)
+        return _among_surroundings(result, asked)
+    return render(result.materials, result.normals, asked, result.fov, threads, model=result.model)
 
 
-def own_light(result: ResultData, i: int) -> NDArray[np.float64] | LampLight:
-    """The light that was found of picture i: SH light, or where there are lamps those with it."""
-    if result.lamps is None:
-        return np.asarray(result.lighting[i])
-    return result.lamps.of_pictures([i]), result.lighting[i]
-
-
-def rendered_picture(result: ResultData, i: int, threads: int = 0) -> NDArray[np.float64]:
-    """Reconstruction of picture i: (H, W, 3), linear Rec.709; NaN outside the mask."""
-    return relight(result, own_light(result, i), threads)
+def _asked(
+    result: ResultData, light: ArrayLike | Light | str | Path | None, picture: int | str | None
+) -> Any:
+    """The light that is given, in a file or as a picture's."""
+    if picture is None:
+        if light is None:
+            raise InputError("light: expected a light, or picture=, found neither")
+        return Environment.read(light) if isinstance(light, (str, Path)) else light
+    if light is not None:
+        raise InputError("light: expected a light, or picture=, found both")
+    names = result.pictures
+    if picture in names:
+        picture = names.index(str(picture))
+    if not isinstance(picture, int) or not -len(names) <= picture < len(names):
+        expected = f"an index below {len(names)} or one of {listed(names)}"
+        raise InputError(f"picture: expected {expected}, found {quoted(picture)}")
+    return result.lights[picture]
 
 
 def _under_lamps(

@@ -136,11 +136,7 @@ class Result(ResultData):
             "camera": None if self.camera is None else self.camera.as_json(),
             "transport": self.transport.as_json(),
             "held_out": None if self.held_out is None else self.held_out.as_json(),
-            "verdicts": (
-                {}
-                if uncertainty is None
-                else {name: one.level for name, one in uncertainty.verdicts.items()}
-            ),
+            "verdicts": {name: one.level for name, one in self.verdicts.items()},
             "options": self.options.to_json(),
             "assumed": dict(self.assumed),
             "left_out": list(self.left_out),
@@ -186,13 +182,14 @@ class Result(ResultData):
 
     def relight(
         self,
-        light: ArrayLike | Light,
+        light: ArrayLike | Light | str | Path | None = None,
         threads: int = 0,
         *,
+        picture: int | str | None = None,
         shadows: bool = True,
     ) -> NDArray[np.float64]:
         """(H, W, 3): radiance under other light; as `pbrfit.relight`, which see."""
-        return relight(self, light, threads, shadows=shadows)
+        return relight(self, light, threads, picture=picture, shadows=shadows)
 
     def _repr_html_(self) -> str:
         """Maps and verdicts, for notebooks."""

@@ -209,7 +209,7 @@ def picture_pair() -> dict[str, Any]:
 
 def render(**arguments: Any) -> Any:
     of = {name: arguments.pop(name) for name in ("albedo", "roughness", "metallic")}
-    return pbrfit.render(Materials(**of), **arguments)
+    return pbrfit.kernel.render(Materials(**of), **arguments)
 
 
 def fitted(**arguments: Any) -> list[Any]:
@@ -252,12 +252,14 @@ class Call:
 
 CALLS: dict[str, Call] = {
     "sh_basis": Call(
-        pbrfit.sh_basis, lambda: {"directions": unit(np.random.default_rng(0), 7)}
+        pbrfit.kernel.sh_basis, lambda: {"directions": unit(np.random.default_rng(0), 7)}
     ),
-    "ggx_band_weights": Call(pbrfit.ggx_band_weights, lambda: {"r": np.linspace(0, 1, 6)}),
-    "shade": Call(pbrfit.shade, pixel_arguments, ["pixels"]),
+    "ggx_band_weights": Call(pbrfit.kernel.ggx_band_weights, lambda: {"r": np.linspace(0, 1, 6)}),
+    "shade": Call(pbrfit.kernel.shade, pixel_arguments, ["pixels"]),
     "shade_vjp": Call(
-        pbrfit.shade_vjp, lambda: pixel_arguments() | {"cotangent": np.ones((5, 3, 16))}, ["pixels"]
+        pbrfit.kernel.shade_vjp,
+        lambda: pixel_arguments() | {"cotangent": np.ones((5, 3, 16))},
+        ["pixels"],
     ),
     "render": Call(
         render,

@@ -21,7 +21,6 @@ from pbrfit.display.files import ANIMATIONS, write_animation
 from pbrfit.io import images
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting, rotated
-from pbrfit.result.relighting import rendered_picture
 from relit import ball, fitted, shaded_ball
 from scene_files import Argument, run, write_exr, write_folder, write_hdr
 from under_lamps import ball_under_lamps
@@ -455,7 +454,7 @@ def test_lights_that_are_no_angles_or_none(room: Path, tmp_path: Path, light: st
 
 def test_a_picture_s_own_light_is_shown_again(room: Path, lamps: Path, tmp_path: Path) -> None:
     result = Result.load(lamps)
-    expected = rendered_picture(result, 2).astype(np.float32)
+    expected = relight(result, picture=2).astype(np.float32)
     found = written(lamps, tmp_path, "--picture", "c")
     np.testing.assert_array_equal(found[result.mask], expected[result.mask])
     file = lamps / "lighting.json"

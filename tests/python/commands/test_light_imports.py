@@ -45,7 +45,8 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
 
 
 def test_every_public_name_is_found_and_no_other() -> None:
-    assert set(pbrfit.__all__) <= set(dir(pbrfit))
+    assert set(dir(pbrfit)) == {*pbrfit.__all__, "__version__", "kernel"}
+    assert all(callable(getattr(pbrfit.kernel, name)) for name in pbrfit.kernel.__all__)
     assert all(getattr(pbrfit, name).__name__ == name for name in pbrfit.__all__)
     with pytest.raises(AttributeError, match="no attribute 'another'"):
         pbrfit.another  # noqa: B018 - what is asked for is what is tested

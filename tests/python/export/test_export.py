@@ -23,7 +23,7 @@ from PIL import Image
 
 import glb_reader
 from command_runs import done, refused
-from pbrfit import InputError, Result, Scene, decompose, relight, sh_basis, view_directions
+from pbrfit import InputError, Result, Scene, decompose, relight
 from pbrfit.export import export_result
 from pbrfit.export.gltf import glb
 from pbrfit.export.lights import file_names
@@ -32,6 +32,7 @@ from pbrfit.export.nonnegative import RIDGE, nonnegative_radiance
 from pbrfit.export.view_mesh import Geometry, camera, facets
 from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
+from pbrfit.kernel import sh_basis, view_directions
 from pbrfit.model import panorama
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import Materials

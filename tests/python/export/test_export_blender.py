@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from blender_card import TURN, InBlender, Rendering, in_blender, relief, to_camera_space
-from pbrfit import Result, render, sh_basis, view_directions
+from pbrfit import Result
 from pbrfit.export import export_result
+from pbrfit.kernel import render, sh_basis, view_directions
 from pbrfit.model.lighting import rotated
 from pbrfit_evaluation.cycles import why_not
 

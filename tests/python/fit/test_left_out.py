@@ -133,7 +133,7 @@ def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
     lighting = lights_of(scene)
     flat = np.full((SIZE, SIZE), metallic)
     maps = dataclasses.replace(truth_of(scene).materials, metallic=flat)
-    images = pbrfit.render(maps, scene.normals, lighting, scene.fov)
+    images = pbrfit.kernel.render(maps, scene.normals, lighting, scene.fov)
     scene = dataclasses.replace(scene, images=images, truth=pbrfit.Truth(maps, lighting))
     options: dict[str, Any] = {"start": (maps, lighting), "iterations": 5, "priors": None}
     result = pbrfit.decompose(scene, **options, metallic=metallic)
@@ -222,7 +222,7 @@ def test_the_reconstruction_error_is_weighted(channels: tuple[int, ...]) -> None
     weights = some_weights(0, *channels)
     scene = dataclasses.replace(in_color(), weights=weights)
     result = pbrfit.decompose(scene, solver="lbfgsb", iterations=20)
-    rendered = pbrfit.render(result.materials, scene.normals, result.lighting, scene.fov)
+    rendered = pbrfit.kernel.render(result.materials, scene.normals, result.lighting, scene.fov)
     squares = np.square(rendered - scene.images)[:, scene.valid]
     assert scene.weights is not None
     of_values = scene.weights.astype(np.float64)[:, scene.valid]

@@ -286,7 +286,7 @@ def test_tiny_pictures(shape: tuple[int, int], solver: Solver) -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_perfect_pictures_have_no_use_for_a_prior(room: Scene, solver: Solver) -> None:
     """Where the fit leaves no residual there is no noise, and the prior has nothing to say."""
-    images = pbrfit.render(truth_of(room).materials, room.normals, lights_of(room), room.fov)
+    images = pbrfit.kernel.render(truth_of(room).materials, room.normals, lights_of(room), room.fov)
     scene = dataclasses.replace(room, images=images)
     truth = truth_of(room).materials, lights_of(room)
     result = pbrfit.decompose(scene, solver=solver, iterations=10, start=truth)

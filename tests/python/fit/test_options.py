@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -49,3 +50,13 @@ def test_numpy_numbers_are_options(tmp_path: Path) -> None:
     for name, value in numbers.items():
         assert getattr(options, name) == value
         assert type(getattr(result.options, name)) in (int, float, str)
+
+
+def test_a_wrong_keyword_says_whose_it_is_and_help_has_each_option() -> None:
+    with pytest.raises(TypeError, match=r"max_size is an option of Scene.load\(path, max_size="):
+        pbrfit.decompose(SCENE, max_size=8)
+    with pytest.raises(TypeError, match=r"expected options solver, .*, found 'max_sise'"):
+        pbrfit.decompose(SCENE, max_sise=8)
+    said = pbrfit.decompose.__doc__ or ""
+    for one in dataclasses.fields(pbrfit.FitOptions):
+        assert f"\n{one.name}\n    " in said

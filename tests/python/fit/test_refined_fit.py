@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Priors, Result, Scene, Status, decompose, render
+from pbrfit import Priors, Result, Scene, Status, decompose
+from pbrfit.kernel import render
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.synthetic import make_scene

@@ -55,7 +55,7 @@ def scene_of(room: dict[str, Any], kind: str | None) -> Scene:
     """Pictures of the room: open to the sky, or among its surroundings."""
     maps, lights, given = room["maps"], room["lights"], room["given"]
     if kind is None:
-        images = pbrfit.render(maps, given["normals"], lights, FOV, model="principled")
+        images = pbrfit.kernel.render(maps, given["normals"], lights, FOV, model="principled")
     else:
         # With the rays of a fit, and all that is reflected: else the true room does not fit.
         with pytest.MonkeyPatch.context() as patch:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 import pbrfit
 
 # Whatever the default is.
-shade = partial(pbrfit.shade, model="paper")
-shade_vjp = partial(pbrfit.shade_vjp, model="paper")
+shade = partial(pbrfit.kernel.shade, model="paper")
+shade_vjp = partial(pbrfit.kernel.shade_vjp, model="paper")
 
 Array = NDArray[np.floating[Any]]
 
@@ -51,7 +51,7 @@ def errors(found: Array, stated: list[Any]) -> Array:
 def test_band_weights(folder: Path, column: str, bar: float) -> None:
     rows = read(folder / "bands.json", "rows")
     r = np.array([row["r"] for row in rows])
-    h, dh_dr = pbrfit.ggx_band_weights(r)
+    h, dh_dr = pbrfit.kernel.ggx_band_weights(r)
     error = errors({"h": h, "dh_dr": dh_dr}[column], [row[column] for row in rows])
     worst, band = np.unravel_index(np.argmax(error), error.shape)
     assert error.max() <= bar, f"{column}[{band}] at r = {r[worst]!r} misses by {error.max():.3g}"

@@ -19,9 +19,9 @@ from reference import seen_at, unit
 from scene_kinds import with_entry
 
 # Whatever the default is.
-render = partial(pbrfit.render, model="paper")
-shade = partial(pbrfit.shade, model="paper")
-shade_vjp = partial(pbrfit.shade_vjp, model="paper")
+render = partial(pbrfit.kernel.render, model="paper")
+shade = partial(pbrfit.kernel.shade, model="paper")
+shade_vjp = partial(pbrfit.kernel.shade_vjp, model="paper")
 
 Array = NDArray[np.floating[Any]]
 
@@ -54,13 +54,15 @@ def assert_close(found: Array, expected: Array, bar: float, what: str) -> None:
 def test_sh_basis() -> None:
     rng = np.random.default_rng(0)
     directions = np.concatenate([unit(rng.normal(size=(1000, 3))), np.eye(3), -np.eye(3)])
-    assert_close(pbrfit.sh_basis(directions), reference.sh_basis(directions), 1e-14, "sh_basis")
+    assert_close(
+        pbrfit.kernel.sh_basis(directions), reference.sh_basis(directions), 1e-14, "sh_basis"
+    )
 
 
 def test_band_weights() -> None:
     r = np.concatenate([np.linspace(0, 1, 3001), np.geomspace(1e-9, 1e-2, 500)])
     for found, expected, what in zip(
-        pbrfit.ggx_band_weights(r), reference.bands(r), ("h", "dh_dr"), strict=True
+        pbrfit.kernel.ggx_band_weights(r), reference.bands(r), ("h", "dh_dr"), strict=True
     ):
         assert_close(found, expected, 5e-14, what)
 
@@ -124,7 +126,7 @@ def adjoint(
 ) -> tuple[NDArray[np.float64], ...]:
     """Derivatives of every weight by albedo, roughness, metallic and normal, (3, 16, ...) each."""
     unit_cotangents = np.eye(48).reshape(3, 16, 3, 16)
-    return pbrfit.shade_vjp(normal, view, **material, cotangent=unit_cotangents, model=model)
+    return pbrfit.kernel.shade_vjp(normal, view, **material, cotangent=unit_cotangents, model=model)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -138,7 +140,7 @@ def test_adjoint_against_finite_differences(
 
     def weights(change: float) -> Array:
         moved = material | {name: material[name] + change}
-        return pbrfit.shade(normal, view, **moved, model=model)
+        return pbrfit.kernel.shade(normal, view, **moved, model=model)
 
     # Values are good to 4e-15 or so and the last steps are 1e-5: noise of 1e-10 at the very most.
     step = 2e-3 if model == "paper" else 2e-4
@@ -165,7 +167,7 @@ def test_adjoint_by_the_normal_against_finite_differences(
 
     def weights(change: float) -> Array:
         turned = unit(normal + change * np.eye(3)[axis])  # in the tangent plane of a normal along z
-        return pbrfit.shade(turned, view, **material, model=model)
+        return pbrfit.kernel.shade(turned, view, **material, model=model)
 
     # Steps that stay on one side of the clamp: n·v changes by at most as much as the normal.
     room = abs(cosine - 1e-4)
@@ -237,7 +239,7 @@ def test_arrays_of_other_precision_and_lists() -> None:
 
 @pytest.mark.parametrize(("height", "width", "fov"), [(3, 5, 60.0), (4, 4, 90.0), (7, 2, 20.0)])
 def test_view_directions_follow_the_pinhole(height: int, width: int, fov: float) -> None:
-    view = pbrfit.view_directions(height, width, fov)
+    view = pbrfit.kernel.view_directions(height, width, fov)
     # A pixel is a square of side 1 at distance (width/2)/tan(fov/2) from the pinhole. Its centre
     # lies right (+x) and up (+y) of the axis, its view vector points the other way, and to +z.
     distance = width / 2 / math.tan(math.radians(fov / 2))
@@ -251,7 +253,7 @@ def test_view_directions_follow_the_pinhole(height: int, width: int, fov: float)
 
 def test_view_directions_of_an_orthographic_camera() -> None:
     np.testing.assert_array_equal(
-        pbrfit.view_directions(3, 4, 0.0), np.broadcast_to([0.0, 0, 1], (3, 4, 3))
+        pbrfit.kernel.view_directions(3, 4, 0.0), np.broadcast_to([0.0, 0, 1], (3, 4, 3))
     )
 
 
@@ -264,7 +266,7 @@ def test_render(fov: float) -> None:
     )
     normals = unit(rng.normal(size=(height, width, 3)) + np.array([0, 0, 1]))
     lighting = rng.normal(size=(4, 16, 3))
-    view = pbrfit.view_directions(height, width, fov)
+    view = pbrfit.kernel.view_directions(height, width, fov)
     weights = reference.shade(
         normals, view, materials.albedo, materials.roughness, materials.metallic
     )
@@ -339,16 +341,16 @@ def test_shade_vjp_refuses_a_bad_cotangent(cotangent: Array) -> None:
 @pytest.mark.parametrize(
     ("call", "name"),
     [
-        (lambda: pbrfit.sh_basis(np.ones((4, 2))), "directions"),
-        (lambda: pbrfit.sh_basis([math.nan, 0, 1]), "directions"),
-        (lambda: pbrfit.sh_basis([0.0, 0, 0]), "directions"),
-        (lambda: pbrfit.ggx_band_weights([0.5, math.nan]), "r"),
-        (lambda: pbrfit.ggx_band_weights(-0.1), "r"),
-        (lambda: pbrfit.ggx_band_weights(1.0000001), "r"),
-        (lambda: pbrfit.ggx_band_weights("smooth"), "r"),
-        (lambda: pbrfit.view_directions(4, 4, 180.0), "fov"),
-        (lambda: pbrfit.view_directions(4, 4, -1.0), "fov"),
-        (lambda: pbrfit.view_directions(4, 4, math.nan), "fov"),
+        (lambda: pbrfit.kernel.sh_basis(np.ones((4, 2))), "directions"),
+        (lambda: pbrfit.kernel.sh_basis([math.nan, 0, 1]), "directions"),
+        (lambda: pbrfit.kernel.sh_basis([0.0, 0, 0]), "directions"),
+        (lambda: pbrfit.kernel.ggx_band_weights([0.5, math.nan]), "r"),
+        (lambda: pbrfit.kernel.ggx_band_weights(-0.1), "r"),
+        (lambda: pbrfit.kernel.ggx_band_weights(1.0000001), "r"),
+        (lambda: pbrfit.kernel.ggx_band_weights("smooth"), "r"),
+        (lambda: pbrfit.kernel.view_directions(4, 4, 180.0), "fov"),
+        (lambda: pbrfit.kernel.view_directions(4, 4, -1.0), "fov"),
+        (lambda: pbrfit.kernel.view_directions(4, 4, math.nan), "fov"),
     ],
 )
 def test_refusals_of_the_other_functions(call: Callable[[], object], name: str) -> None:

@@ -50,9 +50,9 @@ def misnamed(model: Any) -> Iterator[Callable[[], object]]:
     scene = room("paper")
     known = truth_of(scene).materials, scene.normals
     light = np.zeros((16, 3))
-    yield lambda: pbrfit.shade(**pixel, model=model)
-    yield lambda: pbrfit.shade_vjp(**pixel, cotangent=np.zeros((3, 16)), model=model)
-    yield lambda: pbrfit.render(*known, light, 60.0, model=model)
+    yield lambda: pbrfit.kernel.shade(**pixel, model=model)
+    yield lambda: pbrfit.kernel.shade_vjp(**pixel, cotangent=np.zeros((3, 16)), model=model)
+    yield lambda: pbrfit.kernel.render(*known, light, 60.0, model=model)
     yield lambda: render_directional(*known, [0, 0, 1], [1, 1, 1], 60.0, model=model)
     yield lambda: Objective(scene, model=model)
     yield lambda: decompose(scene, model=model)
@@ -154,9 +154,9 @@ def test_synthetic_pictures_are_rendered_with_the_model_and_all_else_is_the_same
         known = truth_of(scene).materials, scene.normals
         lights = lights_of(scene), held_out_of(scene)[1]
         for light, images in zip(lights, (scene.images, held_out_of(scene)[0]), strict=True):
-            again = pbrfit.render(*known, light, scene.fov, model=scene.model)
+            again = pbrfit.kernel.render(*known, light, scene.fov, model=scene.model)
             np.testing.assert_allclose(again, images, rtol=1e-12, atol=0)
-            apart = pbrfit.render(*known, light, scene.fov, model=OTHER[scene.model])
+            apart = pbrfit.kernel.render(*known, light, scene.fov, model=OTHER[scene.model])
             assert np.abs(apart - images).max() > 0.01
 
 

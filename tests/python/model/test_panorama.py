@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pbrfit import InputError, sh_basis
+from pbrfit import InputError
 from pbrfit.io import images
+from pbrfit.kernel import sh_basis
 from pbrfit.model import panorama
 from pbrfit.model.lighting import rotated
 

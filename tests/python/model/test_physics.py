@@ -21,7 +21,7 @@ from reference import frames, seen_at, smith_g1, unit
 from scene_files import truth_of
 
 # Whatever the default is.
-shade = partial(pbrfit.shade, model="paper")
+shade = partial(pbrfit.kernel.shade, model="paper")
 
 Array = NDArray[np.floating[Any]]
 
@@ -47,13 +47,13 @@ def sphere_rule(polar: int, azimuthal: int) -> tuple[Array, Array]:
 
 def test_sh_basis_is_orthonormal() -> None:
     directions, area = sphere_rule(8, 16)
-    basis = pbrfit.sh_basis(directions)
+    basis = pbrfit.kernel.sh_basis(directions)
     np.testing.assert_allclose((basis.T * area) @ basis, np.eye(16), rtol=0, atol=1e-14)
 
 
 def test_sh_index_and_sign_convention() -> None:
     # Index l(l+1)+m without Condon–Shortley phase: y, z, x with a positive sign.
-    basis = pbrfit.sh_basis(np.eye(3))
+    basis = pbrfit.kernel.sh_basis(np.eye(3))
     one = math.sqrt(3 / (4 * math.pi))
     np.testing.assert_allclose(
         basis[:, 1:4], [[0, 0, one], [one, 0, 0], [0, one, 0]], rtol=0, atol=1e-16
@@ -66,17 +66,17 @@ def test_radiance_is_equivariant_under_rotation(model: Model) -> None:
     # are L' = M L with M = ∫ Y(Rd) Y(d)ᵀ dd.
     rotation = Rotation.from_euler("zyx", [0.7, -1.1, 2.3]).as_matrix()
     directions, area = sphere_rule(8, 16)
-    turned = pbrfit.sh_basis(directions @ rotation.T)
-    M = (turned.T * area) @ pbrfit.sh_basis(directions)
+    turned = pbrfit.kernel.sh_basis(directions @ rotation.T)
+    M = (turned.T * area) @ pbrfit.kernel.sh_basis(directions)
     rng = np.random.default_rng(1)
     normal, view = frames(200, 2)
     albedo, (roughness, metallic) = rng.random((200, 3)), rng.random((2, 200))
     lighting = rng.normal(size=(16, 3))
     view[:20] = normal[:20]
     material = albedo, roughness, metallic
-    before = pbrfit.shade(normal, view, *material, model=model)
+    before = pbrfit.kernel.shade(normal, view, *material, model=model)
     turned_pixels = unit(normal @ rotation.T), unit(view @ rotation.T)
-    after = pbrfit.shade(*turned_pixels, *material, model=model)
+    after = pbrfit.kernel.shade(*turned_pixels, *material, model=model)
     np.testing.assert_allclose(
         np.einsum("pck,kc->pc", after, M @ lighting),
         np.einsum("pck,kc->pc", before, lighting),
@@ -86,7 +86,7 @@ def test_radiance_is_equivariant_under_rotation(model: Model) -> None:
 
 
 def test_band_weights_fall_with_roughness_between_known_ends() -> None:
-    h, dh_dr = pbrfit.ggx_band_weights(np.linspace(0, 1, 2001))
+    h, dh_dr = pbrfit.kernel.ggx_band_weights(np.linspace(0, 1, 2001))
     np.testing.assert_array_equal(h[0], [4, 4, 4, 4])  # a mirror passes every band whole
     np.testing.assert_allclose(h[-1], [2, 1, 0, -0.25], rtol=0, atol=1e-14)  # D = 1/π
     assert (np.diff(h, axis=0) <= 1e-14).all()
@@ -171,8 +171,8 @@ def test_a_perfect_mirror_shows_the_light(model: Model) -> None:
     # White metal of roughness 0: the weights are Y(mirror), as exact as a table of lobes has them.
     normal, view = frames(100, 5)
     mirror = 2 * np.sum(normal * view, axis=-1, keepdims=True) * normal - view
-    weights = pbrfit.shade(normal, view, WHITE, np.array(0.0), np.array(1.0), model=model)
-    expected = np.broadcast_to(pbrfit.sh_basis(unit(mirror))[:, None], (100, 3, 16))
+    weights = pbrfit.kernel.shade(normal, view, WHITE, np.array(0.0), np.array(1.0), model=model)
+    expected = np.broadcast_to(pbrfit.kernel.sh_basis(unit(mirror))[:, None], (100, 3, 16))
     bar = 1e-14 if model == "paper" else 1e-5
     np.testing.assert_allclose(weights, expected, rtol=0, atol=bar)
 
@@ -181,7 +181,7 @@ def test_diffuse_term_is_the_cosine_weighted_integral_of_the_light() -> None:
     # What albedo adds to a dielectric is (1−F)ρ/π ∫ max(0, n·l) Y_k(l) dl (eq. 6).
     normal, view = seen_at(0.6)
     directions, area = sphere_rule(16, 32)
-    irradiance = pbrfit.sh_basis(directions).T @ (area * np.maximum(0, directions @ normal))
+    irradiance = pbrfit.kernel.sh_basis(directions).T @ (area * np.maximum(0, directions @ normal))
     white, black = (
         shade(normal, view, np.full(3, rho), np.array(0.5), np.array(0.0))[0] for rho in (1.0, 0.0)
     )
@@ -201,7 +201,7 @@ def test_specular_term_is_the_zonal_integral_of_the_light() -> None:
     u = np.maximum(directions[:, 2], 0)
     e = r**4
     lobe = (directions[:, 2] > 0) * e / (math.pi * ((1 + u) / 2 * (e - 1) + 1) ** 2)
-    moments = pbrfit.sh_basis(unit(turn.apply(directions))).T @ (area * lobe)
+    moments = pbrfit.kernel.sh_basis(unit(turn.apply(directions))).T @ (area * lobe)
     weights = shade(normal, view, WHITE, np.array(r), np.array(1.0))[0]
     g1 = float(np.real(smith_g1(np.array(cosine), np.array(r))))
     np.testing.assert_allclose(weights, g1 / 4 * moments, rtol=0, atol=1e-13)
@@ -209,8 +209,8 @@ def test_specular_term_is_the_zonal_integral_of_the_light() -> None:
 
 def test_metals_have_no_diffuse_term_and_dielectrics_reflect_four_percent() -> None:
     normal, view = seen_at(1.0)  # the mirror direction is the normal; F = F0
-    h, _ = pbrfit.ggx_band_weights(np.array(0.5))
-    at_normal = h[DEGREE] / 4 * pbrfit.sh_basis(normal)
+    h, _ = pbrfit.kernel.ggx_band_weights(np.array(0.5))
+    at_normal = h[DEGREE] / 4 * pbrfit.kernel.sh_basis(normal)
     albedo = np.array([0.9, 0.5, 0.1])
     metal = shade(normal, view, albedo, np.array(0.5), np.array(1.0))
     np.testing.assert_allclose(metal, albedo[:, None] * at_normal, rtol=0, atol=1e-15)
@@ -225,7 +225,7 @@ def test_radiance_is_linear_in_the_light(model: Model) -> None:
     normals = unit(rng.normal(size=(5, 7, 3)) + np.array([0, 0, 2]))
     first, second = rng.normal(size=(2, 16, 3))
     lights = np.stack([first, second, 2 * first - 0.5 * second])
-    a, b, mixed = pbrfit.render(materials, normals, lights, 60.0, model=model)
+    a, b, mixed = pbrfit.kernel.render(materials, normals, lights, 60.0, model=model)
     np.testing.assert_allclose(mixed, 2 * a - 0.5 * b, rtol=0, atol=1e-13)
 
 

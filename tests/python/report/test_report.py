@@ -25,8 +25,9 @@ from browser import launched, visit, wait_until
 from command_runs import done, refused
 from left_out_pictures import EXCUSE, EXPLAINED, SENTENCE, UNEXPLAINED
 from page_reader import Page, decoded
-from pbrfit import InputError, Materials, Result, Scene, decompose, sh_basis
+from pbrfit import InputError, Materials, Result, Scene, decompose
 from pbrfit.io.color import encode_srgb
+from pbrfit.kernel import sh_basis
 from pbrfit.model.reflection import Model, render
 from pbrfit.report import budget, lights, originals, theme, write_report
 from pbrfit.report.html import document

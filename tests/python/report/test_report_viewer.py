@@ -15,15 +15,15 @@ import pytest
 from numpy.typing import NDArray
 
 from browser import launched, visit, wait_until
-from pbrfit import DirectionalLight, Environment, Result, relight, sh_basis
+from pbrfit import DirectionalLight, Environment, Result, relight
 from pbrfit.display.tone import ToneMap, encoded
+from pbrfit.kernel import sh_basis
 from pbrfit.model import panorama
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import rotated
 from pbrfit.model.reflection import Model
 from pbrfit.report.viewer import fragment, maps
 from pbrfit.report.viewer.lights import AMBIENT
-from pbrfit.result.relighting import own_light
 from relight_view import (
     READY,
     Light,
@@ -197,7 +197,7 @@ def test_a_picture_that_was_lit_by_lamps_is_shown_under_them(
     )
     with opened(browser, result, tmp_path) as view:
         for i, name in enumerate(result.pictures[:2]):
-            light = own_light(result, i)
+            light = result.lights[i]
             assert shown_off(view, f"light={name}", result, [light]) <= AT_MOST
 
 

@@ -15,8 +15,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit import InputError, Scene, ggx_band_weights
+from pbrfit import InputError, Scene
 from pbrfit.display.tone import encoded
+from pbrfit.kernel import ggx_band_weights
 from pbrfit.model.geometry import view_directions
 from pbrfit.report.viewer import BAND_NODES, film, fragment, maps
 from pbrfit.result import metrics

@@ -18,7 +18,7 @@ from pbrfit.model.geometry import angles_between, view_directions
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import render
 from pbrfit.result.preview import preview
-from pbrfit.result.relighting import own_light, rendered_picture, turned
+from pbrfit.result.relighting import turned
 from relit import fitted, shaded_ball
 from result_files import FILES
 from scene_files import known
@@ -107,11 +107,11 @@ def test_a_picture_is_lit_by_its_own_lamps_and_ambient_light(result: Result) -> 
             azimuth, elevation = math.degrees(math.atan2(x, z)), math.degrees(math.asin(y))
             lamp = DirectionalLight(azimuth, elevation, tuple(result.lamps.colors[k].tolist()))
             expected += relight(result, lamp)
-        np.testing.assert_allclose(rendered_picture(result, i), expected, rtol=1e-10, atol=1e-12)
-    lamps, ambient = own_light(result, 0)
+        np.testing.assert_allclose(relight(result, picture=i), expected, rtol=1e-10, atol=1e-12)
+    lamps, ambient = result.lights[0]
     alone = relight(result, lamps)
     sky = relight(result, ambient)
-    np.testing.assert_allclose(alone + sky, rendered_picture(result, 0), rtol=1e-12)
+    np.testing.assert_allclose(alone + sky, relight(result, picture=0), rtol=1e-12)
 
 
 def test_lamps_are_turned_as_a_hard_light_is(result: Result) -> None:
@@ -177,8 +177,8 @@ def test_the_lamp_of_one_more_picture_is_found(result: Result, ambient_terms: in
     if ambient_terms:
         around[:, :4] = 0.05 * np.random.default_rng(0).normal(size=(1, 4, 3))
         around[:, 0] += 0.2
-    picture = rendered_picture(
-        dataclasses.replace(result, lamps=lamp, lighting=around, pictures=("new",)), 0
+    picture = relight(
+        dataclasses.replace(result, lamps=lamp, lighting=around, pictures=("new",)), picture=0
     )
     used = result.mask
     maps = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from pbrfit import DirectionalLight, Environment, InputError, PointLight, Result
 from pbrfit.model import panorama
 from pbrfit.result.relighting import turned
 from relit import ball, fitted, shaded_ball, side_lit
-from scene_files import room
+from scene_files import known, room, write_hdr
 
 Array = NDArray[np.floating[Any]]
 
@@ -137,7 +138,7 @@ def test_a_picture_of_a_hard_light_and_of_its_sh_light_agree_where_surfaces_are_
     black = ball(result, albedo=0.0, roughness=1.0)
     white = ball(result, albedo=1.0, roughness=1.0)
     lamp = DirectionalLight(40, 20)
-    projected = math.pi * pbrfit.sh_basis(lamp.direction)[:, None] * np.ones(3)
+    projected = math.pi * pbrfit.kernel.sh_basis(lamp.direction)[:, None] * np.ones(3)
     hard, soft = (
         np.nan_to_num(relight(white, light) - relight(black, light)) for light in (lamp, projected)
     )
@@ -148,11 +149,25 @@ def test_a_picture_of_a_hard_light_and_of_its_sh_light_agree_where_surfaces_are_
 
 def test_the_light_of_a_picture_gives_its_reconstruction(result: Result) -> None:
     all_at_once = relight(result, result.lighting)
-    expected = pbrfit.render(result.materials, result.normals, result.lighting, result.fov)
+    expected = pbrfit.kernel.render(result.materials, result.normals, result.lighting, result.fov)
     np.testing.assert_array_equal(all_at_once, expected)
     error = float(np.sqrt(np.nanmean((all_at_once - np.asarray(room().images, np.float64)) ** 2)))
     assert error == pytest.approx(result.metrics["recon_rmse"], rel=1e-9)
-    np.testing.assert_array_equal(relight(result, result.lighting[1]), expected[1])
+    for asked in ({"light": result.lights[1]}, {"picture": 1}, {"picture": result.pictures[1]}):
+        np.testing.assert_array_equal(result.relight(**asked), expected[1])
+    for wrong in ({}, {"light": expected, "picture": 0}, {"picture": 3}, {"picture": "none"}):
+        with pytest.raises(InputError, match=r"^(light|picture): expected "):
+            result.relight(**wrong)
+    assert result.verdicts == known(result.uncertainty).verdicts
+
+
+def test_the_file_of_a_panorama_is_a_light(sphere: Result, tmp_path: Path) -> None:
+    pixels = spot(0.5, 0.3)
+    write_hdr(tmp_path / "sky.hdr", pixels)
+    found = relight(sphere, tmp_path / "sky.hdr")
+    np.testing.assert_array_equal(found, relight(sphere, str(tmp_path / "sky.hdr")))
+    read = Environment.read(tmp_path / "sky.hdr")
+    np.testing.assert_array_equal(found, relight(sphere, read))
 
 
 def test_outside_the_mask_there_is_no_number(sphere: Result) -> None:

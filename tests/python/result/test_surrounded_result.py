@@ -215,7 +215,7 @@ def test_pieces_of_a_picture_give_the_same_light(
 
 
 def test_what_was_decided_is_said_and_what_was_found_before(
-    made: tuple[Scene, Result, list[Scenery]], tmp_path: Path
+    made: tuple[Scene, Result, list[Scenery]],
 ) -> None:
     scene, result, _ = made
     [said] = [line for line in details(result) if line.startswith("surroundings")]

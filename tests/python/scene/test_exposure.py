@@ -93,7 +93,7 @@ def test_the_loss_is_that_of_inverse_square_weights() -> None:
     x = objective.pack(maps.albedo, maps.roughness, maps.metallic, lighting)
     np.testing.assert_allclose(objective.unpack(x)[1], lighting, rtol=1e-12)
     loss, _ = objective.value_and_grad(x)
-    residuals = pbrfit.render(maps, scene.normals, lighting, scene.fov) - scene.images
+    residuals = pbrfit.kernel.render(maps, scene.normals, lighting, scene.fov) - scene.images
     weighted = np.mean(np.square(residuals) / exposures[:, None, None, None] ** 2)
     assert objective.residual_rmse(loss) == pytest.approx(np.sqrt(weighted), rel=1e-5)
     means = mean_radiance(scene) / (objective.scale * exposures)
