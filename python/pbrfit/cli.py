@@ -23,7 +23,6 @@ from pbrfit.commands.arguments import (
     UNUSABLE,
     complain,
     message_of,
-    with_signed_values,
 )
 from pbrfit.commands.messages import in_flags, unread
 from pbrfit.io.quoting import visible
@@ -76,7 +75,7 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         except MemoryError as error:
             complain(str(error))
             return UNUSABLE
-    options = _parser().parse_args(with_signed_values(given))
+    options = _parser().parse_args(given)
     from pbrfit import ending
     from pbrfit._core import InputError, last_word
 
@@ -146,6 +145,8 @@ class _Parser(argparse.ArgumentParser):
     ) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_HelpFormatter, **arguments)
         self._complete = complete
+        # What begins as a negative number is a value and no option: `--light -40,30`.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         if self._complete is not None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, get_args
 
+from pbrfit._core import InputError
 from pbrfit.commands.messages import complain as complain
 from pbrfit.commands.messages import message_of as message_of
 from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
@@ -91,6 +91,18 @@ def tell(options: argparse.Namespace, lines: Iterable[str]) -> None:
             print(*map(visible, lines), sep="\n")
 
 
+def refuse_idle(options: argparse.Namespace, checks: Iterable[tuple[str, bool, str]]) -> None:
+    """Refuse options that would do nothing.
+
+    Each check has the name of an option, whether it has an effect, and what it goes with. Raises
+    InputError for the first that was given and has none.
+    """
+    for name, has_effect, said in checks:
+        given = getattr(options, name)
+        if given is not None and given is not False and not has_effect:
+            raise InputError(f"--{name.replace('_', '-')}: goes with {said}")
+
+
 def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None:
     """Add a result folder, and `--out` and `--overwrite` for what is made of it."""
     parser.add_argument("result", metavar="RESULT", type=Path, help="result folder")
@@ -143,27 +155,6 @@ def positive(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
     return value
-
-
-SIGNED = ("--light", "--lamp", "--rotate", "--exposure", "--color")
-"""Options whose value may begin with a minus sign."""
-
-
-def with_signed_values(arguments: Sequence[str]) -> list[str]:
-    """Tie values such as ``-40,30`` to their options: ``--light=-40,30``.
-
-    `argparse` takes an argument that begins with a minus sign for an option, unless it is a plain
-    number; a list of numbers is none.
-    """
-    tied: list[str] = []
-    for i, argument in enumerate(arguments):
-        if argument == "--":  # what follows is no option
-            return [*tied, *arguments[i:]]
-        if tied and tied[-1] in SIGNED and re.match(r"-\.?\d", argument):
-            tied[-1] += f"={argument}"
-        else:
-            tied.append(argument)
-    return tied
 
 
 def number(text: str) -> float:

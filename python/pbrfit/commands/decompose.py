@@ -87,10 +87,11 @@ def run(options: argparse.Namespace) -> int:
     """Decompose the scenes, here or by workers."""
     if options.resume and options.overwrite:
         raise InputError("expected --resume or --overwrite, found both")
-    if options.verbose and (options.quiet or options.json):
-        raise InputError("--verbose: goes without --quiet and --json")
-    if options.same_lamp and options.light == "sh":
-        raise InputError("--same-lamp: goes with --light lamps or auto, found sh")
+    checks = [
+        ("verbose", not (options.quiet or options.json), "neither --quiet nor --json"),
+        ("same_lamp", options.light != "sh", "--light lamps or auto, found sh"),
+    ]
+    cli.refuse_idle(options, checks)
     options.reading = reading(options)
     options.pictures = tuple(options.scenes) if any(map(Path.is_file, options.scenes)) else ()
     if options.pictures:

@@ -29,15 +29,8 @@ MAX_SIZE = 1024
 
 ASKING = ("flux2-klein", "gpt-image-2")
 BELONGS = {
-    "prompts": ASKING,
-    "negative": ASKING,
-    "seed": ASKING,
-    "regenerate": ASKING,
-    "model": ASKING,
-    "guidance": ASKING[:1],
-    "steps": ASKING[:1],
-    "dtype": ASKING[:1],
-    "offload": ASKING[:1],
+    **dict.fromkeys(("prompts", "negative", "seed", "regenerate", "model"), ASKING),
+    **dict.fromkeys(("guidance", "steps", "dtype", "offload"), ASKING[:1]),
     "quality": ASKING[1:],
 }
 """Which generators an option is for; those not named here are for all."""
@@ -216,19 +209,16 @@ def run(options: argparse.Namespace) -> int:
 def _check_belonging(options: argparse.Namespace) -> None:
     """Refuse options that would do nothing."""
     chosen = options.generator.partition(":")[0]
-    for name, generators in BELONGS.items():
-        if getattr(options, name) is not None and chosen not in generators:
-            raise InputError(
-                f"--{name}: goes with --generator {' or '.join(generators)}, found {chosen}"
-            )
-    if options.no_review and options.regenerate is not None:
-        raise InputError("--regenerate: goes with the review, found --no-review")
-    networks = ("flux2-klein", "marigold", "sam2")
-    used = (chosen, options.normals, options.segments)
-    if options.device is not None and not set(networks) & set(used):
-        raise InputError(
-            "--device: goes with flux2-klein, marigold or sam2, found no network to be used"
-        )
+    checks = [
+        (name, chosen in ones, f"--generator {' or '.join(ones)}, found {chosen}")
+        for name, ones in BELONGS.items()
+    ]
+    used = {chosen, options.normals, options.segments} & {"flux2-klein", "marigold", "sam2"}
+    checks += [
+        ("regenerate", not options.no_review, "the review, found --no-review"),
+        ("device", bool(used), "flux2-klein, marigold or sam2, found no network to be used"),
+    ]
+    cli.refuse_idle(options, checks)
 
 
 @contextmanager

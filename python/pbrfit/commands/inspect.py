@@ -5,8 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit._core import InputError
-from pbrfit.commands.arguments import DONE, add_flags, add_scene, scene_named, switch, value
+from pbrfit.commands.arguments import (
+    DONE,
+    add_flags,
+    add_scene,
+    refuse_idle,
+    scene_named,
+    switch,
+    value,
+)
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.io import images
 from pbrfit.io.output import check_free_file, new_file
@@ -28,8 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
-    if options.overwrite and options.preview is None:
-        raise InputError("--overwrite: goes with --preview")
+    refuse_idle(options, [("overwrite", options.preview is not None, "--preview")])
     if options.preview is not None:
         check_free_file(options.preview, overwrite=options.overwrite)
     scene = Scene.load(scene_named(options.scene), reading(options))

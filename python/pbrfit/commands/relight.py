@@ -162,24 +162,17 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
         raise InputError(
             "light: expected one of --env, --light, --lamp, --sh and --picture, found none"
         )
-    for name, belongs, message in (
-        (
-            "rotate",
-            given & {"env", "sh"} or own,
-            "goes with --env, --sh or --picture; give --light another azimuth instead",
-        ),
-        ("softness", given & {"light", "lamp"}, "goes with --light or --lamp"),
-        ("color", given & {"light", "lamp"}, "goes with --light or --lamp"),
-        ("picture", "sh" in given or own, "goes with --sh, or alone"),
-        ("format", folder, "goes with --turntable and a folder as --out"),
-        (
-            "fps",
-            "turntable" in given and not folder,
-            "goes with --turntable and .gif, .webp or .png as --out",
-        ),
-    ):
-        if name in given and not belongs:
-            raise InputError(f"--{name}: {message}")
+    far = "--env, --sh or --picture; give --light another azimuth instead"
+    animation = "--turntable and .gif, .webp or .png as --out"
+    checks = [
+        ("rotate", bool(given & {"env", "sh"}) or own, far),
+        ("softness", bool(given & {"light", "lamp"}), "--light or --lamp"),
+        ("color", bool(given & {"light", "lamp"}), "--light or --lamp"),
+        ("picture", "sh" in given or own, "--sh, or alone"),
+        ("format", folder, "--turntable and a folder as --out"),
+        ("fps", "turntable" in given and not folder, animation),
+    ]
+    cli.refuse_idle(options, checks)
     for name in ("exposure", "tone_map"):
         if name in given and not _for_screen(options, kind):
             raise InputError(

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from pbrfit._core import InputError
 from pbrfit.acquire.chart import read_chart
 from pbrfit.commands import arguments as cli
 from pbrfit.io.color import ColorSpace
@@ -95,9 +94,8 @@ def reading(options: argparse.Namespace) -> ReadOptions:
     given: dict[str, Any]
     given = {one.name: getattr(options, one.name, None) for one in fields(ReadOptions)}
     found = ReadOptions(**{**given, "color_space": options.color_space or decoded})
+    cli.refuse_idle(options, [("chart_corners", options.chart is not None, "--chart")])
     if options.chart is None:
-        if options.chart_corners is not None:
-            raise InputError("--chart-corners: goes with --chart")
         return found
     picture = found.picture(options.chart)
     corners = None if options.chart_corners is None else np.reshape(options.chart_corners, (4, 2))

@@ -438,7 +438,7 @@ def test_help_shows_the_most_used_options_and_help_all_every_one() -> None:
     ("arguments", "message"),
     [
         (("decompose", "--same-lamp", "--light", "sh"), "--same-lamp: goes with --light lamps or"),
-        (("decompose", "--verbose", "--quiet"), "--verbose: goes without --quiet and --json"),
+        (("decompose", "--verbose", "--quiet"), "--verbose: goes with neither --quiet nor --json"),
         (("inspect", "--overwrite"), "--overwrite: goes with --preview"),
     ],
 )

@@ -16,6 +16,20 @@ async function unpacked(text, units, width, height) {
   return planes;
 }
 
+/** Left, top, right and bottom of what was fitted, in pixels: where the plane is not 0. */
+function boxOf(facing, width, height) {
+  const box = [width, height, 0, 0];
+  facing.forEach((code, i) => {
+    if (!code) return;
+    const [x, y] = [i % width, Math.floor(i / width)];
+    box[0] = Math.min(box[0], x);
+    box[1] = Math.min(box[1], y);
+    box[2] = Math.max(box[2], x + 1);
+    box[3] = Math.max(box[3], y + 1);
+  });
+  return box;
+}
+
 // Nodes to a cell of the splines: between these the shader interpolates in straight lines, which
 // takes 24 texels a pixel where splines would take 96; off by at most 0.002, where n·v is near 0.
 const NODES = 6;

@@ -3,6 +3,7 @@
 const MOST_ZOOM = 32;
 const WHEEL_ZOOM = 0.0015; // per pixel that a wheel scrolls, as a natural logarithm
 const KEY_ZOOM = 1.25;
+const AROUND = 0.94; // share of the room that what was fitted has at first
 const PIXELS_SEEN = 8; // screen pixels to one of the maps from which on, zoomed in, they have edges
 
 /** Place and size of the picture; `changed` is called when they change. */
@@ -11,6 +12,7 @@ class Stage {
     Object.assign(this, { element, sheet, data, changed });
     this.zoom = 1;
     this.centre = [0.5, 0.5]; // the place of the picture that is in the middle of the stage
+    this.resting = true; // whether it lies as at first, with all that was fitted in sight
     new ResizeObserver(() => this.lay()).observe(element);
     this.lay();
   }
@@ -28,6 +30,12 @@ class Stage {
     const { width, height } = this.data;
     const [left, top, wide, tall] = this.room();
     const fit = Math.min(wide / width, tall / height);
+    if (this.resting) {
+      const [west, north, east, south] = this.data.box;
+      const most = Math.min(wide / (fit * (east - west)), tall / (fit * (south - north)));
+      this.zoom = Math.max(1, AROUND * most);
+      this.centre = [(west + east) / (2 * width), (north + south) / (2 * height)];
+    }
     const size = [fit * width * this.zoom, fit * height * this.zoom];
     const free = [wide, tall];
     const at = [left, top].map((edge, i) => {
@@ -49,6 +57,7 @@ class Stage {
   /** Zoom by a factor about a place of the stage. */
   zoomAbout([x, y], factor) {
     const before = this.zoom;
+    this.resting = false;
     // As far as one pixel in 16 of the screen, for small maps at least eight times.
     const most = Math.max(8, MOST_ZOOM / Math.max(1e-9, this.scale / before));
     this.zoom = Math.min(Math.min(most, 4096), Math.max(1, before * factor));
@@ -66,13 +75,13 @@ class Stage {
   }
 
   pan(x, y) {
+    this.resting = false;
     this.centre = [this.centre[0] - x / this.size[0], this.centre[1] - y / this.size[1]];
     this.lay();
   }
 
   reset() {
-    this.zoom = 1;
-    this.centre = [0.5, 0.5];
+    this.resting = true;
     this.lay();
   }
 
@@ -159,8 +168,9 @@ function listenToWheel(target, stage) {
   target.addEventListener("wheel", (event) => {
     const alone = !event.ctrlKey && !document.fullscreenElement;
     const zooming = event.timeStamp - last < 400; // what zoomed out does not go on to scroll
-    if (alone && window.scrollY > 0 && stage.zoom === 1) return;
-    if (alone && event.deltaY > 0 && stage.zoom === 1 && !zooming) return;
+    const whole = stage.resting || stage.zoom === 1;
+    if (alone && window.scrollY > 0 && whole) return;
+    if (alone && event.deltaY > 0 && whole && !zooming) return;
     event.preventDefault();
     last = event.timeStamp;
     const unit = [1, 16, 400][event.deltaMode];

@@ -268,7 +268,7 @@ class View {
     marker.classList.toggle("relight-behind", Math.abs(wrapped(this.state.azimuth)) > 90);
     Object.assign(this.root.querySelector(".relight-legend").style,
       { left: `${left}px`, width: `${right - left}px`, top: `${bottom}px` });
-    this.root.querySelector(".relight-zoom").value = stage.zoom === 1 ? "fit"
+    this.root.querySelector(".relight-zoom").value = stage.resting ? "fit"
       : `${Math.round(100 * stage.scale * (window.devicePixelRatio || 1))} %`;
     this.reveal.lay();
   }
@@ -565,6 +565,7 @@ async function start(root) {
     const maps = root.querySelector(".relight-maps");
     const planes = await unpacked(maps.textContent, data.units, data.width, data.height);
     maps.remove(); // megabytes of text
+    data.box = boxOf(planes.facing, data.width, data.height);
     if (data.lobes) data.lobes = await unpackedLobes(data.lobes);
     const picture = new Picture(canvas, data, planes, SHADERS);
     for (const part of root.querySelectorAll("fieldset")) part.disabled = false;
