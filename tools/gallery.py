@@ -30,7 +30,7 @@ from pbrfit import Result, Scene
 from pbrfit.io.lamp_files import find_lamps
 from pbrfit.io.output import new_folder
 from pbrfit.result.relighting import relight
-from pbrfit.scene.folder import find_pictures
+from pbrfit.scene.folder import locate
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
 from pbrfit_evaluation.heldout.light import explained_by, relative_error
 from pbrfit_evaluation.heldout.measure import Split, judged_at
@@ -280,7 +280,7 @@ def main() -> int:
                     shutil.copytree(source.folder, folder, dirs_exist_ok=True)
                 else:
                     write_scene(source, folder)
-        which = chosen(entry, len(find_pictures(whole)))
+        which = chosen(entry, len(locate(whole).pictures))
         kept = OUT / "kept" / entry.name / entry.source
         if not kept.exists():
             with new_folder(kept) as folder:
@@ -309,7 +309,7 @@ def chosen(entry: Entry, pictures: int) -> Split:
 def write_kept(whole: Path, which: Split, folder: Path) -> None:
     """Write the scene folder of the pictures that are fitted."""
     shutil.copytree(whole, folder, dirs_exist_ok=True)
-    pictures = find_pictures(folder)
+    pictures = locate(folder).pictures
     names = {pictures[i].stem.lower() for i in which.kept}
     for path in pictures:
         if path.stem.lower() not in names:

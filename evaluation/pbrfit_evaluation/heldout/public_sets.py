@@ -177,13 +177,13 @@ def _find_rooms(folder: Path) -> list[Source]:
 
 def room_source(folder: Path) -> Source:
     """Pictures in the layout of that set, without normals."""
-    pictures = len(scene_folder.find_pictures(folder))
+    pictures = len(scene_folder.locate(folder).pictures)
     about = "photographs of a room; normals and field of view unknown; light probes are not read"
     return Source(folder.resolve().name, folder, ROOMS, pictures, about)
 
 
 def _write_room(source: Source, folder: Path) -> None:
-    for path in scene_folder.find_pictures(source.folder):
+    for path in scene_folder.locate(source.folder).pictures:
         shutil.copy(path, folder)
     (folder / "scene.toml").write_text("fov = 60\n", encoding="utf-8")
     add_normals(folder, np.broadcast_to([0.0, 0.0, 1.0], (*picture_size(folder), 3)))

@@ -122,7 +122,7 @@ def _sources_at(path: Path) -> list[Source]:
     said = _said(path)
     licence = str(said.get("licence", ""))
     about = "; ".join(str(said[key]) for key in ("what", "source", "licence") if said.get(key))
-    pictures = len(scene_folder.find_pictures(path))
+    pictures = len(scene_folder.locate(path).pictures)
     private = licence.startswith(UNLICENSED)
     return [Source(name, path, "scene", pictures, about or "scene folder, as it is", private)]
 

@@ -35,16 +35,6 @@ than was predicted for scenes of 16² to 128², and 40 more as dask's workers.""
 NO_SCENES = re.compile(r"\..*|(flat|truth|lost\+found)$")
 """Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
 
-ERRORS = {
-    "recon_rmse": "residual",
-    "albedo_rmse": "albedo",
-    "albedo_scaled_rmse": "albedo, best scale",
-    "roughness_rmse": "roughness",
-    "metallic_rmse": "metallic",
-    "relight_rmse": "relight",
-}
-"""Metrics of a result, in words."""
-
 LOOK_EVERY = 0.2
 """Seconds after which a worker looks whether its scene is still wanted."""
 
@@ -263,11 +253,10 @@ def table(result: Result, scene: Scene, output: Path) -> list[str]:
         f"model {result.model}, {result.stop_reason}",
         "",
     ]
-    return lines + [
-        f"{name:<22}{rmse_in_words(result.metrics[key]):>10}  RMSE"
-        for key, name in ERRORS.items()
-        if key in result.metrics
-    ]
+    for key, value in result.metrics.items():
+        name = key.removesuffix("_rmse").replace("recon", "residual").replace("_", ", ")
+        lines.append(f"{name:<22}{rmse_in_words(value):>10}  RMSE")
+    return lines
 
 
 def details(result: Result) -> list[str]:

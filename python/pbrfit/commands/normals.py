@@ -122,7 +122,8 @@ def run(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
     )
     lines = [f"{paths[0]}: {said}", *(f"  {line}" for line in _facts(found))]
-    lines += [f"{path}: {_of_weights(found)}" for path in paths[1:]]
+    rule = f", 1/2 at {HALF_WEIGHT:g} degrees" if found.uncertainty is not None else ""
+    lines += [f"{path}: weights of the pixels{rule}" for path in paths[1:]]
     cli.tell(options, [*lines, _look_at(options.scene)])
     return cli.DONE
 
@@ -133,8 +134,7 @@ def _run_pictures(options: argparse.Namespace) -> int:
     completion.check_normals_can_be_added(folder, overwrite=overwrite, height=True)
     given = network.asked_for(options, FLAGS, "pictures")
     threads = given.pop("threads", 0)
-    count = len(scene_folder.find_pictures(folder))
-    if count < SHAPE_PICTURES_MIN:
+    if (count := len(scene_folder.locate(folder).pictures)) < SHAPE_PICTURES_MIN:
         raise InputError(
             f"{folder}: expected {SHAPE_PICTURES_MIN} or more pictures under different lamps, "
             f"found {count}"
@@ -169,16 +169,7 @@ def _look_at(scene: Path) -> str:
 def _of_pictures(found: PictureNormals, valid: NDArray[np.bool_]) -> list[str]:
     """What to know about normals that pictures told, in lines."""
     lines = _facts(Normals(found.normals[valid], found.sigma_degrees[valid]))
-    said = known_lamps.in_words(found.lamps)
-    far = ~found.lamps.near
-    if far.any():
-        angles = known_lamps.angles(found.lamps.places[far])
-        (left, low), (right, top) = angles.min(axis=0), angles.max(axis=0)
-        said += (
-            f"; azimuths from {left:.0f} to {right:.0f} degrees, elevations from {low:.0f} to "
-            f"{top:.0f}"
-        )
-    lines.append(said)
+    lines.append(known_lamps.in_words(found.lamps))
     return [*lines, *(f"not determined: {words}" for words in found.undetermined)]
 
 
@@ -230,12 +221,3 @@ def _facts(found: Normals) -> list[str]:
             "and have weight 0"
         )
     return lines
-
-
-def _of_weights(found: Normals) -> str:
-    weights = found.weights
-    assert weights is not None
-    rule = f", 1/2 at {HALF_WEIGHT:g} degrees" if found.uncertainty is not None else ""
-    return (
-        f"weights of the pixels{rule}; median {np.median(weights):.2g}, mean {weights.mean():.2g}"
-    )

@@ -16,7 +16,6 @@ from pbrfit.display.tone import ToneMap
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
 from pbrfit.model.lamps import Lamps
-from pbrfit.model.reflection import MODELS
 from pbrfit.result.metrics import white_of
 from pbrfit.result.relighting import Light, PointLight, relight, turned
 from pbrfit.result.result import Result
@@ -45,14 +44,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser,
         "FILE",
         ".exr: linear float32; .png: 8-bit sRGB; with --turntable also a folder, .gif or .webp",
-    )
-    cli.add_flags(
-        parser,
-        model=cli.choice(
-            MODELS,
-            "the reflection model that the result is expected to be of; with another one it is "
-            "refused (default: whichever it is of)",
-        ),
     )
     add_light(parser)
     cli.add_flags(
@@ -98,12 +89,6 @@ def run(options: argparse.Namespace) -> int:
     _check_belonging(options, kind)
     _check_free(options, kind)
     result = Result.load(options.result)
-    if options.model not in (None, result.model):
-        raise InputError(
-            f"{options.result}: expected a result of model {options.model}, as --model says, found "
-            f"one of model {result.model}: materials are relit with the model that they were "
-            "fitted with"
-        )
     light, said = choose_light(options, result)
     if options.turntable is not None and _is_near(light):
         raise InputError("--turntable: expected light from far away, found a near lamp")

@@ -61,8 +61,7 @@ def with_causes(
     of_albedo = found["albedo"]
     by_scale = np.nanmean(np.square(albedo)) * np.mean(albedo_scale) ** 2
     if of_albedo.level != "usable" and by_scale > SCALE_PART * of_albedo.expected_error**2:
-        share = np.mean(albedo_scale)
-        cause = f"the overall brightness of albedo is uncertain by {share:.0%}".replace("%", " %")
+        cause = f"the brightness of albedo is uncertain by {100 * np.mean(albedo_scale):.0f} %"
         remedy = "a patch of known albedo (option white) would help"
         found["albedo"] = replace(of_albedo, cause=cause, remedy=remedy)
     if shown is None:

@@ -81,7 +81,7 @@ def decompose(
         Pictures, normals and what else is known, or the path of a scene folder, which
         `Scene.load` reads. With `scene.lighting` only materials are fitted.
     options
-        What is fitted and how; None = the defaults. `FitOptions` has each.
+        What is fitted and how; None = the defaults.
     start
         Maps to start from, alone or with lights (N, 16, 3) in picture units; or a result of the
         same model, which has both. Default: albedo from the mean picture, constant roughness and
@@ -92,7 +92,7 @@ def decompose(
         Called at the start, after each iteration, after each step on a subset of the pixels and
         after each tile. True = a bar by `tqdm.auto`, in notebooks too; False or None = nothing.
     **overrides
-        Single options by name, in place of those in `options`: `solver="lbfgsb"`.
+        Single options by name, in place of those in `options`:
 
     Returns
     -------
@@ -268,7 +268,7 @@ def _result(
         if (one := chosen.contradiction) is not None:
             verdicts = doubted(verdicts, one.why, f"{one.remedy} would help")
         uncertainty = replace(uncertainty, verdicts=verdicts)
-    result = Result(
+    return Result(
         materials=found.materials,
         lighting=found.lighting,
         normals=found.normals,
@@ -299,11 +299,6 @@ def _result(
         lamps=found.lamps,
         height=found.height,
     )
-    log.info(
-        "%s after %d iterations, %.1f s: %s",
-        *(found.status, found.iterations, found.seconds, found.reason),
-    )
-    return result
 
 
 def _read(scene: Scene | str | Path) -> Scene:
@@ -455,8 +450,7 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) 
 
 
 decompose.__signature__ = _signature()  # type: ignore[attr-defined]
-if decompose.__doc__ and FitOptions.__doc__:  # neither is there under python -OO
-    _, _, described = inspect.cleandoc(FitOptions.__doc__).partition("Attributes\n----------\n")
-    described, _, _ = described.partition("\n\nRaises")
-    own = inspect.cleandoc(decompose.__doc__)
-    decompose.__doc__ = own.replace("\n\nReturns\n", f"\n{described}\n\nReturns\n")
+_, _, _options = inspect.cleandoc(FitOptions.__doc__ or "").partition("Attributes\n----------\n")
+_options, _, _ = _options.partition("\n\nRaises")
+_before, _returns, _after = inspect.cleandoc(decompose.__doc__ or "").partition("\n\nReturns\n")
+decompose.__doc__ = f"{_before}\n{_options}{_returns}{_after}"

@@ -69,12 +69,11 @@ def left_out(
         yield f"{masked} pixels outside the mask"
     without = scene.valid.size - masked - layout.pixels
     if without:
-        bounded = "" if scene.limits is None else " or over- or underexposed"
-        yield f"{without} pixels of weight 0{bounded} in all pictures"
+        yield f"{without} pixels without a usable sample"
     if scene.limits is not None:
         counted = ... if scene.all_valid else scene.valid
-        count = sum(np.count_nonzero(of[counted]) for of in scene.limits)
-        yield f"{count:,} over- or underexposed values"
+        exposed = sum(np.count_nonzero(of[counted]) for of in scene.limits)
+        yield f"{exposed:,} over- or underexposed values"
     if scene.weights is not None:
         single = int(np.count_nonzero(scene.weights[:, scene.valid] == 0))
         if single:

@@ -133,8 +133,7 @@ class Trace:
             limit = f"time limit of {self.options.time_limit:g} s reached{where}"
             return Status.TIME_LIMIT, f"{limit}{kept}"
         if self.left <= 0:
-            done = f"{self._iteration_limit} iteration{'s' * (self._iteration_limit != 1)}"
-            return Status.ITERATION_LIMIT, f"stopped after {done}{kept}"
+            return Status.ITERATION_LIMIT, f"{self._iteration_limit} iterations done{kept}"
         return Status.CONVERGED, why
 
     def tell(

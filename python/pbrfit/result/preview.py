@@ -94,16 +94,13 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
 def contact_sheet(scene: SceneArrays) -> NDArray[np.uint8]:
     """Sheet for checking a scene: (H, W, 3) uint8 sRGB.
 
-    A row about given normals: the first picture, the normals, n·v, and their standard deviation
-    where the scene has it. Then up to `SHOWN` pictures, evenly spread and all of one exposure, each
-    above its histogram: from black to white in sRGB codes, the fullest of 64 classes of a channel
-    as high as the panel.
+    A row about given normals; up to `SHOWN` pictures, evenly spread and all of one exposure, each
+    above its histogram: from black to white in sRGB codes, the fullest class as high as the panel.
     """
     rows, keys = [], []
     if scene.normals_known:
-        row = _given_normals(scene)
-        rows.append(row)
-        if len(row) > 3:
+        rows.append(_given_normals(scene))
+        if scene.normal_sigma is not None:
             ticks = differences.tick_places(degrees=True)
             keys = [_key("standard deviation of the normals", ticks, {})]
     count = len(scene.images)
@@ -141,15 +138,12 @@ def _histogram(
 
 
 def _given_normals(scene: SceneArrays) -> Row:
-    """The first picture, the normals, n·v, and their standard deviation where it is known."""
+    """The normals, n·v, and their standard deviation where it is known."""
     cosine = np.einsum("...i,...i->...", scene.normals, scene.views)
     facing = np.repeat(outside_grey(cosine)[..., :1], 3, axis=-1)
     facing[cosine <= 0] = (0.84, 0.37, 0.0)  # vermillion, told apart by all common colour vision
-    image, white = metrics.showable(scene.images[0], scene.valid, scene.channel_weights(0))
-    image = np.where(scene.valid[..., None], image, np.nan)
     row: Row = [
-        Panel(f"picture {scene.names[0]}", displayed(image, white)),
-        Panel("normals: R right, G up", outside_grey(0.5 + 0.5 * scene.normals)),
+        _normals(scene.normals, "normals: R right, G up"),
         Panel("n·v, orange faces away", facing),
     ]
     if scene.normal_sigma is not None:
@@ -184,7 +178,7 @@ def _maps(materials: Materials, captions: Sequence[str] = ("", "", "")) -> list[
     ]
 
 
-def _normals(normals: NDArray[np.float64], caption: str) -> Panel:
+def _normals(normals: NDArray[np.floating[Any]], caption: str) -> Panel:
     return Panel(caption, outside_grey(0.5 + 0.5 * normals))
 
 

@@ -18,9 +18,7 @@ from pbrfit.model import lighting
 from pbrfit.model.environment import Environment, render_environment
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import (
-    Model,
     checked_lighting,
-    checked_model,
     render,
     render_directional,
     render_lamps,
@@ -142,7 +140,6 @@ def relight(
     threads: int = 0,
     *,
     picture: int | str | None = None,
-    model: Model | None = None,
     shadows: bool = True,
 ) -> NDArray[np.float64]:
     """Radiance of the recovered surfaces under other light.
@@ -168,8 +165,6 @@ def relight(
     picture
         In place of `light`, that of a picture of the result, by its index or name: gives its
         reconstruction.
-    model
-        Which model the result is expected to be of; None = whichever it is.
     shadows
         Whether surroundings do to light what the fit decided; without any it makes no difference.
 
@@ -180,16 +175,12 @@ def relight(
     Raises
     ------
     InputError
-        If the light has another shape or numbers that are not finite, or the result is of another
-        model, or has no depth and a lamp is near, or no such picture.
+        If the light has another shape or numbers that are not finite, a lamp is near and the result
+        has no depth, or there is no such picture.
     OSError
         If the file of a panorama cannot be read.
     """
     asked: Any = _asked(result, light, picture)
-    if model is not None and checked_model(model) != result.model:
-        raise InputError(
-            f"model: expected {result.model}, with which the result was fitted, found {model}"
-        )
     scenery = result.scenery if shadows else None
     if isinstance(asked, DirectionalLight):
         rendered = render_directional(

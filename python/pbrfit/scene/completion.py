@@ -42,7 +42,7 @@ def check_normals_can_be_added(folder: Path, *, overwrite: bool, height: bool = 
     folder, or its `scene.toml` states a convention that nothing can be turned into.
     """
     _to_convention(folder, np.zeros(3))
-    scene_folder.find_pictures(folder)
+    scene_folder.locate(folder)
     parts = {"normals": NORMAL_FILES, "weights": [WEIGHT_FILE], "height": [HEIGHT_FILE] * height}
     for what, names in parts.items():
         check_none(folder, names, what, overwrite=overwrite, replaced=" normals and weights")

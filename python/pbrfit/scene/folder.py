@@ -140,11 +140,6 @@ class SceneFiles:
         return found
 
 
-def find_pictures(scene: ScenePath) -> list[Path]:
-    """Pictures of a scene; raises InputError or OSError as `locate`."""
-    return list(locate(scene).pictures)
-
-
 def locate(scene: ScenePath) -> SceneFiles:
     """Find the pictures of a scene.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import shlex
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
@@ -812,12 +811,8 @@ def _read_normals(
     found = notes.files.find(find_normals)
     if not found:
         if len(notes.files.pictures) == 1:
-            [photo] = notes.files.pictures
-            command = f"pbrfit generate {shlex.quote(str(photo))} --out SCENE"
-            raise InputError(
-                f"{photo}: expected several pictures of one view under different lights, found one "
-                f"photograph; others are made of it by: {command}"
-            )
+            one = "one photograph, of which `pbrfit generate PHOTO --out SCENE` makes others"
+            raise InputError(f"{folder}: expected pictures under different lights, found {one}")
         raise InputError(
             f"{folder}: expected {HOW_TO_GET_NORMALS}; found no normals ({SHAPE_PICTURES_MIN} or "
             "more pictures under different lights need none)"

@@ -58,11 +58,7 @@ def test_pictures_tell_normals_that_the_scene_reads(told: tuple[Path, str]) -> N
         r"  turned away from the optical axis by \d+ degrees \(median\), \d+ \(95 %\)", lines[1]
     )
     assert re.fullmatch(r"  uncertain by [\d.]+ degrees \(median\), [\d.]+ \(95 %\)", lines[2])
-    assert re.fullmatch(
-        r"  8 far lamps, colours known; azimuths from -\d+ to \d+ degrees, elevations from -\d+ to "
-        r"\d+",
-        lines[3],
-    )
+    assert lines[3] == "  8 far lamps, colours known"
     assert re.fullmatch(rf"{folder}/height.exr: from -[\d.]+ to [\d.]+ pixels", lines[-2])
 
 

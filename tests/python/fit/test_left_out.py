@@ -200,7 +200,7 @@ def test_a_pixel_without_weight_is_as_if_masked() -> None:
     np.testing.assert_array_equal(a.mask, b.mask)
     outside = int(np.count_nonzero(~mask))
     assert without_priors(a) == [f"{outside} pixels outside the mask"]
-    assert without_priors(b) == [f"{outside} pixels of weight 0 in all pictures"]
+    assert without_priors(b) == [f"{outside} pixels without a usable sample"]
 
 
 def test_weights_and_mask_are_counted_apart() -> None:
@@ -212,7 +212,7 @@ def test_weights_and_mask_are_counted_apart() -> None:
     scene = dataclasses.replace(in_color(), mask=mask, weights=weights)
     assert without_priors(pbrfit.decompose(scene, iterations=1)) == [
         "16 pixels outside the mask",
-        "16 pixels of weight 0 in all pictures",
+        "16 pixels without a usable sample",
         "9 values of weight 0 at other pixels",
     ]
 

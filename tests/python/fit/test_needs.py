@@ -74,7 +74,7 @@ KNOWN = "lights and their gradient: known, so only materials were fitted"
     ("of", "options", "expected"),
     [
         (scene(mask=HALF), {}, ("32 pixels outside the mask",)),
-        (scene(weights=HALF), {}, ("32 pixels of weight 0 in all pictures",)),
+        (scene(weights=HALF), {}, ("32 pixels without a usable sample",)),
         (
             grey(),
             {},

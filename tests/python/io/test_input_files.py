@@ -22,7 +22,7 @@ from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, read_bytes
 from pbrfit.io.json_files import read_json
 from pbrfit.model.panorama import read as read_panorama
 from pbrfit.result.history import History
-from pbrfit.scene.folder import find_pictures, read_settings
+from pbrfit.scene.folder import locate, read_settings
 from pbrfit.synthetic import make_scene
 from scene_files import write_folder
 
@@ -124,7 +124,7 @@ def test_whatever_is_no_file_beside_pictures_is_named(tmp_path: Path, name: str,
         f"pbrfit: {path}: expected only pictures in images/, found {kind}\n"
     )
     path.rename(path.with_name(f".{name}"))  # hidden
-    assert len(find_pictures(folder)) == 3
+    assert len(locate(folder).pictures) == 3
 
 
 @POSIX

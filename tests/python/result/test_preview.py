@@ -56,7 +56,7 @@ def test_a_preview_of_any_shape_of_picture(height: int, width: int) -> None:
     row = panel_height(height, width) + MARGIN
     found = contact_sheet(scene)  # normals, pictures, and histograms without captions
     assert 0 < found.shape[0] - (3 * row + 2 * LINE) < 3 * LINE
-    assert found.shape[1:] == (3 * (PANEL_SIDE[0] + MARGIN) + MARGIN, 3)
+    assert found.shape[1:] == (2 * (PANEL_SIDE[0] + MARGIN) + MARGIN, 3)
 
 
 def test_a_histogram_shows_how_often_values_occur() -> None:
@@ -185,7 +185,7 @@ def test_normals_that_face_away_are_orange_and_masked_pixels_grey() -> None:
     mask[:12] = False
     scene = Scene(images=np.ones((2, 24, 24, 3)), normals=normals, mask=mask, fov=0.0)
     made = contact_sheet(scene)
-    facing = made[TITLE + LINE + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
+    facing = made[TITLE + LINE + MARGIN :, MARGIN + (PANEL_SIDE[0] + MARGIN) :]
     assert tuple(facing[150, 50]) == (255, 255, 255)
     assert tuple(facing[150, 150]) == (214, 94, 0)
     assert tuple(facing[50, 50]) == tuple(facing[50, 150]) == (217, 217, 217)
@@ -199,7 +199,7 @@ def test_how_far_off_normals_may_be_is_a_panel_with_a_key() -> None:
     found = contact_sheet(dataclasses.replace(scene, normal_sigma=sigma))
     assert found.shape[1] == without.shape[1] + PANEL_SIDE[0] + MARGIN
     assert found.shape[0] > without.shape[0] + LINE
-    panel = found[TITLE + LINE + MARGIN :, MARGIN + 3 * (PANEL_SIDE[0] + MARGIN) :]
+    panel = found[TITLE + LINE + MARGIN :, MARGIN + 2 * (PANEL_SIDE[0] + MARGIN) :]
     low, high = (tuple(np.rint(255 * differences.PALETTE[i])) for i in (0, differences.STEPS - 1))
     assert tuple(panel[90, 40]) == low
     assert tuple(panel[90, 150]) == high
