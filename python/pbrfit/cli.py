@@ -64,8 +64,9 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     if not given:
         print(START)
         return DONE
-    if _is_path(given[0]):
-        given = ["decompose", *given]
+    path = Path(given[0])
+    if path.exists() or path.name != given[0]:  # pictures in place of a command
+        given = given if given[0] in SUMMARIES or given[0][:1] == "-" else ["decompose", *given]
     if given[0] not in PRINTED_AT_ONCE:
         from pbrfit import address_space
 
@@ -116,13 +117,6 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     except ending.Terminated:
         end_with(ending.WORD)
         raise
-
-
-def _is_path(argument: str) -> bool:
-    """Whether it names pictures in place of a command: then they are decomposed."""
-    if argument in SUMMARIES or argument[:1] == "-":
-        return False
-    return Path(argument).name != argument or Path(argument).exists()
 
 
 class _HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):

@@ -58,9 +58,9 @@ class _ShortHelp(argparse.Action):
 def add_short_help(parser: argparse.ArgumentParser, shown: Sequence[str]) -> None:
     """Let `--help` show only some options, by their names, and `--help-all` every one."""
     group = parser.add_argument_group("help", conflict_handler="resolve")
-    more: dict[str, Any] = {"nargs": 0, "default": argparse.SUPPRESS}
-    said = "show the most used options"
-    group.add_argument("-h", "--help", action=_ShortHelp, const=(*shown, "help"), help=said, **more)
+    said, none = "show the most used options", argparse.SUPPRESS
+    how: dict[str, Any] = {"nargs": 0, "const": (*shown, "help"), "default": none, "help": said}
+    group.add_argument("-h", "--help", action=_ShortHelp, **how)
     group.add_argument("--help-all", action="help", help="show all options")
 
 

@@ -23,7 +23,6 @@ from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.scene_display import SceneDisplay
 from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit import memory
-from pbrfit.io.input_files import there
 from pbrfit.io.output import check_is_output
 from pbrfit.result.result import RESULT_FOLDER
 from pbrfit.scene.folder import locate
@@ -100,11 +99,6 @@ def run(options: argparse.Namespace) -> int:
         scenes, one = _find_scenes(options.scenes)
     if options.out is None:
         options.out = _default_output(scenes if one else options.scenes)
-        if there(options.out) and not (options.resume or options.overwrite):
-            raise FileExistsError(
-                f"{options.out}: expected no earlier result, found one; --overwrite replaces it, "
-                "--out DIR writes elsewhere"
-            )
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
     # Where address space is limited a process may find none in the midst of a step, and ends: then

@@ -63,19 +63,16 @@ def run(options: argparse.Namespace) -> int:
         _relight(result, folder, options.threads)
         write_report(result, folder / "report.html", scene)
     if not options.quiet:
-        verdicts = result.verdicts
-        lines = [
+        said = [
             *table(result, scene, options.out / "result"),
             "",
             *held_out_lines(result.held_out),
-            *verdict_lines(verdicts, next_steps(result)),
-        ]
-        print("\n".join(lines))
-        print(
-            f"\n{options.out / 'report.html'}: all of it, to be opened in a browser\n"
+            *verdict_lines(result.verdicts, next_steps(result)),
+            f"\n{options.out / 'report.html'}: all of it, to be opened in a browser",
             f"{options.out / 'relit.png'}: under a lamp that is in none of the pictures; "
-            "relit.webp: the lamp goes around"
-        )
+            "relit.webp: the lamp goes around",
+        ]
+        print("\n".join(said))
     return DONE
 
 

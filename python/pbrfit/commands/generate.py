@@ -44,11 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "all but --generator folder:DIR --normals flat --segments none; docs/generate.md says "
         "which, what they cost, and that gpt-image-2 sends the photograph to OpenAI."
     )
-    parser.usage = (
-        "%(prog)s PHOTO --out SCENE [OPTION ...]\n"
-        "       %(prog)s --list-prompts [--prompts FILE]\n"
-        "       %(prog)s --save-prompts FILE"
-    )
+    parser.usage = "%(prog)s PHOTO --out SCENE [OPTION ...]"
     parser.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")
     cli.add_flags(parser, out=cli.value("SCENE", Path, "scene folder to write"))
     cli.add_flags(

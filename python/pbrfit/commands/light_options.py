@@ -121,10 +121,8 @@ def _near(options: argparse.Namespace, result: Result) -> tuple[PointLight, Fact
     red, green, blue = (channel * distance**2 for channel in at_one)
     lamp = PointLight(options.lamp, (red, green, blue), options.softness or 0.0)
     said = ", ".join(f"{one:g}" for one in options.lamp)
-    where = ", ".join(f"{one:.3g}" for one in middle)
-    fact = f"near, at {said}, which is {distance:.3g} from the middle of what is seen, {where}"
-    size = f", radius {lamp.radius:g}" if lamp.radius else ""
-    return lamp, [("light", fact), ("", f"color {', '.join(f'{c:g}' for c in color)} there{size}")]
+    fact = f"near, at {said}, which is {distance:.3g} from the middle of what is seen"
+    return lamp, [("light", fact), ("", f"color {', '.join(f'{c:g}' for c in color)} there")]
 
 
 def _whose(pictures: tuple[str, ...], options: argparse.Namespace, file: Path) -> str:

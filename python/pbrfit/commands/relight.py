@@ -15,9 +15,8 @@ from pbrfit.display.files import Radiance, Screen
 from pbrfit.display.tone import ToneMap
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
-from pbrfit.model.lamps import Lamps
 from pbrfit.result.metrics import white_of
-from pbrfit.result.relighting import Light, PointLight, relight, turned
+from pbrfit.result.relighting import Light, relight, turned
 from pbrfit.result.result import Result
 
 FPS = 12.0
@@ -90,8 +89,6 @@ def run(options: argparse.Namespace) -> int:
     _check_free(options, kind)
     result = Result.load(options.result)
     light, said = choose_light(options, result)
-    if options.turntable is not None and _is_near(light):
-        raise InputError("--turntable: expected light from far away, found a near lamp")
     exposure, sampled = options.exposure, dict[int, Radiance]()
     if exposure is None and _for_screen(options, kind):
         sampled, exposure = _sampled(result, light, options)
@@ -242,14 +239,6 @@ def _write_picture(path: Path, frame: Radiance, screen: Screen) -> None:
 def _frame_name(k: int, options: argparse.Namespace) -> str:
     digits = max(4, len(str(options.turntable - 1)))
     return f"frame_{k:0{digits}}.{options.format or 'exr'}"
-
-
-def _is_near(light: Light) -> bool:
-    """Whether it is a lamp near the surface."""
-    lamps = light[0] if isinstance(light, tuple) else light
-    if isinstance(lamps, PointLight):
-        return True
-    return isinstance(lamps, Lamps) and bool(lamps.near.any())
 
 
 def _facts_of_output(

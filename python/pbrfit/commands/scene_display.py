@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
@@ -23,9 +22,6 @@ from pbrfit.commands.terminal import DIM, columns_of, held_out_lines, marked, pa
 from pbrfit.io.quoting import shown
 from pbrfit.result.result import REPORT_FILE
 from pbrfit.result.verdict import LEVELS, PARAMETERS, Level, nothing_usable
-
-OF_OUTCOME = ("peak_bytes", "stop_reason", "iterations")
-"""In a line of JSON, null of scenes that failed."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +102,12 @@ class SceneDisplay:
                 elif self._scenes > 1:
                     self._rows.append(_row(task, attempt))
                 elif outcome is not None:
+                    page = task.output / REPORT_FILE
                     parts = [
                         outcome.details if self._verbose else (),
                         held_out_lines(outcome.held_out)[: 1 + self._verbose],
                         verdict_lines(outcome.verdicts, outcome.steps),
-                        report_lines(task.output),
+                        [f"{page}: open it in a browser"] if page.is_file() else [],
                     ]
                     print("\n\n".join([outcome.table, *map("\n".join, filter(None, parts))]))
         if self._bar is not None:
@@ -138,12 +135,6 @@ class SceneDisplay:
             complain(f"{len(self.failed)} of {self._scenes} scenes failed: {names}")
 
 
-def report_lines(folder: Path) -> list[str]:
-    """Where the page about a result is; none where there is none."""
-    page = folder / REPORT_FILE
-    return [f"{page}: open it in a browser"] if page.is_file() else []
-
-
 def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
     outcome = attempt.value
     line: dict[str, Any] = {
@@ -153,7 +144,8 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
         "error": None if attempt.error is None else in_flags(attempt.error),
         "seconds": round(attempt.seconds, 3),
     }
-    line |= {name: getattr(outcome, name, None) for name in OF_OUTCOME}
+    facts = ("peak_bytes", "stop_reason", "iterations")  # null of scenes that failed
+    line |= {name: getattr(outcome, name, None) for name in facts}
     held_out, verdicts = getattr(outcome, "held_out", None), getattr(outcome, "verdicts", {})
     line["held_out"] = None if held_out is None else held_out.as_json()
     line["metrics"] = dict(getattr(outcome, "metrics", {}))

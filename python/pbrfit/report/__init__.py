@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from pbrfit.result.result import Result
     from pbrfit.scene.scene import Scene
 
-SUFFIXES = (".html", ".htm")
-
 
 def write_report(
     result: Result,
@@ -50,7 +48,7 @@ def write_report(
     from pbrfit.report.page import page
 
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: expected a name that ends with .html, found {path.name!r}")
     with new_file(path, overwrite=overwrite) as file:
         content = page(result, originals.find(result, scene))

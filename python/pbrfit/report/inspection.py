@@ -51,8 +51,7 @@ def _needed(scene: Scene, layout: ParameterLayout) -> str:
 def expected_seconds(layout: ParameterLayout, *, normals_known: bool) -> float:
     """Processor time of `pbrfit decompose` without surroundings, mostly right within 1.5 times.
 
-    By rooms with 1 % noise, and by sets of photographs without normals, which are found from the
-    pictures; on an EPYC (Zen 4).
+    Calibrated by rooms with 1 % noise and by photographs without normals, on an EPYC (Zen 4).
     """
     if not normals_known:
         return 8.0 + 1.9 * layout.pictures + 145e-6 * layout.pixels
@@ -178,8 +177,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
     found += [
         (
             "time needed",
-            f"about {time_in_words(seconds)} of processor time (mostly within 1.5 times; more "
-            "among surroundings)",
+            f"about {time_in_words(seconds)} of processor time, more among surroundings",
         ),
         ("memory needed", _needed(scene, layout)),
         ("memory free", "unknown" if free is None else memory.size(free)),

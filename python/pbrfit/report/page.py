@@ -65,16 +65,10 @@ OPEN = {"summary": " open"}
 """Sections that are not folded at first."""
 
 REFLECTION: Mapping[Model, str] = {
-    "paper": (
-        "Surfaces reflect by the paper's model, eq. 12: a round lobe about the mirror direction, "
-        "with Fresnel and masking at the view angle. Renderers have no such lobe, and show metals "
-        "and dark glossy surfaces of these maps differently."
-    ),
-    "principled": (
-        "Surfaces reflect by the principled model: GGX with height-correlated masking, Schlick's "
-        "Fresnel and multiple scattering, as in Blender, glTF and game engines, integrated over "
-        "the light. So the maps mean the same there."
-    ),
+    "paper": "Surfaces reflect by the paper's model, eq. 12, which no renderer has: metals "
+    "and dark glossy surfaces of these maps look different there.",
+    "principled": "Surfaces reflect by the principled model, as in Blender, glTF and game engines, "
+    "integrated over the light: the maps mean the same there.",
 }
 """What the maps are maps of."""
 
@@ -401,11 +395,8 @@ def _list(title: str, entries: Mapping[str, str]) -> str:
 def _numbers(title: str, content: Table) -> str:
     """A table that is folded where it is long, except on paper."""
     opened = "" if len(content.rows) > OPEN_TABLE else " open"
-    return (
-        f'<details class="numbers-of-all"{opened}><summary>{escape(title)}</summary>'
-        f"{table(content)}</details>"
-    )
+    return _folded(title, table(content), f' class="numbers-of-all"{opened}')
 
 
-def _folded(title: str, content: str) -> str:
-    return f"<details><summary>{escape(title)}</summary>{content}</details>"
+def _folded(title: str, content: str, how: str = "") -> str:
+    return f"<details{how}><summary>{escape(title)}</summary>{content}</details>"

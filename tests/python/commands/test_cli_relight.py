@@ -514,7 +514,7 @@ def test_lights_that_cannot_be(
 def test_a_near_lamp_takes_no_turn(deep: Path, tmp_path: Path) -> None:
     lamp = ("--lamp", "0,0,0", "--turntable", 3)
     message = refused("relight", deep, *lamp, "--out", tmp_path / "out.gif")
-    assert "--turntable: expected light from far away, found a near lamp" in message
+    assert "lamps: expected far ones to be turned, found near ones" in message
 
 
 def test_far_lamps_of_a_picture_go_around(lamps: Path, tmp_path: Path) -> None:
