@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, get_args
 
-from pbrfit._core import InputError
 from pbrfit.commands.messages import complain as complain
 from pbrfit.commands.messages import message_of as message_of
 from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
@@ -97,6 +96,8 @@ def refuse_idle(options: argparse.Namespace, checks: Iterable[tuple[str, bool, s
     Each check has the name of an option, whether it has an effect, and what it goes with. Raises
     InputError for the first that was given and has none.
     """
+    from pbrfit._core import InputError  # here: the help needs no core
+
     for name, has_effect, said in checks:
         given = getattr(options, name)
         if given is not None and given is not False and not has_effect:

@@ -524,11 +524,6 @@ def test_far_lamps_of_a_picture_go_around(lamps: Path, tmp_path: Path) -> None:
     assert second[..., :3].mean() < first[..., :3].mean()  # from behind, ambient light is left
 
 
-def test_the_same_file_with_any_number_of_threads(room: Path, tmp_path: Path) -> None:
-    one, three = (written(room, tmp_path, "--light", "0,30", "--threads", n) for n in (1, 3))
-    np.testing.assert_array_equal(one, three)
-
-
 def test_a_failure_on_the_way_leaves_nothing(
     room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,17 +71,6 @@ def test_absent_data_is_named_with_source_and_licence(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_existing_output_is_refused_in_one_line(shared_data: Path, tmp_path: Path) -> None:
-    if not (shared_data / "bunny_ps").is_dir():
-        pytest.skip("no bunny_ps in the shared data")
-    (tmp_path / "bunny_specular_25" / "scene").mkdir(parents=True)
-    (tmp_path / "bunny_specular_25" / "scene" / "mine.txt").write_text("keep", encoding="utf-8")
-    ran = run(shared_data / "bunny_ps", "--out", tmp_path, "--iterations", "1")
-    assert ran.returncode == 2
-    assert len(ran.stderr.splitlines()) == 1
-    assert (tmp_path / "bunny_specular_25" / "scene" / "mine.txt").exists()
-
-
 @pytest.mark.slow
 def test_one_photograph_becomes_materials(tmp_path: Path) -> None:
     out = tmp_path / "out"

@@ -63,14 +63,5 @@ for command in {tuple(SUMMARIES)}:
     assert heavy_after(statements) == []
 
 
-def test_the_networks_interfaces_import_nothing_heavy() -> None:
-    modules = "padding, photo, prompts, weights, generators, segments"
-    run = "from pbrfit.acquire import generation"
-    folder = "from pbrfit.acquire.generators import flux2_klein, folder, gpt_image"
-    normals = "from pbrfit.acquire.normals import maps, marigold"
-    imports = f"from pbrfit.acquire import {modules}\n{run}\n{folder}\n{normals}"
-    assert heavy_after(imports) == []
-
-
 def test_what_is_heavy_would_be_found() -> None:
     assert heavy_after("import scipy") == ["scipy"]

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from command_runs import done, ran, refused
-from pbrfit import Scene
 from pbrfit.acquire.scene_output import place
 from pbrfit.export import EXPORT_FOLDER, export_result
 from pbrfit.export.presets import PRESETS
 from pbrfit.fit.decompose import decompose
 from pbrfit.io import images
-from pbrfit.result.result import RESULT_FOLDER, Result
+from pbrfit.result.result import Result
 from pbrfit.scene.folder import SCENE_FOLDER
 from pbrfit.synthetic import make_scene
 from scene_files import Argument, tree, write_folder
@@ -70,15 +69,6 @@ def test_a_saved_scene_holds_nothing_of_others(tmp_path: Path) -> None:
         with pytest.raises(FileExistsError, match=f"found {mine} besides"):
             scene.save(tmp_path / "out", overwrite=True)
         (tmp_path / "out" / mine).unlink()
-
-
-def test_a_saved_result_holds_nothing_of_others(result: Path, fitted: Result) -> None:
-    assert list(RESULT_FOLDER.foreign(result)) == []
-    fitted.save(result, overwrite=True)
-    (result / "notes.txt").write_text("mine")
-    with pytest.raises(FileExistsError, match=r"found notes\.txt besides"):
-        fitted.save(result, overwrite=True)
-    assert (result / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize(
@@ -165,9 +155,3 @@ def test_only_what_runs_make_is_removed_from_a_generated_scene(tmp_path: Path) -
         ".pbrfit-generate-mine/notes.txt",
     ]
     assert sorted(tree(theirs)) == ["notes.txt"]
-
-
-def test_a_scene_that_is_replaced_is_read_back(tmp_path: Path) -> None:
-    for lights in (4, 3):
-        done("synth", tmp_path / "out", "--size", 8, "--lights", lights, "--overwrite")
-    assert len(Scene.load(tmp_path / "out").images) == 3

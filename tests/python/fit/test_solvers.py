@@ -17,7 +17,7 @@ from pbrfit import Objective, Result, Scene, decompose
 from pbrfit.model import reflection as model
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
-from scene_files import lights_of, run, truth_of
+from scene_files import lights_of, truth_of
 
 MAPS = ("albedo_rmse", "roughness_rmse", "metallic_rmse")
 
@@ -177,20 +177,3 @@ def test_what_ran_is_told(solver: Solver, tmp_path: Path) -> None:
     content = json.loads((tmp_path / "out" / "result.json").read_text("utf-8"))
     assert content["stages"] == [dataclasses.asdict(stage) for stage in result.stages]
     assert Result.load(tmp_path / "out").stages == result.stages
-
-
-@pytest.mark.parametrize("solver", ["gauss-newton", pytest.param("lbfgsb", marks=pytest.mark.slow)])
-def test_the_command_says_what_ran(
-    solver: Solver, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    room(2002, 16, noise=0.01).of_pictures([0, 1, 2]).save(tmp_path / "scene")
-    options = ("--solver", solver, "--iterations", 20, "--verbose")
-    assert run("decompose", tmp_path / "scene", "--out", tmp_path / "out", *options) == 0
-    result = Result.load(tmp_path / "out")
-    assert result.options.solver == solver
-    said = capsys.readouterr().out
-    assert f"fit: {result.history.iterations} iterations in" in said
-    assert len(result.stages) >= 2
-    for stage in result.stages:
-        note = f" ({stage.note})" if stage.note else ""
-        assert f"\n{stage.seconds:>6.1f} s  {stage.name}{note}\n" in said

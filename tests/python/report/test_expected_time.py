@@ -18,8 +18,7 @@ MEASURED = [
     *((False, 224256, 20, 69.4), (False, 262144, 5, 66.1), (False, 262144, 8, 40.8)),
     *((False, 262144, 5, 83.0), (False, 213793, 16, 106.7)),
 ]
-"""Whether normals were given, valid pixels, pictures and seconds of processor time: rooms with 1 %
-noise, and sets of photographs."""
+"""Whether normals were given, valid pixels, pictures, seconds of processor time."""
 
 
 @pytest.mark.parametrize(("known", "pixels", "pictures", "seconds"), MEASURED)

@@ -764,6 +764,8 @@ def test_one_finger_moves_the_lamp_on_a_phone_and_two_zoom(
     page.goto(file.as_uri())
     page.wait_for_selector(READY)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    tools = page.locator(".relight-tools .tool:visible, .chip span")
+    assert min(tools.evaluate_all("(all) => all.map((e) => e.offsetHeight)")) >= 44
     box = page.locator(".relight-canvas").bounding_box()
     assert box is not None
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -784,6 +786,20 @@ def test_one_finger_moves_the_lamp_on_a_phone_and_two_zoom(
     zoom = page.evaluate("document.querySelector('.relight-view').view.stage.zoom")
     assert zoom == pytest.approx(2.5, abs=0.1)
     context.close()
+
+
+def test_it_opens_zoomed_to_what_was_fitted(browser: Browser, tmp_path: Path) -> None:
+    mask = np.zeros((40, 40), bool)
+    mask[12:22, 4:14] = True
+    stage = "document.querySelector('.relight-view').view.stage"
+    where = f"(({{zoom, centre}}) => [zoom, ...centre])({stage})"
+    with opened(browser, made(40, 40, mask=mask), tmp_path) as view:
+        at_first = view.page.evaluate(where)
+        assert 3 < at_first[0] <= 4
+        assert at_first[1:] == pytest.approx([9 / 40, 17 / 40])
+        for key in "-+0":
+            view.page.keyboard.press(key)
+        assert view.page.evaluate(where) == at_first
 
 
 def test_the_address_says_what_is_shown_and_brings_it_back(

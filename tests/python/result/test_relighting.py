@@ -162,12 +162,9 @@ def test_the_light_of_a_picture_gives_its_reconstruction(result: Result) -> None
 
 
 def test_the_file_of_a_panorama_is_a_light(sphere: Result, tmp_path: Path) -> None:
-    pixels = spot(0.5, 0.3)
-    write_hdr(tmp_path / "sky.hdr", pixels)
-    found = relight(sphere, tmp_path / "sky.hdr")
-    np.testing.assert_array_equal(found, relight(sphere, str(tmp_path / "sky.hdr")))
+    write_hdr(tmp_path / "sky.hdr", spot(0.5, 0.3))
     read = Environment.read(tmp_path / "sky.hdr")
-    np.testing.assert_array_equal(found, relight(sphere, read))
+    np.testing.assert_array_equal(relight(sphere, tmp_path / "sky.hdr"), relight(sphere, read))
 
 
 def test_outside_the_mask_there_is_no_number(sphere: Result) -> None:
