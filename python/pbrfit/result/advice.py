@@ -63,17 +63,12 @@ def _steps(result: ResultData) -> Iterator[str]:
 
 
 def _unfinished(result: ResultData) -> Iterator[str]:
+    done = result.history.iterations
+    after, more = f"{done} iteration{'s' * (done != 1)}", "more of them (option iterations)"
     if result.status is Status.TIME_LIMIT:
-        yield (
-            f"the fit was stopped after {result.seconds:.3g} s: more time (option time_limit) "
-            "would help all maps"
-        )
-    if result.status is Status.ITERATION_LIMIT:
-        done = result.history.iterations
-        yield (
-            f"the fit was stopped after {done} iteration{'s' * (done != 1)}: more of them (option "
-            "iterations) would help all maps"
-        )
+        after, more = f"{result.seconds:.3g} s", "more time (option time_limit)"
+    if result.status is not Status.CONVERGED:
+        yield f"the fit was stopped after {after}: {more} would help all maps"
 
 
 def _camera(result: ResultData, named: set[str]) -> Iterator[str]:

@@ -13,7 +13,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result import differences, metrics
 from pbrfit.result.data import ResultData
 from pbrfit.result.differences import PALETTE, Difference
-from pbrfit.result.relighting import relight
+from pbrfit.result.relighting import DirectionalLight, relight
 from pbrfit.result.sheet import Key, Panel, Row, displayed, outside_grey, sheet
 from pbrfit.result.verdict import MARKS, PARAMETERS
 from pbrfit.scene.arrays import SceneArrays
@@ -21,16 +21,17 @@ from pbrfit.scene.arrays import SceneArrays
 SHOWN, ACROSS = 24, 4
 """Pictures of a scene on its contact sheet at most, and those in a row."""
 
-CLASSES = 64
-"""Classes of a histogram."""
+LAMP = DirectionalLight(-50.0, 35.0)
+"""What a preview is lit by first."""
 
 
 def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.uint8]:
     """Sheet of a result: (H, W, 3) uint8 sRGB.
 
-    Rows: a picture (with `scene`), its reconstruction and residuals; maps, with verdicts; ground
-    truth and errors; deviations; given and refined normals and the angle between them. Each where
-    it is known. All differences share one scale, angles by radians.
+    Rows: the result under a lamp from the upper left, a picture (with `scene`), its reconstruction
+    and residuals; maps, with verdicts; ground truth and errors; deviations; given and refined
+    normals and the angle between them. Each where it is known, around the mask. All differences
+    share one scale, angles by radians.
     """
     rows: list[Row] = [_pictures(result, scene)]
     labels = ["", "recovered"]
@@ -81,14 +82,17 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
         as_it_was = {"unchanged": _color(differences.WHITE)}
         keys.append(_key("change of the normals", differences.tick_places(degrees=True), as_it_was))
     height, width = result.mask.shape
-    # No run time: the same input gives the same bits.
-    title = (
-        f"{len(result.pictures)} pictures of {width} x {height}, "
-        f"{result.history.iterations} iterations"
-    )
+    title = f"{len(result.pictures)} pictures of {width} x {height}"
     if result.held_out is not None:
         title += f"; {result.held_out.in_words()}"
-    return sheet(rows, title=title, labels=labels, keys=keys)
+    return sheet(_cropped(rows, result.mask), title=title, labels=labels, keys=keys)
+
+
+def _cropped(rows: Sequence[Row], mask: NDArray[np.bool_]) -> list[Row]:
+    """Panels without what lies outside the box around the mask."""
+    rows_in, columns_in = np.nonzero(mask)
+    box = np.s_[rows_in.min() : rows_in.max() + 1, columns_in.min() : columns_in.max() + 1]
+    return [[one and replace(one, pixels=one.pixels[box]) for one in row] for row in rows]
 
 
 def contact_sheet(scene: SceneArrays) -> NDArray[np.uint8]:
@@ -128,9 +132,9 @@ def _histogram(
     """(H, W, 3): how often values in [0, 1] occur, as coloured areas on white, where `inside`."""
     height, width = inside.shape
     drawn = np.ones((height, width, 3))
-    classes = np.arange(width) * CLASSES // width
+    classes = np.arange(width) * 64 // width
     for channel in range(3):
-        counts, _ = np.histogram(picture[inside, channel], CLASSES, (0.0, 1.0))
+        counts, _ = np.histogram(picture[inside, channel], 64, (0.0, 1.0))
         tops = height * counts[classes] / counts.max()
         area = np.arange(height, 0, -1)[:, None] <= tops
         drawn[area] *= 0.45 + 0.55 * np.eye(3)[channel]
@@ -153,16 +157,18 @@ def _given_normals(scene: SceneArrays) -> Row:
 
 
 def _pictures(result: ResultData, scene: SceneArrays | None) -> Row:
-    """The first picture, its reconstruction, and the residual, as far as there are pictures."""
-    reconstruction = relight(result, picture=0)
-    name = result.pictures[0]
+    """Relit, the first picture, its reconstruction, and the residual, as far as there are any."""
+    relit = relight(result, LAMP)
+    panels: Row = [Panel("relit", displayed(relit, metrics.white_of(relit)))]
+    reconstruction, name = relight(result, picture=0), result.pictures[0]
     if scene is None:
         white = metrics.white_of(reconstruction)
-        return [Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
+        return [*panels, Panel(f"reconstruction of {name}", displayed(reconstruction, white))]
     weights = scene.channel_weights(0)
     residual = differences.residual(reconstruction, scene.images[0], weights)
     picture, white = metrics.showable(scene.images[0], result.mask, weights)
     return [
+        *panels,
         Panel(f"picture {name}", displayed(picture, white)),
         Panel("reconstruction", displayed(reconstruction, white)),
         Panel("residual", _painted(residual)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from pbrfit.io.images import encode_png
 from pbrfit.result import metrics
 from pbrfit.result.verdict import Mark
 
@@ -194,9 +194,7 @@ def _has_captions(row: Row) -> bool:
 
 def as_png(pixels: NDArray[np.uint8]) -> bytes:
     """Encode a sheet."""
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
+    return bytes(encode_png(pixels, "srgb"))
 
 
 def _draw_key(draw: ImageDraw.ImageDraw, key: Key, corner: tuple[int, int], letters: int) -> None:

@@ -72,6 +72,14 @@ def test_a_histogram_shows_how_often_values_occur() -> None:
     assert not red[:, 1:32].any()
 
 
+def test_a_preview_is_of_the_box_around_the_mask() -> None:
+    scene, result = whole()
+    mask = np.arange(24)[:, None] // 4 == np.full(24, 2)  # rows 8 to 11
+    flat = preview(dataclasses.replace(result, mask=mask), scene)
+    panels, rows = PANEL_SIDE[0] * (24 - 4) / 24, 3
+    assert preview(result, scene).shape[0] - flat.shape[0] == pytest.approx(rows * panels, abs=rows)
+
+
 def test_the_run_time_does_not_show() -> None:
     scene, result = whole()
     slower = dataclasses.replace(result, seconds=result.seconds + 100)
