@@ -21,7 +21,7 @@ from pbrfit.scene.arrays import SceneArrays
 SHOWN, ACROSS = 24, 4
 """Pictures of a scene on its contact sheet at most, and those in a row."""
 
-LAMP = DirectionalLight(-50.0, 35.0)
+LAMP = DirectionalLight(-25.0, 30.0)
 """What a preview is lit by first."""
 
 
