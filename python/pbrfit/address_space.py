@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 import threading
 from contextlib import suppress
 from functools import cache
@@ -24,6 +25,10 @@ BLAS thread, two buffers among them; 3 more buffers and the stacks of 4 threads 
 STACK_BYTES = 4 * 2**20
 """Least stack in bytes of the main thread, which takes its share of the core's work: blocks of
 pixels among surroundings take 2 MiB there."""
+
+FILES_MIN = 16
+"""Least number of files that a process may have open: 6 do for a scene, libraries and workers have
+some for a time, and Python takes one that it cannot open for one that is not there."""
 
 LIBRARIES = ("fft", "linalg", "ndimage", "optimize", "sparse.csgraph", "sparse.linalg", "spatial")
 """Parts of scipy that a fit loads as it comes to them, `special` with them."""
@@ -53,11 +58,20 @@ def too_little(error: MemoryError) -> str:
 
 
 def check_stack() -> None:
-    """Have as much stack as is allowed, up to `STACK_BYTES`; raise MemoryError if that is less."""
+    """Have as much stack as is allowed, up to `STACK_BYTES`.
+
+    Raises MemoryError if that is less, or so few files may be open that Python finds no libraries.
+    """
+    if sys.platform == "win32":
+        return
+    expected = f"open files (ulimit -n): expected {FILES_MIN} or more, found"
     try:
         import resource
-    except ImportError:
-        return  # Windows
+    except ImportError:  # no file is left to look for it with
+        raise MemoryError(f"{expected} too few") from None
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if 0 <= files < FILES_MIN:
+        raise MemoryError(f"{expected} {files}")
     soft, hard = resource.getrlimit(resource.RLIMIT_STACK)
     if soft == resource.RLIM_INFINITY or soft >= STACK_BYTES:
         return

@@ -8,15 +8,15 @@ A catalogue is a TOML file with ``preamble`` (what must not change, put before e
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.io.input_files import SETTINGS_BYTES, read_bytes
-from pbrfit.io.quoting import listed, quoted, shown
+from pbrfit.io.input_files import SETTINGS_BYTES, read_text
+from pbrfit.io.json_files import toml_of
+from pbrfit.io.quoting import listed, quoted
 
 SHIPPED = "prompts.toml"
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
@@ -53,14 +53,7 @@ def read_prompts(path: Path | None = None) -> Catalogue:
     where TOML is broken; OSError if it cannot be read.
     """
     name = str(path) if path is not None else SHIPPED
-    data = shipped_text().encode() if path is None else read_bytes(path, SETTINGS_BYTES)
-    try:
-        content = tomllib.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        raise InputError(f"{name}: expected UTF-8, found another byte in line {line}") from None
-    except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError
-        raise InputError(f"{name}: expected TOML: {shown(error)}") from None
+    content = toml_of(name, shipped_text() if path is None else read_text(path, SETTINGS_BYTES))
     _refuse_unknown(name, "", content, {"preamble", "negative", "lighting"})
     entries = content.get("lighting")
     if not isinstance(entries, list) or not entries:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.io.input_files import TEXT_BYTES, digest, read_text
-from pbrfit.io.json_files import UNFIT, table
+from pbrfit.io.input_files import digest
+from pbrfit.io.json_files import UNFIT, read_json, table
 from pbrfit.model.reflection import chosen_model
 from pbrfit.result.options import FitOptions
 from pbrfit.result.result import details_of, files_of, model_of
@@ -33,9 +32,9 @@ def kept(
     """
     file = output / "result.json"
     try:
-        content = table(json.loads(read_text(file, TEXT_BYTES)))
+        content = table(read_json(file, "a result"))
         found, of_pictures = model_of(content, file), scene_folder.locate(scene).settings().model
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError):
         return None
     wanted = chosen_model(options.model, of_pictures)
     if found != wanted:

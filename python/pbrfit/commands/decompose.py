@@ -25,7 +25,7 @@ from pbrfit.commands.scene_options import add_input, reading
 from pbrfit.fit import memory
 from pbrfit.io.output import check_is_output
 from pbrfit.result.result import RESULT_FOLDER
-from pbrfit.scene.folder import locate
+from pbrfit.scene.folder import check_unread, locate
 
 MOST_USED = (
     *("out", "overwrite", "verbose", "fov", "color_space", "max_size", "light", "white"),
@@ -118,6 +118,7 @@ def _default_output(paths: Sequence[Path]) -> Path:
 
 
 def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing: bool) -> None:
+    check_unread(scenes, outputs)
     taken = {output.resolve(): output for output in outputs}
     for path in scenes:
         folder = path.resolve()

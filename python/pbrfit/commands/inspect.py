@@ -20,6 +20,7 @@ from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.quoting import visible
 from pbrfit.report import inspection
 from pbrfit.result import preview
+from pbrfit.scene.folder import check_unread, locate
 from pbrfit.scene.scene import Scene
 
 
@@ -38,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
     refuse_idle(options, [("overwrite", options.preview is not None, "--preview")])
     if options.preview is not None:
         check_free_file(options.preview, overwrite=options.overwrite)
+        check_unread([locate(scene_named(options.scene)).folder], [options.preview])
     scene = Scene.load(scene_named(options.scene), reading(options))
     for topic, fact in inspection.facts(scene):
         print(visible(f"{topic:<17} {fact}"))

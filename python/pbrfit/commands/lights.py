@@ -19,7 +19,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene import ball as balls
 from pbrfit.scene import completion, known_lamps
-from pbrfit.scene.folder import locate
+from pbrfit.scene.folder import check_unread, locate
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import read_pictures
 
@@ -74,6 +74,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Write lamps, and say where they are."""
     completion.check_no_lamps(options.scene, overwrite=options.overwrite)
+    check_unread([options.scene], filter(None, [options.preview]))
     kind = "ball" if options.source == "ball" else "file"
     given: dict[str, Any] = asked_for(options, FLAGS, kind)
     if kind == "file":

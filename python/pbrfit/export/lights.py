@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
 from pbrfit.io.json_files import write_json
+from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
 from pbrfit.model.lighting import BAND_OF, Lighting
 from pbrfit.result.result import Result
@@ -73,7 +74,9 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     with (folder / "panoramas.csv").open("w", newline="", encoding="utf-8") as table:
         writer = csv.writer(table)
         writer.writerow(["picture", "file", "relit_difference"])
-        writer.writerows([of.picture, of.file, f"{of.difference:.6f}"] for of in panoramas)
+        writer.writerows(
+            [cell(of.picture), cell(of.file), f"{of.difference:.6f}"] for of in panoramas
+        )
     return tuple(panoramas)
 
 
@@ -135,7 +138,7 @@ def _write_coefficients(path: Path, lighting: Lighting) -> None:
         writer.writerow(["picture", "k", "l", "m", "r", "g", "b"])
         for picture, light in zip(lighting.pictures, lighting.coefficients, strict=True):
             for k, (band, values) in enumerate(zip(BAND_OF.tolist(), light.tolist(), strict=True)):
-                writer.writerow([picture, k, band, k - band * (band + 1), *values])
+                writer.writerow([cell(picture), k, band, k - band * (band + 1), *values])
 
 
 def _write_three(path: Path, lighting: Lighting) -> None:

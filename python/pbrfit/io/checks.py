@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.io.quoting import quoted
 
 REAL = "buif"
 """Kinds of numpy's types that hold real numbers."""
@@ -60,5 +61,5 @@ def of_what(value: Any) -> str:
     """What a refused value is, in one short line."""
     if isinstance(value, np.ndarray) and value.size > 4:
         return f"an array of {value.dtype} of shape {value.shape}"
-    text = " ".join(repr(value).split())
+    text = " ".join(quoted(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -58,6 +58,8 @@ def read(exif: bytes | None, orientation: int) -> Exif:
         return value if 0 < value < float("inf") else None
 
     equivalent = number(Tag.FocalLengthIn35mmFilm)
+    if equivalent is not None and not 1 <= equivalent < 2**16:  # a SHORT, if it is not damaged
+        equivalent = None
     length = number(Tag.FocalLength) or equivalent
     forms = {Tag.ExposureTime: "{:.3g} s", Tag.FNumber: "f/{:g}", Tag.ISOSpeedRatings: "ISO {:g}"}
     exposure = [form.format(value) for tag, form in forms.items() if (value := number(tag))]

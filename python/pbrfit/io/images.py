@@ -8,17 +8,24 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import logging
+import math
 import operator
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.lib.format import MAGIC_PREFIX, open_memmap
+from numpy.lib.format import (
+    MAGIC_PREFIX,
+    read_array_header_1_0,
+    read_array_header_2_0,
+    read_magic,
+)
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
@@ -27,9 +34,9 @@ from pbrfit.io import color as coding
 from pbrfit.io import exif, layers, radiance, raw_files
 from pbrfit.io.color import ColorSpace, Conversion, Curve, Place, Primaries
 from pbrfit.io.file_noise import Stored, read_tables
-from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file
+from pbrfit.io.input_files import PICTURE_BYTES, content_of, names_file, open_file, read_bytes
 from pbrfit.io.limits import AT_LEAST, AT_MOST, ORDINARY, Limits
-from pbrfit.io.quoting import shown
+from pbrfit.io.quoting import quoted, shown
 
 logger = logging.getLogger("pbrfit")
 
@@ -138,6 +145,9 @@ def read_picture(
     if the file cannot be read.
     """
     asked = None if code_range is None else checked_codes(code_range)
+    if orientation not in (known := get_args(Orientation)):
+        expected = f"orientation: expected one of {', '.join(known)}"
+        raise InputError(f"{expected}, found {quoted(orientation)}")
     path = Path(path)
     file = file_of(path)
     page = int(path.stem.rpartition("_")[2]) - 1 if file != path else None
@@ -300,19 +310,24 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
         raster, header = _raster(path, data)
         turn = raster.orientation if header is None else header.orientation
         return exif.turned(raster.samples, turn)
-    expected = "expected an array of real numbers in .npy"
+    content = read_bytes(path, PICTURE_BYTES)  # a mapped file that shrinks would end the process
+    head = io.BytesIO(content)
     try:
         with exif.without_warnings():  # about headers of long ago
-            # Mapped: it runs no code of the file, and takes no memory for more than that holds.
-            array = open_memmap(path, mode="r")
-    except (OSError, MemoryError):
+            first = read_magic(head) == (1, 0)
+            shape, by_columns, dtype = (read_array_header_1_0 if first else read_array_header_2_0)(
+                head
+            )
+        if dtype.kind not in "uif" or min(shape, default=1) < 1:
+            raise ValueError(f"{dtype} of shape {shape}")
+        array = np.frombuffer(content, dtype, math.prod(shape), head.tell())
+    except MemoryError:
         raise
     except Exception as error:  # headers are Python expressions, and fail in all ways of these
+        expected = "expected an array of real numbers in .npy"
         raise InputError(f"{path}: {expected}, found {shown(error)}") from None
-    if array.dtype.kind not in "uif" or array.size == 0:
-        raise InputError(f"{path}: {expected}, found {array.dtype} of shape {array.shape}")
     with np.errstate(all="ignore"):  # of more than 64 bits; infinity is no normal, and no depth
-        return np.array(array, np.float64)
+        return array.reshape(shape, order="F" if by_columns else "C").astype(np.float64)
 
 
 def write_exr(

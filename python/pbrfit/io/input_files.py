@@ -21,11 +21,14 @@ from pbrfit._core import InputError
 PICTURE_BYTES = 2**34
 """Largest picture file, in bytes: that of a result of the most pixels."""
 
-TEXT_BYTES = 2**26
-"""Largest JSON, CSV or LP file, in bytes: lights of 40,000 pictures."""
+TEXT_BYTES = 2**24
+"""Largest JSON file, and history, in bytes: lights of 10,000 pictures."""
 
-SETTINGS_BYTES = 2**20
-"""Largest TOML file, in bytes: people write them, and reading takes a second for each million."""
+LIST_BYTES = 2**20
+"""Largest file of lamps, or of names, in bytes: 10,000 lines of a hundred letters."""
+
+SETTINGS_BYTES = 2**18
+"""Largest TOML file, in bytes: people write them, such as a thousand prompts."""
 
 FILE, FOLDER, LINK = "a file", "a folder", "a link"
 """Regular files, folders and symbolic links in words."""
@@ -108,18 +111,20 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def read_text(path: Path, most: int, other: str = "utf-8") -> str:
-    """Text of a file, its lines ended by line feeds; raises as `read_bytes`, or UnicodeDecodeError.
+    """Text of a file, its lines ended by line feeds; raises as `read_bytes`.
 
     Its encoding is told by its first bytes: UTF-8, UTF-16 or UTF-32 with or without a byte order
-    mark; or `other` where it is not UTF-8.
+    mark; or `other` where it is not UTF-8. Raises InputError if it is no text.
     """
     data = read_bytes(path, most)
     encoding = json.detect_encoding(data)
     try:
         text = data.decode(encoding)
-    except UnicodeDecodeError:
+    except UnicodeDecodeError as error:
         if encoding != "utf-8" or other == "utf-8":
-            raise
+            line = data[: error.start].count(b"\n") + 1
+            expected = f"{path}: expected {encoding.upper()}"
+            raise InputError(f"{expected}, found another byte in line {line}") from None
         text = data.decode(other, "replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -135,8 +140,9 @@ def _bounded(file: BufferedReader, path: Path, most: int) -> int:
     """Size of an open file, in bytes."""
     size = os.fstat(file.fileno()).st_size
     if size > most:
-        found = f"{-(-size >> 20)} MiB"
-        raise InputError(f"{path}: expected a file of at most {most >> 20} MiB, found {found}")
+        shift, unit = (20, "MiB") if most >> 20 else (10, "KiB")
+        expected = f"{path}: expected a file of at most {most >> shift} {unit}"
+        raise InputError(f"{expected}, found {-(-size >> shift)} {unit}")
     return size
 
 

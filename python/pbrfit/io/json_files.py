@@ -1,4 +1,4 @@
-"""JSON files of users, and values in them that are what they should be.
+"""JSON and TOML files of users, and values in them that are what they should be.
 
 The functions that take a value return it, or raise ValueError in words; they are for content that
 somebody may have edited, or a disk damaged.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import tomllib
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -23,6 +25,13 @@ UNFIT = (ValueError, KeyError, TypeError, AttributeError, OverflowError, Recursi
 MOST = 2**53
 """Whole numbers up to here are the same as floats."""
 
+TOML_DOTS_MAX = 64
+"""Single dots in a line of TOML: each may be a level of a key, and reading takes time and memory by
+the square of its depth. Keys of ours have no level but one; sentences and matrices have some."""
+
+TOML_WHOLE_MAX = 2**63
+"""Whole numbers of TOML are below, as its standard has it."""
+
 
 def read_json(path: Path, expected: str) -> Any:
     """Content of a JSON file; `expected` says for the message what it should hold.
@@ -30,13 +39,37 @@ def read_json(path: Path, expected: str) -> Any:
     Raises InputError if it is no text or not JSON, as NaN is not, or nested beyond reason, or no
     regular file; OSError if it cannot be read.
     """
+    content = read_text(path, TEXT_BYTES)
     try:
-        content = read_text(path, TEXT_BYTES)
         return json.loads(content, parse_constant=lambda name: number(float(name)))
-    except InputError:
-        raise
     except (ValueError, RecursionError) as error:
         raise unfit(path, expected, error) from None
+
+
+def toml_of(path: Path | str, content: str) -> dict[str, Any]:
+    """What the content of a TOML file says.
+
+    Raises InputError if it is not TOML, or deep or large beyond reason.
+    """
+    for i, line in enumerate(content.split("\n"), 1):
+        if (dots := len(re.findall(r"(?<!\.)\.(?!\.)", line))) > TOML_DOTS_MAX:
+            where = f"{dots} in line {i}"
+            raise InputError(f"{path}: expected at most {TOML_DOTS_MAX} dots a line, found {where}")
+    try:
+        found = tomllib.loads(content)
+        _check_whole(found)
+    except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError
+        raise InputError(f"{path}: expected TOML, found {shown(error)}") from None
+    return found
+
+
+def _check_whole(value: Any) -> None:
+    """Check all whole numbers in lists and objects."""
+    if isinstance(value, (dict, list)):
+        for one in value.values() if isinstance(value, dict) else value:
+            _check_whole(one)
+    elif isinstance(value, int) and not -TOML_WHOLE_MAX <= value < TOML_WHOLE_MAX:
+        raise ValueError(f"a whole number of {value.bit_length()} bits in place of 64")
 
 
 def unfit(path: Path | str, expected: str, error: Exception) -> InputError:

@@ -16,10 +16,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pbrfit._core import InputError
-from pbrfit.io.input_files import TEXT_BYTES, read_text
+from pbrfit.io.input_files import LIST_BYTES, read_text
 from pbrfit.io.json_files import UNFIT, number, read_json, table, text, unfit, write_json
 from pbrfit.io.quoting import listed, quoted, shown
 
@@ -33,6 +33,9 @@ NAMES = {".txt": "filenames.txt", ".json": "*.sfm"}
 
 VERSION = 1
 """Of `lights.json`."""
+
+LAMPS_MAX = 10_000
+"""Lamps, or lines, of a file: a hundred for each of a hundred pictures."""
 
 LENGTH_OFF_MAX = 0.02
 """Largest difference of a direction's length from 1 that is rounding; beyond, vectors of a file are
@@ -56,6 +59,7 @@ _EXTENSION = r"\.(?=\w*[^\W\d])\w{1,5}"
 """Up to five letters and digits, not digits alone: those of `scan.001` tell scans apart."""
 
 Vector = tuple[float, float, float]
+T = TypeVar("T")
 
 UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 """A colour that nobody told."""
@@ -114,7 +118,7 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
         )
     try:
         rows = read(path)
-    except (csv.Error, UnicodeDecodeError) as error:
+    except csv.Error as error:
         raise unfit(path, "lamps", error) from None
     if not rows:
         raise InputError(f"{path}: expected lamps, found none")
@@ -147,10 +151,17 @@ def unit(vector: Vector) -> Vector:
     return x, y, z
 
 
-def _lines(path: Path) -> list[str]:
+def _lines(path: Path) -> Sequence[str]:
     """Lines of a text file that hold something, comments among them."""
-    lines = read_text(path, TEXT_BYTES, "cp1252").splitlines()
-    return [line for line in lines if re.search(r'[^\s,;"]', line)]
+    lines = read_text(path, LIST_BYTES, "cp1252").splitlines()
+    return _few(path, [line for line in lines if re.search(r'[^\s,;"]', line)], "lines")
+
+
+def _few(path: Path, found: Sequence[T], what: str) -> Sequence[T]:
+    """Refuse what is more than lamps of pictures can be."""
+    if len(found) > LAMPS_MAX:
+        raise InputError(f"{path}: expected at most {LAMPS_MAX} {what}, found {len(found)}")
+    return found
 
 
 def _is_row(line: str) -> bool:
@@ -307,14 +318,14 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
 
 
 def rows_of_json(
-    path: Path, lamps: Iterable[Any], entry: Callable[[Any], Any] = table
+    path: Path, lamps: Sequence[Any], entry: Callable[[Any], Any] = table
 ) -> list[LampRow]:
     """Lamps of a list in a JSON file, or of what `entry` makes to such.
 
     InputError names the file and which of them is none.
     """
     rows = []
-    for i, lamp in enumerate(lamps):
+    for i, lamp in enumerate(_few(path, lamps, "lamps")):
         try:
             rows.append(_from_json(entry(lamp)))
         except UNFIT as error:

@@ -12,12 +12,26 @@ LONGEST = 200
 MOST = 12
 """Names of a list that are shown."""
 
+FORMULAS = ("=", "+", "-", "@", "\t", "\r", "'")
+"""What cells of a table begin with that spreadsheets calculate; and the sign that says they are
+text, which some would hide."""
+
 # Controls, which a terminal obeys, but for line ends and tabs; letters that turn the direction of
-# writing, so that a text reads as another one; bytes of names that are no UTF-8.
+# writing, so that a text reads as another one; what stands for bytes of names that are no UTF-8.
 _UNSEEN = re.compile(
-    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"
+    r"\ud800-\udfff]"
 )
-_short = reprlib.Repr()
+
+
+class _Short(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:
+        """Python writes no numbers of thousands of digits."""
+        few = abs(x) < 10**LONGEST
+        return super().repr_int(x, level) if few else f"a number of {x.bit_length()} bits"
+
+
+_short = _Short()
 _short.maxlevel, _short.maxstring, _short.maxlong, _short.maxother = 4, 60, 40, 60
 
 
@@ -37,6 +51,11 @@ def quoted(value: object) -> str:
     """A value as Python writes it, cut short in the middle."""
     words = _short.repr(value)
     return words if len(words) <= LONGEST else words[:LONGEST] + "…"
+
+
+def cell(text: str) -> str:
+    """A text as a cell of a table, with ``'`` before what a spreadsheet takes for a formula."""
+    return f"'{text}" if text.startswith(FORMULAS) else text
 
 
 def listed(names: Iterable[str]) -> str:

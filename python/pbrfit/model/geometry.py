@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.checks import real_number
 
+FOV_MIN = 1e-3
+"""Least field of view in degrees: a metre seen from 57 km. Where it is less, 0 is meant."""
+
 DIAGONAL_35MM = math.hypot(36.0, 24.0)
 """Diagonal in millimetres of the frame that EXIF's 35 mm equivalent focal length refers to."""
 
@@ -68,9 +71,11 @@ def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
 
 
 def check_fov(fov: float) -> None:
-    """Raise InputError unless 0 <= fov < 180."""
+    """Raise InputError unless it is 0 or from `FOV_MIN` to below 180."""
     if not 0 <= real_number("fov", fov, "degrees in [0, 180)") < 180:
         raise InputError(f"fov: expected degrees in [0, 180), found {fov}")
+    if 0 < fov < FOV_MIN:
+        raise InputError(f"fov: expected 0 or {FOV_MIN:g} degrees at least, found {fov}")
 
 
 def fov_from_focal_length(focal_length_35mm: float, height: int, width: int) -> float:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
 
+from pbrfit.io.quoting import visible
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
 from pbrfit.report import (
@@ -185,7 +186,7 @@ def _head(result: Result) -> str:
 def _title(result: Result) -> str:
     count = len(result.pictures)
     of = f"{count} pictures" if count > 1 else "one picture"
-    name = result.source.path.name if result.source is not None else ""
+    name = visible(result.source.path.name) if result.source is not None else ""
     # A folder that is called scene has no name yet.
     return f"{name}: materials from {of}" if name not in ("", "scene") else f"Materials from {of}"
 

@@ -68,6 +68,19 @@ class Truth:
     relight_lighting: NDArray[np.float64] | None = None
 
 
+_TYPES: dict[str, tuple[type, bool]] = {
+    **dict.fromkeys(("assumed", "inputs"), (Mapping, False)),
+    **dict.fromkeys(("fov_known", "normals_known"), (bool, False)),
+    "file_noise": (Sequence, True),
+    "truth": (Truth, True),
+    "source": (Source, True),
+    "correction": (Correction, True),
+    "lamps": (Lamps, True),
+    "response": (str, True),
+}
+"""What attributes have to be that are no arrays, and whether they may be None."""
+
+
 @dataclass(frozen=True, eq=False)
 class SceneArrays:
     """Pictures of one view under different lights, checked when made.
@@ -168,7 +181,12 @@ class SceneArrays:
     response: Curve | None = None
 
     def __post_init__(self) -> None:
-        images = any_array("images", np.ma.getdata(self.images))
+        for name, (kind, optional) in _TYPES.items():
+            found = getattr(self, name)
+            if not isinstance(found, kind) and not (optional and found is None):
+                raise InputError(f"{name}: expected {kind.__name__}, found {of_what(found)}")
+        hidden = isinstance(self.images, np.ma.MaskedArray)
+        images = any_array("images", self.images.data if hidden else self.images)
         if images.ndim != 4 or images.shape[-1] != 3 or 0 in images.shape:
             raise InputError(f"images: expected shape (N, H, W, 3), found {images.shape}")
         if images.dtype not in (np.float32, np.float64):
@@ -234,8 +252,6 @@ class SceneArrays:
             if not np.isfinite(self.truth.materials.albedo[valid]).any():
                 raise InputError("truth: expected materials of some valid pixels, found only NaN")
         if self.lamps is not None:
-            if not isinstance(self.lamps, Lamps):
-                raise InputError(f"lamps: expected Lamps, found {of_what(self.lamps)}")
             self.lamps.check_pictures(n)
         given: Any = self.normals
         if given is None:

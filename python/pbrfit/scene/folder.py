@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import re
-import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -15,8 +14,8 @@ from typing import TypeVar
 from pbrfit._core import InputError
 from pbrfit.io import images
 from pbrfit.io.depth_files import DEPTH_FILES, find_depth
-from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, kind_of, read_text, there
-from pbrfit.io.json_files import UNFIT, read_json, text, unfit
+from pbrfit.io.input_files import LIST_BYTES, SETTINGS_BYTES, digest, kind_of, read_text, there
+from pbrfit.io.json_files import UNFIT, read_json, text, toml_of, unfit
 from pbrfit.io.lamp_files import LAMP_FILES, find_lamps
 from pbrfit.io.normal_files import NORMAL_FILES, find_normals
 from pbrfit.io.output import FolderForm
@@ -200,7 +199,7 @@ def _named(pictures: tuple[Path, ...]) -> SceneFiles:
 def _listed(folder: Path, below: Path) -> SceneFiles:
     """Pictures that a listing names, in its order."""
     listing = below / LISTING
-    names = [line.strip() for line in read_text(listing, TEXT_BYTES, "cp1252").splitlines()]
+    names = [line.strip() for line in read_text(listing, LIST_BYTES, "cp1252").splitlines()]
     pictures = tuple(below / name for name in names if name)
     missing = [path.name for path in pictures if path.parent != below or not path.is_file()]
     if missing or not pictures:
@@ -239,14 +238,28 @@ def loose_pictures(folder: Path) -> list[Path]:
     """
     if any((folder / name).exists() for name in OUTPUTS):
         return []
-    return sorted(
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in _LOOSE_SUFFIXES
-        and path.stem.lower() not in _NO_PICTURES
-        and not path.name.startswith(".")
-        and not path.is_dir()
-    )
+    return sorted(path for path in folder.iterdir() if _loose(path) and not path.is_dir())
+
+
+def _loose(path: Path) -> bool:
+    """Whether a file would be taken for a picture beside others."""
+    suffix, stem = path.suffix.lower(), path.stem.lower()
+    return suffix in _LOOSE_SUFFIXES and stem not in _NO_PICTURES and path.name[0] != "."
+
+
+def check_unread(scenes: Iterable[Path], outputs: Iterable[Path]) -> None:
+    """Check that nothing at these places would be read with the pictures of a scene folder.
+
+    Raises InputError: what lies under `images/` and beside loose pictures belongs to the scene.
+    """
+    folders = {path.resolve() for path in scenes}
+    within = {folder / name for folder in folders for name in ("images", FLAT_FIELD)}
+    for output in outputs:
+        path = output.resolve()
+        beside = path.parent in folders and not (path.parent / "images").is_dir()
+        if not within.isdisjoint(path.parents) or (beside and _loose(path)):
+            expected = "expected a place that is not read with the pictures of the scene"
+            raise InputError(f"{output}: {expected}, found one in {path.parent}")
 
 
 def first_and_last(paths: Sequence[Path]) -> str:
@@ -329,12 +342,7 @@ def read_settings(path: Path) -> Settings:
     """
     if not there(path):
         return Settings()
-    try:
-        content = tomllib.loads(read_text(path, SETTINGS_BYTES, "cp1252"))
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:  # numbers beyond reason raise a plain ValueError
-        raise InputError(f"{path}: expected TOML, found {shown(error)}") from None
+    content = toml_of(path, read_text(path, SETTINGS_BYTES, "cp1252"))
     known = [field.name for field in fields(Settings)]
     unknown = sorted(set(content) - set(known))
     if unknown:

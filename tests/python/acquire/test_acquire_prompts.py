@@ -46,7 +46,7 @@ GOOD = '[[lighting]]\nname = "dusk"\ntext = "Blue dusk."\n'
         ("[[lighting]]\nname = 'a'\ntext = ' '", r"lighting 1 \(a\): text: expected a text"),
         (GOOD + "side = 'left'", r"lighting 1 \(dusk\): expected only name, text, found side"),
         ("lighting = ['dusk']", "lighting 1: expected name and text, found 'dusk'"),
-        ("\n\npreamble = left", r"expected TOML: .*line 3"),
+        ("\n\npreamble = left", r"expected TOML, found .*line 3"),
     ],
 )
 def test_a_broken_catalogue_is_refused_with_the_place(

@@ -628,6 +628,20 @@ def test_lights_that_panoramas_cannot_hold_are_warned_of(
         assert len(caplog.messages) == warned
 
 
+def test_no_name_in_a_table_is_a_formula(result: Result, tmp_path: Path) -> None:
+    names = ("=1+2", "-x", "'=a")
+    named = dataclasses.replace(result, pictures=names)
+    export_result(named, tmp_path / "out", format="png")
+    for table, column, end in (
+        ("panoramas", "picture", ""),
+        ("panoramas", "file", ".exr"),
+        ("coefficients", "picture", ""),
+    ):
+        with (tmp_path / "out" / "lights" / f"{table}.csv").open(encoding="utf-8") as file:
+            cells = dict.fromkeys(row[column] for row in csv.DictReader(file))
+        assert list(cells) == [f"'{name}{end}" for name in names]
+
+
 def test_names_of_pictures_become_names_of_files() -> None:
     found = file_names(("a", "A", "dir/lamp: 1", "..", "", "ç", "a"))
     assert found == ("a", "A_2", "dir_lamp_ 1", "light", "light_2", "ç", "a_3")

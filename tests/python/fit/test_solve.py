@@ -175,6 +175,19 @@ UNUSABLE: list[tuple[Callable[[pbrfit.Scene], dict[str, Any]], str]] = [
         for name in ("", ".hidden", "a/b", "..\\b", 7)
     ),
     (lambda _: {"names": ("a\udcff", "b")}, r"names: expected names in UTF-8, found 'a\\udcff'$"),
+    *(
+        (lambda _, name=name, found=found: {name: found}, f"{name}: expected {expected}, found ")
+        for name, found, expected in (
+            ("truth", 3, "Truth"),
+            ("lamps", (), "Lamps"),
+            ("assumed", None, "Mapping"),
+            ("inputs", "abc", "Mapping"),
+            ("file_noise", 1.5, "Sequence"),
+            ("fov_known", np.zeros(2), "bool"),
+            ("images", [[0], [0, 1]], "an array"),
+            ("fov", 10**5000, "a number"),
+        )
+    ),
     (lambda scene: {"truth": hollow(scene)}, "truth: expected materials of some valid"),
     (lambda _: {"lighting": np.full((2, 16, 3), 1e60)}, "lighting: expected coefficients like"),
     (lambda s: {"images": np.zeros_like(s.images)}, "images: expected a positive mean radiance"),

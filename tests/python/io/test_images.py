@@ -191,6 +191,8 @@ def test_a_code_range_that_is_none_is_refused(tmp_path: Path, codes: Any) -> Non
     path = save_png(tmp_path / "a.png", RGB8)
     with pytest.raises(InputError, match="code_range: expected two 8-bit codes"):
         images.read_picture(path, code_range=codes)
+    with pytest.raises(InputError, match="orientation: expected one of exif, as-stored, found"):
+        images.read_picture(path, orientation=codes)
 
 
 def test_alpha_is_straight(tmp_path: Path) -> None:

@@ -18,8 +18,16 @@ from pbrfit.batch.prediction import picture_size
 from pbrfit.commands.messages import message_of
 from pbrfit.io import images, input_files
 from pbrfit.io.images import read_stored
-from pbrfit.io.input_files import SETTINGS_BYTES, TEXT_BYTES, digest, read_bytes, read_text
+from pbrfit.io.input_files import (
+    LIST_BYTES,
+    SETTINGS_BYTES,
+    TEXT_BYTES,
+    digest,
+    read_bytes,
+    read_text,
+)
 from pbrfit.io.json_files import read_json
+from pbrfit.io.lamp_files import read_lamps
 from pbrfit.model.panorama import read as read_panorama
 from pbrfit.result.history import History
 from pbrfit.scene.folder import locate, read_settings
@@ -31,6 +39,10 @@ POSIX = pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices
 
 def read_anything_json(path: Path) -> object:
     return read_json(path, "anything")
+
+
+def listed_pictures(path: Path) -> object:
+    return find_pictures(path.parent)
 
 
 READERS: tuple[Callable[[Path], object], ...] = (
@@ -160,24 +172,31 @@ def test_a_text_is_read_up_to_its_bound(tmp_path: Path, over: int) -> None:
     path = tmp_path / "scene.toml"
     path.write_bytes(b"#" * (SETTINGS_BYTES + over))
     if over:
-        with pytest.raises(InputError, match="expected a file of at most 1 MiB, found 2 MiB"):
+        with pytest.raises(InputError, match="expected a file of at most 256 KiB, found 257 KiB"):
             read_text(path, SETTINGS_BYTES)
     else:
         assert len(read_text(path, SETTINGS_BYTES)) == SETTINGS_BYTES
 
 
 @pytest.mark.parametrize(
-    ("read", "most"),
-    [(read_settings, SETTINGS_BYTES), (read_prompts, SETTINGS_BYTES)]
-    + [(read, TEXT_BYTES) for read in (read_anything_json, History.load)],
+    ("read", "most", "said"),
+    [
+        *(
+            (read, SETTINGS_BYTES, "256 KiB, found 512 KiB")
+            for read in (read_settings, read_prompts)
+        ),
+        *(
+            (read, TEXT_BYTES, "16 MiB, found 32 MiB")
+            for read in (read_anything_json, History.load)
+        ),
+        *((read, LIST_BYTES, "1 MiB, found 2 MiB") for read in (read_lamps, listed_pictures)),
+    ],
 )
 def test_a_text_beyond_its_bound_is_refused(
-    tmp_path: Path, read: Callable[[Path], object], most: int
+    tmp_path: Path, read: Callable[[Path], object], most: int, said: str
 ) -> None:
-    path = sparse(tmp_path / "file", b"", 2 * most)
-    with pytest.raises(
-        InputError, match=f"file: expected a file of at most {most >> 20} MiB, found {most >> 19} "
-    ):
+    path = sparse(tmp_path / "filenames.txt", b"", 2 * most)
+    with pytest.raises(InputError, match=f"filenames.txt: expected a file of at most {said}"):
         read(path)
 
 

@@ -266,6 +266,16 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "two decimal marks": ("d.lp", "1\na 0,6 0 0.8\n", "numbers as 0.5 or all as 0,5, found '0,6'"),
     "thousands": ("lights.csv", "a;1,200;0;900\n", "numbers as 0.5 or all as 0,5, found '1,200'"),
     "colours in .lp": ("d.lp", "1\na.jpg 0.1 0 0.9 1 1 1\n", "expected file name, x, y, z, found"),
+    "too many lines": (
+        "a.lp",
+        "a 0 0 1\n" * 10_001,
+        "a.lp: expected at most 10000 lines, found 10001",
+    ),
+    "too many lamps": (
+        "lights.json",
+        as_json(*[lamp()] * 10_001),
+        "lights.json: expected at most 10000 lamps, found 10001",
+    ),
     "no JSON": ("lights.json", "[", "lights.json: expected JSON with version and lamps"),
     "a list": ("lights.json", "[]", "lights.json: expected JSON with version and lamps"),
     "another version": ("lights.json", as_json(version=2), "version 2 in place of 1"),
@@ -312,6 +322,10 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(InputError, match=name):
         read_lamps(tmp_path / name)
+
+
+def test_a_hundred_lamps_each_of_a_hundred_pictures_are_read(tmp_path: Path) -> None:
+    assert len(read_lamps(written(tmp_path, "lights.csv", "a,0,0,1\n" * 10_000))[0]) == 10_000
 
 
 def test_half_of_the_directions_may_come_from_behind(tmp_path: Path) -> None:

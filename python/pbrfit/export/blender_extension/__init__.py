@@ -89,9 +89,10 @@ class Export:
 
     def panoramas(self) -> dict[str, Path]:
         """Files of the recovered lights by picture, in order."""
-        with (self.folder / "lights" / "panoramas.csv").open(encoding="utf-8", newline="") as table:
+        lights = self.folder / "lights"
+        with (lights / "panoramas.csv").open(encoding="utf-8", newline="") as table:
             return {
-                row["picture"]: self.folder / "lights" / row["file"]
+                row["picture"].removeprefix("'"): lights / row["file"].removeprefix("'")
                 for row in csv.DictReader(table)
             }
 
