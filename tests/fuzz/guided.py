@@ -30,6 +30,7 @@ PYTHON = {
     "history.csv": ("result", "history.csv"),
     "result.json": ("result", "result.json"),
     "prompts.toml": ("prompts", "file.toml"),
+    **{name: ("lamps", name) for name in ("lights.lp", "lights.csv", "lights.json")},
     "journal": ("journal", "dusk-1.json"),
     "run.json": ("journal", "run.json"),
     "orphan.png": ("journal", "orphan-2.png"),

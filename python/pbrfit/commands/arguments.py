@@ -7,13 +7,16 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from pbrfit.commands.messages import complain as complain
 from pbrfit.commands.messages import message_of as message_of
 from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
 from pbrfit.commands.progress import progress_bar as progress_bar
 from pbrfit.io.quoting import visible
+
+if TYPE_CHECKING:
+    from pbrfit.result.result import Result
 
 Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
@@ -108,6 +111,17 @@ def add_result(parser: argparse.ArgumentParser, metavar: str, what: str) -> None
     """Add a result folder, and `--out` and `--overwrite` for what is made of it."""
     parser.add_argument("result", metavar="RESULT", type=Path, help="result folder")
     add_out(parser, what, metavar, required=True)
+
+
+def read_result(options: argparse.Namespace) -> Result:
+    """Read the result; InputError if what is made of it would be read as a part of its scene."""
+    # Here: help needs neither.
+    from pbrfit.result.result import Result
+    from pbrfit.scene.folder import check_unread
+
+    result = Result.load(options.result)
+    check_unread([] if result.source is None else [result.source.path], [options.out])
+    return result
 
 
 def add_out(parser: Any, what: str, metavar: str = "DIR", *, required: bool = True) -> None:

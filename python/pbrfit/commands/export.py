@@ -13,7 +13,6 @@ from pbrfit.export.maps import Bits, NormalConvention
 from pbrfit.export.presets import Format, PresetName
 from pbrfit.export.view_mesh import Geometry
 from pbrfit.io.output import check_free
-from pbrfit.result.result import Result
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     check_free(options.out, overwrite=options.overwrite, form=EXPORT_FOLDER)
     names = ("format", "preset", "normals", "bits", "geometry", "overwrite")
     asked = {name: getattr(options, name) for name in names}
-    result = Result.load(options.result)
+    result = cli.read_result(options)
     exported = export_result(result, options.out, height=not options.no_height, **asked)
     cli.tell(options, _listed(exported, options.out))
     return cli.DONE

@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     kind = _kind(options)
     _check_belonging(options, kind)
     _check_free(options, kind)
-    result = Result.load(options.result)
+    result = cli.read_result(options)
     light, said = choose_light(options, result)
     exposure, sampled = options.exposure, dict[int, Radiance]()
     if exposure is None and _for_screen(options, kind):

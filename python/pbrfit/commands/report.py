@@ -5,10 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from pbrfit.commands.arguments import DONE, add_flags, add_quiet, add_result, tell, value
+from pbrfit.commands.arguments import (
+    DONE,
+    add_flags,
+    add_quiet,
+    add_result,
+    read_result,
+    tell,
+    value,
+)
 from pbrfit.report import write_report
-from pbrfit.result.result import Result
-from pbrfit.scene.folder import check_unread
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -21,8 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the page."""
-    result = Result.load(options.result)
-    check_unread([result.source.path] if result.source else [], [options.out])
+    result = read_result(options)
     write_report(result, options.out, options.scene, options.overwrite)
     size = options.out.stat().st_size / 1e6
     tell(options, [f"{options.out}: {size:.1f} MB, open it in a browser"])

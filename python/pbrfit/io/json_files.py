@@ -77,17 +77,18 @@ def unfit(path: Path | str, expected: str, error: Exception) -> InputError:
     return InputError(f"{path}: expected {expected}, found {type(error).__name__}: {shown(error)}")
 
 
-def number(value: Any, least: float = -math.inf) -> float:
-    """Check a finite number, `least` or more."""
+def number(value: Any, least: float = -math.inf, most: float = math.inf) -> float:
+    """Check a finite number from `least` to `most`."""
     found = float(_a(value, (int, float), "a number"))
-    if not math.isfinite(found) or found < least:
+    if not (math.isfinite(found) and least <= found <= most):
         bound = "" if least == -math.inf else f" from {least:g} on"
+        bound += "" if most == math.inf else f" to {most:g}"
         raise ValueError(f"{value} in place of a finite number{bound}")
     return found
 
 
-positive = partial(number, least=0.0)
-"""Check a finite number that is not negative."""
+positive, share = partial(number, least=0.0), partial(number, least=0.0, most=1.0)
+"""Check a finite number that is not negative, or from 0 to 1."""
 
 
 def figures(value: Any) -> dict[str, float]:

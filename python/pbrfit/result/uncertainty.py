@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import positive
+from pbrfit.io.json_files import positive, share
 from pbrfit.model.materials import Materials
 from pbrfit.result.verdict import PARAMETERS, Verdict, verdicts_of
 
@@ -83,14 +83,14 @@ class Uncertainty:
             return Materials(inside[..., :3], inside[..., 3], inside[..., 4])
 
         red, green, blue = map(positive, summary["albedo_scale"])
-        if not (np.isfinite(maps[mask]) & (maps[mask] >= 0)).all():
-            raise ValueError("deviations or bounds that are negative, NaN or infinite")
+        if not ((maps[mask] >= 0) & (maps[mask] <= 1)).all():
+            raise ValueError("deviations or bounds that are NaN or not from 0 to 1")
         return cls(
             deviation=values(0),
             low=values(1),
             high=values(2),
             noise=None if summary["noise"] is None else positive(summary["noise"]),
-            effective_share=positive(summary["effective_share"]),
+            effective_share=share(summary["effective_share"]),
             albedo_scale=(red, green, blue),
             verdicts=verdicts_of(summary),
         )

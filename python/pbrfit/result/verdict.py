@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import positive, table, text
+from pbrfit.io.json_files import share, table, text
 from pbrfit.model.materials import Materials
 from pbrfit.result.held_out import HeldOut
 
@@ -115,7 +115,7 @@ class Verdict:
         level = text(content["level"])
         if level not in LEVELS:
             raise ValueError(f"level {level!r}")
-        expected = positive(content["expected_error"])
+        expected = share(content["expected_error"])
         return cls(level, expected, text(content["cause"]), text(content["remedy"]))
 
 
@@ -192,7 +192,12 @@ def verdicts_of(summary: Any) -> dict[str, Verdict]:
     if summary is None:
         return {}
     found = table(table(summary)["verdicts"])
-    return {name: Verdict.from_json(found[name]) for name in PARAMETERS}
+    verdicts = {name: Verdict.from_json(found[name]) for name in PARAMETERS}
+    for name, one in verdicts.items():
+        deserves = level_of(name, one.expected_error)
+        if LEVELS.index(one.level) < LEVELS.index(deserves):
+            raise ValueError(f"{name} {one.level} in place of {deserves}")
+    return verdicts
 
 
 def in_short(name: str, verdict: Verdict) -> str:

@@ -248,16 +248,18 @@ def _loose(path: Path) -> bool:
 
 
 def check_unread(scenes: Iterable[Path], outputs: Iterable[Path]) -> None:
-    """Check that nothing at these places would be read with the pictures of a scene folder.
+    """Check that nothing at these places would be read as a part of a scene folder.
 
     Raises InputError: what lies under `images/` and beside loose pictures belongs to the scene.
     """
     folders = {path.resolve() for path in scenes}
-    within = {folder / name for folder in folders for name in ("images", FLAT_FIELD)}
+    within = {folder / name for folder in folders for name in ("images", FLAT_FIELD, "truth")}
+    stems = {Path(part).stem for part in (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)}
     for output in outputs:
         path = output.resolve()
-        beside = path.parent in folders and not (path.parent / "images").is_dir()
-        if not within.isdisjoint(path.parents) or (beside and _loose(path)):
+        loose = _loose(path) and not (path.parent / "images").is_dir()
+        part = path.parent in folders and (loose or path.stem in stems)
+        if part or not within.isdisjoint(path.parents):
             expected = "expected a place that is not read with the pictures of the scene"
             raise InputError(f"{output}: {expected}, found one in {path.parent}")
 

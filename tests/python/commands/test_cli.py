@@ -146,29 +146,6 @@ def test_the_scene_is_never_replaced_by_its_result(folder: Path, out: str) -> No
     assert len(list((folder / "images").iterdir())) == LIGHTS
 
 
-@pytest.mark.parametrize(
-    ("command", "option", "out"),
-    [
-        ("decompose", "--out", "images/out"),
-        ("decompose", "--out", "flat/deep/out"),
-        ("inspect", "--preview", "images/a.md"),
-        ("lights", "--preview", "images/a.png"),
-        ("inspect", "--preview", "loose/a.PNG"),
-    ],
-)
-def test_nothing_is_written_where_pictures_are_read(
-    folder: Path, command: str, option: str, out: str
-) -> None:
-    folder = (folder / "images").rename(folder / "loose") if "loose" in out else folder
-    before = sorted(folder.rglob("*"))
-    asked = (command, folder, option, folder.parent / out if "loose" in out else folder / out)
-    source = ("--from", "ball") if command == "lights" else ()
-    assert "expected a place that is not read with the pictures of the scene, found" in refused(
-        *asked, *source
-    )
-    assert sorted(folder.rglob("*")) == before
-
-
 @pytest.mark.parametrize("command", ["decompose", "synth", "demo"])
 @pytest.mark.parametrize("inside", ["images", "thesis"])
 def test_only_an_earlier_output_is_replaced(folder: Path, command: str, inside: str) -> None:

@@ -17,6 +17,7 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.io import images
 from pbrfit.result.result import Result
 from pbrfit.scene.folder import SCENE_FOLDER
+from pbrfit.scene.options import Source
 from pbrfit.synthetic import make_scene
 from scene_files import Argument, tree, write_folder
 
@@ -46,6 +47,34 @@ def test_an_export_holds_what_it_lists(fitted: Result, tmp_path: Path, preset: s
     assert [path.name for path in EXPORT_FOLDER.foreign(tmp_path / "out")] == ["edited.png"]
     (tmp_path / "out" / "export.json").write_text("{")
     assert list(EXPORT_FOLDER.foreign(tmp_path / "out"))
+
+
+@pytest.mark.parametrize(
+    ("command", "out"),
+    [
+        *((("decompose",), out) for out in ("images/out", "flat/deep/out", "truth/out")),
+        *((("inspect",), out) for out in ("images/a.md", "images/light_00.exr", "segments.png")),
+        (("lights", "--from", "ball"), "normals.exr"),
+        *((command, "images/new") for command in (("report",), ("export",))),
+        (("relight", "--light", "0,0"), "images/new.png"),
+        *((command, "loose/a.PNG") for command in (("inspect",), ("relight", "--light", "0,0"))),
+    ],
+)
+def test_nothing_is_written_where_a_scene_is_read(
+    fitted: Result, tmp_path: Path, command: tuple[str, ...], out: str
+) -> None:
+    folder = write_folder(tmp_path / "scene")
+    if out.startswith("loose"):
+        folder = (folder / "images").rename(tmp_path / "loose")
+    place = (folder.parent if folder.name == "loose" else folder) / out
+    dataclasses.replace(fitted, source=Source(folder)).save(tmp_path / "result")
+    of_result = command[0] in ("report", "export", "relight")
+    option = "--preview" if command[0] in ("inspect", "lights") else "--out"
+    before = {path: path.read_bytes() for path in folder.rglob("*.*")}
+    assert "expected a place that is not read with the pictures of the scene, found" in refused(
+        *command, tmp_path / "result" if of_result else folder, option, place, "--overwrite"
+    )
+    assert {path: path.read_bytes() for path in folder.rglob("*.*")} == before
 
 
 def test_a_saved_scene_holds_nothing_of_others(tmp_path: Path) -> None:

@@ -158,6 +158,11 @@ def test_verdicts_are_saved_and_read_again(result: Result, tmp_path: Path) -> No
         changed = content["uncertainty"]["verdicts"]["albedo"] | wrong
         with pytest.raises((ValueError, TypeError)):
             Verdict.from_json(changed)
+    for level, error in (("usable", 1.1), ("usable", 0.09), ("rough guide", 0.3)):
+        changed = {name: {"level": level, "expected_error": error, "cause": "", "remedy": ""}
+                   for name in PARAMETERS}  # fmt: skip
+        with pytest.raises(ValueError, match="in place of"):
+            verdict.verdicts_of({"verdicts": changed})
 
 
 def test_one_verdict_everywhere(

@@ -275,9 +275,12 @@ def test_a_result_of_other_types_is_refused(
 def test_a_result_with_maps_that_are_not_finite_is_refused(result: Path) -> None:
     path = result / "materials.exr"
     sound = images.read_channels(path)
-    for name in ("albedo.G", "roughness.Y", "normal.Z", "uncertainty.metallic.Y"):
-        images.write_exr(path, sound | {name: np.full_like(sound[name], np.inf)})
-        with pytest.raises(InputError, match="NaN or infinit"):
+    for name, value in (
+        *((name, np.inf) for name in ("albedo.G", "roughness.Y", "normal.Z")),
+        *(("uncertainty.metallic.Y", value) for value in (np.nan, -0.1, 1.1)),
+    ):
+        images.write_exr(path, sound | {name: np.full_like(sound[name], value)})
+        with pytest.raises(InputError, match="NaN or"):
             Result.load(result)
     images.write_exr(path, sound | {"mask.Y": np.zeros_like(sound["mask.Y"])})
     with pytest.raises(InputError, match=r"some pixel with mask\.Y"):
