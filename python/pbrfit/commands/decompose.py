@@ -119,12 +119,6 @@ def _default_output(paths: Sequence[Path]) -> Path:
 
 def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing: bool) -> None:
     check_unread(scenes, outputs)
-    taken = {output.resolve(): output for output in outputs}
-    for path in scenes:
-        folder = path.resolve()
-        around = next((taken[above] for above in (folder, *folder.parents) if above in taken), None)
-        if around is not None:
-            raise InputError(f"{around}: expected a folder apart from the scene, found {path}")
     for output in outputs:
         # What else is in one fails its own scene, and only if that is done again.
         check_is_output(output, overwrite=replacing, form=RESULT_FOLDER)

@@ -6,7 +6,6 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
 from pbrfit.export import EXPORT_FOLDER, Exported, export_result
 from pbrfit.export.maps import Bits, NormalConvention
@@ -53,10 +52,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the export, and list its files."""
-    if options.result.resolve().is_relative_to(options.out.resolve()):
-        raise InputError(
-            f"{options.out}: expected a folder apart from the result, found {options.result}"
-        )
     check_free(options.out, overwrite=options.overwrite, form=EXPORT_FOLDER)
     names = ("format", "preset", "normals", "bits", "geometry", "overwrite")
     asked = {name: getattr(options, name) for name in names}

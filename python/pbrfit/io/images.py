@@ -20,12 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.lib.format import (
-    MAGIC_PREFIX,
-    read_array_header_1_0,
-    read_array_header_2_0,
-    read_magic,
-)
+from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
@@ -302,7 +297,7 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
     OSError if the file cannot be read.
     """
     with open_file(path) as file:
-        of_numpy = file.read(len(MAGIC_PREFIX)) == MAGIC_PREFIX
+        of_numpy = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
     if not of_numpy and path.suffix.lower() != ".npy":
         path, data, kind = _load(path)
         if kind == "EXR":
@@ -314,10 +309,9 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
     head = io.BytesIO(content)
     try:
         with exif.without_warnings():  # about headers of long ago
-            first = read_magic(head) == (1, 0)
-            shape, by_columns, dtype = (read_array_header_1_0 if first else read_array_header_2_0)(
-                head
-            )
+            readers = {(1, 0): npy.read_array_header_1_0}  # later ones are alike but for names
+            read = readers.get(npy.read_magic(head), npy.read_array_header_2_0)
+            shape, by_columns, dtype = read(head)
         if dtype.kind not in "uif" or min(shape, default=1) < 1:
             raise ValueError(f"{dtype} of shape {shape}")
         array = np.frombuffer(content, dtype, math.prod(shape), head.tell())

@@ -81,9 +81,7 @@ def number(value: Any, least: float = -math.inf, most: float = math.inf) -> floa
     """Check a finite number from `least` to `most`."""
     found = float(_a(value, (int, float), "a number"))
     if not (math.isfinite(found) and least <= found <= most):
-        bound = "" if least == -math.inf else f" from {least:g} on"
-        bound += "" if most == math.inf else f" to {most:g}"
-        raise ValueError(f"{value} in place of a finite number{bound}")
+        raise ValueError(f"{value} in place of a finite number in [{least:g}, {most:g}]")
     return found
 
 

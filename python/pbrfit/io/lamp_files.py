@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.io.input_files import LIST_BYTES, read_text
@@ -35,7 +35,7 @@ VERSION = 1
 """Of `lights.json`."""
 
 LAMPS_MAX = 10_000
-"""Lamps, or lines, of a file: a hundred for each of a hundred pictures."""
+"""Lamps of a file: a hundred for each of a hundred pictures."""
 
 LENGTH_OFF_MAX = 0.02
 """Largest difference of a direction's length from 1 that is rounding; beyond, vectors of a file are
@@ -59,7 +59,6 @@ _EXTENSION = r"\.(?=\w*[^\W\d])\w{1,5}"
 """Up to five letters and digits, not digits alone: those of `scan.001` tell scans apart."""
 
 Vector = tuple[float, float, float]
-T = TypeVar("T")
 
 UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 """A colour that nobody told."""
@@ -151,17 +150,10 @@ def unit(vector: Vector) -> Vector:
     return x, y, z
 
 
-def _lines(path: Path) -> Sequence[str]:
+def _lines(path: Path) -> list[str]:
     """Lines of a text file that hold something, comments among them."""
     lines = read_text(path, LIST_BYTES, "cp1252").splitlines()
-    return _few(path, [line for line in lines if re.search(r'[^\s,;"]', line)], "lines")
-
-
-def _few(path: Path, found: Sequence[T], what: str) -> Sequence[T]:
-    """Refuse what is more than lamps of pictures can be."""
-    if len(found) > LAMPS_MAX:
-        raise InputError(f"{path}: expected at most {LAMPS_MAX} {what}, found {len(found)}")
-    return found
+    return [line for line in lines if re.search(r'[^\s,;"]', line)]
 
 
 def _is_row(line: str) -> bool:
@@ -325,7 +317,9 @@ def rows_of_json(
     InputError names the file and which of them is none.
     """
     rows = []
-    for i, lamp in enumerate(_few(path, lamps, "lamps")):
+    if len(lamps) > LAMPS_MAX:
+        raise InputError(f"{path}: expected at most {LAMPS_MAX} lamps, found {len(lamps)}")
+    for i, lamp in enumerate(lamps):
         try:
             rows.append(_from_json(entry(lamp)))
         except UNFIT as error:

@@ -72,10 +72,9 @@ def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
 
 def check_fov(fov: float) -> None:
     """Raise InputError unless it is 0 or from `FOV_MIN` to below 180."""
-    if not 0 <= real_number("fov", fov, "degrees in [0, 180)") < 180:
-        raise InputError(f"fov: expected degrees in [0, 180), found {fov}")
-    if 0 < fov < FOV_MIN:
-        raise InputError(f"fov: expected 0 or {FOV_MIN:g} degrees at least, found {fov}")
+    expected = f"0 or degrees in [{FOV_MIN:g}, 180)"
+    if not FOV_MIN <= real_number("fov", fov, expected) < 180 and fov != 0:
+        raise InputError(f"fov: expected {expected}, found {fov}")
 
 
 def fov_from_focal_length(focal_length_35mm: float, height: int, width: int) -> float:

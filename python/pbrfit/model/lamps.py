@@ -128,14 +128,8 @@ class Lamps:
         return self._rows(np.array([k], np.intp), np.zeros(1, np.intp))
 
     def _rows(self, of: NDArray[np.intp], pictures: NDArray[np.intp]) -> Lamps:
-        return Lamps(
-            pictures,
-            self.places[of],
-            self.near[of],
-            self.colors[of],
-            self.axes[of],
-            self.exponents[of],
-        )
+        every: Any = (self.places, self.near, self.colors, self.axes, self.exponents)
+        return Lamps(pictures, *(values[of] for values in every))
 
     def at(self, points: Array | None, count: int = 1) -> tuple[Array, Array]:
         """Unit vectors to the lamps (P, K, 3), and strengths (P, K) that colours are multiplied by.

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
 
-from pbrfit.io.quoting import visible
 from pbrfit.io.resampling import reduced_size
 from pbrfit.model.reflection import Model
 from pbrfit.report import (
@@ -96,7 +95,7 @@ def page(result: Result, originals: Originals) -> str:
         )
     view = budget.largest_that_fits(
         lambda side: viewer.fragment(result, side, tiles, _head(result)),
-        lambda html: len(html.encode(errors="replace")),
+        lambda html: len(html.encode("utf-8", "replace")),
         budget.sides_for(longer, budget.VIEW_SIDES),
         budget.VIEW_SHARE * budget.LIMIT,
     )
@@ -186,7 +185,7 @@ def _head(result: Result) -> str:
 def _title(result: Result) -> str:
     count = len(result.pictures)
     of = f"{count} pictures" if count > 1 else "one picture"
-    name = visible(result.source.path.name) if result.source is not None else ""
+    name = result.source.path.name if result.source is not None else ""
     # A folder that is called scene has no name yet.
     return f"{name}: materials from {of}" if name not in ("", "scene") else f"Materials from {of}"
 

@@ -313,12 +313,7 @@ def _check_maps(
     """Raise InputError unless there are pixels, and all of them have finite values."""
     if not mask.any():
         raise InputError(f"{file}: expected some pixel with mask.Y above 0.5, found none")
-    for name, values in (
-        ("albedo", materials.albedo),
-        ("roughness", materials.roughness),
-        ("metallic", materials.metallic),
-        ("normal", normals),
-    ):
+    for name, values in {**vars(materials), "normal": normals}.items():
         if not np.isfinite(values[mask]).all():
             raise InputError(f"{file}: expected finite {name}, found NaN or infinity")
 

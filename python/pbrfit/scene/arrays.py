@@ -68,17 +68,16 @@ class Truth:
     relight_lighting: NDArray[np.float64] | None = None
 
 
-_TYPES: dict[str, tuple[type, bool]] = {
-    **dict.fromkeys(("assumed", "inputs"), (Mapping, False)),
-    **dict.fromkeys(("fov_known", "normals_known"), (bool, False)),
-    "file_noise": (Sequence, True),
-    "truth": (Truth, True),
-    "source": (Source, True),
-    "correction": (Correction, True),
-    "lamps": (Lamps, True),
-    "response": (str, True),
+_NEEDED: dict[str, type] = {"assumed": Mapping, "inputs": Mapping}
+_NEEDED |= {"fov_known": bool, "normals_known": bool}
+_OTHERS: dict[str, type] = {
+    "file_noise": Sequence,
+    "truth": Truth,
+    "source": Source,
+    "lamps": Lamps,
 }
-"""What attributes have to be that are no arrays, and whether they may be None."""
+_OTHERS |= {"correction": Correction, "response": str}
+"""What attributes have to be that are no arrays; the second may be None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +180,9 @@ class SceneArrays:
     response: Curve | None = None
 
     def __post_init__(self) -> None:
-        for name, (kind, optional) in _TYPES.items():
+        for name, kind in (_NEEDED | _OTHERS).items():
             found = getattr(self, name)
-            if not isinstance(found, kind) and not (optional and found is None):
+            if not isinstance(found, kind) and (name in _NEEDED or found is not None):
                 raise InputError(f"{name}: expected {kind.__name__}, found {of_what(found)}")
         hidden = isinstance(self.images, np.ma.MaskedArray)
         images = any_array("images", self.images.data if hidden else self.images)

@@ -53,6 +53,9 @@ RELATIVE, STRENGTHS = "light_intensities", "strengths of lamps are fitted, or in
 PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
 """Files of a scene folder beside pictures, normals, depth and ground truth."""
 
+_EVERY_PART = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)
+_STEMS = {Path(part).stem for part in _EVERY_PART}
+
 _TRUE_LIGHTS = {"images": "truth/lighting.json", "truth/relight": "truth/relight/lighting.json"}
 """Ground truth that names the pictures of a folder."""
 
@@ -201,9 +204,9 @@ def _listed(folder: Path, below: Path) -> SceneFiles:
     listing = below / LISTING
     names = [line.strip() for line in read_text(listing, LIST_BYTES, "cp1252").splitlines()]
     pictures = tuple(below / name for name in names if name)
-    missing = [path.name for path in pictures if path.parent != below or not path.is_file()]
-    if missing or not pictures:
-        found = f"{shown(missing[0])}, which is none" if missing else "none"
+    missing = next((p.name for p in pictures if p.parent != below or not p.is_file()), None)
+    if missing is not None or not pictures:
+        found = "none" if missing is None else f"{shown(missing)}, which is none"
         raise InputError(f"{listing}: expected names of pictures beside it, found {found}")
     others = len(set(loose_pictures(below)) - set(pictures))
     said = f"the {len(pictures)} that {LISTING} lists" + f"; {others} more left out" * bool(others)
@@ -254,11 +257,10 @@ def check_unread(scenes: Iterable[Path], outputs: Iterable[Path]) -> None:
     """
     folders = {path.resolve() for path in scenes}
     within = {folder / name for folder in folders for name in ("images", FLAT_FIELD, "truth")}
-    stems = {Path(part).stem for part in (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)}
     for output in outputs:
         path = output.resolve()
         loose = _loose(path) and not (path.parent / "images").is_dir()
-        part = path.parent in folders and (loose or path.stem in stems)
+        part = path.parent in folders and (loose or path.stem in _STEMS)
         if part or not within.isdisjoint(path.parents):
             expected = "expected a place that is not read with the pictures of the scene"
             raise InputError(f"{output}: {expected}, found one in {path.parent}")
@@ -326,13 +328,12 @@ def is_scene(folder: Path) -> bool:
 
 def warn_of_near_misses(folder: Path) -> None:
     """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
-    parts = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)
-    stems = {Path(part).stem for part in parts} | {"normal", "segment", "weight", RELATIVE}
+    stems = _STEMS | {"normal", "segment", "weight", RELATIVE}
     for path in sorted((*folder.iterdir(), *(folder / "images").glob(f"{RELATIVE}.*"))):
-        if path.name in parts or path.suffix.lower() == ".lp":  # which may have any name
+        if path.name in _EVERY_PART or path.suffix.lower() == ".lp":  # which may have any name
             continue
         if path.is_file() and path.stem.lower() in stems:
-            expected = f"expected {', '.join(parts)}"
+            expected = f"expected {', '.join(_EVERY_PART)}"
             of_lamps = path.stem.lower() == RELATIVE
             log.warning("%s: not read; %s", path, STRENGTHS if of_lamps else expected)
 

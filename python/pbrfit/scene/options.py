@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io import images
-from pbrfit.io.checks import of_what
+from pbrfit.io.checks import of_what, real_array
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.depth_files import METRES
 from pbrfit.io.images import Orientation
@@ -87,8 +88,8 @@ class ReadOptions:
         if self.code_range is not None:
             object.__setattr__(self, "code_range", images.checked_codes(self.code_range))
         if self.color_matrix is not None:
-            rows = np.array(self.color_matrix, np.float64)
-            if rows.shape != (3, 3) or not np.isfinite(rows).all() or np.linalg.det(rows) == 0:
+            rows = real_array("color_matrix", self.color_matrix, (3, 3))
+            if not np.isfinite(rows).all() or np.linalg.det(rows) == 0:
                 expected = "expected three rows of three numbers that can be undone"
                 raise InputError(f"color_matrix: {expected}, found {quoted(self.color_matrix)}")
             object.__setattr__(self, "color_matrix", tuple(map(tuple, rows.tolist())))
@@ -131,10 +132,10 @@ class ReadOptions:
 
 def _whole(name: str, values: Any, expected: str) -> tuple[int, ...]:
     """Whole numbers, as Python's own; InputError if these are none."""
-    try:
-        return tuple(map(operator.index, values))
-    except TypeError:
-        raise InputError(f"{name}: expected {expected}, found {of_what(values)}") from None
+    with suppress(TypeError):
+        if not any(isinstance(value, bool) for value in values):
+            return tuple(map(operator.index, values))
+    raise InputError(f"{name}: expected {expected}, found {of_what(values)}")
 
 
 AS_STATED = ReadOptions()
@@ -169,13 +170,9 @@ class Settings(ReadOptions):
 
 
 def _rotation(rows: Any) -> NDArray[np.float64]:
-    try:
-        rotation = np.array(rows, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        rotation = np.zeros(0)
+    rotation = real_array("world_to_camera", rows, (3, 3))
     if (
-        rotation.shape != (3, 3)
-        or not (np.abs(rotation) <= 1.01).all()  # beyond, squares may overflow
+        not (np.abs(rotation) <= 1.01).all()  # beyond, squares may overflow
         or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
         or np.linalg.det(rotation) < 0
     ):

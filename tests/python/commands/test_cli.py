@@ -140,7 +140,7 @@ def test_a_result_is_replaced_only_when_asked(folder: Path, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("out", ["scene", "."])
 def test_the_scene_is_never_replaced_by_its_result(folder: Path, out: str) -> None:
-    assert "expected a folder apart from the scene, found" in refused(
+    assert "expected an earlier output to replace, found a folder without result.json" in refused(
         "decompose", folder, "--out", folder.parent / out, "--overwrite"
     )
     assert len(list((folder / "images").iterdir())) == LIGHTS
@@ -196,7 +196,7 @@ def test_equal_names_and_taken_outputs_are_refused_before_any_work(
         "decompose", scenes, "--out", out, *FEW
     )
     assert not (out / "one").exists()
-    assert "expected a folder apart from the scene" in refused(
+    assert "expected an earlier output to replace, found a folder without result.json" in refused(
         "decompose", scenes, "--out", scenes, "--overwrite", *FEW
     )
 

@@ -762,8 +762,8 @@ def test_what_is_there_stays(folder: Path, tmp_path: Path) -> None:
     assert (out / "material.glb").exists()
     inside = saved(Result.load(folder), out / "result")
     for of, place, message in (
-        (inside, out, "expected a folder apart from the result"),
-        (inside, inside, "expected a folder apart from the result"),
+        (inside, out, "found result besides; move it away first"),
+        (inside, inside, "expected an earlier output to replace"),
         (inside, folder, "expected an earlier output to replace"),
         (folder, out / "export.json", "expected a folder or nothing, found a file"),
     ):

@@ -147,7 +147,7 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "one name": ({"names": ("a",)}, "names: expected 2 different names"),
     "equal names": ({"names": ("a", "a")}, "names: expected 2 different names"),
-    "fov 180": ({"fov": 180.0}, r"fov: expected degrees in \[0, 180\), found 180"),
+    "fov 180": ({"fov": 180.0}, r"fov: expected 0 or degrees in \[0.001, 180\), found 180"),
     "fov NaN": ({"fov": np.nan}, "fov: expected"),
     "fov below 0": ({"fov": -1.0}, "fov: expected"),
     "true maps of another size": (

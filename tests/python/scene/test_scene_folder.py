@@ -875,8 +875,8 @@ def test_bad_folders_are_refused_in_one_line(folder: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"fov": 180.0}, "fov: expected degrees"),
-        ({"fov": np.nan}, "fov: expected degrees"),
+        ({"fov": 180.0}, "fov: expected 0 or degrees"),
+        ({"fov": np.nan}, "fov: expected 0 or degrees"),
         ({"max_size": 0}, "max_size: expected at least 1 pixel, found 0"),
         ({"max_size": 2.5}, r"max_size: expected at least 1 pixel, found \[2.5\]"),
         ({"color_space": "log"}, "color_space: expected one of srgb"),
