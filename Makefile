@@ -12,7 +12,7 @@
 #   processes of this machine
 # make test-arrays: any arrays for any argument, EXAMPLES of them for each call, others in each run
 # make test-limits: Ctrl-C at random times of every command on a large scene (an hour)
-# make test-soak: 500 small scenes in one process and in a pool: memory, open files, what is left
+# make test-soak: 2,000 small scenes in one process and in a pool (an hour): memory, open files, what is left
 # make test-reliability: batches killed a hundred times and gone on with, told to end at random times,
 #   on full disks, without rights, beside another batch (half an hour; Linux, as root all of it)
 # make cycles-env: Blender as a Python module in .venv-cycles (1 GB), for renders by Cycles

@@ -1,7 +1,6 @@
 """`python -m fuzz`: damage files, read them, and keep what went wrong.
 
-A failed case is a folder: the files as they were read and `case.json`, which says by what and what
-was wrong. `--replay` reads it again.
+A failed case is a folder: the files as read, and in `case.json` by what. `--replay` reads it again.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """What reads users' files, and what a valid answer is.
 
-A reader is called with a folder and the file in it that was damaged. It checks what comes back with
-`assert`; that something does is not asked for.
+A reader is called with a folder and the damaged file in it. What comes back it checks by `assert`.
 """
 
 from __future__ import annotations

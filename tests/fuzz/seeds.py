@@ -1,7 +1,6 @@
 """Sound files to begin with: every format, in the variants that are read.
 
-A seed is a folder of files of which one, `target`, is to be damaged. All are made here, by the
-package's own writers and by Pillow, tifffile and OpenEXR.
+A seed is a folder of files of which one, `target`, is to be damaged. All are made here.
 """
 
 from __future__ import annotations

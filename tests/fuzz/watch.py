@@ -37,8 +37,7 @@ def run(
 ) -> dict[str, Tally]:
     """Run all cases in `jobs` processes; what came of them, by reader.
 
-    `failed` is called with reader, number and what was wrong, `ended` with how many cases have
-    ended since.
+    `failed` is called with reader, number and what was wrong, `ended` with how many cases ended.
     """
     context = multiprocessing.get_context("spawn")
     blocks = [

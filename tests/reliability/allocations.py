@@ -35,8 +35,7 @@ SECONDS = 60
 """That a fit of a fraction of a second may take without a step before it is given up."""
 
 WHICH = "PBRFIT_FAILING_ALLOCATION"
-"""Environment variable with its number, from how many bytes on they count, and where to write how
-many there were."""
+"""Environment variable: its number, from how many bytes on they count, where to write how many."""
 
 
 def main() -> int:

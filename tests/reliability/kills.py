@@ -6,8 +6,7 @@ Rounds of `pbrfit decompose SCENES --out OUT --jobs 2 --resume`: each begins wit
 some have changed (all are new in the first), and is killed again and again until it has had its
 share of kills; then it may end. Half of the kills come at random times, half just before a step
 on disk (`dying.py`), to all processes at once or to the batch's own, whose workers are then
-orphans. In the run that ends a round one worker is killed, which must not end the batch. Some
-rounds begin with --overwrite.
+orphans. A worker is killed in the last run of a round, some of which begin with --overwrite.
 
 After each kill every result must be whole and of the old or the new scene; a scene that had one
 must have one, in place or set aside to be put back; what was finished must not be done again. At

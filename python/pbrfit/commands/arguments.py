@@ -22,8 +22,7 @@ Subcommands = Any
 """What `argparse.ArgumentParser.add_subparsers` returns, which has no public name."""
 
 DONE, SOME_FAILED, UNUSABLE, NO_USABLE_MAP, INTERRUPTED = 0, 1, 2, 3, 130
-"""Exit codes: done; some scenes failed; wrong usage or unusable input; `decompose --strict` found a
-scene without a usable map; Ctrl-C."""
+"""Exit codes: done; some scenes failed; usage or input is wrong; `--strict` found none; Ctrl-C."""
 
 
 Flag = dict[str, Any]

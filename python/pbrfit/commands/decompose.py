@@ -101,8 +101,7 @@ def run(options: argparse.Namespace) -> int:
         options.out = _default_output(scenes if one else options.scenes)
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
     _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
-    # Where address space is limited a process may find none in the midst of a step, and ends: then
-    # another one has to tell, and to take away what was begun.
+    # Where address space is limited a process may end in a step: another one tells, and clears up.
     safe = address_space.left() is None and options.patience is None
     if one and options.cluster is None and safe:
         return _run_one(_task(scenes[0], outputs[0], options), options)

@@ -58,8 +58,7 @@ def message_of(error: Exception) -> str:
 def in_flags(message: str) -> str:
     """What the library says of its options, in the words of the command line.
 
-    "option fov" and "overwrite=True" become flags. Others than `OPTIONS` stay, such as those in
-    the names of files.
+    "option fov" and "overwrite=True" become flags. Others than `OPTIONS` stay, as in file names.
     """
     message = re.sub(r"\boverwrite=True\b", "--overwrite", message)
     message = re.sub(r"\bcode_range=\((\d+), (\d+)\)", r"--code-range \1,\2", message)

@@ -29,8 +29,7 @@ LARGEST_EXPOSURE = 100.0
 """Stops, in both directions."""
 
 SAMPLED_FRAMES = 4
-"""Frames of a turntable, evenly spread, that its exposure is chosen by: what is behind in one of
-them is in front in another."""
+"""Frames of a turntable that choose its exposure: what is behind in one is in front in others."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -62,8 +62,7 @@ def glb(maps: Maps, fov: float, bits: Bits | None = None, geometry: Geometry = "
         mesh = facets(maps.normals, maps.mask, fov)
     buffer = _Buffer()
     primitive = _primitive(buffer, mesh)
-    # Untagged: what a texture is used for says how it is encoded, and what PNG chunks say is to be
-    # ignored (specification, 3.8.3).
+    # Untagged: use tells encoding, and PNG chunks are ignored (specification, 3.8.3).
     pictures = [
         {
             "name": texture.name,

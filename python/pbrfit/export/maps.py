@@ -57,10 +57,7 @@ class Maps:
 
     @classmethod
     def of(cls, result: Result) -> Maps:
-        """Maps of a result.
-
-        Raises InputError if no pixel is in the mask, or one in it is not finite.
-        """
+        """Maps of a result; InputError if no pixel is in the mask, or one in it is not finite."""
         if not result.mask.any():
             raise InputError("mask: expected at least one pixel in it, found none")
         nearest = nearest_inside(result.mask)

@@ -66,8 +66,7 @@ def nonnegative_radiance(light: Array, response: Array, height: int) -> tuple[Ar
     """Panorama (height, 2 height, 3), 0 or more, of an SH light (16, 3).
 
     A light that is nowhere negative is its own panorama. Beside it the difference that is left:
-    root mean square over pixels and channels of what surfaces of that `response` show, relative to
-    what they show under the light.
+    RMS over pixels and channels of what surfaces of that `response` show, relative to the light's.
     """
     radiance = panorama.radiance(light, height)
     negative = [c for c in range(3) if radiance[..., c].min() < 0]

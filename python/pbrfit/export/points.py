@@ -22,10 +22,7 @@ HOLDS = "points in camera space, in the unit of the depth, with normals and mate
 
 
 def ply(result: Result) -> bytes:
-    """A PLY file with a point for each pixel of the mask that has depth.
-
-    Raises InputError if none has.
-    """
+    """A PLY file with a point for each masked pixel that has depth; InputError if none has."""
     if result.depth is None:
         raise InputError(
             "format: expected a result with depth for ply, found one without; put depth.exr into "

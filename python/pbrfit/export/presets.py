@@ -32,8 +32,7 @@ class Preset:
     textures: tuple[Texture, ...]
     """Texture files. "{normals}" in a name becomes the convention, and green follows it."""
     opacity: Texture | Literal["alpha"]
-    """What is added where the mask leaves pixels out: a texture, or the mask as alpha of the first
-    one."""
+    """What a mask that leaves pixels out adds: a texture, or alpha of the first one."""
     displacement: str = "displacement"
     """Name of the texture with the height, of results that have one."""
     deviations: tuple[Texture, ...] = ()

@@ -61,5 +61,4 @@ def of_what(value: Any) -> str:
     """What a refused value is, in one short line."""
     if isinstance(value, np.ndarray) and value.size > 4:
         return f"an array of {value.dtype} of shape {value.shape}"
-    text = " ".join(quoted(value).split())
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    return quoted(value)

@@ -20,8 +20,7 @@ ColorSpace = Literal["srgb", "linear", "acescg", "display-p3", "adobe-rgb"]
 """How stored values are to be read.
 
 ``srgb``: sRGB curve, Rec.709 primaries. ``linear``: linear Rec.709. ``acescg``: linear ACES AP1,
-white point of ACES (about D60). ``display-p3``: sRGB curve, P3 primaries, D65. ``adobe-rgb``:
-Adobe RGB (1998), D65.
+white about D60. ``display-p3``: sRGB curve, P3 primaries, D65. ``adobe-rgb``: Adobe RGB (1998).
 """
 
 Curve = Literal["srgb", "linear"]
@@ -159,8 +158,7 @@ class Conversion:
     ) -> bool:
         """Fill a place with linear Rec.709 of samples (H, W, 1 to 4), without alpha.
 
-        Integers below and above `codes` are at a limit, and its limits as by `of_limits`. Returns
-        whether one is.
+        Integers beyond `codes` are at a limit, as by `of_limits`. Returns whether one is.
         """
         pixels = place.pixels
         curves = np.empty((1, 1), np.float32)

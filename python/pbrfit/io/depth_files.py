@@ -53,10 +53,8 @@ def read_depth(
         stored = stored[0]
     elif stored.ndim == 3 and stored.shape[-1] <= 4:  # of a picture, maybe with alpha
         if stored.shape[-1] > 2 and (stored[..., 1:3] != stored[..., :1]).any():
-            raise InputError(
-                f"{path}: expected depth in one channel, found colours; a coloured picture of "
-                "depth cannot be read back"
-            )
+            found = "colours, which cannot be read back"
+            raise InputError(f"{path}: expected depth in one channel, found {found}")
         stored = stored[..., 0]
     if stored.ndim != 2:
         raise InputError(f"{path}: expected depth (H, W), found shape {stored.shape}")

@@ -50,16 +50,14 @@ def read(exif: bytes | None, orientation: int) -> Exif:
     except Exception:  # whatever a damaged block leads to
         return unknown
 
-    def number(tag: int) -> float | None:
+    def number(tag: int, least: float = 1e-9, most: float = float("inf")) -> float | None:
         try:
             value = float(more[tag])
         except (KeyError, TypeError, ValueError, ArithmeticError):
             return None
-        return value if 0 < value < float("inf") else None
+        return value if least <= value < most else None
 
-    equivalent = number(Tag.FocalLengthIn35mmFilm)
-    if equivalent is not None and not 1 <= equivalent < 2**16:  # a SHORT, if it is not damaged
-        equivalent = None
+    equivalent = number(Tag.FocalLengthIn35mmFilm, 1, 2**16)  # a SHORT
     length = number(Tag.FocalLength) or equivalent
     forms = {Tag.ExposureTime: "{:.3g} s", Tag.FNumber: "f/{:g}", Tag.ISOSpeedRatings: "ISO {:g}"}
     exposure = [form.format(value) for tag, form in forms.items() if (value := number(tag))]

@@ -156,8 +156,7 @@ def jpeg_variance(
 ) -> tuple[Array, float]:
     """(3,): variances of R, G and B, in codes², of a decoded picture (H, W, C) averaged to `size`.
 
-    The last rounding to codes is not in them. Beside them what their mean has in common with
-    another picture of the view.
+    Without the last rounding to codes; and what their mean shares with other pictures' means.
     """
     places, kept = [], []
     for length, small, times in zip(codes.shape[:2], size, tables.sampling.T, strict=True):

@@ -1,7 +1,7 @@
 """Picture files to linear float32, and back.
 
 Files are recognised by their content, not by their name. `read_picture` decodes colour;
-`read_data`, `read_ids` and `read_channels` never do.
+`read_data`, `read_ids` and `read_channels` never do. All raise OSError where a file cannot be read.
 """
 
 from __future__ import annotations
@@ -70,8 +70,7 @@ class Picture:
     pixels: NDArray[np.float32]
     """(H, W, 3), linear Rec.709 with D65, float32."""
     alpha: NDArray[np.float32] | None
-    """(H, W), coverage in [0, 1], float32, not averaged, or None. Colours are as stored, whatever
-    it is."""
+    """(H, W), coverage in [0, 1], float32, not averaged, or None. Colours are as stored."""
     limits: Limits | None
     """(H, W, 3), uint8: `AT_LEAST` or `AT_MOST` where `pixels` bound the radiance, as a code is
     outside the code range, or an EXR file's layer says so; 0 elsewhere. None = nowhere."""
@@ -126,18 +125,15 @@ def read_picture(
     A given `color_space` decides. Else integer files (PNG, JPEG, TIFF) follow their ICC profile,
     the colour chunks of a PNG, or EXIF data that says Adobe RGB, and are sRGB without; float files
     (EXR, HDR, float TIFF) are linear Rec.709, or linear in the chromaticities that an EXR or HDR
-    file states; raw files are developed to linear Rec.709 (`pbrfit.io.raw_files`). Grey is repeated
-    to three channels. Alpha of 0 everywhere is none.
+    file states; raw files are developed to that (`raw_files`). Grey is repeated to three channels.
 
     A `color_matrix` (3, 3) is applied after that. Of an EXR file a `layer` is read by name, with or
-    without what stands before its last dot; else ``R``, ``G``, ``B`` or ``Y``, or those of a layer
-    as of `layers.PICTURE`.
+    without what stands before its last dot; else channels as of `layers.PICTURE`.
 
     `code_range` is the lowest and the highest code of 255 that is data; others are marked in
     `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
     maximum. `place` tells from its size (H, W) where it is put, and which part; without that
-    `warnings` are logged. Raises InputError if the content or an argument cannot be used; OSError
-    if the file cannot be read.
+    `warnings` are logged. Raises InputError if the content or an argument cannot be used.
     """
     asked = None if code_range is None else checked_codes(code_range)
     if orientation not in (known := get_args(Orientation)):
@@ -223,8 +219,7 @@ def pages(path: Path) -> list[Path]:
     """The pictures that a file holds: itself, or the pages of a stack, which is a TIFF file.
 
     They are told as if they lay in it: ``scan.tif/scan_01.tif`` is the first of ten or more. Raises
-    InputError if pages of full size differ in size or kind, or the file is damaged, or no regular
-    one; OSError if it cannot be read.
+    InputError if pages of full size differ in size or kind, or the file is damaged, or none.
     """
     with open_file(path) as file:
         head = file.read(64)
@@ -244,8 +239,7 @@ def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 
     Returns (H, W, C), float64: grey, grey and alpha, RGB, or RGB and alpha. Integers are divided by
     the maximum of their type; floats are as stored. Of an EXR file the only channel there is, else
-    those of a picture. Raises InputError if the content cannot be used; OSError if the file cannot
-    be read.
+    those of a picture. Raises InputError if the content cannot be used.
     """
     stored = read_stored(Path(path))
     if isinstance(stored, dict):
@@ -261,8 +255,7 @@ def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 def read_ids(path: str | os.PathLike[str]) -> NDArray[np.uint16]:
     """Read a picture of integer ids, such as segments: (H, W) uint16, as they are stored.
 
-    Raises InputError unless the file is a grey PNG or TIFF of 8 or 16 bits, or a palette PNG, of
-    which the indices are taken; OSError if it cannot be read.
+    Raises InputError unless it is a grey PNG or TIFF of 8 or 16 bits, or a palette PNG (indices).
     """
     path, data, kind = _load(path)
     expected = "expected ids in a grey 8 or 16-bit PNG or TIFF"
@@ -293,8 +286,7 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
     """Read data, such as normals and depth, as it is stored.
 
     Returns the channels of an EXR file as `read_channels`; of another picture (H, W, C) in the type
-    that the file has; of .npy the array, float64. Raises InputError if the content cannot be used;
-    OSError if the file cannot be read.
+    that the file has; of .npy the array, float64. Raises InputError if the content cannot be used.
     """
     with open_file(path) as file:
         of_numpy = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
@@ -331,8 +323,7 @@ def write_exr(
 
     Channels are (H, W) arrays by name, of one shape; `half` writes 16-bit floats, where values
     beyond 65504 become infinite. Equal channels give equal bytes. An existing file is replaced, as
-    a whole or not at all. Raises InputError if there is no channel or their shapes differ; OSError
-    if the file cannot be written.
+    a whole or not at all. Raises InputError if there is no channel or their shapes differ.
     """
     planes = []
     for name, channel in channels.items():
@@ -349,8 +340,7 @@ write_png, encode_png = _core.write_png, _core.encode_png
 
 The tag is what the file says about its encoding: "srgb" (sRGB chunk), "linear" (gAMA chunk of 1:
 data, or linear light) or None (nothing). Equal images give equal bytes. An existing file is
-replaced, as a whole or not at all. Raises InputError if the shape or type of `image` is another;
-OSError if the file cannot be written."""
+replaced, as a whole or not at all. Raises InputError if the shape or type of `image` is another."""
 
 
 def checked_codes(code_range: Any) -> tuple[int, int]:
@@ -436,19 +426,15 @@ def _of_raster(
 def _integer_color(
     path: Path, raster: _core.Raster, taken: exif.Exif, doubts: list[str]
 ) -> tuple[Conversion, str, bool]:
-    """Conversion of an integer file, a sentence on it, and whether the file tells its curve.
-
-    Warnings are added to `doubts`.
-    """
+    """Conversion of an integer file, words on it, and whether it tells its curve; adds `doubts`."""
     bits = 8 * raster.samples.dtype.itemsize
     form = f"{bits}-bit {raster.format}"
     if raster.icc_profile is not None:
         curves, to_xyz = _core.decode_icc(raster.icc_profile, 1 << bits, path)
         if to_xyz is None and raster.samples.shape[2] >= 3:
-            raise InputError(
-                f"{path}: expected an ICC profile for RGB, found one for grey: convert the"
-                " picture to sRGB or give its colour space"
-            )
+            remedy = "convert the picture to sRGB or give its colour space"
+            expected = "expected an ICC profile for RGB"
+            raise InputError(f"{path}: {expected}, found one for grey: {remedy}")
         return coding.from_icc(curves, to_xyz), f"ICC profile of the {form}", True
     convert, chunks = _png_color(path, raster, doubts)
     if convert.curve != "srgb" or convert.matrix is not None:

@@ -44,10 +44,7 @@ R = TypeVar("R")
 
 
 def there(path: Path) -> bool:
-    """Whether something has this name, be it a link that leads nowhere.
-
-    Raises OSError if nobody may look.
-    """
+    """Whether something has this name, if only a link to nowhere; OSError if nobody may look."""
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError):
@@ -61,10 +58,7 @@ def kind_of(status: os.stat_result) -> str:
 
 
 def open_file(path: Path) -> BufferedReader:
-    """Open a regular file, or a link to one, for reading.
-
-    Raises InputError if it is something else; OSError if it cannot be read.
-    """
+    """Open a regular file, or a link to one, to read; InputError if it is something else."""
     try:
         _check_regular(path, path.stat())  # first, as to open a device may already do something
     except FileNotFoundError:
@@ -140,9 +134,7 @@ def _bounded(file: BufferedReader, path: Path, most: int) -> int:
     """Size of an open file, in bytes."""
     size = os.fstat(file.fileno()).st_size
     if size > most:
-        shift, unit = (20, "MiB") if most >> 20 else (10, "KiB")
-        expected = f"{path}: expected a file of at most {most >> shift} {unit}"
-        raise InputError(f"{expected}, found {-(-size >> shift)} {unit}")
+        raise InputError(f"{path}: expected a file of at most {most:,} bytes, found {size:,}")
     return size
 
 

@@ -1,7 +1,6 @@
 """JSON and TOML files of users, and values in them that are what they should be.
 
-The functions that take a value return it, or raise ValueError in words; they are for content that
-somebody may have edited, or a disk damaged.
+The functions that take a value return it, or raise ValueError in words: files may be damaged.
 """
 
 from __future__ import annotations
@@ -26,18 +25,13 @@ MOST = 2**53
 """Whole numbers up to here are the same as floats."""
 
 TOML_DOTS_MAX = 64
-"""Single dots in a line of TOML: each may be a level of a key, and reading takes time and memory by
-the square of its depth. Keys of ours have no level but one; sentences and matrices have some."""
-
-TOML_WHOLE_MAX = 2**63
-"""Whole numbers of TOML are below, as its standard has it."""
+"""Single dots in a line of TOML: the depth of a key by its square is time and memory of reading."""
 
 
 def read_json(path: Path, expected: str) -> Any:
     """Content of a JSON file; `expected` says for the message what it should hold.
 
-    Raises InputError if it is no text or not JSON, as NaN is not, or nested beyond reason, or no
-    regular file; OSError if it cannot be read.
+    Raises InputError if it is not JSON, as NaN is not, or deep beyond reason, or no regular file.
     """
     content = read_text(path, TEXT_BYTES)
     try:
@@ -47,10 +41,7 @@ def read_json(path: Path, expected: str) -> Any:
 
 
 def toml_of(path: Path | str, content: str) -> dict[str, Any]:
-    """What the content of a TOML file says.
-
-    Raises InputError if it is not TOML, or deep or large beyond reason.
-    """
+    """Content of TOML; InputError if it is none, or deep or large beyond reason."""
     for i, line in enumerate(content.split("\n"), 1):
         if (dots := len(re.findall(r"(?<!\.)\.(?!\.)", line))) > TOML_DOTS_MAX:
             where = f"{dots} in line {i}"
@@ -68,7 +59,7 @@ def _check_whole(value: Any) -> None:
     if isinstance(value, (dict, list)):
         for one in value.values() if isinstance(value, dict) else value:
             _check_whole(one)
-    elif isinstance(value, int) and not -TOML_WHOLE_MAX <= value < TOML_WHOLE_MAX:
+    elif isinstance(value, int) and value.bit_length() > 63:  # and a sign, as TOML has it
         raise ValueError(f"a whole number of {value.bit_length()} bits in place of 64")
 
 

@@ -1,8 +1,7 @@
 """Files that say where the lamps of pictures are: found in a scene folder, read, paired, written.
 
 `.lp` is the form of reflectance transformation imaging: a count, then a line a picture with its
-file name and a direction. `lights.csv` is a table, `lights.json` this project's own form. All have
-X right, Y up, Z towards the viewer.
+file name and a direction. `lights.json` is our own form. All have X right, Y up, Z to the viewer.
 """
 
 from __future__ import annotations
@@ -38,8 +37,7 @@ LAMPS_MAX = 10_000
 """Lamps of a file: a hundred for each of a hundred pictures."""
 
 LENGTH_OFF_MAX = 0.02
-"""Largest difference of a direction's length from 1 that is rounding; beyond, vectors of a file are
-places on a dome, of which only the direction is known."""
+"""Largest excess of a direction's length that is rounding; beyond, a file has places on a dome."""
 
 BEHIND_MAX = 0.5
 """Share of directions that may point away from the viewer: above, the file has another Z axis."""
@@ -106,15 +104,12 @@ def _names(path: Path) -> list[Path]:
 def read_lamps(path: Path) -> tuple[list[LampRow], str]:
     """Lamps of a file, far ones with unit vectors, and in words what was assumed, if anything.
 
-    Raises InputError if the file is of another form, or has vectors that are no directions; OSError
-    if it cannot be read.
+    Raises InputError if the file is of another form, or has vectors that are no directions.
     """
     readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_txt, ".json": _of_json}
     read = readers.get(path.suffix.lower())
     if read is None:
-        raise InputError(
-            f"{path}: expected lamps in {', '.join(readers)}, found {shown(path.name)}"
-        )
+        raise InputError(f"{path}: expected lamps in {', '.join(readers)}, found another form")
     try:
         rows = read(path)
     except csv.Error as error:
@@ -124,10 +119,8 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
     far = [row.place for row in rows if not row.near]
     behind = sum(z < 0 for _, _, z in far)
     if behind > BEHIND_MAX * len(far):
-        raise InputError(
-            f"{path}: expected Z towards the viewer, found {behind} of {len(far)} directions with "
-            "negative z: likely Z away from the viewer"
-        )
+        found = f"{behind} of {len(far)} directions with negative z: likely Z away from the viewer"
+        raise InputError(f"{path}: expected Z towards the viewer, found {found}")
     lengths = [math.hypot(*place) for place in far]
     said = ""
     if any(abs(length - 1) > LENGTH_OFF_MAX for length in lengths):
@@ -164,10 +157,8 @@ def _of_lp(path: Path) -> list[LampRow]:
     lines = list(filter(_is_row, _lines(path)))
     if not lines or not re.fullmatch(r"\s*\d{1,9}\s*", lines[0]):
         found = quoted(lines[0]) if lines else "an empty file"
-        raise InputError(
-            f"{path}: expected a count, then lines of file name, x, y, z, found {found} in place "
-            "of the count"
-        )
+        expected = "a count, then lines of file name, x, y, z"
+        raise InputError(f"{path}: expected {expected}, found {found} in place of the count")
     count = int(lines.pop(0))
     if count != len(lines):
         raise InputError(f"{path}: expected {count} lamps, as it says, found {len(lines)}")
@@ -312,10 +303,7 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
 def rows_of_json(
     path: Path, lamps: Sequence[Any], entry: Callable[[Any], Any] = table
 ) -> list[LampRow]:
-    """Lamps of a list in a JSON file, or of what `entry` makes to such.
-
-    InputError names the file and which of them is none.
-    """
+    """Lamps of a list, or of what `entry` makes of each; InputError names the file and which."""
     rows = []
     if len(lamps) > LAMPS_MAX:
         raise InputError(f"{path}: expected at most {LAMPS_MAX} lamps, found {len(lamps)}")
@@ -381,8 +369,7 @@ def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[lis
     most pictures have a lamp. Where no name is a picture's, numbers in names tell, if both sides
     have the same; else order, if alphabet and numbers agree on it on both sides.
 
-    Raises InputError if some picture has no lamp, or lamps of several names, or nothing tells which
-    lamp is whose.
+    Raises InputError if some picture has no lamp, or those of several names, or nothing pairs them.
     """
     ways = [[-1] * len(given)]
     for way in range(3):
@@ -399,9 +386,8 @@ def matched(path: Path, given: Sequence[str], names: Sequence[str]) -> tuple[lis
     for one, i in zip(given, best, strict=True):
         if first.setdefault(i, one) != one and i >= 0:  # a name may come again: several lamps
             found = f"{shown(first[i])} and {shown(one)}"
-            raise InputError(
-                f"{path}: expected one name for picture {shown(names[i])}, found {found}"
-            )
+            expected = f"expected one name for picture {shown(names[i])}"
+            raise InputError(f"{path}: {expected}, found {found}")
     without = [name for i, name in enumerate(names) if i not in first]
     if without:
         found = f"none for {shown(without[0])}{_more(without)}" + f"; {others}" * bool(others)
@@ -422,9 +408,8 @@ def _by_sequence(path: Path, given: Sequence[str], names: Sequence[str]) -> tupl
     if len(given) != len(names):
         found = f"{len(given)}, none with a picture's name"
         found += f" (such as {shown(given[0])})" if given[0] else ""
-        raise InputError(
-            f"{path}: expected a lamp for each of the {len(names)} pictures, found {found}"
-        )
+        expected = f"expected a lamp for each of the {len(names)} pictures"
+        raise InputError(f"{path}: {expected}, found {found}")
     numbers, captured = _by_number(names), _by_number(given)
     # Copies of captures keep their numbers. A set of names that differ in one number alone, each
     # with the same numbers as the pictures, is named by them as it would be by words.

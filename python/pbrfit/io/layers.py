@@ -52,8 +52,7 @@ def chosen(
     """A layer and the full names of its channels, by the first rule that finds some.
 
     Case does not count. A given `layer` is sought by its whole name, else by the end of one:
-    ``Combined`` is also ``ViewLayer.Combined``. Raises InputError if no rule finds a layer, or one
-    finds several; `what` says what is looked for.
+    ``Combined`` is also ``ViewLayer.Combined``. InputError if no rule finds `what`, or one several.
     """
     layers: dict[str, dict[str, str]] = {}
     for name in sorted(names):  # R before r

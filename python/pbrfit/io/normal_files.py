@@ -24,8 +24,7 @@ from pbrfit.io.input_files import there
 NORMAL_FILES = ("normals.exr", "normals.png")
 
 UNCERTAINTY = "uncertainty.Y"
-"""Channel of `normals.exr`: how far off each normal may be, in degrees, where somebody said so;
-`Scene.normal_sigma` says what it means."""
+"""Channel of `normals.exr`: how far off each normal may be, as `Scene.normal_sigma`."""
 
 MIN_NORMAL_LENGTH = 0.1
 """Length below which a vector has no direction worth normalising."""
@@ -69,10 +68,8 @@ class Convention:
         """(3, 3), orthogonal: n_camera = M n."""
         turn = self.world_to_camera if self.frame == "world" else np.eye(3)
         if turn is None:
-            raise InputError(
-                "expected world_to_camera, a 3 × 3 rotation, beside "
-                'normals_frame = "world"; found none'
-            )
+            beside = 'beside normals_frame = "world"'
+            raise InputError(f"expected world_to_camera, a 3 × 3 rotation, {beside}; found none")
         return turn * [1.0, -1.0 if self.axes == "directx" else 1.0, 1.0]
 
     def __str__(self) -> str:
@@ -102,8 +99,7 @@ def read_normals(path: Path, mask: NDArray[np.bool_] | None = None) -> StoredNor
     Integers of a picture are codes, n = 2v - 1 with v from 0 to 1, and floats are components,
     unless lengths inside the `mask` (H, W) say otherwise. Two channels are x and y. A pixel has no
     normal where its vector is NaN, shorter than `MIN_NORMAL_LENGTH`, or too long, as that of black
-    codes is. Raises InputError if the file has other channels, or vectors that are no normals
-    however they are read; OSError if it cannot be read.
+    codes is. Raises InputError if there are other channels, or no normals however they are read.
     """
     stored = read_stored(path)
     uncertainty, said = None, []
@@ -177,10 +173,9 @@ def _decoded(
         best = ""
     if off[best] > MEDIAN_TOLERANCE:
         few, many = np.percentile(lengths[""], [5, 95])
-        raise InputError(
-            f"{path}: expected normals, vectors of length 1 or codes of such, found lengths of "
-            f"{few:.2g} to {many:.2g} (5 to 95 % of the pixels)"
-        )
+        found = f"lengths of {few:.2g} to {many:.2g} (5 to 95 % of the pixels)"
+        expected = "expected normals, vectors of length 1 or codes of such"
+        raise InputError(f"{path}: {expected}, found {found}")
     return readings[best](stored), [best] if best else []
 
 

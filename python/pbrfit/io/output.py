@@ -70,8 +70,7 @@ def unfinished(
 
     A command that is told to end has half a second for that (`pbrfit.cli.run`); then the core does
     it. `temporary` is a file or folder, there or not; `aside` what was set aside, and the name that
-    it gets back if that is free; `parents` are folders made for it, the deepest first: those that
-    are empty go away in any case.
+    it gets back if that is free; of `parents`, made for it, the deepest first, empty ones go away.
     """
     number = _core.unfinished(temporary, aside, list(parents))
     try:
@@ -126,8 +125,7 @@ def _new(
     """Give a temporary file or folder that takes the name `path` when the block ends well.
 
     When the block raises, also by Ctrl-C, everything is as before: nothing temporary, no new parent
-    folders, and what was to be replaced still there. A folder that is replaced lies for an instant
-    in `*-old/NAME`.
+    folders, and what was to be replaced still there. For an instant a folder lies in `*-old/NAME`.
     """
     check()
     # No link is followed but in the folders above.
@@ -174,18 +172,14 @@ def new_folder(
 ) -> AbstractContextManager[Path]:
     """A new folder at `path`, whole or not there (`_new`); `temporaries` is where to work instead.
 
-    That is a folder beside `path`. Raises FileExistsError, see `check_free`; OSError if no folder
-    can be made there.
+    That is a folder beside `path`. Raises FileExistsError (`check_free`), or OSError.
     """
     check = partial(check_free, path, overwrite=overwrite, form=form)
     return _new(path, "folder", check, temporaries)
 
 
 def new_file(path: Path, *, overwrite: bool = False) -> AbstractContextManager[Path]:
-    """A new file at `path`, whole or not there (`_new`).
-
-    Raises FileExistsError, see `check_free_file`; OSError if no file can be made there.
-    """
+    """A new file at `path`, whole or not there; raises as `check_free_file`, or OSError."""
     return _new(path, "file", partial(check_free_file, path, overwrite=overwrite))
 
 

@@ -13,8 +13,7 @@ MOST = 12
 """Names of a list that are shown."""
 
 FORMULAS = ("=", "+", "-", "@", "\t", "\r", "'")
-"""What cells of a table begin with that spreadsheets calculate; and the sign that says they are
-text, which some would hide."""
+"""Beginnings of cells that spreadsheets calculate; and of those that are marked as text."""
 
 # Controls, which a terminal obeys, but for line ends and tabs; letters that turn the direction of
 # writing, so that a text reads as another one; what stands for bytes of names that are no UTF-8.
@@ -49,7 +48,7 @@ def visible(text: str) -> str:
 
 def quoted(value: object) -> str:
     """A value as Python writes it, cut short in the middle."""
-    words = _short.repr(value)
+    words = " ".join(_short.repr(value).split())
     return words if len(words) <= LONGEST else words[:LONGEST] + "…"
 
 

@@ -1,8 +1,7 @@
 """Raw files of cameras, developed by LibRaw (the package rawpy) to linear light.
 
 Pictures of one view must stay comparable, so nothing depends on what a picture shows: no automatic
-brightness, and the sensor's white level is 65535 in all of them. The white balance is the camera's
-of each picture.
+brightness, and the sensor's white level is 65535. The white balance is the camera's, by picture.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ RAW_SUFFIXES = frozenset({
 })  # fmt: skip
 
 SATURATED = 0.99
-"""Share of the way from a sensor's black level to its white level from which on a sample counts as
-clipped: sensors reach their white level with some spread."""
+"""Share of a sensor's white level, above black, that is clipped: it is reached with some spread."""
 
 REACH = 2
 """Pixels around a sensor's sample that its value gets to where colours are interpolated."""
@@ -61,8 +59,7 @@ def develop(
     """Develop the content of a raw file, `turned` as the camera was held.
 
     Returns linear Rec.709 times 65535, (H, W, 3); where clipped samples of the sensor bound it, or
-    None; a sentence on its colour; and how it was taken. Raises InputError if rawpy is not there,
-    or LibRaw cannot read the file.
+    None; a sentence on its colour; and how it was taken. InputError without rawpy, or of LibRaw.
     """
     with _opened(path, data) as (rawpy, raw):
         orientation = {3: 3, 5: 8, 6: 6}.get(int(raw.sizes.flip), 1)  # by dcraw's flip
@@ -104,10 +101,9 @@ def _opened(path: Path, data: bytes) -> Iterator[tuple[Any, Any]]:
     try:
         import rawpy  # here: an extra package
     except ImportError:
-        raise InputError(
-            f"{path}: expected rawpy, which reads raw files, found a raw file without it: pip "
-            f"install 'pbrfit[raw]', or {how_to_develop(path)}"
-        ) from None
+        expected = "expected rawpy, which reads raw files, found a raw file without it"
+        remedy = f"pip install 'pbrfit[raw]', or {how_to_develop(path)}"
+        raise InputError(f"{path}: {expected}: {remedy}") from None
     try:
         with rawpy.imread(io.BytesIO(data)) as raw:
             yield rawpy, raw

@@ -22,8 +22,7 @@ def reduced_size(shape: tuple[int, ...], side: int) -> tuple[int, int]:
 def averaged(plane: NDArray[Any], size: tuple[int, int]) -> NDArray[np.float64]:
     """Average of a plane (H, W) over the area that falls on each pixel of (height, width).
 
-    Parts of old pixels count by their size. Where one is NaN or infinite, those new pixels that it
-    has a part in are, and no others.
+    Parts of old pixels count by their size. NaN and infinity stay in what they have a part in.
     """
     down, across = (area_shares(old, new) for old, new in zip(plane.shape, size, strict=True))
     return np.asarray((across @ (down @ plane.astype(np.float64)).T).T)

@@ -27,8 +27,7 @@ def read_weights(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
     """Read weights from channels as of `ALL` and `COLORS`.
 
     Returns (H, W, 1) for all pictures alike, (N, H, W, 1) in the order of `names`, or (N, H, W, 3)
-    where some picture has colours; as stored. Raises InputError if channels are missing, or the
-    file has more than one kind for a picture.
+    where some picture has colours; as stored. InputError if a picture has channels of no one kind.
     """
     channels = images.read_channels(path)
     own = []
@@ -68,8 +67,7 @@ def reduced(weights: NDArray[np.floating[Any]], size: tuple[int, int]) -> NDArra
 
     A weight is the inverse of a variance. The mean of samples with variances 1/ω_i and shares s_i
     has the variance Σ s_i² / ω_i. With equal shares, 1/n, that is n^-1 times the mean of 1/ω_i,
-    and only ratios of weights matter: the weight of the mean is the harmonic mean of the weights.
-    It is 0 as soon as one of them is.
+    and only ratios count: the weight of the mean is the harmonic mean of weights, 0 if one is.
     """
     every = weights.reshape(-1, *weights.shape[-3:])
     with np.errstate(divide="ignore"):

@@ -372,8 +372,7 @@ class SceneArrays:
     ) -> NDArray[np.floating[Any]]:
         """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight.
 
-        Or at some places of the picture, row by row, which are read alone. No copy where all pixels
-        are valid and of some weight.
+        Or at some places of the picture, row by row, read alone. No copy where all pixels count.
         """
 
         def at(values: NDArray[Any]) -> NDArray[Any]:
@@ -699,8 +698,7 @@ def unit_normals(normals: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.
         length = np.linalg.norm(normals, axis=-1)
     bad = valid & ~((length >= MIN_NORMAL_LENGTH) & np.isfinite(length))
     _refuse(bad, "normals: expected unit vectors", "zero or NaN")
-    # Vectors of unit length stay as they are, to the bit: a scene made from another's normals must
-    # be the same scene.
+    # Vectors of unit length stay as they are, to the bit: so does a scene made of another's.
     length[~valid | (np.abs(length - 1.0) < 1e-12)] = 1.0
     return np.where(valid[..., None], normals / length[..., None], np.nan)
 

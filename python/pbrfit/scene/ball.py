@@ -45,8 +45,7 @@ RADIUS_MIN = 4.0
 """Smallest radius in pixels from which directions can be told."""
 
 SUPPORT_MIN = 0.5
-"""Mean strength of the edges along a circle, in that of usual ones and 1 at most, from which on it
-may be a ball."""
+"""Mean strength of the edges along a circle, of usual ones and 1 at most, of what may be a ball."""
 
 STRONG = 3.0
 """Strength of an edge, in that of usual ones, above which its vote counts no more."""
@@ -59,15 +58,13 @@ OUTLINE_ANGLES = 180
 
 MIRROR_SHARE_MAX = 0.1
 """Share of a ball's disc at half of its largest brightness or more up to which it is a mirror: a
-lamp of 60 degrees across takes 0.07 of a mirror ball, light on a matt one 0.3 or more from nearly
-all sides."""
+lamp of 60 degrees across takes 0.07 of a mirror ball, light on a matt one mostly 0.3 or more."""
 
 HIGHLIGHT_RATIO_MIN = 3.0
 """Brightness of a highlight over the median of the ball, from which on it is one."""
 
 HIGHLIGHT_LEVELS = (0.5, 0.8)
-"""Shares of its largest brightness at which a highlight's middle is taken: the first counts, the
-other tells how sure it is."""
+"""Shares of its largest brightness at which a highlight's middle is taken, and its certainty."""
 
 REACHED_COSINE_MIN = 0.1
 """Cosine to the lamp from which on a pixel of a matt ball counts as reached."""
@@ -97,15 +94,13 @@ class BallLights:
     directions: Array
     """(N, 3) unit vectors to the lamps, camera space."""
     colors: Array
-    """(N, 3), radiance of a white ball where it faces the lamp times the ball's albedo; NaN of
-    mirror balls."""
+    """(N, 3), radiance of a white ball facing the lamp times the albedo; NaN of mirror balls."""
     degrees: Array
     """(N,): how sure the directions are, by what half a pixel makes, and of a mirror ball the shape
     of the highlight, of a matt one half of the angle between what its brighter and its darker half
     say; of several balls at least half of the largest angle between theirs."""
     residuals: Array
-    """(N,): root mean square of what a matt ball's light does not explain, relative to its
-    brightest pixel; NaN of mirror balls."""
+    """(N,): RMS that light does not explain, relative to the brightest pixel; NaN of mirrors."""
     highlights: Array
     """(N, B, 2): x and y in pixels of the highlight in each of B mirror balls, of a matt one where
     it faces the lamp, NaN where that is not seen."""

@@ -99,8 +99,7 @@ def add_depth(folder: Path, depth: NDArray[np.floating[Any]], *, overwrite: bool
     """Write `depth.exr`; returns its path.
 
     Distances (H, W) along the camera's axis are of the pictures' size, NaN where unknown. Raises
-    FileExistsError if the folder has depth and `overwrite` is False; InputError if the depth has
-    another size than the pictures.
+    FileExistsError if there is depth and `overwrite` is False; InputError if its size differs.
     """
     check_none(folder, DEPTH_FILES, "depth", overwrite=overwrite)
     any_array("depth", depth, picture_size(folder))
@@ -126,8 +125,7 @@ def check_none(
 def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
     """Write `lights.json`; returns its path.
 
-    Raises FileExistsError as `check_no_lamps`; InputError if lamps are of pictures that are not
-    there.
+    Raises FileExistsError as `check_no_lamps`; InputError if lamps are of other pictures.
     """
     check_no_lamps(folder, overwrite=overwrite)
     names = scene_folder.locate(folder).names
@@ -154,8 +152,7 @@ def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
 def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = False) -> Path:
     """Write `segments.png`; returns its path.
 
-    Raises FileExistsError if the folder has segments and `overwrite` is False; InputError if the
-    ids have another size than the pictures.
+    Raises FileExistsError if there are some and `overwrite` is False; InputError if sizes differ.
     """
     check_none(folder, [scene_folder.SEGMENT_FILE], "segments", overwrite=overwrite)
     any_array("segments", ids, picture_size(folder))

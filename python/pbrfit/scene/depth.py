@@ -33,8 +33,7 @@ AGREEMENT_MAX = 10.0
 taken as it is: of errors of both, where surfaces face the camera too much to tell."""
 
 INVERSE_RATIO_MAX = 0.5
-"""Ratio of the median angle of the inverse of a map to that of the map itself, below which the map
-is refused as inverse depth."""
+"""Ratio of median angles of a map's inverse and itself, below which it is inverse depth."""
 
 DISAGREEMENT_MIN = 45.0
 """Median angle in degrees from which on depth and normals are said to contradict each other."""

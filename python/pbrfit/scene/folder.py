@@ -87,8 +87,7 @@ _NO_PICTURES = {Path(part).stem for part in (*NORMAL_FILES, *DEPTH_FILES, *PARTS
     *("normal", "normal_gt", "normals_gt", "depth_gt", "segment", "weight", "height", "materials"),
     *(DARK_FRAME, FLAT_FIELD, "preview", "normals_preview", "review"),
 }
-"""Names, without suffix and case, of files beside pictures that are none: parts, true maps, and
-what commands write."""
+"""Stems, in lower case, of files that are no pictures: parts, true maps, what commands write."""
 
 _LOOSE_SUFFIXES = {*images.PICTURE_SUFFIXES, *RAW_SUFFIXES} | {
     *(".avif", ".bmp", ".gif", ".heic", ".heif", ".webp")
@@ -218,8 +217,7 @@ def _listed(folder: Path, below: Path) -> SceneFiles:
 def _all_in(below: Path) -> list[Path]:
     """The pictures under `images/`.
 
-    A format that cannot be read must not be passed over in silence, so all that is not known to be
-    something else counts as a picture.
+    No format may be passed over in silence: what is not known to be something else is a picture.
     """
     paths = []
     for path in sorted(path for path in below.iterdir() if not path.name.startswith(".")):
@@ -236,8 +234,7 @@ def _all_in(below: Path) -> list[Path]:
 def loose_pictures(folder: Path) -> list[Path]:
     """Files of a folder that look like photographs of a scene, in name order.
 
-    Parts of a scene are none, nor is anything in a result. Formats that are not read count, so that
-    reading says what to do about them.
+    Parts of a scene are none, nor is anything in a result. Formats that are not read count.
     """
     if any((folder / name).exists() for name in OUTPUTS):
         return []

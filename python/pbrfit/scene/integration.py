@@ -62,8 +62,7 @@ BRIDGE_WEIGHT = 1e-4
 """Weight of a difference between neighbours of which one has no normal, of one that faces."""
 
 COSINE_MIN = 0.02
-"""Cosine of the angle between normal and ray below which the slope is that at it: beyond, a surface
-is thinner than a pixel."""
+"""Least cosine between normal and ray of slopes: beyond, a surface is thinner than a pixel."""
 
 NORMAL_ERROR_MIN = 0.02
 """Radians: residuals below it, about a degree, are no jumps, however small most are."""
@@ -78,8 +77,7 @@ UNCHANGED = 1e-6
 """Change of the unknowns from round to round below which they are found: a millionth of depth."""
 
 TOLERANCE = 1e-7
-"""Norm of the residual of the linear equations, relative to their right side, at which they are
-solved."""
+"""Norm of the residual of solved linear equations, relative to their right side."""
 
 ITERATIONS_MAX = 500
 """Steps of conjugate gradients at most."""

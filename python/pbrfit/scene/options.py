@@ -61,13 +61,11 @@ class ReadOptions:
     layer: str | None = None
     """Of EXR pictures; default: told by the names of layers."""
     alpha: Alpha | None = None
-    """"mask" leaves out pixels of which any picture has less than half, "ignore" none; default:
-    "mask"."""
+    """"mask", the default, leaves out pixels of which any picture has less than half."""
     color_matrix: tuple[tuple[float, ...], ...] | None = None
     """Three rows, applied to the linear Rec.709 of all pictures: a chart tells that of a camera."""
     crop: tuple[int, int, int, int] | None = None
-    """Left, top, width and height in pixels of what is used of the upright pictures and of all
-    maps; default: all."""
+    """Left, top, width, height in pixels of what is used of upright pictures and maps."""
 
     def __post_init__(self) -> None:
         if self.fov is not None:
@@ -155,8 +153,7 @@ class Settings(ReadOptions):
     depth_unit: str | None = None
     """Of the numbers in the depth file, which become metres; None = any unit, as stored."""
     model: Model | None = None
-    """The reflection model that the pictures were rendered with, "paper" or "principled"; None
-    where neither was, or nobody knows."""
+    """That the pictures were rendered with, "paper" or "principled"; None = none, or unknown."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

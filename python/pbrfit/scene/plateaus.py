@@ -35,8 +35,7 @@ NEXT_VALUES = 32
 Data with fewer are no continuous signal, and have no plateau."""
 
 _COUNT_MIN = 10
-"""Fewest samples at a maximum that can be a plateau: 9 beside K values have a chance of 3e-6. Here
-so that nothing is sorted without need."""
+"""Fewest samples at a maximum that can be a plateau: 9 beside K values have a chance of 3e-6."""
 
 
 def plateaus(

@@ -72,8 +72,7 @@ HOW_TO_GET_NORMALS = (
 )
 
 PERSPECTIVE_OFF = 1.0
-"""Degrees between the optical axis and the middle of what is cropped from which on a warning is
-due: about what good normals are off by."""
+"""Degrees of a crop's middle off the axis to warn of: about what good normals are off by."""
 
 EVERY_ROW = 16
 """Rows from one to the next of those by which pictures are told apart first."""
@@ -181,8 +180,7 @@ def load(
 ) -> AnyScene:
     """Read a scene as one of some class; see `Scene.load`.
 
-    With `pictures_alone` as if there were no normals, and no weights, which may be theirs, and
-    without cropping.
+    With `pictures_alone` without normals, weights, which may be theirs, and cropping.
     """
     notes = _Notes.of(scene, options, **({"crop": None} if pictures_alone else {}))
     files, assumed = notes.files, notes.assumed

@@ -43,8 +43,7 @@ class Scene(SceneArrays):
 
         The mask leaves out pixels that no picture tells anything of. Samples of weight 0 that are
         NaN or infinite are stored as 0. Limits are stored beside each picture, what its file did to
-        its samples (`noise_floor`) is not. Segments with ids below 0 or above 65535 are numbered
-        anew.
+        its samples (`noise_floor`) is not. Ids below 0 or above 65535 are numbered anew.
 
         Raises
         ------

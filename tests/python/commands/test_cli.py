@@ -196,9 +196,6 @@ def test_equal_names_and_taken_outputs_are_refused_before_any_work(
         "decompose", scenes, "--out", out, *FEW
     )
     assert not (out / "one").exists()
-    assert "expected an earlier output to replace, found a folder without result.json" in refused(
-        "decompose", scenes, "--out", scenes, "--overwrite", *FEW
-    )
 
 
 # The other commands
@@ -457,7 +454,7 @@ def test_wrong_usage_is_one_line(arguments: str, message: str) -> None:
     ("arguments", "message"),
     [
         ((), "scene: expected pictures under different lights, found 3 equal ones"),
-        (("--fov", "nan"), "fov: expected degrees"),
+        (("--fov", "nan"), "fov: expected 0 or degrees"),
         (("--code-range", "9,3"), "code_range: expected two 8-bit codes"),
         (("--iterations", -1), "iterations: expected a whole number, 0 or more, found -1"),
         (("--time-limit", -1), "time_limit: expected seconds"),

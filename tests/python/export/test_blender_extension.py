@@ -1,7 +1,6 @@
 """The Blender extension: what is in its .zip, and that Cycles shows what `relight` does.
 
-What runs in Blender needs a Python with bpy (`make cycles-env`, or PBRFIT_CYCLES_PYTHON) and skips
-without.
+What runs in Blender skips without bpy (`make cycles-env`, or PBRFIT_CYCLES_PYTHON).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """MaterialX: a sound document whose files are there, and what MaterialX itself makes of it.
 
-The latter needs a Python with the MaterialX wheel, named by PBRFIT_MATERIALX_PYTHON, and skips
-without.
+The latter skips without a Python with the MaterialX wheel, PBRFIT_MATERIALX_PYTHON.
 """
 
 from __future__ import annotations

@@ -366,8 +366,7 @@ def test_a_display_p3_profile_is_converted(tmp_path: Path) -> None:
     named = images.read_picture(tmp_path / "a.png", color_space="display-p3")
     np.testing.assert_allclose(tagged.pixels, named.pixels, atol=1e-4)
     assert tagged.pixels.min() < -0.01  # colours outside Rec.709 are kept
-    # P3 red is 1.22 R − 0.22 G in Rec.709, and P3 green −0.04 R + 1.04 G: what is clipped in R is
-    # missing in the first and too much in the second.
+    # In Rec.709 P3 red is 1.22 R − 0.22 G, and green −0.04 R + 1.04 G: less of one, more of the other.
     assert tagged.limits is not None
     only_red = (RGB8[..., 0] == 255) & ((RGB8[..., 1:] > 0) & (RGB8[..., 1:] < 255)).all(axis=-1)
     assert only_red.any()

@@ -28,9 +28,7 @@ def as_json(*lamps: dict[str, Any], version: int = 1) -> str:
 
 
 JSON = as_json(
-    lamp(direction=[0.6, 0, 0.8]),
-    lamp(picture="b", direction=[0, 0.6, 0.8]),
-    lamp(picture="c"),
+    lamp(direction=[0.6, 0, 0.8]), lamp(picture="b", direction=[0, 0.6, 0.8]), lamp(picture="c")
 )
 
 
@@ -222,6 +220,7 @@ def test_files_of_other_pictures_are_refused(name: str) -> None:
         matched(Path("x.lp"), given, names)
 
 
+NEAR = {"picture": "a", "position": [0, 0, 1]}
 BAD_FILES: dict[str, tuple[str, str, str]] = {
     "another form": ("lights.xml", LP, r"lights.xml: expected lamps in .lp, .csv, .txt, .json"),
     "no text": ("d.lp", "", "d.lp: expected a count, .* found an empty file in place of the count"),
@@ -235,8 +234,8 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "a zero vector": ("d.lp", "2\na 0 0 1\nb 0 0 0\n", r"lamp 2: .*direction \(0, 0, 0\)"),
     "another Z": (
         "d.lp",
-        "3\na 0 0 -1\nb 0.6 0 -0.8\nc 1 0 0\n",
-        "expected Z towards the viewer, found 2 of 3 .*: likely Z away from the viewer",
+        "3\na 0 0 -1\nb .6 0 -.8\nc 1 0 0\n",
+        "Z towards the viewer, found 2 of 3 .*Z away",
     ),
     "an empty table": ("lights.csv", "\n;;;\n", "lights.csv: expected a table .*an empty file"),
     "another column": ("lights.csv", "x,y,z,w\n1,0,0,0\n", "expected a table .* found w, x, y, z"),
@@ -245,19 +244,11 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "another kind": (
         "lights.csv",
         "a,0,0,1,1,1,1,spot\n",
-        "lamp 1: expected .*'spot' in place of far or near",
+        "lamp 1: .*'spot' in place of far or near",
     ),
-    "a negative color": (
-        "lights.csv",
-        "a,0,0,1,1,-.5,1\n",
-        "lamp 1: expected .*color",
-    ),
+    "a negative color": ("lights.csv", "a,0,0,1,1,-.5,1\n", "lamp 1: expected .*color"),
     "split numbers": ("lights.csv", "a,0,6,0,0,0,8\n", "header; numbers with decimal commas need"),
-    "decimal commas under a header": (
-        "lights.csv",
-        TABLE.replace(".", ","),
-        "found 6; numbers with",
-    ),
+    "decimal commas below": ("lights.csv", TABLE.replace(".", ","), "found 6; numbers with"),
     "some numbers split": (
         "lights.csv",
         "a,0,6,0,0,0,8\nb,1,0,0\n",
@@ -266,23 +257,14 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "two decimal marks": ("d.lp", "1\na 0,6 0 0.8\n", "numbers as 0.5 or all as 0,5, found '0,6'"),
     "thousands": ("lights.csv", "a;1,200;0;900\n", "numbers as 0.5 or all as 0,5, found '1,200'"),
     "colours in .lp": ("d.lp", "1\na.jpg 0.1 0 0.9 1 1 1\n", "expected file name, x, y, z, found"),
-    "too many lines": (
-        "a.lp",
-        "a 0 0 1\n" * 10_001,
-        "a.lp: expected at most 10000 lines, found 10001",
-    ),
-    "too many lamps": (
-        "lights.json",
-        as_json(*[lamp()] * 10_001),
-        "lights.json: expected at most 10000 lamps, found 10001",
-    ),
+    "too many": ("lights.csv", "a,0,0,1\n" * 10_001, "expected at most 10000 lamps, found 10001"),
     "no JSON": ("lights.json", "[", "lights.json: expected JSON with version and lamps"),
     "a list": ("lights.json", "[]", "lights.json: expected JSON with version and lamps"),
     "another version": ("lights.json", as_json(version=2), "version 2 in place of 1"),
     "no picture": (
         "lights.json",
         as_json({"direction": [0, 0, 1]}),
-        "lamp 1: expected picture and direction or position, found KeyError",
+        "lamp 1: .*position, found KeyError",
     ),
     "no place": ("lights.json", as_json({"picture": "a"}), "lamp 1: .*both or neither"),
     "two places": ("lights.json", as_json(lamp(position=[0, 0, 1])), "lamp 1: .*both or neither"),
@@ -297,13 +279,13 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     ),
     "a zero axis": (
         "lights.json",
-        as_json({"picture": "a", "position": [0, 0, 1], "axis": [0, 0, 0]}),
+        as_json(NEAR | {"axis": [0, 0, 0]}),
         r"lamp 1: .*axis \(0, 0, 0\)",
     ),
     "a negative exponent": (
         "lights.json",
-        as_json({"picture": "a", "position": [0, 0, 1], "exponent": -1}),
-        "exponent -1 in place of 0 or more",
+        as_json(NEAR | {"exponent": -1}),
+        "exponent -1 in place of 0 or",
     ),
 }
 

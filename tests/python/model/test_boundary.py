@@ -1,7 +1,6 @@
 """The border to Rust: whatever is passed, a finite result or one line that names the argument.
 
-A panic would surface as `pyo3_runtime.PanicException`, which no test here expects, and a crash
-would end the run.
+A panic would surface as `pyo3_runtime.PanicException`, which no test here expects.
 """
 
 from __future__ import annotations

@@ -60,8 +60,7 @@ def test_the_lobe_is_reciprocal() -> None:
     ("r", "metallic"), [(0.3, 1.0), (0.4, 0.0), (0.6, 0.3), (0.8, 1.0), (1.0, 0.0)]
 )
 def test_all_lights_of_an_sh_light_together_give_its_weights(r: float, metallic: float) -> None:
-    """But for the dielectric's lobe, which has Fresnel's equations here, and there Schlick's fit
-    scaled to reflect as much of a uniform light."""
+    """But for the dielectric's lobe: Fresnel's equations here, Schlick's fit, scaled, there."""
     rng = np.random.default_rng(int(100 * r))
     for cosine in (0.1, 0.3, 0.6, 1.0):
         turn = unit_frame(rng)

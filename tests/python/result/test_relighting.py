@@ -120,8 +120,7 @@ def test_a_spot_in_a_panorama_lights_its_side(
 
 
 def test_turning_by_90_sends_what_is_behind_the_scene_to_the_left(sphere: Result) -> None:
-    # The centre of a panorama is −Z, azimuth 180; + 90 is 270, which is −X. The viewer's light,
-    # at the panorama's edge, goes to +X.
+    # A panorama's centre is −Z, azimuth 180; + 90 is −X. The viewer's light, at its edge, is at +X.
     behind, front = panorama.project(spot(0.5)), panorama.project(spot(0.99))
     assert side_lit(relight(sphere, turned(behind, 90))) == "left"
     assert side_lit(relight(sphere, turned(front, 90))) == "right"

@@ -159,10 +159,9 @@ def test_verdicts_are_saved_and_read_again(result: Result, tmp_path: Path) -> No
         with pytest.raises((ValueError, TypeError)):
             Verdict.from_json(changed)
     for level, error in (("usable", 1.1), ("usable", 0.09), ("rough guide", 0.3)):
-        changed = {name: {"level": level, "expected_error": error, "cause": "", "remedy": ""}
-                   for name in PARAMETERS}  # fmt: skip
+        changed |= {"level": level, "expected_error": error, "cause": ""}
         with pytest.raises(ValueError, match="in place of"):
-            verdict.verdicts_of({"verdicts": changed})
+            verdict.verdicts_of({"verdicts": dict.fromkeys(PARAMETERS, changed)})
 
 
 def test_one_verdict_everywhere(

@@ -203,7 +203,7 @@ def test_lights_that_are_none(tmp_path: Path, changed: Any, message: str) -> Non
         ("fov = " + "9" * 5000, "expected TOML"),
         (f"crop = [0, 0, 1, 0x{'f' * 4000}]", "a whole number of 16000 bits in place of 64"),
         ("fov = [{x = -9223372036854775809}]", "a whole number of 64 bits in place of 64"),
-        ("max_size = -9223372036854775808", "max_size: expected at least 1 pixel, found -9223"),
+        ("max_size = -9223372036854775807", "max_size: expected at least 1 pixel, found -9223"),
         ("a." * 20_000 + "a = 1", "expected at most 64 dots a line, found 20000 in line 1"),
         ("fov = 1 #" + " ." * 65, "expected at most 64 dots a line, found 65 in line 1"),
         ("fow = 1 # ..." + " ." * 64, "expected keys fov"),

@@ -92,8 +92,7 @@ def test_a_sphere_is_right_to_second_order() -> None:
 
 @pytest.mark.parametrize("segmented", [False, True])
 def test_walls_meet_in_their_corner(segmented: bool) -> None:
-    # The edge lies somewhere between two pixels, taken to be in the middle: wrong by at most half a
-    # pixel times the change of slope, 1.5 units of x.
+    # The edge is taken to be in the middle of two pixels: half a pixel times the change of slope.
     depth, normals = corner()
     segments = (normals[..., 0] > 0).astype(int) if segmented else None
     found = depth_from_normals(normals, FOV, segments=segments)

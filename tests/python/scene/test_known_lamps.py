@@ -91,10 +91,7 @@ def test_lamps_of_pictures_that_are_left_out_go_with_them() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (
-            lamps(pictures=np.array([0, 1, 3])),
-            "lamps: expected indices of 3 pictures, found 3",
-        ),
+        (lamps(pictures=np.array([0, 1, 3])), "lamps: expected indices of 3 pictures, found 3"),
         (np.eye(3), "lamps: expected Lamps, found"),
         ("dome.lp", "lamps: expected Lamps, found 'dome.lp'"),
     ],

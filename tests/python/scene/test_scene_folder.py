@@ -856,10 +856,7 @@ BAD_FOLDERS: dict[str, tuple[Any, str]] = {
         other_lights,
         "lighting.json: expected a light for every picture, found none for light_00 and 2 more",
     ),
-    "a truth without maps": (
-        lambda f: (f / "truth").mkdir(),
-        "truth/materials.exr",
-    ),
+    "a truth without maps": (lambda f: (f / "truth").mkdir(), "truth/materials.exr"),
 }
 
 
