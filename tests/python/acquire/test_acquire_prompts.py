@@ -59,7 +59,5 @@ def test_a_broken_catalogue_is_refused_with_the_place(
 
 def test_a_catalogue_in_another_encoding_is_refused_with_the_line(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_bytes(GOOD.encode() + b"# d\xe4mmrig\n")
-    with pytest.raises(
-        InputError, match=r"own\.toml: expected UTF-8, found another byte in line 4"
-    ):
+    with pytest.raises(InputError, match=r"own\.toml: .* found another byte in line 4"):
         read_prompts(tmp_path / "own.toml")

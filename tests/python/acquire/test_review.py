@@ -160,9 +160,7 @@ def test_large_pictures_are_judged_at_a_size_of_their_own() -> None:
 def test_unusable_photographs_and_pictures_are_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="photo: expected something with edges"):
         Reviewer(np.full((80, 80, 3), 0.3))
-    with pytest.raises(
-        InputError, match=r"expected the photograph's shape .*, found \(80, 80, 3\)"
-    ):
+    with pytest.raises(InputError, match=r"the photograph's shape .*, found \(80, 80, 3\)"):
         reviewer().picture(np.zeros((80, 80, 3)))
 
 

@@ -394,9 +394,7 @@ def test_a_result_that_is_not_whole_is_made_again(result: Path, name: str, what:
         *((key, None) for key in ("status", "stop_reason", "left_out", "assumed", "stages")),
     ],
 )
-def test_a_damaged_result_or_one_of_another_version_is_made_again(
-    result: Path, key: str, value: Any
-) -> None:
+def test_a_damaged_or_outdated_result_is_made_again(result: Path, key: str, value: Any) -> None:
     file = result / "out" / "result.json"
     changed(file, lambda content: content.update({key: value}))
     assert not is_kept(result)

@@ -231,9 +231,7 @@ PACKED: dict[Preset, dict[str, Callable[[Result], Any]]] = {
 
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("preset", PACKED)
-def test_presets_pack_maps_into_channels(
-    result: Result, tmp_path: Path, preset: Preset, bits: Any
-) -> None:
+def test_presets_pack_channels(result: Result, tmp_path: Path, preset: Preset, bits: Any) -> None:
     export_result(result, tmp_path / "out", preset=preset, bits=bits)
     folder, inside = tmp_path / "out" / "png", result.mask
     colors = {"unreal": ["T_BaseColor", "T_OpacityMask"], "unity": ["BaseMap"]}[preset]
@@ -436,9 +434,7 @@ def test_tangent_space_is_camera_space_and_the_front_faces_the_camera(result: Re
 
 
 @pytest.mark.parametrize(("fov", "shape"), [(60.0, (10, 12)), (0.0, (10, 12)), (100.0, (6, 3))])
-def test_facets_cover_their_pixels_and_have_their_normals(
-    fov: float, shape: tuple[int, int]
-) -> None:
+def test_facets_cover_pixels_and_have_their_normals(fov: float, shape: tuple[int, int]) -> None:
     height, width = shape
     random = np.random.default_rng(3)
     normals = view_directions(height, width, fov) + 0.5 * random.normal(size=(*shape, 3))
@@ -578,9 +574,7 @@ def test_coefficient_files_hold_the_lights(result: Result, tmp_path: Path) -> No
         assert [float(row[c]) for c in "rgb"] == result.lighting[i, k].tolist()
 
 
-def test_three_js_light_probes_give_the_same_radiance_and_irradiance(
-    result: Result, tmp_path: Path
-) -> None:
+def test_three_js_probes_give_equal_radiance_and_irradiance(result: Result, tmp_path: Path) -> None:
     """With the basis as three.js' SphericalHarmonics3 has it (src/math, getBasisAt)."""
     export_result(result, tmp_path / "out", format="png")
     content = json.loads((tmp_path / "out" / "lights" / "three.json").read_text("utf-8"))

@@ -92,9 +92,7 @@ def test_lp_and_displacement_are_part_of_an_export(each: Result, tmp_path: Path)
     assert written == ["export.json", "lights"]
 
 
-def test_results_without_lamps_and_height_are_exported_as_ever(
-    result: Result, tmp_path: Path
-) -> None:
+def test_results_without_lamps_and_height_are_as_ever(result: Result, tmp_path: Path) -> None:
     plain = dataclasses.replace(result, lamps=None, height=None)
     export_result(plain, tmp_path / "out")
     assert not list((tmp_path / "out").rglob("*.lp"))

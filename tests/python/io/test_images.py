@@ -366,7 +366,7 @@ def test_a_display_p3_profile_is_converted(tmp_path: Path) -> None:
     named = images.read_picture(tmp_path / "a.png", color_space="display-p3")
     np.testing.assert_allclose(tagged.pixels, named.pixels, atol=1e-4)
     assert tagged.pixels.min() < -0.01  # colours outside Rec.709 are kept
-    # In Rec.709 P3 red is 1.22 R − 0.22 G, and green −0.04 R + 1.04 G: less of one, more of the other.
+    # In Rec.709 P3 red is 1.22 R − 0.22 G, green −0.04 R + 1.04 G: clipped R bounds either way.
     assert tagged.limits is not None
     only_red = (RGB8[..., 0] == 255) & ((RGB8[..., 1:] > 0) & (RGB8[..., 1:] < 255)).all(axis=-1)
     assert only_red.any()
@@ -403,9 +403,7 @@ def test_unusable_profiles_are_refused_but_can_be_overruled(tmp_path: Path) -> N
     }
     for found, profile in cases.items():
         Image.fromarray(RGB8).save(tmp_path / "a.tif", icc_profile=profile)
-        with pytest.raises(
-            InputError, match=rf"a\.tif: expected a usable ICC profile, found {found}"
-        ):
+        with pytest.raises(InputError, match=rf"a\.tif: .* ICC profile, found {found}"):
             images.read_picture(tmp_path / "a.tif")
         picture = images.read_picture(tmp_path / "a.tif", color_space="srgb")
         np.testing.assert_array_equal(picture.pixels, linear(RGB8))

@@ -54,9 +54,7 @@ READERS: tuple[Callable[[Path], object], ...] = (
 
 @POSIX
 @pytest.mark.parametrize("read", READERS, ids=lambda read: read.__qualname__)
-def test_what_is_no_regular_file_is_refused_at_once(
-    tmp_path: Path, read: Callable[[Path], object]
-) -> None:
+def test_irregular_files_are_never_read(tmp_path: Path, read: Callable[[Path], object]) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     (tmp_path / "zero").symlink_to("/dev/zero")
@@ -71,9 +69,7 @@ def test_what_is_no_regular_file_is_refused_at_once(
 
 
 @POSIX
-def test_a_file_that_becomes_a_pipe_is_not_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_pipe_is_waited_for_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "file").touch()
     was = (tmp_path / "file").stat()
@@ -184,18 +180,14 @@ def test_a_text_is_read_up_to_its_bound(tmp_path: Path, over: int) -> None:
     + [(read, TEXT_BYTES) for read in (read_anything_json, History.load)]
     + [(read, LIST_BYTES) for read in (read_lamps, listed_pictures)],
 )
-def test_a_text_beyond_its_bound_is_refused(
-    tmp_path: Path, read: Callable[[Path], object], most: int
-) -> None:
+def test_long_texts_are_refused(tmp_path: Path, read: Callable[[Path], object], most: int) -> None:
     path = sparse(tmp_path / "filenames.txt", b"", 2 * most)
     said = f"filenames.txt: expected a file of at most {most:,} bytes, found {2 * most:,}"
     with pytest.raises(InputError, match=said):
         read(path)
 
 
-def test_a_large_file_that_is_no_picture_is_not_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_other_files_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = sparse(tmp_path / "mask.png", b"", 2**36)
     monkeypatch.setattr(images, "content_of", lambda *_: pytest.fail("it was read"))
     with pytest.raises(InputError, match=r"mask\.png: expected EXR, HDR, PNG, JPEG or TIFF, found"):
@@ -204,9 +196,7 @@ def test_a_large_file_that_is_no_picture_is_not_read(
 
 def test_a_picture_beyond_its_bound_is_refused(tmp_path: Path) -> None:
     path = sparse(tmp_path / "mask.png", b"\x89PNG\r\n\x1a\n", 2**35)
-    with pytest.raises(
-        InputError, match=r"mask\.png: expected a file of at most 17,179,869,184 bytes, found 34,"
-    ):
+    with pytest.raises(InputError, match=r"mask\.png: .* at most 17,179,869,184 bytes, found 34,"):
         images.read_data(path)
     with pytest.raises(InputError, match="at most 17,179,869,184 bytes, found 34,359,738,368"):
         digest(path)

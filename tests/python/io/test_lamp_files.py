@@ -116,9 +116,7 @@ def test_places_on_a_dome_are_directions_and_it_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("length", "told"), [(1.0199, False), (1.0201, True), (0.9799, True)])
-def test_lengths_are_rounding_up_to_the_threshold(
-    tmp_path: Path, length: float, told: bool
-) -> None:
+def test_lengths_are_rounding_to_the_threshold(tmp_path: Path, length: float, told: bool) -> None:
     rows, said = read_lamps(written(tmp_path, "d.lp", f"1\na 0 0 {length}\n"))
     assert rows[0].place == (0.0, 0.0, 1.0)
     assert bool(said) == told

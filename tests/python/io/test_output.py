@@ -171,9 +171,7 @@ def test_an_existing_file_is_replaced_only_when_asked(old: Path) -> None:
 
 @pytest.mark.parametrize("name", ["old.txt", "", "nowhere"])
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_link_is_refused_and_what_it_leads_to_stays(
-    old: Path, name: str, overwrite: bool
-) -> None:
+def test_a_link_is_refused_and_its_target_stays(old: Path, name: str, overwrite: bool) -> None:
     link = old.parent / "link"
     link.symlink_to(old / name)
     for new, what in ((new_file, "file"), (functools.partial(new_folder, form=FORM), "folder")):
@@ -251,9 +249,7 @@ def test_what_somebody_else_put_there_keeps_a_folder(tmp_path: Path, name: str) 
 
 
 @pytest.mark.parametrize("kind", ["empty folder", "link for a file", "link for a folder", "folder"])
-def test_what_has_one_of_our_names_and_is_something_else_keeps_a_folder(
-    tmp_path: Path, kind: str
-) -> None:
+def test_what_has_our_name_and_is_something_else_keeps_a_folder(tmp_path: Path, kind: str) -> None:
     folder = output(tmp_path / "out")
     name = {"link for a file": "a.txt", "link for a folder": "in"}.get(kind, "renders")
     if kind.startswith("link"):
@@ -290,9 +286,7 @@ def test_a_place_where_no_file_can_be_made(old: Path) -> None:
 
 @pytest.mark.parametrize("new", [new_file, new_folder])
 @pytest.mark.parametrize("named", [False, True])
-def test_a_full_disk_is_told_by_the_name_of_the_output(
-    tmp_path: Path, new: New, named: bool
-) -> None:
+def test_a_full_disk_is_told_by_name_of_the_output(tmp_path: Path, new: New, named: bool) -> None:
     def write_to(temporary: Path) -> NoReturn:
         names = (str(temporary / "part" if new is new_folder else temporary),) if named else ()
         raise OSError(errno.ENOSPC, "No space left on device", *names)

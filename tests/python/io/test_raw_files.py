@@ -134,9 +134,7 @@ def test_a_clipped_sample_bounds_the_colours_around_it(raw: FakeRaw, tmp_path: P
     np.testing.assert_array_equal(limits, expected)
 
 
-def test_a_clipped_channel_bounds_a_colour_that_it_is_taken_from_above(
-    raw: FakeRaw, tmp_path: Path
-) -> None:
+def test_clipped_channels_bound_colours_they_are_taken_from(raw: FakeRaw, tmp_path: Path) -> None:
     raw.color_matrix[0, :3] = (1.5, -0.5, 0.0)
     raw.raw_image_visible[5, 6] = 1000  # the second green
     limits = images.read_picture(written(tmp_path)).limits
@@ -229,9 +227,7 @@ def test_channels_that_are_none_are_refused(raw: FakeRaw, tmp_path: Path) -> Non
         images.read_picture(written(tmp_path))
 
 
-def test_without_rawpy_it_says_how_to_get_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_rawpy_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "rawpy", None)
     for read in (images.read_picture, picture_size):
         with pytest.raises(InputError, match=r"a.nef: .* pip install 'pbrfit\[raw\]', or develop"):
@@ -255,9 +251,7 @@ def libraw() -> None:
 
 @pytest.mark.usefixtures("libraw")
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
-def test_a_white_card_is_grey_in_its_share_of_the_white_level(
-    tmp_path: Path, orientation: int
-) -> None:
+def test_a_white_card_is_grey_by_its_share_of_white_level(tmp_path: Path, orientation: int) -> None:
     """Whatever else is in the picture, and whether or not anything is near the white level."""
     card = np.full((40, 60), 0.25)
     card[:, 30:] = 0.125

@@ -31,9 +31,7 @@ def test_codes_at_both_ends_of_the_range_are_data() -> None:
         ((0, 0, 0), (0, 0, 0)),
     ],
 )
-def test_limits_of_colours_of_other_primaries(
-    stored: tuple[int, ...], expected: tuple[int, ...]
-) -> None:
+def test_limits_of_other_primaries(stored: tuple[int, ...], expected: tuple[int, ...]) -> None:
     limits = np.array([[stored]], dtype=np.uint8)
     matrix = color.to_rec709(color.DISPLAY_P3)
     assert tuple(converted(limits, matrix)[0, 0].tolist()) == expected

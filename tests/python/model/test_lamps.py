@@ -217,9 +217,7 @@ def test_lamps_in_the_order_of_pictures() -> None:
         ),
     ],
 )
-def test_files_with_other_lamps_are_refused(
-    change: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_other_lamps_are_refused(change: dict[str, Any], message: str, tmp_path: Path) -> None:
     path = tmp_path / "lighting.json"
     Lighting(NAMES, sky(), three()).save(path)
     content = json.loads(path.read_text("utf-8")) | change

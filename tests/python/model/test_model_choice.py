@@ -117,9 +117,7 @@ def test_a_call_that_leaves_it_to_the_default_would_be_found(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_scene_folder_keeps_what_its_pictures_were_rendered_with(
-    model: Model, tmp_path: Path
-) -> None:
+def test_a_scene_folder_keeps_what_rendered_its_pictures(model: Model, tmp_path: Path) -> None:
     room(model).save(tmp_path / "scene")
     back = Scene.load(tmp_path / "scene")
     assert back.model == room(model).model == model
@@ -247,9 +245,7 @@ def test_the_command_renders_and_fits_with_a_model(
     assert Result.load(out).model == "paper"
 
 
-def test_a_result_of_another_model_is_not_resumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_of_other_models_stay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_folder(tmp_path / "scenes" / "one"), tmp_path / "out"
     fit = ("decompose", scene, "--out", out, *FEW)
     assert run(*fit, "--model", "paper") == 0

@@ -132,9 +132,7 @@ def test_what_is_no_panorama_is_refused(pixels: np.ndarray, message: str, tmp_pa
     assert str(caught.value).startswith(str(path))
 
 
-def test_single_wrong_pixels_are_mended_and_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_wrong_pixels_are_mended_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "sky.exr"
     for value, mended in ((-1e-3, 0), (-0.3, 0), (np.inf, 65504)):
         images.write_exr(path, {c: one_negative(value)[..., i] for i, c in enumerate("RGB")})
@@ -162,9 +160,7 @@ def test_colours_beyond_rec_709_are_light_too(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[0], 2 * np.sqrt(np.pi) * read[0, 0], rtol=1e-6)
 
 
-def test_a_panorama_that_is_clipped_is_warned_of(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_clipped_panoramas_are_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     codes = np.full((8, 16, 3), 100, np.uint8)
     path = tmp_path / "sky.png"
     images.write_png(path, codes, "srgb")

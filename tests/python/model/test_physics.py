@@ -155,9 +155,7 @@ def hemisphere_reflectance(r: float, cosine: float) -> float:
 
 
 @pytest.mark.parametrize(("r", "cosine", "model", "exact"), FURNACE_TABLE)
-def test_white_furnace_gap_is_as_tabled(
-    r: float, cosine: float, model: float, exact: float
-) -> None:
+def test_white_furnace_gap_is_tabled(r: float, cosine: float, model: float, exact: float) -> None:
     normal, view = seen_at(cosine)
     weights = shade(normal, view, WHITE, np.array(r), np.array(1.0))
     assert CONSTANT_LIGHT * weights[0, 0] == pytest.approx(model, abs=6e-5)

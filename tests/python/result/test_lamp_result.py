@@ -90,9 +90,7 @@ def test_a_missing_or_other_height_is_told(result: Result, tmp_path: Path) -> No
         ({"height": np.zeros((2, 2))}, r"height: expected \(32, 32\), found \(2, 2\)"),
     ],
 )
-def test_what_does_not_fit_a_result_is_refused(
-    result: Result, change: dict[str, Any], message: str
-) -> None:
+def test_unfit_parts_are_refused(result: Result, change: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         dataclasses.replace(result, **change)
 

@@ -202,9 +202,7 @@ def test_ids_too_large_for_float32_are_counted_anew() -> None:
 
 
 @pytest.mark.parametrize("kind", ["occlusion", pytest.param("bounce", marks=pytest.mark.slow)])
-def test_pieces_of_a_picture_give_the_same_light(
-    kind: Kind, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pieces_of_a_picture_give_equal_light(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     of = dataclasses.replace(shaded_ball(), transport=Transport(kind, "asked for"))
     whole = relight(of, of.lighting[0])
     monkeypatch.setattr(scenery, "PIECE", 1000)

@@ -91,9 +91,7 @@ def test_depth_that_cannot_be_used_is_refused(depth: Any, said: str) -> None:
 def test_inverse_depth_of_a_room_is_refused(factor: float) -> None:
     depth, normals = furnished()
     scene(factor * depth, normals)
-    with pytest.raises(
-        InputError, match=r"depth: expected distances, found inverse depth .normals"
-    ):
+    with pytest.raises(InputError, match=r"depth: .* found inverse depth .normals"):
         scene(factor / depth, normals)
 
 

@@ -194,9 +194,7 @@ def test_alpha_is_a_mask_or_ignored(tmp_path: Path) -> None:
     assert Scene.load(folder).all_valid
 
 
-def test_equal_pictures_count_once_and_are_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_equal_pictures_are_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder = write_folder(tmp_path / "scene", "8-bit PNG")
     shutil.copy(folder / "images" / "light_01.png", folder / "images" / "a copy.png")
     (folder / "lights.csv").write_text(

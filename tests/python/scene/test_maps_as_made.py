@@ -119,9 +119,7 @@ def test_normals_are_read_as_they_were_meant(tmp_path: Path, name: str) -> None:
         ),
     ],
 )
-def test_what_are_no_normals_is_refused(
-    tmp_path: Path, name: str, stored: Any, message: str
-) -> None:
+def test_no_normals_are_refused(tmp_path: Path, name: str, stored: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"{name}: expected .*{message}"):
         read_normals(store(tmp_path / name, stored))
 

@@ -486,9 +486,7 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
 
     weights = channels.pop(f"{names[1]}.Y")
     images.write_exr(folder / "weights.exr", channels)
-    with pytest.raises(
-        InputError, match=rf"weights.exr: expected channel Y, or {names[1]}.Y.* none"
-    ):
+    with pytest.raises(InputError, match=rf"weights.exr: .*Y, or {names[1]}.Y.* none"):
         Scene.load(folder)
     images.write_exr(folder / "weights.exr", {**channels, "Y": some_weights()})
     with pytest.raises(InputError, match=rf"expected channel Y, or .* found Y, {names[0]}.Y"):
@@ -900,9 +898,7 @@ def test_a_file_name_that_no_text_file_can_hold_is_refused(folder: Path) -> None
 # How far off normals are
 
 
-def test_the_uncertainty_of_normals_is_read_averaged_and_saved(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_uncertainty_of_normals_is_read_averaged_and_saved(folder: Path, tmp_path: Path) -> None:
     assert Scene.load(folder).normal_sigma is None
     uncertainty = np.linspace(0, 20, SIZE * SIZE).reshape(SIZE, SIZE)
     normal_files.write_normals(folder / "normals.exr", room().normals, uncertainty)

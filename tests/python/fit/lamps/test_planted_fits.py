@@ -201,9 +201,7 @@ def test_white_is_refused_outside_the_mask() -> None:
     truth = planted(LAMPS, size=24)
     with pytest.raises(InputError, match=r"^white: expected a pixel inside the mask, found 0, 0"):
         decompose(truth.scene, light="lamps", white=(0, 0, 0.5))
-    with pytest.raises(
-        InputError, match=r"^white: expected x below 24 and y below 24, found 30, 0"
-    ):
+    with pytest.raises(InputError, match=r"^white: .* below 24 and y below 24, found 30, 0"):
         decompose(truth.scene, light="lamps", white=(30, 0))
 
 
