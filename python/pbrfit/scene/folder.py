@@ -258,7 +258,7 @@ def check_unread(scenes: Iterable[Path], outputs: Iterable[Path]) -> None:
         path = output.resolve()
         loose = _loose(path) and not (path.parent / "images").is_dir()
         part = path.parent in folders and (loose or path.stem in _STEMS)
-        if part or not within.isdisjoint(path.parents):
+        if part or not within.isdisjoint((path, *path.parents)):
             expected = "expected a place that is not read with the pictures of the scene"
             raise InputError(f"{output}: {expected}, found one in {path.parent}")
 

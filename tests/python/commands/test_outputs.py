@@ -52,7 +52,7 @@ def test_an_export_holds_what_it_lists(fitted: Result, tmp_path: Path, preset: s
 @pytest.mark.parametrize(
     ("command", "out"),
     [
-        *((("decompose",), out) for out in ("images/out", "flat/deep/out", "truth/out")),
+        *((("decompose",), out) for out in ("images/out", "flat/out", "truth", "loose/images")),
         *((("inspect",), out) for out in ("images/a.md", "images/light_00.exr", "segments.png")),
         (("lights", "--from", "ball"), "normals.exr"),
         *((command, "images/new") for command in (("report",), ("export",))),
