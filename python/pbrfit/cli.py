@@ -49,7 +49,11 @@ def run() -> NoReturn:
     if watched:
         from pbrfit import ending
 
-        ending.watch()
+        try:
+            ending.watch()
+        except OSError as error:  # no thread can be started
+            complain(f"threads (ulimit -u): expected one more, found {message_of(error)}")
+            sys.exit(UNUSABLE)
     sys.exit(main(watched=watched))
 
 
@@ -110,6 +114,11 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
             f"{Path(place.filename).name}:{place.lineno}; PYTHONDEVMODE=1 shows the way "
             "there"
         )
+        return UNUSABLE
+    except RuntimeError as error:
+        if "start new thread" not in str(error):
+            raise
+        end_with(f"threads (ulimit -u): expected more, found {error}")
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
         end_with(str(interrupt) or ending.WORD)

@@ -10,7 +10,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any, ParamSpec, TypeVar
@@ -119,7 +119,8 @@ class Processes(Workers):
             return
         for worker in set(multiprocessing.active_children()) - self._others:
             worker.kill()
-        self._pool.shutdown(cancel_futures=True)
+        with suppress(RuntimeError):  # it could start no thread, which is what to tell
+            self._pool.shutdown(cancel_futures=True)
         self._pool = None
 
 

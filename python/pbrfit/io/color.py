@@ -1,7 +1,6 @@
 """Transfer curves and primaries: the one place that knows how colour is encoded.
 
-The working space is linear Rec.709 with the white point D65. Matrices are computed here from
-chromaticities; none is copied from a table.
+The working space is linear Rec.709 with white D65. Matrices are computed from chromaticities.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Normals of a scene folder as files: found, read, turned into camera space, written.
 
-Camera space has X right, Y up and Z towards the viewer. What a file means is said by its
-`Convention`; of a scene folder's own file that is `scene.toml`.
+Camera space has X right, Y up and Z towards the viewer. A file's `Convention` says what it means.
 """
 
 from __future__ import annotations

@@ -134,8 +134,7 @@ def _clipped(raw: Any) -> NDArray[np.bool_]:
 def _matrix(raw: Any) -> NDArray[np.float64] | None:
     """(3, 3) from the camera's balanced channels to linear Rec.709; rows sum to 1.
 
-    Either LibRaw has it, or it follows from the matrix from XYZ to the camera's channels, whose
-    rows are scaled so that white has equal ones. None = not known.
+    LibRaw has it, or it follows from that from XYZ, scaled so that white has equal ones; or None.
     """
     matrix = np.asarray(raw.color_matrix, np.float64)[:, :3]
     if not np.allclose(matrix.sum(axis=1), 1.0, atol=1e-2):

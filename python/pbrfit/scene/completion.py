@@ -65,8 +65,7 @@ def add_normals(
     camera space, of the pictures' size; uncertainty (H, W), in degrees, is kept as a channel of
     `normals.exr`; weights (H, W) are how much the pixels count; height (H, W) is in pixels, NaN
     where unknown. Raises FileExistsError if the folder has normals, weights or a height that is to
-    be written and `overwrite` is False; InputError if the normals have another size than the
-    pictures.
+    be written and `overwrite` is False; InputError if the normals have another size.
     """
     check_normals_can_be_added(folder, overwrite=overwrite, height=height is not None)
     any_array("normals", normals, (*picture_size(folder), 3))

@@ -43,8 +43,7 @@ COMPARED_MAX = 1 << 16
 
 FAR_RATIO = 10.0
 """Ratio of a depth that several pixels have, to the bit, to the next smaller one of the map, from
-which on it is a far plane: what lies there is seen in the same direction from everything nearer, to
-within 1/10 radian."""
+which on it is a far plane: the direction to it is the same from everything nearer, to 1/10 rad."""
 
 SAME_SURFACE = 0.1
 """Relative difference of inverse depth within which samples of a pixel that is averaged down are of

@@ -101,8 +101,7 @@ def depth_from_normals(
     Normals (H, W, 3) are unit vectors in camera space, NaN where unknown, which is bridged; the
     mask (H, W) is True where depth is wanted; borders of segments (H, W) may be jumps. `depth`
     (H, W) are noisy distances along the camera's axis, NaN where unknown: normals alone tell depth
-    up to a factor, without perspective up to an offset, and say nothing of the distance between
-    surfaces that hang together nowhere.
+    up to a factor, without perspective up to an offset, of each surface that hangs together.
 
     Returns (H, W) float32 distances along the camera's axis, NaN outside the mask; in the unit of
     `depth`, without any with median 1 (orthographic: minimum 1). Raises InputError if an array has

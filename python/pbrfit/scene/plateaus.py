@@ -11,8 +11,7 @@ Constant surfaces and backgrounds repeat too. Their value differs from picture t
 light, and stands apart from the next ones, while a tail that was cut off reaches up to the cut: the
 gap below the maximum is exponential with the mean of the next K gaps. A plateau of one picture
 counts where chance leaves so wide a gap at least `CHANCE`; one that several pictures share to the
-last bit counts anyhow. A constant lamp in all pictures is taken for clipped too: that it is at
-least as bright as it is holds true.
+last bit counts anyhow. A constant lamp in all pictures counts as clipped: it is at least as bright.
 
 Zeros are black, not clipped: nothing is sought at the minimum.
 """

@@ -577,8 +577,7 @@ def _limits(
             np.maximum(read.limits, found, out=read.limits)
             bounds = True
     if not bounds:
-        # Plateaus of float pictures alone are sought when the Scene is made, unless their files say
-        # that there are none.
+        # Plateaus of floats are sought when the Scene is made, unless their files say: none.
         told = read.said or for_good
         return np.broadcast_to(np.uint8(0), read.limits.shape) if told else None
     said = limits_in_words(read.limits, counted)

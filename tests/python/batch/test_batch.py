@@ -516,9 +516,7 @@ def test_memory_is_predicted_as_inspect_does(
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_sizes_are_read_without_the_picture(
-    tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sizes_need_no_picture(tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     suffix, write, _, _ = FORMATS[form]
     path = tmp_path / f"a{suffix}"
     write(path, room().images[0][:, :7])

@@ -108,9 +108,7 @@ def test_what_cannot_be_put_back_stays_for_the_next_batch(
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["one"]
 
 
-def test_the_end_of_a_batch_leaves_the_next_one_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_ended_batch_leaves_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another may begin as soon as the lock is gone, before the folder is."""
     out = tmp_path / "out"
     unlinked = Path.unlink

@@ -11,12 +11,13 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 
 from command_runs import Ran, done, ran, refused
-from pbrfit import InputError, Result, Scene, decompose
+from pbrfit import InputError, Result, Scene, cli, decompose
 from pbrfit.commands.decompose import MOST_USED
 from pbrfit.commands.fit_options import add_priors, given_priors
 from pbrfit.io import images
@@ -540,6 +541,17 @@ def test_too_little_for_the_libraries_is_one_line(tmp_path: Path, limit: str, sa
     assert errors.startswith(f"pbrfit: {said}")
     assert errors.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_too_few_threads_are_one_line(scenes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pool = "concurrent.futures.process._ExecutorManagerThread.start"
+    with mock.patch(pool, side_effect=RuntimeError("can't start new thread")):
+        said = refused("decompose", scenes, "--out", scenes / "out", "--jobs", 2, "--quiet")
+    assert said == "pbrfit: threads (ulimit -u): expected more, found can't start new thread\n"
+    failing = mock.patch("pbrfit.ending.watch", side_effect=BlockingIOError("none"))
+    with failing, mock.patch("sys.argv", ["pbrfit", "inspect", "x"]), pytest.raises(SystemExit):
+        cli.run()
+    assert capsys.readouterr().err == "pbrfit: threads (ulimit -u): expected one more, found none\n"
 
 
 @needs_shell

@@ -44,7 +44,5 @@ def test_what_is_not_finite_stays_where_it_is() -> None:
         ((480, 640), 320, (240, 320)),
     ],
 )
-def test_reduced_sizes_keep_the_proportion(
-    shape: tuple[int, ...], side: int, expected: tuple[int, int]
-) -> None:
+def test_proportions_are_kept(shape: tuple[int, ...], side: int, expected: tuple[int, int]) -> None:
     assert reduced_size(shape, side) == expected

@@ -213,9 +213,7 @@ def test_radiance_beyond_numbers_is_refused(wrong: float) -> None:
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize(("degrees", "most"), [(4.0, 0.02), (12.0, 0.04), (25.0, 0.08)])
 @pytest.mark.parametrize("surface", ["matt", "glossy plastic", "metal, r = 0.5", "metal, r = 0.35"])
-def test_a_soft_lamp_is_the_mean_over_its_disk(
-    model: Model, degrees: float, most: float, surface: str
-) -> None:
+def test_a_soft_lamp_is_a_mean(model: Model, degrees: float, most: float, surface: str) -> None:
     middle = np.array([0.48, 0.6, 0.64])
     extent = np.radians(degrees)
     # Points of a spiral fill the disk evenly.

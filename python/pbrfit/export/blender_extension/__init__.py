@@ -322,8 +322,7 @@ def paper_law(
         glossy    F · n·v / (n·v (1 − k) + k) / (1 + r⁴)        under even light
 
     which are the law's own. Its lobe is round about the mirror direction, where that of GGX becomes
-    longer towards the horizon; the GGX lobe of roughness r (n·v)^(1/3) is the nearest under lights
-    as they are in pictures, about.
+    longer towards the horizon; the GGX lobe of roughness r (n·v)^(1/3) is about the nearest.
     """
     geometry = nodes.add("NewGeometry").outputs
     facing = nodes.vectors("DOT_PRODUCT", geometry["Incoming"], normal or geometry["Normal"])
