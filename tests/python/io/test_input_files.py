@@ -42,7 +42,7 @@ def read_anything_json(path: Path) -> object:
 
 
 def listed_pictures(path: Path) -> object:
-    return find_pictures(path.parent)
+    return locate(path.parent).pictures
 
 
 READERS: tuple[Callable[[Path], object], ...] = (
