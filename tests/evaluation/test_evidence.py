@@ -74,18 +74,25 @@ def test_pages_are_filled_with_the_table_and_its_provenance(docs: Path, out: Pat
     assert kept == ["race-all.csv", "race-curve.png", "race.json"]
 
 
-def test_a_page_shows_the_columns_it_names(docs: Path) -> None:
+def test_a_page_shows_the_columns_and_rows_it_names(docs: Path) -> None:
     page = docs / "race.md"
     page.write_text(PAGE.replace("race/Times", "race/Times | s | MiB"), encoding="utf-8")
-    table = Table(["", "s", "s", r"MiB"], [["a|b", 1.5, 2.5, 3.5], ["c", 4.5, 5.5, None]])
+    rows = [["a|b", 1.5, 2.5, 3.5], ["c", 4.5, 5.5, None], ["", 1, 2, 6.5]]
+    table = Table(["", "s", "s", r"MiB"], rows)
     evidence.record(docs, "race", command="race", protocol="p", tables={"Times": table})
     text = page.read_text("utf-8")
-    assert "| 1.50 | 3.50 |" in text
-    assert r"| a\|b | 1.50 |" in text
+    assert r"| a\|b | 1.50 | 3.50 |" in text
     assert "| 2.50 |" not in text
     assert list(evidence.differences(docs)) == []
     page.write_text(text.replace("Times | s", "Times | h"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"race/Times: expected a column \(s, s, MiB\), found h"):
+    with pytest.raises(InputError, match=r"race/Times: expected a column \(s, MiB\), found h"):
+        evidence.record(docs, "race", command="race", protocol="p", tables={"Times": table})
+    page.write_text(PAGE.replace("Times", "Times | MiB | rows: c"), encoding="utf-8")
+    evidence.record(docs, "race", command="race", protocol="p", tables={"Times": table})
+    assert "| c | – |\n|  | 6.50 |\n\n" in page.read_text("utf-8")
+    assert "3.50" not in page.read_text("utf-8")
+    page.write_text(PAGE.replace("Times", "Times | rows: d"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"expected a row \(a\\\|b, c\), found d"):
         evidence.record(docs, "race", command="race", protocol="p", tables={"Times": table})
 
 

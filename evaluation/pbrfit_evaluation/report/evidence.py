@@ -9,8 +9,8 @@ table of it between two comments, and a plot of it as a picture in that folder:
 
     ![What it shows](evidence/NAME-PLOT.png)
 
-`NAME/TITLE | HEADING | HEADING` shows these columns after the first, and no others. So no number
-is copied by hand, and a test fails where page and summary differ.
+`NAME/TITLE | HEADING | HEADING` shows these columns after the first, and no others; `| rows: A; B`
+those rows, with the nameless ones below each. A test fails where page and summary differ.
 """
 
 from __future__ import annotations
@@ -129,9 +129,8 @@ def _filled(page: Path, text: str, name: str, summary: Mapping[str, Any]) -> str
     """The text of a page with the tables of a summary in it."""
 
     def replaced(block: re.Match[str]) -> str:
-        if block["name"] != name:
-            return block[0]
-        return block["head"] + shown(page, summary, block) + block["foot"]
+        mine = block["name"] == name
+        return block["head"] + shown(page, summary, block) + block["foot"] if mine else block[0]
 
     return BLOCK.sub(replaced, text)
 
@@ -153,34 +152,36 @@ def shown(page: Path, summary: Mapping[str, Any], block: re.Match[str]) -> str:
     Raises
     ------
     InputError
-        If the summary lacks the table, or the table a column.
+        If the summary lacks the table, or the table a column or row.
     """
     name, title, columns = block["name"], block["title"], block["columns"]
-    found = [table for table in summary["tables"] if table["title"] == title]
-    if not found:
-        titles = ", ".join(table["title"] for table in summary["tables"])
-        raise InputError(f"{page}: expected a table of {name} ({titles}), found {title}")
-    table = found[0]["markdown"]
-    if columns:
-        try:
-            table = _columns(table, columns.split(" | ")[1:])
-        except InputError as error:
-            raise InputError(f"{page}: {name}/{title}: {error}") from None
+    tables = {of["title"]: of["markdown"] for of in summary["tables"]}
+    if title not in tables:
+        raise InputError(f"{page}: expected a table of {name} ({', '.join(tables)}), found {title}")
+    table = _part(f"{page}: {name}/{title}", tables[title], columns.split(" | ")[1:])
     return f"\n{table}\n*{provenance(summary)}*\n\n"
 
 
 _BORDER = re.compile(r"(?<!\\)\|")
 
 
-def _columns(table: str, headings: Sequence[str]) -> str:
-    """The first column of a Markdown table, and those of the headings."""
-    rows = [_BORDER.split(line)[1:-1] for line in table.splitlines()]
-    known = [heading.strip() for heading in rows[0]]
-    for heading in headings:
-        if heading not in known[1:]:
-            raise InputError(f"expected a column ({', '.join(known[1:])}), found {heading}")
-    kept = [0, *(known.index(heading, 1) for heading in headings)]
-    return "".join("|" + "|".join(row[i] for i in kept) + "|\n" for row in rows)
+def _part(where: str, table: str, wanted: Sequence[str]) -> str:
+    """The first column of a Markdown table and those of the headings; all rows, or those named."""
+    head, line, *rows = (
+        [one.strip() for one in _BORDER.split(of)[1:-1]] for of in table.split("\n") if of
+    )
+    headings = [one for one in wanted if not one.startswith("rows: ")]
+    named = [name for one in wanted if one not in headings for name in one[6:].split("; ")]
+    firsts: list[str] = []
+    for row in rows:
+        firsts.append(row[0] or firsts[-1])
+    for what, names, known in (("column", headings, head[1:]), ("row", named, firsts)):
+        if lost := [name for name in names if name not in known]:
+            there = ", ".join(dict.fromkeys(known))
+            raise InputError(f"{where}: expected a {what} ({there}), found {lost[0]}")
+    kept = [0, *(head.index(one, 1) for one in headings)] if headings else range(len(head))
+    body = [row for row, first in zip(rows, firsts, strict=True) if not named or first in named]
+    return "".join(f"| {' | '.join(row[i] for i in kept)} |\n" for row in (head, line, *body))
 
 
 def read(docs: Path, name: str) -> Mapping[str, Any]:
