@@ -1,6 +1,6 @@
 """How time and memory of `pbrfit decompose` grow: `make bench-growth`.
 
-It fills the table of docs/benchmarks/growth.md. Each case is a scene folder of float32 EXR and one
+It fills the table of docs/benchmarks/speed.md. Each case is a scene folder of float32 EXR and one
 run of the command in a process of its own, files read and result written; `--only` names some, and
 those of an earlier run are kept in out/growth.json. Scenes are a
 synthetic room of 512² whose pixels are repeated, each with noise of its own, so that drawing them

@@ -1,4 +1,4 @@
-"""What leaving out parts saves: `make bench-needs` fills docs/benchmarks/needs.md.
+"""What leaving out parts saves: `make bench-needs` fills docs/benchmarks/speed.md.
 
 One evaluation of loss and gradient of the same pictures, with everything and without one part, or
 with one penalty more. Cases take turns, so that a machine that slows down slows all of them.

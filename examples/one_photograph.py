@@ -5,7 +5,7 @@
 renders a furnished room once as the photograph and again under other lights, damages three of these
 pictures as generators do, and gives them to the public commands: `pbrfit generate` with the offline
 generator reviews them and makes a scene folder, `pbrfit decompose` goes on. DIR/scene/review.png
-shows what was taken and what was refused, and why (docs/generate.md).
+shows what was taken and what was refused, and why (docs/tutorials/one-photograph.md).
 """
 
 from __future__ import annotations

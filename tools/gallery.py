@@ -109,8 +109,8 @@ ENTRIES = (
         "sand",
         "Sand",
         "sand",
-        "Four photographs with a lamp at each side, whose directions nobody told, become relief "
-        "that any lamp can light. Sparkling grains pass for gloss; the verdict does not trust the "
+        "Four photographs with a lamp at each side, directions unknown, become relief that any "
+        "lamp can light. Sparkling grains pass for gloss; the verdict does not trust the "
         "roughness. The picture lit from the front was held out.",
         NORMAL_PHOTOS,
         max_size=512,
@@ -121,7 +121,7 @@ ENTRIES = (
         "icon",
         "Painted icon with gold leaf",
         "icon",
-        "A failure that the verdict does not see: gold leaf is not told to be metal. The panel "
+        "A failure that the verdict does not see: gold leaf is not found to be metal. The panel "
         "is flat, so that each lamp shows little but a sheet of gloss. Face and ground differ in "
         "roughness. The pictures are read as linear, for the known lamps fit so.",
         "Photographs: Scan4Reco project, in [Univr-RTI/NeuralRTI]"
@@ -158,7 +158,7 @@ ENTRIES = (
         "Kitchen cabinet",
         "everett_kitchen2",
         "A failure in its maps: 93 pixels wide, glass, chrome and bottles behind each other, "
-        "normals taken to be flat. Its light is still explained better than by either baseline.",
+        "normals assumed flat. Its light is still explained better than by either baseline.",
         "Photographs: Murmann et al., [lmurmann/multi_illumination]"
         "(https://github.com/lmurmann/multi_illumination), MIT.",
         options=(),
@@ -377,28 +377,18 @@ def loop(entry: Entry, which: Split, result: Result) -> None:
 
 HEAD = """# Gallery
 
-Photographs from public sets, each of one view under several lights. Verdicts are the program's own;
-nobody knows the true maps. What can be measured is whether a result explains pictures that it was
-not fitted to. Loops show two pictures as the fit explains them; the photographs stay with their
-sources.
+Photographs from public sets, each of one view under several lights; nobody knows the true maps. A
+loop shows two pictures as the fit explains them; the photographs stay with their sources.
 
 <!-- not live -->
-Each fit has a page with the live viewer, where you move the lamp. These pages are not part of the
-repository. To make them:
-
-    python tools/gallery_sets.py CHECKOUTS DATA    # it lists repositories and commits
-    make gallery DATA=...
-    make site                                      # takes them up
+Each fit has a page with the live viewer: `python tools/gallery_sets.py CHECKOUTS DATA` (it lists
+repositories and commits), `make gallery DATA=...`, `make site`.
 
 <!-- /not live -->
 
-## Held-out pictures
-
-Of a held-out picture only the light is fitted. Figures are RMSE over the pictures' RMS; 1 would be
-black. *Nearest picture*: the fitted picture that comes closest, with a factor a channel. *Lambert*:
-photometric stereo of matt surfaces by least squares, the best of rank three or, if that is better,
-with the lamps where the set tells them (icon and RealRTI; ours has them too). Of domes with fifty
-lamps and more ten pictures were fitted, of the icon twenty.
+Errors of held-out pictures are RMSE over RMS as in [heldout](heldout.md); 1 would be black.
+*Lambert* is the best of rank three or, if better, with known lamps (icon and RealRTI; pbrfit has
+them too). Of large domes ten pictures were fitted, of the icon twenty.
 
 <!-- evidence: gallery/Held out -->
 <!-- /evidence -->
@@ -407,9 +397,9 @@ lamps and more ten pictures were fitted, of the icon twenty.
 TAIL = """
 ## Without pictures here
 
-The repositories of these state no licence, or one that is not that of this project.
+These repositories state no licence, or another one than this project's.
 
-<!-- evidence: gallery/Without pictures here -->
+<!-- evidence: gallery/Without pictures here | ours | nearest picture | Lambert | what it shows; source -->
 <!-- /evidence -->
 
 ## The helmet
@@ -417,17 +407,17 @@ The repositories of these state no licence, or one that is not that of this proj
 ![A flight helmet under a lamp that goes round, two of the pictures, and the recovered albedo,
 roughness and metallic](images/moving-lamp.webp)
 
-A render, in Blender's Cycles: FlightHelmet of the [glTF sample
+A render by Blender's Cycles: FlightHelmet of the [glTF sample
 assets](https://github.com/KhronosGroup/glTF-Sample-Assets) (Microsoft, Khronos; CC0) under
-panoramas of [Poly Haven](https://polyhaven.com) (CC0). Metal is also found where there is none, in
-the goggles and elsewhere. The lamp casts no shadows, since no depth was given.
+panoramas of [Poly Haven](https://polyhaven.com) (CC0). Metal is also found where there is none,
+in the goggles and elsewhere.
 
 ```sh
 python tools/helmet_scene.py DATA --height 416 --samples 32
 pbrfit decompose out/helmet --out out/helmet-result --model principled
 python tools/moving_lamp.py
 ```
-"""
+"""  # noqa: E501
 
 
 def write_page() -> None:
@@ -489,21 +479,14 @@ def table(entries: list[Entry]) -> Table:
 
 def section(entry: Entry) -> str:
     """What the page says of an entry whose pictures stand here."""
-    result = Result.load(OUT / "results" / entry.name)
     lines = ["", f"## {entry.title}", ""]
     lines += [
         f"![{entry.title}: two pictures, maps, and under a lamp](images/gallery/{entry.name}.webp)",
         "",
     ]
     lines += [f"<!-- live: {entry.name} -->", "", filled(entry.about), ""]
-    verdicts = result.verdicts
-    alike: dict[tuple[str, str], list[str]] = {}
-    for name, one in verdicts.items():
-        alike.setdefault((one.level, one.why), []).append(name)
-    for (level, why), maps in alike.items():
-        lines.append(filled(f"- {', '.join(maps)}: **{level}**{why}"))
     said = shlex.join(command(entry, entry.source, "out"))
-    lines += ["", "```sh", f"pbrfit {said}", "```", "", filled(entry.credit), ""]
+    lines += ["```sh", f"pbrfit {said}", "```", "", filled(entry.credit), ""]
     return "\n".join(lines)
 
 

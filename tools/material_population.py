@@ -2,7 +2,7 @@
 
     python tools/material_population.py FOLDER
 
-FOLDER holds the sets as docs/priors.md lists them. Each map counts as much as any other, whatever
+FOLDER holds the sets as docs/fit.md lists them. Each map counts as much as any other, whatever
 its size: a set is one draw of what surfaces there are.
 """
 

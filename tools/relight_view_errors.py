@@ -1,4 +1,4 @@
-"""How far the relight view's pixels are from the package's: the table of docs/report-view.md.
+"""How far the relight view's pixels are from the package's: the table of docs/report.md.
 
     python tools/relight_view_errors.py RESULT PANORAMA.hdr...
 

@@ -17,10 +17,6 @@ BESIDE = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING
 LINK = re.compile(r"\]\((?P<path>[^)#:\s]*)(?:#(?P<anchor>[^)\s]+))?\)")
 
 
-def pages() -> list[Path]:
-    return [*sorted(DOCS.rglob("*.md")), *BESIDE]
-
-
 def without_code(text: str) -> str:
     return re.sub(r"^```.*?^```|`[^`\n]+`", "", text, flags=re.DOTALL | re.MULTILINE)
 
@@ -42,7 +38,7 @@ def broken(page: Path) -> Iterator[str]:
 
 
 def test_links_between_pages_lead_somewhere() -> None:
-    found = [one for page in pages() for one in broken(page)]
+    found = [one for page in (*DOCS.rglob("*.md"), *BESIDE) for one in broken(page)]
     assert not found, "\n".join(found)
 
 

@@ -25,7 +25,7 @@ from pbrfit.io.normal_files import find_normals
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.heldout.public_sets import ROOMS, SETS, PublicSet, Source, room_source
+from pbrfit_evaluation.heldout.public_sets import ROOMS, SETS, Source, room_source
 from pbrfit_evaluation.normal_errors import unit
 
 Array = NDArray[np.float64]
@@ -103,12 +103,6 @@ def check_names(sources: Sequence[Source]) -> None:
             raise InputError(
                 f"{source.folder}: expected different names, found {source.name} twice"
             )
-
-
-def absent(path: Path, found: Sequence[Source]) -> list[PublicSet]:
-    """Public sets that a folder of public sets lacks; none for a folder of another kind."""
-    kinds = {source.kind for source in found if path in source.folder.parents}
-    return [one for kind, one in SETS.items() if kind not in kinds] if kinds & set(SETS) else []
 
 
 def _sources_at(path: Path) -> list[Source]:

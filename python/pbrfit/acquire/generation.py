@@ -67,7 +67,7 @@ def generate(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> GenerationReport:
-    """Make a scene folder of one photograph; docs/generate.md says what it will hold.
+    """Make a scene folder of one photograph; docs/tutorials/one-photograph.md has its files.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class GenerationReport:
         return [picture for picture in self.pictures if not picture.accepted]
 
     def as_json(self) -> dict[str, Any]:
-        """Content of `review.json`; docs/generate.md describes it."""
+        """Content of `review.json`; docs/tutorials/one-photograph.md describes it."""
         height, width = self.photo.size
         seconds = sum(record.get("seconds") or 0.0 for record in self._records())
         return {

@@ -41,8 +41,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Make a scene folder of one photograph: pictures of the same view under other lights, "
         "each checked against the photograph; normals and segments. Needs extra packages for "
-        "all but --generator folder:DIR --normals flat --segments none; docs/generate.md says "
-        "which, what they cost, and that gpt-image-2 sends the photograph to OpenAI."
+        "all but --generator folder:DIR --normals flat --segments none. gpt-image-2 sends the "
+        "photograph to OpenAI; docs/tutorials/one-photograph.md has packages and costs."
     )
     parser.usage = "%(prog)s PHOTO --out SCENE [OPTION ...]"
     parser.add_argument("photo", metavar="PHOTO", nargs="?", type=Path, help="the photograph")

@@ -16,7 +16,7 @@ That is `noise`, which more pixels outweigh, and for each pixel `shared`: more p
 about what the model does not have, and shall not push lights further.
 
 Beside it, `grey` weighs for each pixel the squared deviation of lights from their mean over the
-channels: the monochrome prior (docs/priors.md).
+channels: the monochrome prior (docs/fit.md).
 """
 
 from __future__ import annotations

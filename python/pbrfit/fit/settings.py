@@ -36,7 +36,7 @@ NOISE_SIGMA_MIN = 1e-4 * MEAN_RADIANCE
 
 NEAR_GREY = 0.05
 """Relative deviation of the lights from grey (`color_deviation`) up to which the monochrome prior
-acts by itself (docs/priors.md)."""
+acts by itself (docs/fit.md)."""
 
 GREY_WEIGHT = 1e-3
 """Weight of the monochrome prior on lights that are near grey."""

@@ -47,7 +47,7 @@ density of 0.05 (C. McCamy, H. Marcus and J. Davidson, J. Appl. Photogr. Eng. 2,
 class Priors:
     """Weights of the priors, beside a data term that is a mean over samples; 0 = not evaluated.
 
-    A weight means the same at any resolution, exposure and number of pictures. docs/priors.md says
+    A weight means the same at any resolution, exposure and number of pictures. docs/fit.md says
     when each prior helps and when it hurts.
 
     Attributes
@@ -128,7 +128,7 @@ class FitOptions:
     solver
         `"gauss-newton"`: joint steps of lights and materials; above 2 MP, or where memory is short,
         lights from a subset of the pixels and then tiles. `"lbfgsb"`: scipy's L-BFGS-B, the paper's
-        recipe, which alone knows the priors cohesion, smoothness and sparsity (docs/solver.md).
+        recipe, which alone knows the priors cohesion, smoothness and sparsity (docs/fit.md).
     iterations
         Largest number of iterations: steps of L-BFGS, or joint steps of Gauss-Newton. Before these
         at most as many steps on a subset of the pixels, which find the lights and do not count.
@@ -146,7 +146,7 @@ class FitOptions:
         `"auto"`: samples weigh by their noise, which is estimated from residuals by picture,
         radiance and file, and outliers weigh less where there are some (`lbfgsb` takes squares);
         `"cauchy"`: a loss in which outliers weigh less in any case, its scale estimated from the
-        residuals; `"none"`: squares (docs/solver.md).
+        residuals; `"none"`: squares (docs/fit.md).
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.
@@ -155,12 +155,12 @@ class FitOptions:
         by the one that explains left-out pictures, where no file or option says it; `"fit"`: a
         monotone curve common to all is fitted beside what files were decoded by.
     refine_normals
-        Whether the given normals are refined together with materials and lights (docs/normals.md);
+        Whether the given normals are refined together with materials and lights (docs/fit.md);
         `"auto"`: where three or more pictures say that they are wrong, and memory is enough.
     white
         X, Y and perhaps albedo of a diffuse white or grey reference: pixels from the left and the
         top of the files, albedo 0.9 unless given (a grey card: 0.18). It fixes the scale between
-        lights and albedo (docs/uncertainty.md).
+        lights and albedo (docs/fit.md).
     align
         `"auto"`: pictures that are out of line with the others are put back, by a shift or an
         affine map, and pictures of something else left out; `"off"`: pictures are used as they are.
@@ -170,17 +170,17 @@ class FitOptions:
         exactly. Default: what the pictures were rendered with, where the scene says it, else
         `"paper"`.
     transport
-        What surroundings do to light, where the scene has depth (docs/transport.md).
+        What surroundings do to light, where the scene has depth (docs/fit.md).
         `"occlusion"`: they block it; `"bounce"`: they also reflect it; `"auto"`: whichever explains
         left-out pictures best.
     light
-        What lights the pictures (docs/lamps.md). `"sh"`: environment light, as spherical harmonics;
+        What lights the pictures (docs/fit.md). `"sh"`: environment light, as spherical harmonics;
         `"lamps"`: a lamp in each picture and faint environment light; `"auto"`: whichever explains
         left-out pictures better.
     same_lamp
         Whether all lamps have the same colour and strength: one that was carried around.
     uncertainty
-        Whether to estimate standard deviations of the maps (docs/uncertainty.md).
+        Whether to estimate standard deviations of the maps (docs/fit.md).
 
     Raises
     ------

@@ -22,7 +22,7 @@ class Uncertainty:
     """The posterior of each value: its deviation, an interval that holds it, and a verdict a map.
 
     It knows of noise, of how far pictures are from the model, of lights and of the scale between
-    them and albedo, and of the priors on materials (docs/uncertainty.md).
+    them and albedo, and of the priors on materials (docs/fit.md).
     """
 
     deviation: Materials

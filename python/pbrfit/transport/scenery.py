@@ -1,7 +1,7 @@
 """A scene's surroundings, and what they do to the light of its pixels.
 
 `Scenery` is geometry, made from depth; `PixelTransfer` are the tables that the core takes. What a
-fit decides about both is a `Transport` (docs/transport.md).
+fit decides about both is a `Transport` (docs/fit.md).
 """
 
 from __future__ import annotations

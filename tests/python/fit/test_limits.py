@@ -159,7 +159,7 @@ def test_few_iterations_are_no_more(solver: Solver, refine_normals: Any, iterati
         )
         assert_whole(result)
         most = result.history["iteration"].max()
-        # Each pass over the normals may have all iterations again (docs/normals.md).
+        # Each pass over the normals may have all iterations again (docs/fit.md).
         assert most <= iterations * (1 + 2 * (refine_normals != "off"))
         if iterations == 0:
             assert result.status is Status.ITERATION_LIMIT

@@ -16,7 +16,7 @@ light:
 - *colour*: no place has a colour that the others' light cannot give it (`illumination`);
 - *content*: what lasts under every light is there (`structure`), as bright as light can make it.
 
-A check is a number and its bound; a person reads its note. docs/generate.md has how often
+A check is a number and its bound; a person reads its note. docs/generated.md has how often
 deliberate damage is found and honest pictures are refused; `pbrfit evaluate review` measures it.
 """
 

@@ -1,7 +1,7 @@
 """What surfaces there are: the weak prior that everything else in `fit.priors` begins from.
 
 Roughness and metallic of public material sets, one draw each (`tools/material_population.py`; the
-sets and their licences are in docs/priors.md): fourteen sets have a roughness of 0.44 ± 0.23, of
+sets and their licences are in docs/fit.md): fourteen sets have a roughness of 0.44 ± 0.23, of
 which 7 % is below 0.1, and 17 % of their surface is metal; between both is 3 %. So few sets cannot
 tell their mean roughness from the middle of the range, which this prior has; and their shares are
 taken by Laplace's rule of succession, (14 share + 1) / (14 + 3) for three kinds.
