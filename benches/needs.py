@@ -1,4 +1,4 @@
-"""What leaving out parts saves: `make bench-needs` fills docs/benchmarks/speed.md.
+"""What leaving out parts saves: `make bench-needs` leaves its table in docs/evidence/needs.json.
 
 One evaluation of loss and gradient of the same pictures, with everything and without one part, or
 with one penalty more. Cases take turns, so that a machine that slows down slows all of them.

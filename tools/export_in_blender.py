@@ -3,7 +3,7 @@
     python tools/export_in_blender.py [--samples 256]
 
 Needs the environment of `make cycles-env` and, for the row of a photographed panorama, the test
-data (PBRFIT_DATA). Fills the page's table.
+data (PBRFIT_DATA). Leaves its table in docs/evidence/export.json.
 """
 
 from __future__ import annotations
