@@ -14,11 +14,8 @@ DOCS = ROOT / "docs"
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 BESIDE = [ROOT / name for name in ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")]
 
+CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\((?P<path>[^)#:\s]*)(?:#(?P<anchor>[^)\s]+))?\)")
-
-
-def without_code(text: str) -> str:
-    return re.sub(r"^```.*?^```|`[^`\n]+`", "", text, flags=re.DOTALL | re.MULTILINE)
 
 
 def anchors(page: Path) -> set[str]:
@@ -29,7 +26,7 @@ def anchors(page: Path) -> set[str]:
 
 
 def broken(page: Path) -> Iterator[str]:
-    for link in LINK.finditer(without_code(page.read_text("utf-8"))):
+    for link in LINK.finditer(CODE.sub("", page.read_text("utf-8"))):
         target = (page.parent / link["path"]).resolve() if link["path"] else page
         if not target.exists():
             yield f"{page.relative_to(ROOT)}: no file {link['path']}"
@@ -40,6 +37,12 @@ def broken(page: Path) -> Iterator[str]:
 def test_links_between_pages_lead_somewhere() -> None:
     found = [one for page in (*DOCS.rglob("*.md"), *BESIDE) for one in broken(page)]
     assert not found, "\n".join(found)
+
+
+def test_pages_that_code_names_are_there() -> None:
+    files = [*(ROOT / "python").rglob("*.py"), *(ROOT / "tools").glob("*.py")]
+    named = {one for path in files for one in re.findall(r"docs/[\w/-]+\.md", path.read_text())}
+    assert [one for one in named if not (ROOT / one).exists()] == []
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -22,8 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 BLOCK = re.compile(r"^```(sh|python)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
-OF_OTHERS = "bench height memory-limit nthreads nworkers page port replay samples side"
-"""Options of other programs that pages name."""
+OTHERS = "bench height memory-limit nthreads nworkers page port replay samples side"  # not ours
 
 
 def write(path: str, picture: ArrayLike) -> None:
@@ -38,7 +37,7 @@ def options(parser: argparse.ArgumentParser) -> set[str]:
 
 
 def test_pages_name_options_that_there_are() -> None:
-    there = options(whole_parser()) | {f"--{name}" for name in OF_OTHERS.split()}
+    there = options(whole_parser()) | {f"--{name}" for name in OTHERS.split()}
     for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
         named = re.findall(r"(?<![\w-])--[a-z][a-z-]*(?![\w-])", page.read_text("utf-8"))
         assert set(named) <= there, f"{page.name}: {set(named) - there}"

@@ -17,8 +17,7 @@ EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "one_photograph.py"
 @pytest.mark.slow
 def test_one_photograph_becomes_materials(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, str(EXAMPLE), "--out", str(out)]
-    command += ["--size", "160", "--iterations", "3"]
+    command = [sys.executable, str(EXAMPLE), "--out", str(out), "--size=160", "--iterations=3"]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert ran.returncode == 0, ran.stderr
     report = json.loads((out / "scene" / "review.json").read_text())
