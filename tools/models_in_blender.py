@@ -1,4 +1,4 @@
-"""Draw the figure of README.md that has both reflection models, recovered and in Blender.
+"""Draw the figure of docs/model.md that has both reflection models, recovered and in Blender.
 
     python tools/models_in_blender.py [--kind spheres] [--size 144] [--samples 512] [--seed 0]
 

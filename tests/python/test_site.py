@@ -41,7 +41,7 @@ def test_links_between_pages_lead_somewhere() -> None:
 
 def test_pages_that_code_names_are_there() -> None:
     files = [*(ROOT / "python").rglob("*.py"), *(ROOT / "tools").glob("*.py")]
-    named = {one for path in files for one in re.findall(r"docs/[\w/-]+\.md", path.read_text())}
+    named = {one for p in files for one in re.findall(r"docs/[\w/-]+\.md", p.read_text("utf-8"))}
     assert [one for one in named if not (ROOT / one).exists()] == []
 
 
