@@ -5,7 +5,7 @@ the model lacks, and so a hundred times the weight in a sum of squares. Where ex
 apart, pictures are divided by theirs before they are fitted, and the lights multiplied by it
 afterwards. For the loss that is a weight of 1/exposure² on the squares. For the solver it is more:
 all lights are of one size, which weights would leave as far apart as the exposures, and L-BFGS then
-gets nowhere (docs/conventions.md has figures).
+gets nowhere.
 """
 
 from __future__ import annotations
