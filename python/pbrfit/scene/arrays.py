@@ -404,11 +404,10 @@ class SceneArrays:
     def noise_floor(
         self, picture: int, places: NDArray[np.intp] | None = None
     ) -> NDArray[np.float32] | None:
-        """(H, W, 3): standard deviation of what its file did to the samples of a picture.
+        """(H, W, 3), or (Q, 3) of some places, row by row: standard deviation of file noise.
 
-        In the pictures' units: of rounding to codes and of JPEG; not of the camera. Of some places
-        of the picture, row by row, alone (Q, 3). None for pictures that were floats, or are of no
-        file.
+        In the pictures' units: of rounding to codes and of JPEG; not of the camera. None for
+        pictures that were floats, or are of no file.
         """
         noise = None if self.file_noise is None else self.file_noise[picture]
         if noise is None:

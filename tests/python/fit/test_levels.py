@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import Objective, Scene
+from pbrfit import Objective, Scene, decompose
+from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.pixels import taken
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
@@ -161,3 +162,15 @@ def test_the_objective_of_some_pixels_is_a_part_of_the_whole_one(
     np.testing.assert_array_equal(taken(objective, again, chosen), taken(objective, x, chosen))
     objective.robust = objective.robust_around(x, "cauchy")
     assert objective.reweighted(x).model == model
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_lights_of_a_level_serve_all_pixels(noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planted scenes stay exact, and of noisy ones hardly more is left than by those of all."""
+    scene = make_scene("room", size=64, lights=8, noise=noise, seed=2001, held_out=2)
+    left = []
+    for few in (settings.LIGHTS_PIXELS, 1500):
+        monkeypatch.setattr(settings, "LIGHTS_PIXELS", few)
+        left.append(decompose(scene, priors=None, refine_normals="off").metrics["recon_rmse"])
+    assert left[1] < 1.02 * left[0] + 1e-12
+    assert noise or max(left) < 1e-12

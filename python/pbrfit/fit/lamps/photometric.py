@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.samples import some_of
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
 from pbrfit.threads import in_pieces
@@ -50,9 +49,6 @@ MEDIAN_TO_SIGMA = 1.4826
 
 ROUNDS = 8
 """Rounds of weighted least squares at a pixel."""
-
-SCALE_PIXELS = 4000
-"""Pixels that tell σ: a median of so many samples and more is known to 2 %."""
 
 SAMPLES_AT_ONCE = 1 << 16
 """Samples times triples that are compared at once: half a megabyte, which caches hold."""
@@ -87,28 +83,20 @@ def pseudo_normals(relative: Array, usable: Mask, lamps: Array) -> PseudoNormals
     By radiance (P, N), divided by the pixel's brightness, of samples of which some are usable;
     lamps (N, 3) are direction times strength.
     """
-    chosen = some_of(len(relative), SCALE_PIXELS)
-    sigmas = _scales(relative[chosen], usable[chosen], lamps)
+    pieces = slices(len(relative), PIXELS_AT_ONCE)
 
-    def of_piece(piece: slice) -> tuple[Array, Array, Array]:
-        own, used = relative[piece], usable[piece]
-        found = _best_of_triples(own, used, lamps)
-        for sigma in sigmas[:-1]:
-            found = refined(own, used, lamps, found, sigma)
-        weights = weights_of(own, used, found @ lamps.T, sigmas[-1])
-        return found, weights, moments(weights, lamps) / sigmas[-1] ** 2
+    def best(piece: slice) -> Array:
+        return _best_of_triples(relative[piece], usable[piece], lamps)
 
-    parts = in_pieces(0, of_piece, slices(len(relative), PIXELS_AT_ONCE))
-    return PseudoNormals(*map(np.concatenate, zip(*parts, strict=True)))
+    def better(piece: slice) -> Array:
+        return refined(relative[piece], usable[piece], lamps, found[piece], sigma)
 
-
-def _scales(relative: Array, usable: Mask, lamps: Array) -> list[float]:
-    """σ of each round, and after the last."""
-    found, sigmas = _best_of_triples(relative, usable, lamps), [SCALE_START]
+    found, sigma = np.concatenate(in_pieces(0, best, pieces)), SCALE_START
     for _ in range(ROUNDS):
-        found = refined(relative, usable, lamps, found, sigmas[-1])
-        sigmas.append(scale_of(relative, usable, found @ lamps.T))
-    return sigmas
+        found = np.concatenate(in_pieces(0, better, pieces))
+        sigma = scale_of(relative, usable, found @ lamps.T)
+    weights = weights_of(relative, usable, found @ lamps.T, sigma)
+    return PseudoNormals(found, weights, moments(weights, lamps) / sigma**2)
 
 
 def refined(relative: Array, usable: Mask, lamps: Array, vectors: Array, sigma: float) -> Array:
