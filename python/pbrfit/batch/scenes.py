@@ -35,8 +35,7 @@ than was predicted for scenes of 16² to 128², and 40 more as dask's workers.""
 NO_SCENES = re.compile(r"\..*|(flat|truth|lost\+found)$")
 """Names of folders in a folder that are no scenes; nobody may look into that of the file system."""
 
-LOOK_EVERY = 0.2
-"""Seconds after which a worker looks whether its scene is still wanted."""
+LOOK_EVERY = 0.2  # seconds after which a worker looks whether its scene is still wanted
 
 
 @dataclass(frozen=True)
@@ -165,8 +164,11 @@ def decompose_scene(
             result.write(folder, scene, task.output)
         wanted.check()
         if task.report:
-            with step("report"):
-                write_report(result, folder / REPORT_FILE, scene)
+            try:
+                with step("report"):
+                    write_report(result, folder / REPORT_FILE, scene)
+            except MemoryError as error:  # what was fitted is worth more
+                log.warning("%s: no report: %s", task.output, address_space.too_little(error))
     if result.status is Status.TIME_LIMIT:
         reason = result.stop_reason
         log.warning("%s: unfinished: %s; the best state so far is written", task.output, reason)
@@ -262,9 +264,8 @@ def table(result: Result, scene: Scene, output: Path) -> list[str]:
 def details(result: Result) -> list[str]:
     """How a fit went and what it decided, line by line."""
     lines = [f"fit: {result.history.iterations} iterations in {result.seconds:.1f} s"]
-    for stage in result.stages:
-        note = f" ({stage.note})" if stage.note else ""
-        lines.append(f"{stage.seconds:>6.1f} s  {stage.name}{note}")
+    for one in result.stages:
+        lines.append(f"{one.seconds:>6.1f} s  {one.name}" + f" ({one.note})" * bool(one.note))
     lines.append(f"normals: {result.refinement.in_words()}")
     lines += [f"{name}: {said}" for name, said in result.assumed.items() if name != "normals"]
     return [*lines, *(f"left out: {said}" for said in result.left_out)]
