@@ -337,10 +337,9 @@ class SceneArrays:
     @lazy
     def grey(self) -> bool:
         """Whether the pictures, and the lights if they are known, have three equal channels."""
-        if self.lighting is not None and not equal_channels(self.lighting):
-            return False
+        lights = self.lighting is None or equal_channels(self.lighting)
         # The first picture in colour ends it.
-        return all(equal_channels(self.samples(i)) for i in range(len(self.images)))
+        return lights and all(equal_channels(self.samples(i)) for i in range(len(self.images)))
 
     @lazy
     def weighted(self) -> bool:
@@ -397,8 +396,7 @@ class SceneArrays:
         if self.limits is None:
             return weights
         ordinary: NDArray[np.float32] = (self.limits[picture, rows] == 0).astype(np.float32)
-        if weights is not None:
-            ordinary *= weights
+        ordinary *= 1 if weights is None else weights
         return ordinary
 
     def noise_floor(
