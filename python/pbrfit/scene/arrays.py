@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbrfit")
 
+Places = NDArray[np.intp]
+
 Counted = list[NDArray[np.bool_]] | None
 """(H, W, 3) bool of each picture: the values that count; None = all."""
 
@@ -325,7 +327,7 @@ class SceneArrays:
         return found if self.mask is None else found & self.mask
 
     @lazy
-    def places(self) -> NDArray[np.intp]:
+    def places(self) -> Places:
         """(P,): where these are in the picture, row by row."""
         return np.flatnonzero(self.valid)
 
@@ -366,9 +368,7 @@ class SceneArrays:
         found[self.valid] = self.labels[0]
         return found
 
-    def samples(
-        self, picture: int, places: NDArray[np.intp] | None = None
-    ) -> NDArray[np.floating[Any]]:
+    def samples(self, picture: int, places: Places | None = None) -> NDArray[np.floating[Any]]:
         """(P, 3): a picture at the valid pixels in row order; 0 where it has no weight.
 
         Or at some places of the picture, row by row, read alone. No copy where all pixels count.
@@ -399,9 +399,7 @@ class SceneArrays:
         ordinary *= 1 if weights is None else weights
         return ordinary
 
-    def noise_floor(
-        self, picture: int, places: NDArray[np.intp] | None = None
-    ) -> NDArray[np.float32] | None:
+    def noise_floor(self, picture: int, places: Places | None = None) -> NDArray[np.float32] | None:
         """(H, W, 3), or (Q, 3) of some places, row by row: standard deviation of file noise.
 
         In the pictures' units: of rounding to codes and of JPEG; not of the camera. None for
