@@ -548,7 +548,8 @@ class _Comparison:
         if self._scene.normals_known:
             return scene, None
         if (response, number) not in self._shapes:
-            self._shapes[response, number] = first_shape(scene.of_pictures(kept))
+            found = first_shape(scene.of_pictures(kept), self._setup.threads)
+            self._shapes[response, number] = found
         shape = self._shapes[response, number]
         told = np.isfinite(shape.normals).all(axis=-1, keepdims=True)
         facing = np.where(told, shape.normals, [0.0, 0.0, 1.0])

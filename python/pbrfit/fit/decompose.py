@@ -161,7 +161,7 @@ def decompose(
     start_shape = None
     if not scene.normals_known:
         with trace.stage("photometric stereo"):
-            start_shape = first_shape(scene)
+            start_shape = first_shape(scene, threads)
         for said in start_shape.undetermined:
             log.warning("normals: %s", said)
     priors = replace(setup.options.priors, material=how.material)

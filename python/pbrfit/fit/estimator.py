@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import discrepancy, lbfgsb, misfit, settings
 from pbrfit.fit.coarse import Lights, Watch, judged, left_of, reweighted, rounds
 from pbrfit.fit.discrepancy import Discrepancy
-from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.joint import minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
@@ -244,7 +244,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     with run.stage("all pixels") as notes:
         before, level = x.copy(), Level.of(objective, settings.LIGHTS_PIXELS)
         if shared is not None and (prior is None or shared.lights.grey):
-            move_lights(run, x, level, lights, shared, prior)
+            move_lights(run, x, level, lights, prior)
             if not run.goes_on and len(level.pixels) == objective.pixels:
                 return x
         passes = settings.ROBUST_ROUND if options.robust in ROBUST_LOSSES else 1
@@ -262,12 +262,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
 
 
 def move_lights(
-    run: Run,
-    x: Array,
-    level: Level,
-    lights: Lights,
-    shared: SharedFit,
-    prior: GaussianPrior | None,
+    run: Run, x: Array, level: Level, lights: Lights, prior: GaussianPrior | None
 ) -> None:
     """Rounds of joint steps of a level's pixels and of trying them again; its part of x changes.
 
@@ -275,7 +270,9 @@ def move_lights(
     step has to promise more where the design effect is large: where residuals are alike, the many
     squares that it lowers are few.
     """
-    objective, gain, variance = run.objective, settings.GAIN_MIN, lights.misfit.variance
+    objective, shared = run.objective, lights.shared
+    gain, variance = settings.GAIN_MIN, lights.misfit.variance
+    assert shared is not None
     part = objective.part_of(x, level.pixels)
     rows = None if prior is None else prior.rows(level.pixels)
     whole = len(level.pixels) == objective.pixels

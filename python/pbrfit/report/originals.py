@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pbrfit._core import InputError
+from pbrfit.io.quoting import visible
 from pbrfit.result.result import Result
 from pbrfit.scene.options import Source
 from pbrfit.scene.scene import Scene
@@ -45,7 +46,8 @@ def find(result: Result, given: Scene | str | Path | None = None) -> Originals:
     try:
         return Originals(_read(result, path))
     except (InputError, OSError) as error:
-        log.warning("%s; the page has no pictures of the scene", " ".join(str(error).split()))
+        why = visible(" ".join(str(error).split()))
+        log.warning("%s; the page has no pictures of the scene", why)
         found = (
             "has changed since, or cannot be read" if _may_be(path) else "is no longer where it was"
         )

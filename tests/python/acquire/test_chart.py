@@ -132,7 +132,7 @@ def test_a_chart_corrects_all_pictures(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("rows", [((1, 0, 0),) * 3, ((1, 0), (0, 1)), ((float("nan"),) * 3,) * 3])
 def test_a_matrix_that_cannot_be_undone_is_refused(rows: Any) -> None:
-    with pytest.raises(InputError, match="color_matrix: expected three rows of three numbers"):
+    with pytest.raises(InputError, match=r"color_matrix: expected (three rows|shape \(3, 3\))"):
         ReadOptions(color_matrix=rows)
 
 

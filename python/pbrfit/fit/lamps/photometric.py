@@ -77,7 +77,7 @@ class PseudoNormals:
     precision: Array
 
 
-def pseudo_normals(relative: Array, usable: Mask, lamps: Array) -> PseudoNormals:
+def pseudo_normals(relative: Array, usable: Mask, lamps: Array, threads: int = 0) -> PseudoNormals:
     """The pseudo-normal of each pixel, divided by its brightness, under known lamps.
 
     By radiance (P, N), divided by the pixel's brightness, of samples of which some are usable;
@@ -91,9 +91,9 @@ def pseudo_normals(relative: Array, usable: Mask, lamps: Array) -> PseudoNormals
     def better(piece: slice) -> Array:
         return refined(relative[piece], usable[piece], lamps, found[piece], sigma)
 
-    found, sigma = np.concatenate(in_pieces(0, best, pieces)), SCALE_START
+    found, sigma = np.concatenate(in_pieces(threads, best, pieces)), SCALE_START
     for _ in range(ROUNDS):
-        found = np.concatenate(in_pieces(0, better, pieces))
+        found = np.concatenate(in_pieces(threads, better, pieces))
         sigma = scale_of(relative, usable, found @ lamps.T)
     weights = weights_of(relative, usable, found @ lamps.T, sigma)
     return PseudoNormals(found, weights, moments(weights, lamps) / sigma**2)

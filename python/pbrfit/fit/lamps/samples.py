@@ -31,9 +31,10 @@ class Samples:
     brightness: Array
     where: tuple[NDArray[np.intp], ...]
     mask: Mask
+    threads: int = 0
 
     @classmethod
-    def of(cls, samples: Array, usable: Mask, mask: Mask) -> Samples:
+    def of(cls, samples: Array, usable: Mask, mask: Mask, threads: int = 0) -> Samples:
         """Of pictures (N, H, W) or (N, H, W, C), in which some values are usable, of that shape."""
         samples = np.asarray(samples, np.float64)
         if samples.ndim == 3:
@@ -54,7 +55,8 @@ class Samples:
         told = np.moveaxis(usable[:, mask], 0, 1) & np.isfinite(colors)
         colors = np.where(np.isfinite(colors), colors, 0.0)
         grey, used = grey_samples(colors, told)
-        return cls(colors, told, grey, used, brightness(grey, used), np.nonzero(mask), mask)
+        bright = brightness(grey, used)
+        return cls(colors, told, grey, used, bright, np.nonzero(mask), mask, threads)
 
     @property
     def pictures(self) -> int:

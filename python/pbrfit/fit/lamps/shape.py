@@ -14,7 +14,7 @@ from pbrfit.scene.scene import Scene
 Array = NDArray[np.float64]
 
 
-def first_shape(scene: Scene) -> FirstShape:
+def first_shape(scene: Scene, threads: int = 0) -> FirstShape:
     """Normals, and directions of the lamps, that the pictures of a scene tell by themselves."""
     # Here and not above: scipy would double the time of `import pbrfit`.
     from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
@@ -26,13 +26,13 @@ def first_shape(scene: Scene) -> FirstShape:
     images = np.where(usable, images, 0.0).astype(np.float64)
     if scene.limits is not None:
         usable &= scene.limits == 0
-    known = scene.lamps
+    known, pictures = scene.lamps, (images, usable, scene.valid, scene.views)
     if known is not None and not known.near.any() and len(known) == len(images):
         colors = known.colors if known.colored else None
-        found = start_of_known_lamps(images, usable, scene.valid, scene.views, known.places, colors)
+        found = start_of_known_lamps(*pictures, known.places, colors, threads=threads)
         note = "normals by known lamps"
     else:
-        found = start_of_unknown_lamps(images, usable, scene.valid, scene.views, scene.fov)
+        found = start_of_unknown_lamps(*pictures, scene.fov, threads=threads)
         note = "normals and far lamps by the pictures"
     return replace(found, note="; ".join([note, *found.undetermined]))
 

@@ -51,6 +51,7 @@ def start_of_known_lamps(
     views: Array,
     directions: Array,
     strengths: Array | None = None,
+    threads: int = 0,
 ) -> FirstShape:
     """Start with lamps whose `directions`, (N, 3) unit vectors, are known.
 
@@ -59,7 +60,7 @@ def start_of_known_lamps(
     None = found up to a common factor. Raises InputError for fewer than three pictures, or shapes
     that do not fit.
     """
-    data = Samples.of(samples, usable, mask)
+    data = Samples.of(samples, usable, mask, threads)
     lamps = np.asarray(directions, np.float64)
     if lamps.shape != (data.pictures, 3):
         raise InputError(f"directions: expected {(data.pictures, 3)}, found {lamps.shape}")
@@ -68,20 +69,20 @@ def start_of_known_lamps(
         grey, undetermined = _strengths_of_known(data, lamps)
     else:
         grey = np.asarray(strengths, np.float64).reshape(data.pictures, -1).mean(axis=1)
-    normals = pseudo_normals(data.relative, data.usable, lamps * grey[:, None])
+    normals = pseudo_normals(data.relative, data.usable, lamps * grey[:, None], data.threads)
     flat = _in_plane(lamps)
     rough = rough_shape(mask, views) if flat else None
     return finished(data, normals, np.eye(3), lamps * grey[:, None], undetermined + flat, rough)
 
 
 def start_of_unknown_lamps(
-    samples: Array, usable: Mask, mask: Mask, views: Array, fov: float = 0.0
+    samples: Array, usable: Mask, mask: Mask, views: Array, fov: float = 0.0, threads: int = 0
 ) -> FirstShape:
     """Start with lamps of which nothing is known but that there is a far one in each picture.
 
     `fov` is horizontal, in degrees; 0 = orthographic or unknown. All else as of known lamps.
     """
-    data = Samples.of(samples, usable, mask)
+    data = Samples.of(samples, usable, mask, threads)
     least = min(3, len(data.grey))
     seen = (data.usable & (data.relative >= DARK)).sum(axis=0) >= least
     if not seen.all():
@@ -90,7 +91,7 @@ def start_of_unknown_lamps(
                 f"pictures: expected three or more in which a lamp is seen, found {seen.sum()}"
             )
         some = np.asarray(samples)[seen], np.asarray(usable)[seen]
-        return _with_black(start_of_unknown_lamps(*some, mask, views, fov), seen)
+        return _with_black(start_of_unknown_lamps(*some, mask, views, fov, threads), seen)
     rays = views if fov > 0 else np.broadcast_to([0.0, 0.0, 1.0], views.shape)
     chosen = some_of(len(data.grey), FACTORED_MAX)
     product = factors(data.relative[chosen], data.usable[chosen])
@@ -98,7 +99,7 @@ def start_of_unknown_lamps(
     if product.rank < 3:
         return _start_of_few(data, views, product)
     lamps = product.lamps
-    normals = pseudo_normals(data.relative, data.usable, lamps)
+    normals = pseudo_normals(data.relative, data.usable, lamps, data.threads)
     places = Places.of(data, rays, views, normals, lamps, edge)
     if not places.integrability.blocks or len(places.chosen) < PLACES_MIN:
         return _start_of_few(data, views, product)
@@ -138,7 +139,7 @@ def _start_of_few(data: Samples, views: Array, product: Factors) -> FirstShape:
     if product.rank > 0:
         space, _ = np.linalg.qr(product.lamps[:, : product.rank])
         lamps = space @ (space.T @ lamps)
-    found = pseudo_normals(data.relative, data.usable, lamps)
+    found = pseudo_normals(data.relative, data.usable, lamps, data.threads)
     words = (
         f"The samples have rank {product.rank}, of few pixels or under lamps in a plane with the "
         "scene or too close to each other: normals are in part those of "
