@@ -116,10 +116,9 @@ def test_normals_are_put_right_in_known_lights(room: Scene) -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_true_normals_are_kept_and_change_nothing(noise: float, seed: int) -> None:
+def test_true_normals_are_kept_and_change_nothing(noise: float) -> None:
     scene = right(16, 8, noise)
-    options: dict[str, Any] = {"iterations": 60, "seed": seed, "light": "sh"}
+    options: dict[str, Any] = {"iterations": 60, "light": "sh"}
     auto, off = (decompose(scene, refine_normals=asked, **options) for asked in ("auto", "off"))
     assert not auto.refinement.refined
     check(auto, scene)

@@ -15,7 +15,7 @@ import pytest
 
 from page_reader import Page
 from pbrfit import InputError, Result, Scene, decompose, relight
-from pbrfit.batch.scenes import table
+from pbrfit.batch.scenes import details
 from pbrfit.export import export_result
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import render
@@ -270,11 +270,10 @@ def test_the_command_refines_if_need_be_unless_it_is_told_otherwise(
     folder, out = folder_of(tmp_path / "scene", 2), tmp_path / "out"
     reason = hindrance(scene(2))
     for options, asked in (((), "auto"), (("--refine-normals", "off"), "off")):
-        assert (
-            run("decompose", folder, "--out", out, "--iterations", 1, "--overwrite", *options) == 0
-        )
+        fit = ("decompose", folder, "--out", out, "--iterations", 1, "--overwrite", "--verbose")
+        assert run(*fit, *options) == 0
         why = "not asked for" if asked == "off" else reason
-        assert f"\nnormals ({asked}): left as given: {why}\n" in capsys.readouterr().out
+        assert f"\nnormals: left as given: {why}\n" in capsys.readouterr().out
         content = json.loads((out / "result.json").read_text("utf-8"))
         assert content["options"]["refine_normals"] == content["normals"]["asked"] == asked
         assert content["normals"]["why"] == why
@@ -290,13 +289,13 @@ def test_the_command_says_early_that_what_was_asked_for_cannot_be_done(
     assert run("decompose", folder, "--out", out, "--refine-normals", "perhaps") == 2
 
 
-def test_the_summary_tells_what_was_refined(result: Result, tmp_path: Path) -> None:
+def test_the_summary_tells_what_was_refined(result: Result) -> None:
     inside = degrees_of(result.mask)[result.mask]
     line = (
-        f"\nnormals (auto): refined by {inside.mean():.1f} degrees in the mean, {LARGEST:.1f} at "
+        f"\nnormals: refined by {inside.mean():.1f} degrees in the mean, {LARGEST:.1f} at "
         f"most: {result.refinement.why}"
     )
-    assert line in "\n".join(table(result, scene(), tmp_path))
+    assert line in "\n".join(details(result))
 
 
 def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(
