@@ -304,7 +304,7 @@ def read_stored(path: Path) -> NDArray[Any] | dict[str, NDArray[np.float32]]:
             readers = {(1, 0): npy.read_array_header_1_0}  # later ones are alike but for names
             read = readers.get(npy.read_magic(head), npy.read_array_header_2_0)
             shape, by_columns, dtype = read(head)
-        if dtype.kind not in "uif" or min(shape, default=1) < 1:
+        if dtype.kind not in "uif" or any(type(size) is not int or size < 1 for size in shape):
             raise ValueError(f"{dtype} of shape {shape}")
         array = np.frombuffer(content, dtype, math.prod(shape), head.tell())
     except MemoryError:

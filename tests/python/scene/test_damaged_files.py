@@ -304,7 +304,7 @@ def npy(kind: str, shape: str, body: bytes = bytes(64)) -> bytes:
     [
         b"", b"PK\5\6" + bytes(18), b"\x80\4N.", b"\x93NUMPY\1\0\x04\0(((\n",
         npy("<f4", "(1099511627776,)"), npy("<f4", "(3.5,)"), npy("|O", "(2,)"),
-        npy("<U9", "(1,)"),
+        npy("<U9", "(1,)"), npy("<f4", "(True, 3)"),
     ],
 )  # fmt: skip
 def test_arrays_that_are_none(tmp_path: Path, data: bytes) -> None:
