@@ -57,7 +57,7 @@ def too_little(error: MemoryError) -> str:
     return f"not enough memory: {words}" if words else "not enough memory"
 
 
-def check_stack() -> None:
+def check_limits() -> None:
     """Have as much stack as is allowed, up to `STACK_BYTES`.
 
     Raises MemoryError if that is less, or so few files may be open that Python finds no libraries.

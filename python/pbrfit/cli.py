@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         from pbrfit import address_space
 
         try:
-            address_space.check_stack()
+            address_space.check_limits()
             address_space.check_libraries()
         except MemoryError as error:
             complain(str(error))

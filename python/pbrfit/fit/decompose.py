@@ -40,7 +40,7 @@ from pbrfit.registration.placement import aligned
 from pbrfit.result import metrics
 from pbrfit.result.data import storable_segments
 from pbrfit.result.history import History
-from pbrfit.result.options import FitOptions
+from pbrfit.result.options import FitOptions, attributes_of
 from pbrfit.result.refinement import hindrance
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import FOV_CONTRADICTED, capped, doubted
@@ -450,7 +450,5 @@ def _assumed(scene: Scene, fit: FitOutput, model: Model | None, chosen: Choice) 
 
 
 decompose.__signature__ = _signature()  # type: ignore[attr-defined]
-_, _, _options = inspect.cleandoc(FitOptions.__doc__ or "").partition("Attributes\n----------\n")
-_options, _, _ = _options.partition("\n\nRaises")
-_before, _returns, _after = inspect.cleandoc(decompose.__doc__ or "").partition("\n\nReturns\n")
-decompose.__doc__ = f"{_before}\n{_options}{_returns}{_after}"
+_before, _returns, _after = inspect.cleandoc(decompose.__doc__ or "").partition("\nReturns\n")
+decompose.__doc__ = f"{_before}{attributes_of(FitOptions)}{_returns}{_after}"

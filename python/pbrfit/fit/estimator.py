@@ -242,13 +242,13 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
         of_sum = weight * objective.total_weight / objective.pixels
         shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
     with run.stage("all pixels") as notes:
-        before, level = x.copy(), Level.of(objective, settings.LIGHTS_PIXELS)
+        before = x.copy()
         if shared is not None and (prior is None or shared.lights.grey):
-            move_lights(run, x, level, lights, prior)
-            if not run.goes_on and len(level.pixels) == objective.pixels:
+            of_all = move_lights(run, x, lights, prior)
+            if of_all and not run.goes_on:
                 return x
-        passes = settings.ROBUST_ROUND if options.robust in ROBUST_LOSSES else 1
-        for number in range(passes):  # in which weights settle
+        settling = settings.ROBUST_ROUND if options.robust in ROBUST_LOSSES else 0
+        for number in range(1 + settling):
             weighed, starts = reweighted(run, objective, x), 1 if number == 0 else 0
             sum_sq = fit_all(weighed, x, starts=starts, prior=prior, stop=run.out_of_time)
             if sum_sq is None:
@@ -261,11 +261,10 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     return x
 
 
-def move_lights(
-    run: Run, x: Array, level: Level, lights: Lights, prior: GaussianPrior | None
-) -> None:
+def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None) -> bool:
     """Rounds of joint steps of a level's pixels and of trying them again; its part of x changes.
 
+    Returns whether these are all pixels.
     The prior on lights weighs less where less is left of the level than was of the coarse one. A
     step has to promise more where the design effect is large: where residuals are alike, the many
     squares that it lowers are few.
@@ -273,9 +272,9 @@ def move_lights(
     objective, shared = run.objective, lights.shared
     gain, variance = settings.GAIN_MIN, lights.misfit.variance
     assert shared is not None
-    part = objective.part_of(x, level.pixels)
+    level = Level.of(objective, settings.LIGHTS_PIXELS)
+    part, whole = objective.part_of(x, level.pixels), len(level.pixels) == objective.pixels
     rows = None if prior is None else prior.rows(level.pixels)
-    whole = len(level.pixels) == objective.pixels
     watch = Watch(run, x, None if whole else level)
 
     def visit(part: Array, sum_sq: Array) -> bool:
@@ -286,7 +285,7 @@ def move_lights(
         few, starts = reweighted(run, level.objective, part), 1 if number == 0 else 0
         sum_sq = fit_all(few, part, starts=starts, prior=rows, stop=run.out_of_time)
         if sum_sq is None:
-            return
+            break
         if prior is None:
             retry_outliers(few, part, sum_sq, run.out_of_time)
             if number == 0 and not lights.exact:
@@ -294,7 +293,7 @@ def move_lights(
                 gain *= max(found.design_effect, 1.0)
         total = float(sum_sq.sum())
         if visit(part, sum_sq):
-            return
+            break
         last, variance = variance, min(variance, misfit.variance(few, sum_sq))
         shared.lights = shared.lights.times(variance / last if last else 1.0)
         fit = shared.joint_fit(few, part, sum_sq, prior=rows, stop=run.out_of_time)
@@ -303,7 +302,8 @@ def move_lights(
         if run.options.robust in ROBUST_LOSSES and number < settings.ROBUST_ROUND:
             more = True  # whose weights settle
         if not more or not run.goes_on:
-            return
+            break
+    return whole
 
 
 def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | None) -> None:

@@ -48,16 +48,15 @@ def of_verdicts(verdicts: Mapping[str, Verdict]) -> tuple[str, ...]:
 
 def _steps(result: ResultData) -> Iterator[str]:
     yield from _unfinished(result)
-    verdicts = result.verdicts
-    yield from of_verdicts(verdicts)
-    named = {one.cause for one in verdicts.values()}
+    yield from of_verdicts(result.verdicts)
+    named = {one.cause for one in result.verdicts.values()}
     if result.held_out is not None and not result.held_out.explains and UNEXPLAINED not in named:
         yield f"{UNEXPLAINED}: {MORE_TOLD}"
     yield from _camera(result, named)
     facing = "all normals face the camera"
     if facing not in named and (result.normals[result.mask] == (0.0, 0.0, 1.0)).all():
         yield f"{facing}: true ones (pbrfit normals) would tell shape from material"
-    wanting = [name for name, one in verdicts.items() if one.level != "usable"]
+    wanting = [name for name, one in result.verdicts.items() if one.level != "usable"]
     yield from _sides(result, [name for name in wanting if name != "albedo"], named)
     yield from _mask(result)
 

@@ -36,7 +36,6 @@ def html(result: ResultData) -> str:
     ]
     if "recon_rmse" in result.metrics:
         facts.append(f"residual {result.metrics['recon_rmse']:.2g}")
-    verdicts = result.verdicts
     maps = {
         "albedo": metrics.display(result.albedo, 1.0),
         "roughness": result.roughness,
@@ -46,10 +45,10 @@ def html(result: ResultData) -> str:
     figures = []
     for name, values in maps.items():
         caption = escape(name)
-        if name in verdicts:
-            mark = MARKS[verdicts[name].level]
+        if name in result.verdicts:
+            mark = MARKS[result.verdicts[name].level]
             color = f"rgb({','.join(map(str, mark.ink))})"
-            said = escape(in_short(name, verdicts[name]))
+            said = escape(in_short(name, result.verdicts[name]))
             caption = f'<span style="color:{color}">{mark.sign}</span> {said}'
         figures.append(
             f'<figure style="margin:0;width:{SIDE}px"><img alt="{escape(name)}" '

@@ -270,10 +270,15 @@ class FitOptions:
         return cls(**values)
 
 
-def described(options: type) -> dict[str, str]:
-    """What the docstring of a class says of its attributes, as text for the command line."""
+def attributes_of(options: type) -> str:
+    """What the docstring of a class says of its attributes, as it stands there."""
     _, _, said = inspect.cleandoc(options.__doc__ or "").partition("Attributes\n----------\n")
-    parts = re.findall(r"^(\w+)\n((?:    .*\n)+)", said, re.MULTILINE)
+    return said.partition("\n\nRaises")[0] + "\n"
+
+
+def described(options: type) -> dict[str, str]:
+    """The same as text for the command line, by name."""
+    parts = re.findall(r"^(\w+)\n((?:    .*\n)+)", attributes_of(options), re.MULTILINE)
     return {name: " ".join(re.sub(r'`"?|"?`', "", text).split()) for name, text in parts}
 
 
@@ -282,10 +287,7 @@ FLAGS: dict[str, Flag] = {
     "iterations": Flag(metavar="K"),
     "time_limit": Flag(kind=float, metavar="S"),
     "sh_order": Flag(values=(2, 3)),
-    "metallic": Flag(
-        "0: no pixel is a metal, and metallic is not fitted",
-        values={"free": None, "0": 0.0},
-    ),
+    "metallic": Flag("0: metallic is 0 and not fitted", values={"free": None, "0": 0.0}),
     "robust": Flag(values=LOSSES),
     "response": Flag(values=RESPONSES),
     "equal_exposures": Flag(
