@@ -52,6 +52,9 @@ def in_turn(threads: int, work: Callable[[T], R], pieces: Sequence[T]) -> Iterat
 
 
 _changing = threading.Lock()
+if hasattr(os, "register_at_fork"):  # a child forked meanwhile would wait for it forever
+    free = _changing.release
+    os.register_at_fork(before=_changing.acquire, after_in_parent=free, after_in_child=free)
 _limits: list[Any] = []
 """What blocks of `one_blas_thread` have changed, to be undone."""
 _blocks = 0
