@@ -19,6 +19,7 @@ import logging
 import math
 import time
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
@@ -28,6 +29,8 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.fit import settings
+from pbrfit.fit.coarse import Lights
+from pbrfit.fit.estimator import fit_materials, lights_and_noise
 from pbrfit.fit.given import Contradiction, contradiction
 from pbrfit.fit.lamps.estimator import Found, LampFit
 from pbrfit.fit.lamps.picture_light import light_of_picture
@@ -44,6 +47,7 @@ from pbrfit.fit.left_out import (
 )
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.run import Run
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.fit.transport import Surrounded, search
 from pbrfit.fit.whole_picture import FitSetup
@@ -148,6 +152,7 @@ class _Comparison:
             self._folds = []
         self._shapes: dict[tuple[Curve | None, int], FirstShape] = {}
         self._tried: dict[Explanation, list[LeftOut]] = {}
+        self._lit: dict[tuple[Explanation, int], tuple[Run, Lights]] = {}
         self._surrounded: Surrounded | None = None
         self._no_surroundings = self._without_surroundings()
         self._transfer: PixelTransfer | None = None
@@ -481,7 +486,7 @@ class _Comparison:
         if kind.light == "lamps":
             fit = self._under_lamps(few.of_pictures(kept), shape)
         else:
-            fit = self._under_harmonics(kind, few.of_pictures(kept), self._among(kind, kept))
+            fit = self._under_harmonics(kind, fold, few.of_pictures(kept), self._among(kind, kept))
         errors, values, rounding, lamps = [], [], [], []
         for picture in out:
             if kind.surroundings != "none":
@@ -574,20 +579,22 @@ class _Comparison:
         return replace(self._setup, options=of_all, progress=None)
 
     def _under_harmonics(
-        self, kind: Explanation, scene: Scene, among: PixelTransfer | None
+        self, kind: Explanation, fold: int, scene: Scene, among: PixelTransfer | None
     ) -> _Fitted:
         priors = replace(self._options.priors, material=kind.material)
         setup = self._setup_with(priors=priors, robust=kind.robust)
         if kind.other_fov:
             scene = replace(scene, fov_known=False)
-        objective = setup.objective(scene)
-        if among is not None:
-            objective = objective.among(among)
-        run = setup.run(scene, objective)
-        start, refines = objective.start(), kind.free_normals
-        found = refined_fit.fit(run, start, setup.objective, start_given=False, refines=refines)
-        run, scene = found.run, found.run.scene
-        materials, _ = run.objective.unpack(found.x)
+        if kind.free_normals:
+            run = setup.run(scene, setup.objective(scene))
+            start = run.objective.start()
+            found = refined_fit.fit(run, start, setup.objective, start_given=False, refines=True)
+            run, x = found.run, found.x
+        else:
+            run, lights = self._under_lights(replace(kind, material=0.0), fold, scene, among)
+            run.options = setup.options
+            x = fit_materials(run, lights)
+        scene, (materials, _) = run.scene, run.objective.unpack(x)
         valid, camera = scene.valid, run.camera
         sigma = camera.fov_sigma
         return _Fitted(
@@ -599,6 +606,22 @@ class _Comparison:
             scene.through(camera.fov_degrees).views[valid],
             fov=None if sigma is None else (camera.fov_degrees, sigma),
         )
+
+    def _under_lights(
+        self, kind: Explanation, fold: int, scene: Scene, among: PixelTransfer | None
+    ) -> tuple[Run, Lights]:
+        """A run of a fold that has found lights, which do not depend on the material prior."""
+        if (kind, fold) not in self._lit:
+            setup = self._setup_with(robust=kind.robust)
+            objective = setup.objective(scene)
+            if among is not None:
+                objective = objective.among(among)
+            run = setup.run(scene, objective)
+            self._lit[kind, fold] = run, lights_and_noise(run, objective.start())
+        run, lights = self._lit[kind, fold]
+        run = copy(run)
+        run.objective, shared = copy(run.objective), copy(lights.shared)
+        return run, replace(lights, x=lights.x.copy(), shared=shared)
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
         fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)

@@ -61,25 +61,33 @@ def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]
 def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
     """X of the fit, and why it ended."""
     start, rows = x, len(run.rows)
+    x = fit_materials(run, lights_and_noise(run, x))
+    if len(run.rows) == rows:  # lights without materials that were fitted under them
+        ended = run.ended("", "; all pixels were fitted once, under the lights so far")
+        return fit_once(run, start, x), *ended
+    return x, *run.ended("converged")
+
+
+def lights_and_noise(run: Run, x: Array) -> Lights:
+    """Lights from those of x, and the weights of samples, which the run's objective has then."""
     lights = find_lights(run, x)
-    x = lights.x
     noise = lights.noise if run.shared_state is None else run.shared_state.noise
     run.noise = noise
     if not lights.exact and run.goes_on:
-        weigh_samples(run, run.objective, x, noise)
-    prior = None
+        weigh_samples(run, run.objective, lights.x, noise)
+    return lights
+
+
+def fit_materials(run: Run, lights: Lights) -> Array:
+    """X of all pixels, from these lights on, with the material prior if there is to be one."""
+    x, prior = lights.x, None
     if run.has_mixture_prior and run.goes_on:
         if lights.exact:
             with run.stage("material prior") as notes:
                 notes.append("left out: the pictures are explained to the last digit")
         else:
             x, prior = fit_mixture_prior(run, lights)
-    if run.goes_on:
-        x = fit_all_pixels(run, x, lights, prior)
-    if len(run.rows) == rows:  # lights without materials that were fitted under them
-        ended = run.ended("", "; all pixels were fitted once, under the lights so far")
-        return fit_once(run, start, x), *ended
-    return x, *run.ended("converged")
+    return fit_all_pixels(run, x, lights, prior) if run.goes_on else x
 
 
 def fit_once(run: Run, start: Array, x: Array) -> Array:
