@@ -375,9 +375,10 @@ SEGMENT_PIXELS_MIN = 16
 PICTURE_PSEUDO_PIXELS = 10.0
 """Number of pixels that the distribution of the whole picture counts for in that of a segment."""
 
-NODE_PROBABILITY_MIN = 1e-30
-"""Smallest probability of a node: pixels that nothing was fitted to may have a likelihood of 0
-wherever else something was found."""
+NODE_PROBABILITY_MIN = 1e-18
+"""Smallest probability and likelihood of a node: one that no pixel fitted is still of what others
+may be, and products are no smaller than float32's 1e-38, below which arithmetic is many times
+slower."""
 
 GROUP_PROBABILITY_SHARE = 0.02
 """Share of the largest probability: neighbouring nodes above it are one group."""

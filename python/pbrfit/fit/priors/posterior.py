@@ -47,6 +47,7 @@ dielectric's lobe, so that metallic between both would take it up."""
 INTERVAL = 0.95
 """Probability between the quantiles of a posterior."""
 
+LOG_LIKELIHOOD_MIN = np.float32(np.log(settings.NODE_PROBABILITY_MIN))
 NODE_DISTANCE = float(ROUGHNESS_NODES[1] - ROUGHNESS_NODES[0])
 
 
@@ -114,6 +115,7 @@ class Grid:
         sharpness = settings.PRIOR_NODE_SPACING**2 * curvature  # spacing²/σ²
         share = 1 / (1 + sharpness)  # η
         excess *= -share
+        np.maximum(excess, LOG_LIKELIHOOD_MIN, out=excess)
         np.exp(excess, out=excess)
         return Likelihood(excess, (sharpness * share)[:, 0])
 
@@ -209,7 +211,7 @@ class Distributions:
         rows = [whole, *in_pieces(threads, of_pixels, large)]
         row = np.zeros(labels.max() + 1, np.intp)
         row[[labels[pixels[0]] for pixels in large]] = np.arange(1, len(rows))
-        probabilities = np.maximum(np.stack(rows), np.float32(settings.NODE_PROBABILITY_MIN))
+        probabilities = np.stack(rows)
         shape = (len(ROUGHNESS_NODES), -1)
         high = probabilities > settings.GROUP_PROBABILITY_SHARE * probabilities.max(
             axis=1, keepdims=True
@@ -343,4 +345,5 @@ def mixture_of(
         probabilities = probabilities * np.sum(in_pieces(threads, shares, parts), axis=0)
         probabilities += np.float32(prior_pixels) * prior
         probabilities /= probabilities.sum()
+        np.maximum(probabilities, settings.NODE_PROBABILITY_MIN, out=probabilities)
     return probabilities
