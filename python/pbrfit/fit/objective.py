@@ -516,12 +516,13 @@ class Objective:
     def light_basis(self, x: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Q, (light channels, N, K): an orthonormal basis of the lights of x over the pictures.
 
-        All that materials do to a channel's pictures is in its span. None where there are no more
-        than K pictures, or surroundings bring light that is in no span.
+        All that materials do to a channel's pictures is in its span. None where surroundings bring
+        light that is in no span, or pictures are no more than 2 K: sums of so few save little, and
+        where samples have weights they only come near.
         """
         layout = self.layout
         brings = self.transfer is not None and self.transfer.bounced is not None
-        if layout.pictures <= layout.coefficients or brings:
+        if layout.pictures <= 2 * layout.coefficients or brings:
             return None
         shape = layout.pictures, layout.coefficients, layout.light_channels
         return np.linalg.qr(x[layout.lighting].reshape(shape).transpose(2, 0, 1))[0]

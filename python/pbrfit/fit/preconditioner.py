@@ -7,8 +7,8 @@ an orthonormal basis Q (N, J) of that, the pixels that are solved for take nothi
     S = Q S' Qᵀ + (1 − Q Qᵀ) G (1 − Q Qᵀ)        S⁻¹ = Q S'⁻¹ Qᵀ + (1 − Q Qᵀ) G⁻¹ (1 − Q Qᵀ)
 
 where samples have the same weight in all pictures. S' is the system of J sums Qᵀ I of the pictures
-under the lights Qᵀ L, and G, with a block for each picture, that of known materials. So the system
-that is factored has the size of K pictures at most, however many there are. With other weights the
+under the lights Qᵀ L, and G, with a block for each picture, that of known materials. So where there
+are more than 2 K pictures the system that is factored has the size of K. With other weights the
 left out products of both parts are small, and S' is with the mean weights.
 """
 

@@ -16,7 +16,7 @@ from scene_kinds import all_pixels
 
 Array = NDArray[np.float64]
 
-PICTURES = 14
+PICTURES = 20
 KINDS = {"colour": False, "mono": True}
 each_kind = pytest.mark.parametrize("kind", KINDS)
 
@@ -27,7 +27,7 @@ def scene() -> Scene:
 
 
 def objective_of(scene: Scene, kind: str) -> Objective:
-    """With nine coefficients, so that there are more pictures."""
+    """With nine coefficients, so that there are more than twice as many pictures."""
     return Objective(scene, sh_order=2, mono_light=KINDS[kind])
 
 
