@@ -505,7 +505,7 @@ impl Example {
         group.bench_function(BenchmarkId::new(function, parameter), |b| {
             b.iter(|| {
                 problem
-                    .value_and_grad(black_box(x), None, &mut gradient)
+                    .value_and_grad(black_box(x), &mut gradient)
                     .unwrap()
             });
         });

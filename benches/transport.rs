@@ -367,7 +367,7 @@ fn fits(c: &mut Criterion) {
             group.bench_function(format!("value_and_grad, {model:?}, {name}"), |b| {
                 b.iter(|| {
                     problem
-                        .value_and_grad(black_box(&x), None, &mut gradient)
+                        .value_and_grad(black_box(&x), &mut gradient)
                         .unwrap()
                 });
             });

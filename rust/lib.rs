@@ -19,7 +19,7 @@
 //! | [`reflectance`] | one pixel: harmonics, both reflection models, weights and their derivatives |
 //! | [`block`] | the vector kernels over blocks of pixels |
 //! | [`transport`] | rays, and the rows of pixels whose light is blocked |
-//! | [`problem`] | all pixels: pictures, loss and gradient, Cauchy's loss, rendering |
+//! | [`problem`] | all pixels: pictures, loss and gradient, rendering |
 //! | [`pixel`] | pixels one by one, the lights known: samples, grid, Levenberg–Marquardt |
 //! | [`schur`] | pixels and lights together: Gauss–Newton Hessians and the Schur complement |
 //! | [`lamps`] | direct light of lamps with its derivatives, and pixels one by one under known lamps |

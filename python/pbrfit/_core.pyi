@@ -214,7 +214,7 @@ class Problem:
     Unknowns x = [albedo (C planes of P) | roughness | metallic | tangent offsets (2 planes) |
     lighting (N, K, C)], without those that are known; normals are unless `free_normals`. A tangent
     offset (a, b), at most 1e3 in size, moves the given normal to (normal + a t₁ + b t₂)/√(1 + a² +
-    b²). The loss is the (weighted) mean of the squared residuals, or of a robust loss of them.
+    b²). The loss is the (weighted) mean of the squared residuals.
     `transfer` (P, R, 16) are rows in the place of the model's, the matt part's first: R = 5 of the
     paper's model, 11 of the principled one; and `bounced` (P, R, N·C) what is brought to each, in
     the unit of the images. Not with `free_normals`.
@@ -249,15 +249,12 @@ class Problem:
     def value_and_grad(
         self,
         x: NDArray[np.float64],
-        robust: tuple[str, float] | None = None,
         out: NDArray[np.float64] | None = None,
     ) -> tuple[float, NDArray[np.float64]]:
         """Loss at x and its gradient, which is `out` where that is given.
 
-        `robust` is a loss instead of the square, "cauchy", and its scale, from 1e-15 to 1e15 in
-        the unit of the images. `out` is as long as x, contiguous, and may be x itself;
-        its memory is warm at the second call, which a new array's never is. After an error it
-        holds nothing that means anything.
+        `out` is as long as x, contiguous, and may be x itself; its memory is warm at the second
+        call, which a new array's never is. After an error it holds nothing that means anything.
         """
     def residuals(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float32]:
         """Rendered minus given radiance (N, len(pixels), C) at some pixels, whatever the weights.

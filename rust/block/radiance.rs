@@ -74,25 +74,7 @@ impl<const K: usize, const WEIGHTED: bool> Kernel for Residuals<'_, K, WEIGHTED>
     }
 }
 
-impl<'a, const K: usize, const WEIGHTED: bool> Residuals<'a, K, WEIGHTED> {
-    /// The same without ω: e = W Lᵀ − T.
-    pub fn unweighted(self) -> Residuals<'a, K, false> {
-        let Self {
-            weights,
-            lights,
-            targets,
-            residuals,
-            ..
-        } = self;
-        Residuals {
-            weights,
-            lights,
-            targets,
-            sample_weights: &[],
-            residuals,
-        }
-    }
-
+impl<const K: usize, const WEIGHTED: bool> Residuals<'_, K, WEIGHTED> {
     #[inline(always)]
     fn all<I: Vectors<f32>, const V: usize>(&mut self, isa: I) -> f64 {
         let n = self.lights.len();

@@ -7,8 +7,7 @@
 use std::marker::PhantomData;
 use std::ops::Range;
 
-use super::robust::ApplyRobustLoss;
-use super::{Problem, add, chunks_of_planes, robust};
+use super::{Problem, add, chunks_of_planes};
 use crate::block::adjoint::{ByFactors, ByLights, Flush, Parts, WideParts};
 use crate::block::basis::Basis;
 use crate::block::bounced::{ByBounced, LessBounced};
@@ -33,19 +32,10 @@ const GROUP: usize = 16;
 const FLUSH: usize = 16;
 
 impl Problem {
-    /// The loss at x, of squared residuals or, with a scale, Cauchy's; its gradient is written to
-    /// `gradient`.
-    pub fn value_and_grad(
-        &self,
-        x: &[f64],
-        scale: Option<f64>,
-        gradient: &mut [f64],
-    ) -> Result<f64> {
+    /// The loss at x; its gradient is written to `gradient`.
+    pub fn value_and_grad(&self, x: &[f64], gradient: &mut [f64]) -> Result<f64> {
         let (maps, lighting) = self.split(x)?;
         check::length("gradient", self.size(), gradient.len())?;
-        if let Some(scale) = scale {
-            robust::check(scale)?;
-        }
         let evaluate = choose(self);
         let lights = self.by_channel(lighting);
         let factor = 2.0 / self.total_weight;
@@ -60,7 +50,6 @@ impl Problem {
                 problem: self,
                 maps,
                 lights: &lights,
-                scale,
                 factor,
                 blocks,
             };
@@ -104,8 +93,6 @@ struct Piece<'a> {
     maps: &'a [f64],
     /// In float32: (channel, picture, coefficient).
     lights: &'a [f32],
-    /// δ of Cauchy's loss, where φ is not the square.
-    scale: Option<f64>,
     /// Factor on the gradient.
     factor: f64,
     /// What to evaluate.
@@ -179,7 +166,6 @@ fn evaluate<
         problem,
         maps,
         lights,
-        scale,
         factor,
         ref blocks,
     } = piece;
@@ -298,25 +284,13 @@ fn evaluate<
                 } else {
                     &[]
                 };
-                let step = Residuals::<K, WEIGHTED> {
+                partial.loss += isa.run(Residuals::<K, WEIGHTED> {
                     weights: &weights[c],
                     lights,
                     targets,
                     sample_weights,
                     residuals,
-                };
-                partial.loss += match scale {
-                    None => isa.run(step),
-                    Some(scale) => {
-                        // The weights come after φ.
-                        isa.run(step.unweighted());
-                        isa.run(ApplyRobustLoss {
-                            scale,
-                            sample_weights,
-                            residuals,
-                        })
-                    }
-                };
+                });
                 isa.run(ByFactors::<M, K, FREE_NORMALS> {
                     begin: group.start == 0,
                     basis: &basis,

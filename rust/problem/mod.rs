@@ -2,7 +2,6 @@
 
 mod evaluate;
 pub mod render;
-pub mod robust;
 mod surroundings;
 pub mod targets;
 
@@ -92,8 +91,7 @@ impl Default for Options {
 /// Unknowns are one vector, x = \[albedo (a plane of `pixels` for each channel) | roughness |
 /// metallic | tangent offset a | tangent offset b | lighting (picture, coefficient, channel)\],
 /// without those that are known; what comes before the lighting are its maps. The loss is the mean
-/// of φ(I − T) over pixels, pictures and channels, weighted if there are weights; φ is the square,
-/// or a [robust] loss.
+/// of (I − T)² over pixels, pictures and channels, weighted if there are weights.
 #[derive(Debug)]
 pub struct Problem {
     pixels: usize,

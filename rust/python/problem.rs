@@ -23,14 +23,6 @@ use crate::runtime::{Error, check, pool};
 use crate::schur::kept::KeptSystem;
 use crate::schur::{Clusters, Elimination, PriorTerm};
 
-/// The scale of a robust loss, which is Cauchy's.
-fn of_name((name, scale): (String, f64)) -> Result<f64, Error> {
-    match name.as_str() {
-        "cauchy" => Ok(scale),
-        _ => Err(Error::argument("robust", "cauchy", name)),
-    }
-}
-
 #[pyclass(frozen, name = "Problem", module = "pbrfit._core")]
 pub(super) struct PyProblem {
     problem: Problem,
@@ -143,15 +135,13 @@ impl PyProblem {
         self.problem.coefficients()
     }
 
-    #[pyo3(signature = (x, robust = None, out = None))]
+    #[pyo3(signature = (x, out = None))]
     fn value_and_grad<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
-        robust: Option<(String, f64)>,
         out: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>)> {
-        let robust = robust.map(of_name).transpose()?;
         let x = self.x(x)?;
         // numpy's memory, because numpy asks the system for large pages: with a vector of ours the
         // first touch of each small page takes a third of the time at 1024². By numpy's function,
@@ -164,7 +154,7 @@ impl PyProblem {
         };
         let mut access = gradient.readwrite();
         let values = access.as_slice_mut()?;
-        let value = py.detach(|| self.problem.value_and_grad(&x, robust, values))?;
+        let value = py.detach(|| self.problem.value_and_grad(&x, values))?;
         drop(access);
         Ok((value, gradient))
     }

@@ -167,7 +167,6 @@ def commands(folder: Path, size: int) -> Iterator[Way]:
         "decompose lbfgsb": [*short, "--solver", "lbfgsb"],
         "decompose gauss-newton": [*short, "--solver", "gauss-newton"],
         "decompose, normals": [*short, "--refine-normals", "on"],
-        "decompose, cauchy": [*short, "--robust", "cauchy"],
         "inspect": ["inspect", scene],
         "synth": ["synth", out, "--size", size, "--lights", LIGHTS],
         "export": ["export", result, "--out", out],

@@ -22,7 +22,6 @@ struct Example {
     sh_order: usize,
     metallic: Option<f64>,
     known_lights: bool,
-    robust: Option<f64>,
     free_normals: bool,
     normals: Vec<DVec3>,
     views: Vec<DVec3>,
@@ -55,7 +54,6 @@ impl Example {
             sh_order,
             metallic: None,
             known_lights: false,
-            robust: None,
             free_normals: false,
             normals: (0..pixels).map(|p| direction(p, 0.7)).collect(),
             views: (0..pixels).map(|p| direction(p, 0.011)).collect(),
@@ -170,17 +168,6 @@ impl Example {
         tangent_offset::offset_normal(self.normals[p], [a, b])
     }
 
-    /// φ and φ', as textbooks have them.
-    fn of_residual(&self, e: f64) -> (f64, f64) {
-        match self.robust {
-            Some(d) => (
-                d * d * (e * e / (d * d)).ln_1p(),
-                2.0 * e / (1.0 + e * e / (d * d)),
-            ),
-            None => (e * e, 2.0 * e),
-        }
-    }
-
     /// Loss and gradient by the definition, pixel by pixel in float64; all unknowns, known or not.
     fn reference(&self) -> (f64, Vec<f64>) {
         let (pixels, channels, count) = (self.pixels(), self.channels, self.coefficients());
@@ -206,8 +193,8 @@ impl Example {
                     let e = radiance - f64::from(self.images[(i * pixels + p) * channels + c]);
                     let omega = self.weight(i, p, c);
                     total += omega;
-                    let (value, slope) = self.of_residual(e);
-                    loss += omega * value;
+                    let slope = 2.0 * e;
+                    loss += omega * e * e;
                     for k in 0..count {
                         by_weights[c][k] += omega * slope * self.lighting[light(k)];
                         by_lighting[light(k)] += omega * slope * w[c][k];
@@ -240,7 +227,7 @@ impl Example {
         let mut gradient = vec![f64::NAN; x.len()];
         let loss = self
             .problem_for(2, instructions)
-            .value_and_grad(&x, self.robust, &mut gradient)
+            .value_and_grad(&x, &mut gradient)
             .unwrap();
         let (true_loss, true_gradient) = self.reference();
         assert!(
@@ -299,23 +286,12 @@ fn agrees_with_the_definition_at_any_size() {
 
 #[test]
 fn every_version_agrees_with_the_definition() {
-    every_version_agrees(None);
-}
-
-#[test]
-fn every_version_agrees_with_the_definition_of_robust_losses() {
-    // Residuals here are around 1, so some are small and some are outliers.
-    every_version_agrees(Some(0.7));
-}
-
-fn every_version_agrees(robust: Option<f64>) {
     for instructions in Instructions::all() {
         for bits in 0..128 {
             let bit = |i: usize| bits >> i & 1 == 1;
             let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
             // More pictures than go through the products together.
             let mut example = Example::with(150, 19, channels, order);
-            example.robust = robust;
             example.metallic = bit(2).then_some(0.3);
             example.known_lights = bit(3);
             example.free_normals = bit(6);
@@ -328,7 +304,7 @@ fn every_version_agrees(robust: Option<f64>) {
                 );
             }
             let what = format!(
-                "{}: {robust:?}, {channels} channels, order {order}, metallic {:?}, lights known {}, normals free {}, weights {:?}",
+                "{}: {channels} channels, order {order}, metallic {:?}, lights known {}, normals free {}, weights {:?}",
                 instructions.name(),
                 example.metallic,
                 example.known_lights,
@@ -337,31 +313,6 @@ fn every_version_agrees(robust: Option<f64>) {
             );
             example.check(instructions, &what);
         }
-    }
-}
-
-/// Scales at both ends of what is taken; pictures like the model's, and as bright as they may be.
-#[test]
-fn robust_losses_hold_at_extremes() {
-    let mut example = Example::new(200, 3);
-    example.robust = Some(1e15);
-    example.check(Instructions::best(), "all residuals far below the scale");
-    for (brightness, scale) in [(1.0, 1e-15), (1e15, 1e-15), (1e15, 1e15)] {
-        let mut example = Example::new(200, 3);
-        for value in &mut example.images {
-            *value *= brightness;
-        }
-        let x = example.x();
-        let mut gradient = vec![f64::NAN; x.len()];
-        let loss = example
-            .problem(1)
-            .value_and_grad(&x, Some(scale), &mut gradient)
-            .unwrap();
-        let finite = loss.is_finite() && gradient.iter().all(|g| g.is_finite());
-        assert!(
-            finite && loss > 0.0,
-            "scale {scale}, pictures times {brightness:e}: loss {loss}"
-        );
     }
 }
 

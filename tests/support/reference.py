@@ -8,7 +8,6 @@ normal.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating[Any]]
 RealOrComplex = NDArray[Any]  # complex while a derivative is taken
-Loss = Callable[[Array], tuple[Array, Array]]
 """φ of residuals, and its derivative."""
 
 STEP = 1e-30
@@ -220,11 +218,6 @@ def render(normal: Array, view: Array, x: Array) -> Array:
 def squares(e: Array) -> tuple[Array, Array]:
     """φ(e) = e² and its derivative."""
     return e**2, 2 * e
-
-
-def cauchy(scale: float) -> Loss:
-    """s² ln(1 + e²/s²) for scale s."""
-    return lambda e: (scale**2 * np.log1p(e**2 / scale**2), 2 * e / (1 + e**2 / scale**2))
 
 
 def value_and_grad(images: Array, normal: Array, view: Array, x: Array) -> tuple[float, Array]:

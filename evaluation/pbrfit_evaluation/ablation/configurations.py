@@ -1,28 +1,24 @@
-"""What is compared: sets of priors, and losses at which outliers count less."""
+"""What is compared: sets of priors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from pbrfit.result.options import Priors, Solver, prior_names
 from pbrfit_evaluation.recipes import PAPER_PRIORS
-
-Robust = Literal["none", "cauchy"]
 
 
 @dataclass(frozen=True)
 class Configuration:
     """Options of a fit that are compared; `key` is for files and `title` for people.
 
-    `priors` None = no priors; `robust` "none" = the square of a residual.
+    `priors` None = no priors.
     """
 
     key: str
     title: str
     priors: Priors | None
-    robust: Robust = "none"
 
     @property
     def solver(self) -> Solver:
@@ -58,7 +54,6 @@ NONE = Configuration("none", "no priors", None)
 
 DEFAULT = Configuration("default", "default", Priors())
 PAPER = Configuration("paper", "the paper's four", PAPER_PRIORS)
-CAUCHY = Configuration("cauchy", "default, Cauchy loss", Priors(), "cauchy")
 
 WEIGHTS = replace(PAPER_PRIORS, material=1.0)
 """At which each prior is tried alone."""
@@ -69,7 +64,6 @@ CONFIGURATIONS: tuple[Configuration, ...] = (
     alone("material", 1.0),
     PAPER,
     *each_off(PAPER),
-    CAUCHY,
 )
 """Those of every case."""
 

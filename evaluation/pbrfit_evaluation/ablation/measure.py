@@ -46,7 +46,6 @@ def room(task: RoomTask, threads: int) -> dict[str, Any]:
             iterations=task.iterations,
             solver=one.solver,
             priors=one.priors,
-            robust=one.robust,
         )
         if one in FEW:
             shown[one.title] = result

@@ -35,7 +35,6 @@ def run(options: argparse.Namespace) -> int:
         equal_exposures=given(options, "equal_exposures"),
         model=options.model,
     )
-    objective.robust = objective.robust_around(objective.start(), options.robust)
     checks = check_gradients(objective, seed=options.seed)
     print(f"{'function':<12}{'unknowns':<12}{'analytic':>16}{'numeric':>16}{'relative error':>16}")
     for check in checks:

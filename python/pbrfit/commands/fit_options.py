@@ -12,8 +12,8 @@ from pbrfit.result.options import FLAGS, FitOptions, Priors, described, prior_na
 
 DEFAULTS = {one.name: one.default for one in fields(FitOptions)}
 
-UNKNOWNS = ("sh_order", "metallic", "robust", "equal_exposures", "mono_light")
-"""Options that say which unknowns there are and how residuals count."""
+UNKNOWNS = ("sh_order", "metallic", "equal_exposures", "mono_light")
+"""Options that say which unknowns there are and how pictures count."""
 
 DESCRIBED = described(FitOptions)
 

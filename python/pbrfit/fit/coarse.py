@@ -80,9 +80,8 @@ def rounds(
         given = copy(objective)  # whose camera changes
         level = replace(level, objective=given)
     for number in range(at_most):
-        if number >= settings.ROBUST_ROUND:
-            weighed = _weighed(run, given, level.objective, x, noise)
-            level = replace(level, objective=weighed)
+        if number >= settings.WEIGHING_ROUND:
+            level = replace(level, objective=_weighed(given, x, noise))
             if shared is not None:
                 shared.stale = True
         objective, prior, fixed = level.objective, None, None
@@ -113,7 +112,7 @@ def rounds(
             normals.learn(objective, x, fixed, left.variance)
         deviance = math.log(max(total / objective.total_weight, settings.NOISE_VARIANCE_MIN))
         # Before the camera moves, whose step pixels have to follow first.
-        if run.options.robust == "auto" and number >= settings.ROBUST_ROUND - 1:
+        if run.options.robust == "auto" and number >= settings.WEIGHING_ROUND - 1:
             noise = estimated(objective, x)
             deviance = noise.deviance(given, x)
         if nuisances is not None:
@@ -121,7 +120,7 @@ def rounds(
             if given is not objective:
                 given.see(nuisances.scene)
         settled = (
-            number >= settings.ROBUST_ROUND
+            number >= settings.WEIGHING_ROUND
             and weight >= settings.COARSE_WEIGHT_FALL * before
             and deviance > last - settings.COARSE_ROUND_GAIN_MIN
             and (normals is None or normals.is_settled(number))
@@ -135,7 +134,7 @@ def rounds(
     if noise is not None:
         noise = estimated(objective, x, outliers=True)
         if noise.tails.has_outliers:
-            objective = _weighed(run, given, objective, x, noise)
+            objective = _weighed(given, x, noise)
             level = replace(level, objective=objective)
             sum_sq = fit_level(objective, x, fixed)
             if shared is not None:
@@ -240,7 +239,7 @@ def judged(
         given = few
         for number in range(settings.WEIGHT_ROUNDS):
             noise = estimated(few, part, outliers=number == settings.WEIGHT_ROUNDS - 1)
-            few = _weighed(run, given, few, part, noise)
+            few = _weighed(given, part, noise)
             sum_sq = fit_level(few, part)
         level = replace(level, objective=few)
     shared = None if objective.lighting is None else SharedFit(LightPrior.around(few, part))
@@ -252,29 +251,10 @@ def judged(
     return Lights(x, left, exact, shared, noise=noise)
 
 
-def _weighed(
-    run: Run, given: Objective, now: Objective, x: Array, noise: NoiseModel | None
-) -> Objective:
-    """A level's objective with the weights of samples at x, by their noise or a robust loss.
-
-    `given` is the objective without, and `now` the one that x was fitted to.
-    """
-    if noise is None:
-        return reweighted(run, now, x)
-    weights = noise.weights(given, x)
+def _weighed(given: Objective, x: Array, noise: NoiseModel | None) -> Objective:
+    """A level's objective with the weights of samples at x by their noise; as given without."""
+    weights = None if noise is None else noise.weights(given, x)
     return given if weights is None else given.weighed(weights)
-
-
-def reweighted(run: Run, objective: Objective, x: Array) -> Objective:
-    """Squares with the weights of the robust loss at x; without one the objective as it is."""
-    if run.options.robust in ("auto", "none"):
-        return objective
-    objective.robust = (
-        run.robust_around(x)
-        if objective is run.objective
-        else objective.robust_around(x, run.options.robust)
-    )
-    return objective.reweighted(x)
 
 
 class Watch:

@@ -12,8 +12,7 @@
    many pixels; then each by itself under these lights, from the grid and around its prior.
 
 A scene that the model fits and one that it does not go the same way. Where lights are known, steps
-that move them are left out. A robust loss is lowered as squares with the weights that it gives to
-residuals, which are renewed from round to round (iteratively reweighted least squares).
+that move them are left out.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import discrepancy, lbfgsb, misfit, settings
-from pbrfit.fit.coarse import Lights, Watch, judged, left_of, reweighted, rounds
+from pbrfit.fit.coarse import Lights, Watch, judged, left_of, rounds
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.joint import minimize
 from pbrfit.fit.levels import Level
@@ -39,7 +38,6 @@ from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.priors.penalties import Monochrome, penalties
 from pbrfit.fit.run import Run
 from pbrfit.result.data import Status
-from pbrfit.result.options import ROBUST_LOSSES
 
 Array = NDArray[np.float64]
 
@@ -110,7 +108,7 @@ def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Ar
     with run.stage("L-BFGS-B"):
         x, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
     if run.has_mixture_prior and not run.out_of_time():
-        x, prior = fit_mixture_prior(run, judged(run.objective.reweighted(x), x))
+        x, prior = fit_mixture_prior(run, judged(run.objective, x))
         kept = kept if prior is None else ""
         if run.goes_on:  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
@@ -179,8 +177,8 @@ def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | 
     strength = run.options.priors.material_strength
     with run.stage("material prior") as notes:
         if lights.shared is not None and not lights.exact:
-            weighed, variance = reweighted(run, objective, x), lights.misfit.of_likelihood
-            moved = with_lights(weighed, x, strength, variance, lights.shared, run.out_of_time)
+            variance = lights.misfit.of_likelihood
+            moved = with_lights(objective, x, strength, variance, lights.shared, run.out_of_time)
             lights = replace(lights, x=moved)
         found = _fitted_prior(run, lights, notes)
         if found is None:
@@ -190,7 +188,6 @@ def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | 
         run.measured_lighting = objective.unpack(x)[1]
         priors = chosen_priors(objective.layout, run.options.priors, run.measured_lighting)
         objective.penalties = [*penalties(objective.layout, priors), prior]
-        objective.robust = run.robust_around(x)
         loss = run.evaluate(x)[0]
         run.iteration += 1
         run.record(x, loss)
@@ -210,7 +207,7 @@ def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, Ga
     strength, x = run.options.priors.material_strength, lights.x
     if run.out_of_time():
         return None
-    objective = reweighted(run, run.objective, x)
+    objective = run.objective
     if run.shared_state is not None:
         assert run.shared_state.material is not None
         applied = run.shared_state.material.applied(objective, x, run.out_of_time)
@@ -244,7 +241,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     here on, weighs.
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
-    objective, options, watch, shared = run.objective, run.options, Watch(run, x), lights.shared
+    objective, watch, shared = run.objective, Watch(run, x), lights.shared
     if shared is not None:
         weight = sum(one.weight for one in objective.penalties if isinstance(one, Monochrome))
         of_sum = weight * objective.total_weight / objective.pixels
@@ -255,17 +252,13 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
             of_all = move_lights(run, x, lights, prior)
             if of_all and not run.goes_on:
                 return x
-        settling = settings.ROBUST_ROUND if options.robust in ROBUST_LOSSES else 0
-        for number in range(1 + settling):
-            weighed, starts = reweighted(run, objective, x), 1 if number == 0 else 0
-            sum_sq = fit_all(weighed, x, starts=starts, prior=prior, stop=run.out_of_time)
-            if sum_sq is None:
-                notes.append("stopped before all pixels had their turn")
-                return before
-            if prior is None:
-                retry_outliers(weighed, x, sum_sq, run.out_of_time)
-            if watch.visit(x, sum_sq):
-                break
+        sum_sq = fit_all(objective, x, starts=1, prior=prior, stop=run.out_of_time)
+        if sum_sq is None:
+            notes.append("stopped before all pixels had their turn")
+            return before
+        if prior is None:
+            retry_outliers(objective, x, sum_sq, run.out_of_time)
+        watch.visit(x, sum_sq)
     return x
 
 
@@ -281,7 +274,8 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
     gain, variance = settings.GAIN_MIN, lights.misfit.variance
     assert shared is not None
     level = Level.of(objective, settings.LIGHTS_PIXELS)
-    part, whole = objective.part_of(x, level.pixels), len(level.pixels) == objective.pixels
+    few, part = level.objective, objective.part_of(x, level.pixels)
+    whole = len(level.pixels) == objective.pixels
     rows = None if prior is None else prior.rows(level.pixels)
     watch = Watch(run, x, None if whole else level)
 
@@ -290,14 +284,14 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
         return watch.visit(x, sum_sq) if whole else watch.visit_few(part, sum_sq)
 
     for number in range(settings.GLOBAL_ROUNDS_MAX):
-        few, starts = reweighted(run, level.objective, part), 1 if number == 0 else 0
+        starts = 1 if number == 0 else 0
         sum_sq = fit_all(few, part, starts=starts, prior=rows, stop=run.out_of_time)
         if sum_sq is None:
             break
         if prior is None:
             retry_outliers(few, part, sum_sq, run.out_of_time)
             if number == 0 and not lights.exact:
-                found = left_of(replace(level, objective=few), part, sum_sq, shared, lights.noise)
+                found = left_of(level, part, sum_sq, shared, lights.noise)
                 gain *= max(found.design_effect, 1.0)
         total = float(sum_sq.sum())
         if visit(part, sum_sq):
@@ -307,8 +301,6 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
         fit = shared.joint_fit(few, part, sum_sq, prior=rows, stop=run.out_of_time)
         minimize(fit, settings.GLOBAL_STEPS_MAX, gain, visit)
         more = prior is None and total - float(sum_sq.sum()) > gain * misfit.variance(few, sum_sq)
-        if run.options.robust in ROBUST_LOSSES and number < settings.ROBUST_ROUND:
-            more = True  # whose weights settle
         if not more or not run.goes_on:
             break
     return whole

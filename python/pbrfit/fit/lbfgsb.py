@@ -12,12 +12,10 @@ from pbrfit.fit.settings import (
     DATA_SHARE_OF_ITERATIONS,
     LBFGS_STAGES,
     LBFGS_STAGES_GIVEN_START,
-    ROBUST_STAGES_GIVEN_START,
     START_ROUGHNESS,
     TRAP_ROUGHNESS,
     TRAPPED_MARGIN,
 )
-from pbrfit.result.options import ROBUST_LOSSES
 
 Array = NDArray[np.float64]
 
@@ -28,10 +26,7 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
     The last is empty unless the state is one from before the last restart.
     """
     iterations = (DATA_SHARE_OF_ITERATIONS if run.has_mixture_prior else 1.0) * run.left
-    robust = run.options.robust in ROBUST_LOSSES
-    stages: tuple[tuple[float, float], ...] = LBFGS_STAGES
-    if start_given:
-        stages = ROBUST_STAGES_GIVEN_START if robust else LBFGS_STAGES_GIVEN_START
+    stages = LBFGS_STAGES_GIVEN_START if start_given else LBFGS_STAGES
     best = loss, x
     trapped = False
     before = run.iteration
@@ -39,9 +34,6 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
         left = round(share * iterations) - (run.iteration - before)
         if left <= 0 or run.out_of_time():
             continue
-        if robust and run.iteration > before:  # its scale is that at the best state so far
-            run.objective.robust = run.robust_around(best[1])
-            best = run.evaluate(best[1])[0], best[1]
         if trapped:
             x = _restarted(run, x)
         loss, x = by_scipy(run, x, left, lowest_roughness)

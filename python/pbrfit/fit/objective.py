@@ -14,14 +14,10 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
-from pbrfit.fit.robust import CAUCHY_SCALE, irls_weights, noise_sigma
-from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import (
     LARGEST_LIGHT,
     LIGHT_RIDGE,
     MEAN_RADIANCE,
-    NOISE_PIXELS_MAX,
-    NOISE_SIGMA_MIN,
     START_ALBEDO_RANGE,
     START_MEAN_ALBEDO,
     START_METALLIC,
@@ -30,7 +26,7 @@ from pbrfit.fit.settings import (
 from pbrfit.io.checks import real_array
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
-from pbrfit.result.options import ROBUST_LOSSES, Priors, unit_interval
+from pbrfit.result.options import Priors, unit_interval
 from pbrfit.scene.arrays import equal_channels
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.exposure import relative_exposures
@@ -100,9 +96,8 @@ class Objective:
         (N, P, 1 or C) float32 weights of the samples, at most 1; None where all are the same.
     known_metallic, model
         That were decided for.
-    robust, penalties
-        Loss in place of the squares, "cauchy", with its scale in units of the divided pictures, or
-        None; terms beside the data. A solver may change both between evaluations.
+    penalties
+        Terms beside the data. A solver may change them between evaluations.
     scale, exposures
         In picture units; and (N,): what pictures are divided by beside it, or None.
 
@@ -145,8 +140,7 @@ class Objective:
         units = units or Normalization.of(scene, equal_exposures)
         self.weights = self._given_weights(scene, units) if scene.weighted else None
         self.transfer: PixelTransfer | None = None
-        # (N, P, channels): the weights of the samples, 0 at limits, times those of a robust loss
-        # that squares stand for; None without both.
+        # (N, P, channels): the weights of the samples, 0 at limits; None without both.
         self._scene, self.threads = scene, threads
         # Where the pixels that take part are in a picture, row by row; None = all valid ones.
         self._places: NDArray[np.intp] | None = None
@@ -157,7 +151,6 @@ class Objective:
         self.scale, self.exposures = units.scale, units.exposures
         exposures = np.ones(layout.pictures) if self.exposures is None else self.exposures
         self._units = self.scale * exposures  # picture units of radiance 1, by picture
-        self.robust: tuple[str, float] | None = None
         self._exact = self._has_more_digits()
         self.problem = self._problem(self.sample_weights)
         self.penalties = [] if priors is None else penalties(layout, priors)
@@ -268,8 +261,8 @@ class Objective:
     ) -> tuple[float, NDArray[np.float64]]:
         """As `value_and_grad`, without the penalties."""
         if self.layout.light_channels == self.channels:
-            return self.problem.value_and_grad(self.for_core(x), self.robust, out)
-        loss, gradient = self.problem.value_and_grad(self.for_core(x), self.robust)
+            return self.problem.value_and_grad(self.for_core(x), out)
+        loss, gradient = self.problem.value_and_grad(self.for_core(x))
         # By the chain rule, derivatives by the light in each channel add up.
         end = self.layout.maps.stop
         by_light = gradient[end:].reshape(-1, self.channels).sum(axis=-1)
@@ -300,38 +293,6 @@ class Objective:
         if x.shape != (self.size,):
             raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
         return x
-
-    def robust_around(self, x: NDArray[np.float64], name: str) -> tuple[str, float] | None:
-        """What `robust` may be at x, a fit: a loss with the scale that the residuals tell.
-
-        The name is "cauchy"; others give None.
-        """
-        if name not in ROBUST_LOSSES:
-            return None
-        pixels = evenly_spaced(self.pixels, NOISE_PIXELS_MAX)
-        sigma = noise_sigma(
-            self.problem.residuals(self.for_core(x), pixels),
-            None if self.weights is None else self.weights[:, pixels],
-            unknowns=self.size * len(pixels) / self.pixels,
-        )
-        return name, CAUCHY_SCALE * max(sigma, NOISE_SIGMA_MIN)
-
-    def reweighted(self, x: NDArray[np.float64]) -> Objective:
-        """Squares instead of the robust loss, with the weights that they have in it at x.
-
-        The objective of one step of iteratively reweighted least squares: its data term has the
-        gradient of the robust loss at x. Without a robust loss it is this one.
-        """
-        if self.robust is None:
-            return self
-        residuals = self.problem.residuals(self.for_core(x), self.everything)
-        factors = irls_weights(self.robust[1], residuals)
-        if self.sample_weights is not None:
-            factors *= self.sample_weights
-        found = copy.copy(self)
-        found.robust, found._factors = None, factors
-        found.problem = self._problem(factors)
-        return found
 
     def weighed(self, factors: NDArray[np.float32] | None) -> Objective:
         """Squares in which samples weigh as much more or less, (N, P, C); None = as given.
@@ -483,7 +444,7 @@ class Objective:
                 segments=None if segments is None else segments[pixels],
             )
         )
-        found.penalties, found.robust = [], None
+        found.penalties = []
         share = len(pixels) / self.pixels
         found.samples, found.total_weight = round(self.samples * share), self.total_weight * share
         weights = None if self.weights is None else self.weights[:, pixels]
@@ -550,7 +511,7 @@ class Objective:
         """Root of a loss without penalties, in picture units.
 
         Of squares that is the root mean square residual, where each picture's are divided by its
-        exposure if `exposures` are; a robust loss makes less of large residuals.
+        exposure if `exposures` are.
         """
         return float(np.sqrt(loss) * self.scale)
 

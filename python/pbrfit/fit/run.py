@@ -67,8 +67,6 @@ class SharedState:
 
     material: FittedPrior | None = None
     """The learnt material prior; None where the fit has none."""
-    robust: tuple[str, float] | None = None
-    """The robust loss and its scale; None = squares."""
     noise: NoiseModel | None = None
     """Of samples; None where none was found."""
     discrepancy: Discrepancy | None = None
@@ -217,12 +215,6 @@ class Run(Trace):
     def has_mixture_prior(self) -> bool:
         """Whether the fit has a mixture prior on materials."""
         return self.options.priors.material_strength > 0
-
-    def robust_around(self, x: Array) -> tuple[str, float] | None:
-        """The loss and its scale for residuals as they are at x; None = squares."""
-        if self.shared_state is not None:
-            return self.shared_state.robust
-        return self.objective.robust_around(x, self.options.robust)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """Loss, penalties included, and gradient."""

@@ -31,9 +31,6 @@ LIGHT_RIDGE = 1e-6
 """Share of the mean eigenvalue that is added to the lights' normal equations at the start: keeps
 the lights finite where the normals show only part of a sphere."""
 
-NOISE_SIGMA_MIN = 1e-4 * MEAN_RADIANCE
-"""Smallest standard deviation of the noise in units of x that a robust loss allows for."""
-
 NEAR_GREY = 0.05
 """Relative deviation of the lights from grey (`color_deviation`) up to which the monochrome prior
 acts by itself (docs/fit.md)."""
@@ -47,9 +44,6 @@ fitted in tiles."""
 
 
 # --- Noise ------------------------------------------------------------------------------------
-
-NOISE_PIXELS_MAX = 20_000
-"""Pixels whose residuals the scale of a robust loss is estimated from: enough for σ to 1 %."""
 
 DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
 """Smallest share of the samples that the noise's degrees of freedom count as, where the unknowns
@@ -85,8 +79,8 @@ DIELECTRIC_SIGMA = 0.1
 """Rounds of that second start in which roughness and metallic have a normal distribution around a
 dielectric of middle roughness, and its standard deviation: most surfaces are dielectrics."""
 
-ROBUST_ROUND = 2
-"""Round from which on a robust loss weighs samples: before, residuals are those of wrong lights."""
+WEIGHING_ROUND = 2
+"""Round from which on samples are weighed: before, residuals are those of wrong lights."""
 
 COARSE_GAIN_MIN = 10.0
 GAIN_MIN = 0.1
@@ -335,9 +329,7 @@ LBFGS_STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 that ended at the bound start again from the middle."""
 
 LBFGS_STAGES_GIVEN_START = ((0.0, 1.0),)
-ROBUST_STAGES_GIVEN_START = ((0.0, 0.3), (0.0, 1.0))
-"""The same where a start is given. A robust loss needs a fit by squares first, which tells its
-scale."""
+"""The same where a start is given."""
 
 
 # --- Mixture prior on materials ---------------------------------------------------------------

@@ -22,9 +22,8 @@ from pbrfit.result.refinement import CHOICES, RefineNormals
 Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
-Loss = Literal["auto", "none", "cauchy"]
+Loss = Literal["auto", "none"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
-ROBUST_LOSSES: tuple[Loss, ...] = ("cauchy",)
 
 Align = Literal["auto", "off"]
 ALIGNMENTS: tuple[Align, ...] = get_args(Align)
@@ -144,9 +143,8 @@ class FitOptions:
         Weights of the priors; None stands for `Priors.none()`.
     robust
         `"auto"`: samples weigh by their noise, which is estimated from residuals by picture,
-        radiance and file, and outliers weigh less where there are some (`lbfgsb` takes squares);
-        `"cauchy"`: a loss in which outliers weigh less in any case, its scale estimated from the
-        residuals; `"none"`: squares (docs/fit.md).
+        radiance and file, and outliers weigh less where there are some, if left-out pictures are
+        explained better then; `"none"`, and `lbfgsb`: equal weights (docs/fit.md).
     equal_exposures
         Whether pictures are divided by their mean radiance, so that bright ones do not outweigh
         dark ones; None = where the brightest has more than 4 times that of the darkest.

@@ -344,7 +344,7 @@ OTHERWISE: dict[str, Any] = {
     "metallic": 0.0,
     "mono_light": True,
     "priors": Priors.none(),
-    "robust": "cauchy",
+    "robust": "none",
     "equal_exposures": True,
     "refine_normals": "on",
 }

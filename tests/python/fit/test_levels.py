@@ -15,7 +15,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.pixels import taken
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
-from pbrfit.fit.settings import NOISE_PIXELS_MAX, PATCH_SIDE
+from pbrfit.fit.settings import PATCH_SIDE
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.synthetic import make_scene
 from scene_kinds import FREE_LIGHTS, all_pixels, holed, of_kind, sum_sq_at
@@ -91,9 +91,10 @@ def test_patches_are_squares_that_cover_a_level_once(height: int, width: int) ->
 
 @pytest.mark.parametrize("count", [0, 5, 19_999, 20_000, 20_001, 23_456, 1 << 20])
 def test_evenly_spaced_indices_are_distinct_and_favour_no_column(count: int) -> None:
-    chosen = evenly_spaced(count, NOISE_PIXELS_MAX)
+    most = 20_000
+    chosen = evenly_spaced(count, most)
     assert chosen.dtype == np.uint64
-    assert len(chosen) == min(count, NOISE_PIXELS_MAX)
+    assert len(chosen) == min(count, most)
     # They rise, and no more than two pieces lie between neighbours.
     gaps = np.diff(chosen.astype(np.int64), prepend=-1, append=count)
     assert gaps.min() > 0
@@ -154,8 +155,6 @@ def test_the_objective_of_some_pixels_is_a_part_of_the_whole_one(
     again = objective.start()
     objective.put_part(again, chosen, part)
     np.testing.assert_array_equal(taken(objective, again, chosen), taken(objective, x, chosen))
-    objective.robust = objective.robust_around(x, "cauchy")
-    assert objective.reweighted(x).model == model
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])

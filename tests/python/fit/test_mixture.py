@@ -99,6 +99,17 @@ def test_em_finds_a_planted_mixture() -> None:
     assert found[np.abs(nodes - 0.7) < 0.08].sum() > 0.55
 
 
+def test_segments_that_are_a_pixel_off_bend_no_lights() -> None:
+    """Pixels of none of their segment's materials take no part: with them albedo is off by 0.29."""
+    scene = make_scene("room", size=48, lights=12, noise=0.01, seed=3102, held_out=1)
+    assert scene.segments is not None
+    moved = dataclasses.replace(scene, segments=np.roll(scene.segments, 1, axis=(0, 1)))
+    options: dict[str, Any] = {"refine_normals": "off", "uncertainty": False}
+    true, off = (pbrfit.decompose(one, **options).metrics for one in (scene, moved))
+    for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
+        assert off[name] < 1.5 * true[name] + 0.005, name
+
+
 def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> None:
     # What is fitted to has all its likelihood at one node, what is asked for at another.
     objective = Objective(room)

@@ -11,7 +11,6 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -29,9 +28,6 @@ from scene_kinds import with_entry
 
 Array = NDArray[Any]
 
-LOSSES: dict[str, Callable[[float], reference.Loss]] = {
-    "cauchy": reference.cauchy,
-}
 Pixel = tuple[Array, Array, Array, Array, Array]
 """Normal, view, albedo, roughness and metallic."""
 
@@ -90,18 +86,15 @@ class Seen(Example):
         blocks = zip(lengths, ends[:-1], ends[1:], strict=True)
         return {name: slice(int(a), int(b)) for name, a, b in blocks if a < b}
 
-    def expected(
-        self, model: Model = "paper", robust: tuple[str, float] | None = None
-    ) -> tuple[float, Array]:
+    def expected(self, model: Model = "paper") -> tuple[float, Array]:
         """Loss and gradient by the reference."""
         kind, at = self.kind, self.material(self.truth)
         albedo, r, m = (np.ascontiguousarray(part) for part in at)
         pixel = (self.normals, self.views, albedo, r, m)
         weights = reference.shade(*pixel) if model == "paper" else _core.shade(*pixel, model)
         weights = weights[:, : kind.channels, : kind.coefficients]
-        loss = reference.squares if robust is None else LOSSES[robust[0]](robust[1])
         residual = np.einsum("pck,nkc->pnc", weights, self.lights) - self.targets
-        value, slope = loss(residual)
+        value, slope = reference.squares(residual)
         omega = self.omega
         scaled = omega * slope / omega.sum()
         if model == "paper":
@@ -129,14 +122,14 @@ class Seen(Example):
             rows += [np.sum(by_normal * direction, axis=-1) for direction in directions]
         return np.stack(rows)
 
-    def check(self, model: Model = "paper", robust: tuple[str, float] | None = None) -> None:
+    def check(self, model: Model = "paper") -> None:
         """Loss within 1e-6 of itself, and each part of the gradient within 1e-5 of its norm.
 
         Slopes of the principled model's table by roughness lose 3e-5 in float32, a tenth of their
         own error, which shows where little light comes by the lobe.
         """
-        loss, gradient = self.fast(model=model).value_and_grad(self.x(), robust)
-        expected_loss, expected = self.expected(model, robust)
+        loss, gradient = self.fast(model=model).value_and_grad(self.x())
+        expected_loss, expected = self.expected(model)
         assert gradient.shape == expected.shape
         assert gradient.dtype == np.float64
         assert np.isfinite(gradient).all()
@@ -197,25 +190,6 @@ def test_every_kind_of_problem(kind: Kind, model: Model, size: tuple[int, int]) 
     problem = case.fast()
     assert (problem.channels, problem.coefficients) == (kind.channels, kind.coefficients)
     case.check(model)
-
-
-@pytest.mark.parametrize(
-    ("model", "scale"), [*(("paper", s) for s in (0.04, 0.3, 100.0)), ("principled", 0.3)]
-)
-@pytest.mark.parametrize("weights", [None, 2])
-@pytest.mark.parametrize("loss", LOSSES)
-def test_robust_losses(loss: str, weights: int | None, model: Model, scale: float) -> None:
-    Seen(Kind(weights=weights)).check(model, (loss, scale))
-
-
-@pytest.mark.parametrize("loss", LOSSES)
-def test_robust_losses_where_all_residuals_are_the_scale(loss: str) -> None:
-    case = Seen(pixels=40)
-    case.take(case.radiance(case.truth) - 0.05)
-    sizes = case.radiance(case.truth) - case.targets
-    assert (sizes > 0.05).any()
-    assert (sizes < 0.05).any()
-    case.check(robust=(loss, 0.05))
 
 
 @pytest.mark.parametrize("free_normals", [False, True])
@@ -404,22 +378,6 @@ def test_a_bad_x_is_refused(x: Array, message: str, model: Model) -> None:
 def test_bad_pixels_are_refused(pixels: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^pixels: expected {message}"):
         GOOD.fast().residuals(X, pixels)
-
-
-@pytest.mark.parametrize("loss", LOSSES)
-@pytest.mark.parametrize(
-    ("scale", "found"),
-    [(0.0, "0e0"), (-1.0, "-1e0"), (math.nan, "NaN"), (math.inf, "inf"), (9e-16, "9e-16")],
-)
-def test_bad_scales_of_losses_are_refused(loss: str, scale: float, found: str) -> None:
-    with pytest.raises(InputError) as error:
-        GOOD.fast().value_and_grad(X, (loss, scale))
-    assert str(error.value) == f"robust: expected a scale from 1e-15 to 1e15, found {found}"
-
-
-def test_another_loss_is_refused() -> None:
-    with pytest.raises(InputError, match=r"^robust: expected cauchy, found tukey$"):
-        GOOD.fast().value_and_grad(X, ("tukey", 1.0))
 
 
 # --- Fork: a child never hangs, whatever its parent did before ---

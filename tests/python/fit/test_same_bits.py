@@ -66,7 +66,6 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
         kept = problem.kept_system(x, example.everything, **lights, **tied)
         return [
             *problem.value_and_grad(x),
-            *problem.value_and_grad(x, ("cauchy", 0.1)),
             *problem.light_equations(maps),
             problem.residuals(x, example.everything),
             *problem.schur_complement(x, example.everything, **lights, **tied),

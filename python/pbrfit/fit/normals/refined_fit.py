@@ -32,7 +32,6 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.run import Run
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.result.data import Status
-from pbrfit.result.options import ROBUST_LOSSES
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -176,11 +175,7 @@ def _fit_held(
             of_lights = of_lights.weighed(free.sample_weights)
         held_x = _held_x(free, free_x, of_lights)
         run.light_modes = light_modes(of_lights, held_x)
-    if (
-        free.lighting is not None
-        and options.robust not in ROBUST_LOSSES
-        and not options.priors.monochrome
-    ):
+    if free.lighting is not None and not options.priors.monochrome:
         scene = replace(scene, lighting=free.unpack(free_x)[1])
     run = run.continued(scene, make(scene, False))
     objective = run.objective

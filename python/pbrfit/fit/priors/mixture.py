@@ -32,8 +32,10 @@ Lights and prior depend on each other. They are found together on a few pixels, 
 joint steps (`pbrfit.fit.joint`), and then applied to all. Around its own posterior each pixel would
 pull at the lights with its noise, which biases them however many pixels there are (J. Neyman and E.
 Scott, Econometrica 16, 1948); so in the last round, where there are segments, pixels have the mean
-and the spread of their group of nodes. s² is that in the likelihood of a pixel,
-larger than the residuals' variance where these are no noise (`pbrfit.fit.misfit`).
+and the spread of their group of nodes. Those that are of none, as where the outline of a segment is
+off by a pixel, take no part: a mean that is not theirs would bend the lights. s² is that in the
+likelihood of a pixel, larger than the residuals' variance where these are no noise
+(`pbrfit.fit.misfit`).
 """
 
 from __future__ import annotations
@@ -169,6 +171,10 @@ def with_lights(
         distributions = Distributions.of(likelihood, labels, grid)
         posterior = distributions.posterior(likelihood, labels)
         if sigma_min == 0:
+            kept = np.flatnonzero(posterior.in_groups > 0.5).astype(np.uint64)
+            if 2 * len(kept) > len(labels):
+                few, part = few.restricted(kept), few.part_of(part, kept)
+                posterior, labels = posterior.part(kept), labels[kept]
             posterior = distributions.without_data(posterior, labels)
             posterior = _with_spread(few, part, posterior, variance)
             sigma_min = settings.SPREAD_MIN

@@ -150,10 +150,12 @@ class Posterior(NamedTuple):
     """(Q, 2): quantiles, `INTERVAL` of the probability between them."""
     cluster: Labels
     """(Q,): the group of nodes that most of it is in."""
+    in_groups: NDArray[np.float32]
+    """(Q,): how much of it is in any group."""
     unused: NDArray[np.float32]
     """(Q,): 1 − η."""
 
-    def part(self, pixels: slice) -> Posterior:
+    def part(self, pixels: slice | Pixels) -> Posterior:
         """Of some pixels."""
         return Posterior(*(of_all[pixels] for of_all in self))  # type: ignore[arg-type]
 
@@ -288,7 +290,8 @@ class Distributions:
         posterior = self.probabilities[rows]
         posterior *= likelihood.values
         sums = posterior @ self._functions
-        sums /= sums[:, :1]
+        total = sums[:, 0].copy()
+        sums /= total[:, None]
         mean, squares, product = sums[:, 1:3], sums[:, 3:5], sums[:, 5]
         variance = np.maximum(squares - mean**2, 0)
         covariance = product - mean.prod(axis=1)
@@ -299,15 +302,18 @@ class Distributions:
         ]
         low, high = np.stack(intervals, axis=-1).astype(np.float32)
         # The group that most of the posterior is in.
-        group = np.zeros(len(posterior), np.intp)
+        group, in_groups = np.zeros(len(posterior), np.intp), np.empty_like(sums[:, 0])
         count = self.groups.max() + 1
         for of_row in np.unique(rows):
             of_groups = np.equal.outer(self.groups[of_row], np.arange(1, count))
             here = rows == of_row
-            group[here] = (posterior[here] @ of_groups.astype(np.float32)).argmax(axis=1)
+            shares = posterior[here] @ of_groups.astype(np.float32)
+            group[here], in_groups[here] = shares.argmax(axis=1), shares.sum(axis=1) / total[here]
         cluster = labels * count + group
         mean = np.clip(mean, 0, 1)
-        return Posterior(mean, variance, covariance, low, high, cluster, likelihood.unused)
+        return Posterior(
+            mean, variance, covariance, low, high, cluster, in_groups, likelihood.unused
+        )
 
 
 def _interval(

@@ -6,8 +6,7 @@ finds them as well as all do. Once they are known pixels touch each other only w
 refined. So
 
 1. every s-th row and column is a small scene (`windows`), which is fitted as any other: lights,
-   whether normals are to be refined, the material prior and its offsets, the scale of a robust
-   loss;
+   whether normals are to be refined, the material prior and its offsets;
 2. with all of this held, tiles of the picture are fitted one after the other. Where normals are
    refined they have a margin, which is not kept.
 

@@ -162,7 +162,6 @@ def _fit_subset(
         run.unmeasured += time.perf_counter() - began
     shared_state = SharedState(
         material=run.fitted_prior,
-        robust=run.objective.robust,
         noise=run.noise,
         discrepancy=run.discrepancy,
     )

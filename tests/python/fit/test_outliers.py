@@ -1,0 +1,79 @@
+"""Pictures with outliers: what weights of samples gain, and that some pixels keep them."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pbrfit
+from pbrfit.fit.objective import Objective
+from pbrfit.synthetic import make_scene
+
+
+def room(**options: Any) -> pbrfit.Scene:
+    return make_scene("room", **{"size": 24, "lights": 8, "seed": 2002, "held_out": 2} | options)
+
+
+def with_shadows(scene: pbrfit.Scene, share: float = 0.05) -> pbrfit.Scene:
+    """The scene with some samples at 30 % of what they were."""
+    hit = np.random.default_rng(0).random(scene.images.shape[:3]) < share
+    return dataclasses.replace(scene, images=np.where(hit[..., None], 0.3, 1) * scene.images)
+
+
+@cache
+def shadows(seed: int = 2002) -> pbrfit.Scene:
+    return with_shadows(room(noise=0.004, seed=seed))
+
+
+@cache
+def fit(case: str, robust: Any, seed: int = 2002) -> pbrfit.Result:
+    """A scene with shadows, fitted as `CASES` says."""
+    options: dict[str, Any] = {"refine_normals": "off", "uncertainty": False}
+    return pbrfit.decompose(shadows(seed), robust=robust, **options, **CASES[case])
+
+
+SEEDS = (2002, 2003, 2004)
+MAPS = ("albedo_scaled_rmse", "roughness_rmse", "metallic_rmse")
+CASES: dict[str, dict[str, Any]] = {"no priors": {"priors": None}, "material prior": {}}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_outliers_do_less_harm_than_to_squares(case: str) -> None:
+    """Means of three scenes: single ones of 24 x 24 pixels scatter by a fifth."""
+    by_squares, robust = ([fit(case, name, seed) for seed in SEEDS] for name in ("none", "auto"))
+    for name in MAPS:
+        errors = [np.mean([one.metrics[name] for one in of]) for of in (robust, by_squares)]
+        assert errors[0] < 0.9 * errors[1], name
+    left = 0  # where they are: outliers; by default, if left-out pictures ask for it
+    for one, other in zip(robust, by_squares, strict=True):
+        left += one.metrics["recon_rmse"] > other.metrics["recon_rmse"]
+        assert (one.options.robust, other.options.robust) == ("auto", "none")
+    assert left >= 2
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_some_pixels_keep_their_weights(weighted: bool) -> None:
+    scene = with_shadows(room(size=12))
+    if weighted:
+        weights = np.random.default_rng(2).random(scene.images.shape[:3])
+        scene = dataclasses.replace(scene, weights=weights)
+    objective = Objective(scene)
+    x = np.clip(objective.start(), 0.01, None)
+    everything = np.arange(144, dtype=np.uint64)
+    residuals = objective.problem.residuals(x, everything)
+    whole = objective.weighed(1 / (1 + np.square(residuals / 0.1)))
+    sums = whole.problem.normal_equations(x, everything)[2]
+    few = np.arange(3, 144, 5, dtype=np.uint64)
+    shares = np.linspace(0.1, 1, len(few))
+    for share, expected in ((None, sums[few]), (shares, shares * sums[few])):
+        part = whole.restricted(few, share)
+        own = part.problem.normal_equations(whole.part_of(x, few), everything[: len(few)])[2]
+        np.testing.assert_allclose(own, expected, rtol=1e-5)
+    twice = whole.restricted(few, shares).restricted(np.array([2, 5], np.uint64))
+    own = twice.problem.normal_equations(whole.part_of(x, few[[2, 5]]), everything[:2])[2]
+    np.testing.assert_allclose(own, (shares * sums[few])[[2, 5]], rtol=1e-5)
