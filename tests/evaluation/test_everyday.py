@@ -21,6 +21,7 @@ from PIL import Image
 
 from evaluation_tasks import recorded
 from pbrfit.cli import main
+from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import encode_srgb
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
@@ -390,3 +391,12 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -
     assert main(again) == code
     assert MAPS == ("albedo", "roughness", "metallic")
     assert SUITE.timed
+
+
+@pytest.mark.parametrize("seed", [7300, 7303, 7311])
+def test_what_jpeg_lost_refutes_no_curve(seed: int) -> None:
+    """Both curves leave no more than files did, of which linear values leave less."""
+    scene = disturbed("jpeg-90-444", "furnished", seed, 32).scene
+    found = decompose(scene, refine_normals="off", uncertainty=False, align="off")
+    assert found.held_out is not None
+    assert "sRGB values" in found.held_out.chosen

@@ -405,8 +405,13 @@ class _Comparison:
         return best if everywhere and plain.is_worse(best, errors) else plain
 
     def _is_refuted(self, response: Curve | None, errors: float) -> bool:
-        """Whether under some kind of light another curve is surely better."""
+        """Whether it leaves more than noise, and another is surely better under some light.
+
+        Of noise another may leave less, because it weighs that of dark samples otherwise.
+        """
         results = self._results(1)
+        if any(one.is_noise for one in results if one.explanation.response == response):
+            return False
         for light in ("sh", "lamps"):
             same = [one for one in results if one.explanation.light == light]
             as_said = [one for one in same if one.explanation.response == response]
