@@ -16,7 +16,7 @@ use ::exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, SmallVec, Vec2, WritableImage, f16,
 };
 
-use super::{Format, broken, check_memory, check_size, content, guarded, write_atomically};
+use super::{Format, Room, broken, check_size, content, guarded, write_atomically};
 use crate::runtime::{Error, Result};
 
 /// Largest accepted sum of samples over all channels: 4 GiB as float.
@@ -90,6 +90,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
     let display = check_headers(headers, bytes.len() as u64, path)?;
     let (width, height) = (display.size.x(), display.size.y());
     let names = full_names(headers, path)?;
+    let room = Room::of(path, 4 * (width * height * names.len()) as u64)?;
     let mut planes: Vec<_> = headers
         .iter()
         .map(|header| {
@@ -101,6 +102,11 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
                 .collect::<Vec<_>>()
         })
         .collect();
+    drop(room); // taken, though perhaps not yet written to
+    // A chunk is read into memory that grows by halves or more, and decoded by way of four copies.
+    let block = headers.iter().map(Header::max_block_byte_size).max();
+    let block = block.unwrap_or(0);
+    let _room = Room::of(path, (4 * block + 3 * block.min(bytes.len())) as u64)?;
 
     // Strict about the chunks: each has to be there once, so that no damage can
     // pass for black rows. One thread: a pool would be dead in a forked child.
@@ -114,7 +120,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Exr> {
         let Some(header) = headers.get(chunk.layer_index) else {
             return Err(broken(path, Format::Exr, "a chunk of no part"));
         };
-        check_dwa(&chunk, header, path)?;
+        let _room = Room::of(path, of_dwa(&chunk, header, path)?)?;
         let block = UncompressedBlock::decompress_chunk(chunk, &meta, true).map_err(error)?;
         let index = block.index;
         if index.level != largest_level || !seen.insert((index.layer, index.pixel_position)) {
@@ -221,43 +227,33 @@ fn fill<const BYTES: usize>(
     }
 }
 
-/// The DWA decoder of `exr` 1.74 allocates whatever the eleven 64-bit counters in front of a chunk
-/// say, and a failed allocation ends the process. So the ones that size its buffers (all but the
-/// first, a version, and the last, a kind) are held against the pixels of the block. Blocks of 8 x
-/// 8 are padded, hence the generous factor.
-fn check_dwa(chunk: &Chunk, header: &Header, path: &Path) -> Result<()> {
-    if !matches!(
-        header.compression,
-        Compression::DWAA(_) | Compression::DWAB(_)
-    ) {
-        return Ok(());
-    }
+/// Bytes that the decoder of a DWA chunk takes beside its blocks; 0 of other compressions.
+///
+/// In `exr` 1.74 that is up to eight times what each of the eleven 64-bit counters in front of the
+/// chunk says. So the ones that size its buffers (all but the first, a version, and the last, a
+/// kind) are held against the pixels of the block. Blocks of 8 x 8 are padded, hence the generous
+/// factor.
+fn of_dwa(chunk: &Chunk, header: &Header, path: &Path) -> Result<u64> {
     let bytes = match &chunk.compressed_block {
+        _ if samples_in_a_byte(header) != DWA_SAMPLES => return Ok(0),
         CompressedBlock::ScanLine(block) => &block.compressed_pixels_le,
         CompressedBlock::Tile(block) => &block.compressed_pixels_le,
-        _ => return Ok(()), // deep data is refused by the decompressor
+        _ => return Ok(0), // deep data is refused by the decompressor
     };
     let block = header
         .get_block_data_indices(&chunk.compressed_block)
         .and_then(|tile| header.get_absolute_block_pixel_coordinates(tile))
         .map_err(|error| broken(path, Format::Exr, error))?;
     let size = (header.channels.bytes_per_pixel * block.size.area()) as u64;
-    let stored_raw = bytes.len() as u64 == size;
-    let mut counters = bytes
-        .as_chunks()
-        .0
-        .iter()
-        .map(|counter| u64::from_le_bytes(*counter));
-    if !stored_raw
-        && counters
-            .by_ref()
-            .skip(1)
-            .take(9)
-            .any(|counter| counter > 64 * size + 4096)
-    {
+    if bytes.len() as u64 == size {
+        return Ok(0); // stored raw
+    }
+    let counters = bytes.as_chunks().0.iter().skip(1).take(9);
+    let counters = counters.map(|counter| u64::from_le_bytes(*counter));
+    if counters.clone().any(|counter| counter > 64 * size + 4096) {
         return Err(broken(path, Format::Exr, "a DWA chunk with absurd sizes"));
     }
-    Ok(())
+    Ok(8 * counters.sum::<u64>())
 }
 
 /// Refuses, before anything is allocated, what cannot be read (deep and subsampled data were
@@ -314,7 +310,6 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
             format!("expected a sound file, found {found}"),
         ));
     }
-    check_memory(path, 4 * samples)?;
     Ok(display)
 }
 
@@ -357,6 +352,8 @@ pub fn write_exr(
         let found = format!("{} channels of {height} x {width}", channels.len());
         return Err(Error::argument("channels", expected, found));
     }
+    // Values of the image, and a file that grows by halves or more.
+    let _room = Room::of(path, 12 * pixels * channels.len() as u64)?;
     let mut names = HashSet::new();
     let mut list = SmallVec::new();
     for ExrChannel { name, values } in channels {

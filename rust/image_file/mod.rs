@@ -133,20 +133,37 @@ fn check_size(path: &Path, width: u64, height: u64, most: u64, file_size: u64) -
     Ok(())
 }
 
-/// Refuses what the machine has no memory for, as far as it can be asked: a
-/// failed allocation inside of a decoder would end the process.
-fn check_memory(path: &Path, bytes: u64) -> Result<()> {
-    let refused = || {
-        let mebibytes = bytes >> 20;
-        content(
-            path,
-            format!("expected {mebibytes} MiB of memory for its pixels, found less"),
-        )
-    };
-    let bytes = usize::try_from(bytes).map_err(|_| refused())?;
-    Vec::<u8>::new()
-        .try_reserve_exact(bytes)
-        .map_err(|_| refused())
+/// Bytes that a decoder takes for tables and lines, beside pixels.
+const TABLES: u64 = 4 << 20;
+
+/// Bytes that decoders and encoders at work may still take.
+static PROMISED: AtomicU64 = AtomicU64::new(0);
+
+/// Memory that a decoder or encoder may take until this is dropped.
+struct Room(u64);
+
+impl Room {
+    /// Refuses what the machine has no memory for, as far as it can be asked, beside what was
+    /// promised to other threads: the libraries of formats end the process where memory is refused.
+    fn of(path: &Path, pixels: u64) -> Result<Self> {
+        let bytes = pixels + TABLES;
+        let room = Self(bytes);
+        let promised = PROMISED.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        let all = usize::try_from(promised).unwrap_or(usize::MAX);
+        let found = Vec::<u8>::new().try_reserve_exact(all);
+        found.map_err(|_| {
+            let mebibytes = bytes.div_ceil(1 << 20);
+            let expected = format!("expected {mebibytes} MiB of memory for its pixels");
+            content(path, expected + ", found less")
+        })?;
+        Ok(room)
+    }
+}
+
+impl Drop for Room {
+    fn drop(&mut self) {
+        PROMISED.fetch_sub(self.0, Ordering::Relaxed);
+    }
 }
 
 /// Runs a decoder on bytes that nobody vouches for. These libraries return

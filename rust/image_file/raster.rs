@@ -14,7 +14,7 @@ use tiff::decoder::ifd::Entry;
 use tiff::decoder::{ChunkType, Decoder as TiffDecoder, DecodingResult, Limits};
 use tiff::tags::{ByteOrder, IfdPointer, Tag, Type};
 
-use super::{Format, LARGEST_TILE, MAX_PIXELS, broken, check_memory, check_size, content, guarded};
+use super::{Format, LARGEST_TILE, MAX_PIXELS, Room, broken, check_size, content, guarded};
 use crate::runtime::{Error, Result};
 
 /// Most bytes that one byte of deflated data stands for: runs of 258 in two bits.
@@ -160,7 +160,7 @@ fn decode_png(bytes: &[u8], path: &Path, indices: bool) -> Result<Raster> {
     let size = reader
         .output_buffer_size()
         .ok_or_else(|| broken(path, Format::Png, "its size"))?;
-    check_memory(path, 2 * size as u64)?; // stored samples and those that are returned
+    let _room = Room::of(path, 2 * size as u64)?; // stored samples and those that are returned
     let mut buffer = vec![0; size];
     let output = reader.next_frame(&mut buffer).map_err(error)?;
     buffer.truncate(output.buffer_size());
@@ -234,7 +234,7 @@ fn decode_jpeg(bytes: &[u8], path: &Path) -> Result<Raster> {
     let most = JPEG_PIXELS * file_size;
     check_size(path, width.into(), height.into(), most, file_size)?;
     // A progressive one has its coefficients, 16 bits each, beside its samples.
-    check_memory(path, 9 * u64::from(width) * u64::from(height))?;
+    let _room = Room::of(path, 9 * u64::from(width) * u64::from(height))?;
     let icc_profile = decoder.icc_profile().map_err(error)?;
     let exif = decoder.exif_metadata().map_err(error)?;
     let (channels, samples) = match DynamicImage::from_decoder(decoder).map_err(error)? {
@@ -310,7 +310,7 @@ fn decode_tiff(bytes: &[u8], path: &Path, page: Option<usize>) -> Result<Raster>
     if let Some(index) = index {
         decoder.seek_to_image(index).map_err(error)?;
     } else {
-        check_memory(path, file_size)?;
+        let _room = Room::of(path, file_size)?;
         // The decoder finds a directory below a page only if the file begins with it.
         let word = if bytes[2..4].contains(&43) { 8 } else { 4 }; // bytes of BigTIFF's offsets
         let offset = match decoder.byte_order() {
@@ -350,7 +350,8 @@ fn decode_tiff(bytes: &[u8], path: &Path, page: Option<usize>) -> Result<Raster>
         return Err(content(path, found));
     }
     let samples = u64::from(width) * u64::from(height) * channels as u64;
-    check_memory(path, 2 * samples * u64::from(bits).div_ceil(8))?;
+    let copies = u64::from(bits).div_ceil(8) * 2 + 2; // half floats become floats beside them
+    let _room = Room::of(path, samples * copies)?;
     let orientation = decoder.find_tag_unsigned(Tag::Orientation).map_err(error)?;
     let orientation = orientation.filter(|one| (1..=8).contains(one));
     let profile = decoder.find_tag_unsigned_vec(Tag::IccProfile);
@@ -549,7 +550,7 @@ fn decode_hdr(bytes: &[u8], path: &Path) -> Result<Raster> {
     let file_size = bytes.len() as u64;
     let most = HDR_PIXELS * file_size;
     check_size(path, width.into(), height.into(), most, file_size)?;
-    check_memory(path, 12 * u64::from(width) * u64::from(height))?;
+    let _room = Room::of(path, 12 * u64::from(width) * u64::from(height))?;
     let image = DynamicImage::from_decoder(decoder).map_err(error)?;
     let shape = [width as usize, height as usize, 3];
     let samples = Samples::F32(image.into_rgb32f().into_raw());
@@ -577,6 +578,8 @@ pub fn encode_png(
     [height, width, channels]: [usize; 3],
     tag: PngTag,
 ) -> Result<Vec<u8>> {
+    // Samples in the file's order, and a file that grows by halves or more.
+    let _room = Room::of(Path::new("image"), 8 * samples.len() as u64)?;
     let (depth, data) = match samples {
         Samples::U8(samples) => (BitDepth::Eight, Cow::Borrowed(&samples[..])),
         Samples::U16(samples) => {

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.address_space import left
 from pbrfit.io import images
 from pbrfit.io.color import Place
 from pbrfit.io.depth_files import METRES, find_depth, read_depth
@@ -450,7 +451,8 @@ def _read_pictures(notes: _Notes) -> Pictures:
         begun.result().put(i, picture)
         return picture
 
-    for path, picture in zip(paths, in_turn(0, put, range(len(paths))), strict=True):
+    threads = 0 if left() is None else 1  # each has a picture's memory
+    for path, picture in zip(paths, in_turn(threads, put, range(len(paths))), strict=True):
         begun.result().note(path, picture)
     read = begun.result()
     for color, names_of in read.told["color"].items():

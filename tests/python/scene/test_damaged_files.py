@@ -72,6 +72,40 @@ except images.InputError as error:
     assert done.stderr == ""
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="addresses are bounded there")
+def test_a_decoder_without_memory_ends_nothing_but_itself(tmp_path: Path) -> None:
+    # Libraries of formats abort where memory is refused. In forks of a process of its own.
+    black = np.zeros((1024, 1024, 3), np.float32)
+    tiles = OpenEXR.TileDescription()
+    tiles.xSize = tiles.ySize = 1024
+    for name in ("RLE", "ZIP", "PIZ", "DWAA", "DWAB"):
+        how = {"compression": getattr(OpenEXR, f"{name}_COMPRESSION"), "tiles": tiles}
+        how["type"] = OpenEXR.tiledimage
+        OpenEXR.File(how, {"RGB": black}).write(str(tmp_path / f"{name}.exr"))
+    half = np.zeros((2048, 2048, 3), np.float16)
+    tifffile.imwrite(tmp_path / "half.tif", half, photometric="rgb")
+    code = f"""
+import os, resource
+from pathlib import Path
+from pbrfit.io import images
+for path in sorted(Path({str(tmp_path)!r}).iterdir()):
+    for mib in (8, 24, 40, 56, 80, 400):
+        if not (child := os.fork()):
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            limit = pages * resource.getpagesize() + (mib << 20)
+            resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+            try:
+                images.read_stored(path)
+            except (MemoryError, images.InputError) as error:
+                os._exit(1 if str(path) in str(error) else 2)
+            os._exit(0)
+        print(mib == 400, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.count("True 0") == len(list(tmp_path.iterdir()))
+    assert set(done.stdout.splitlines()) == {"False 0", "False 1", "True 0"}, done.stdout
+
+
 JPEG_TABLES = b"\xff\xdb\0\x43\0" + bytes([1] * 64)
 
 
