@@ -52,7 +52,7 @@ def run() -> NoReturn:
         try:
             ending.watch()
         except OSError as error:  # no thread can be started
-            complain(f"threads (ulimit -u): expected one more, found {message_of(error)}")
+            complain(message_of(error))
             sys.exit(UNUSABLE)
     sys.exit(main(watched=watched))
 
@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     except RuntimeError as error:
         if "start new thread" not in str(error):
             raise
-        end_with(f"threads (ulimit -u): expected more, found {error}")
+        end_with(message_of(error))
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
         end_with(str(interrupt) or ending.WORD)

@@ -140,6 +140,8 @@ def _one_pool(
             continue
         meanwhile(len(running))
         done, _ = wait(running, timeout=workers.patience, return_when=FIRST_COMPLETED)
+        if workers.failure is not None:
+            raise workers.failure
         if watch is not None and not stalled:
             stalled |= watch.kill_stalled()
         for future in sorted(done, key=lambda one: _failure(one) is not None):

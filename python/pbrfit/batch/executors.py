@@ -38,6 +38,8 @@ class Workers(ABC):
     tell that work goes on. None = until one ends."""
     watch: Watch | None = None
     """Of tasks that make no step; None = nobody looks."""
+    failure: BaseException | None = None
+    """Of the thread that hands out tasks, after which none ends."""
 
     @abstractmethod
     def start(self) -> Executor:
@@ -100,6 +102,8 @@ class Processes(Workers):
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
         self._others = set(multiprocessing.active_children())
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no task has more, see `attempt`
+        threading.excepthook = self._thread_failed
         with _unbroken():
             self._pool = _Spawning(
                 self._jobs,
@@ -109,6 +113,12 @@ class Processes(Workers):
             )
         return self._pool
 
+    def _thread_failed(self, told: threading.ExceptHookArgs) -> None:
+        if "start new thread" in str(told.exc_value):
+            self.failure = told.exc_value  # of a pool's thread, which needs one more
+        else:
+            threading.__excepthook__(told)
+
     def slots(self) -> int:
         """As many as there are processes."""
         return self._jobs
@@ -117,6 +127,7 @@ class Processes(Workers):
         """Kill the processes: a worker would go on with its task, and Python waits for it."""
         if self._pool is None:
             return
+        threading.excepthook = threading.__excepthook__
         for worker in set(multiprocessing.active_children()) - self._others:
             worker.kill()
         with suppress(RuntimeError):  # it could start no thread, which is what to tell
@@ -181,7 +192,10 @@ def _begin_worker(rows: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it could not be blocked
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=[parent], daemon=True).start()
+        try:
+            threading.Thread(target=_end_with, args=[parent], daemon=True).start()
+        except RuntimeError:  # the parent hears of it, and tries with fewer at once
+            os._exit(1)
 
 
 def _end_with(parent: BaseProcess) -> None:

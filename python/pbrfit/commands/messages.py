@@ -52,7 +52,10 @@ def message_of(error: Exception) -> str:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, MemoryError):
         return address_space.too_little(error)
-    return " ".join(str(error).split())
+    words = " ".join(str(error).split())
+    if isinstance(error, BlockingIOError) or "start new thread" in words:
+        return f"threads and processes (ulimit -u): expected more, found {words}"
+    return words
 
 
 def in_flags(message: str) -> str:

@@ -542,15 +542,25 @@ def test_too_little_for_the_libraries_is_one_line(tmp_path: Path, limit: str, sa
     assert not (tmp_path / "out").exists()
 
 
-def test_too_few_threads_are_one_line(scenes: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pool = "concurrent.futures.process._ExecutorManagerThread.start"
-    with mock.patch(pool, side_effect=RuntimeError("can't start new thread")):
+@pytest.mark.parametrize(
+    ("part", "error"),
+    [
+        ("concurrent.futures.process._ExecutorManagerThread.start", RuntimeError),
+        ("multiprocessing.queues.Queue._start_thread", RuntimeError),  # by the manager's thread
+        ("multiprocessing.util.spawnv_passfds", BlockingIOError),
+    ],
+)
+def test_too_few_threads_are_one_line(
+    scenes: Path, part: str, error: type[Exception], capsys: pytest.CaptureFixture[str]
+) -> None:
+    expected = "pbrfit: threads and processes (ulimit -u): expected more, found"
+    with mock.patch(part, side_effect=error("can't start new thread")):
         said = refused("decompose", scenes, "--out", scenes / "out", "--jobs", 2, "--quiet")
-    assert said == "pbrfit: threads (ulimit -u): expected more, found can't start new thread\n"
+    assert said == f"{expected} can't start new thread\n"
     failing = mock.patch("pbrfit.ending.watch", side_effect=BlockingIOError("none"))
     with failing, mock.patch("sys.argv", ["pbrfit", "inspect", "x"]), pytest.raises(SystemExit):
         cli.run()
-    assert capsys.readouterr().err == "pbrfit: threads (ulimit -u): expected one more, found none\n"
+    assert capsys.readouterr().err == f"{expected} none\n"
 
 
 @needs_shell
