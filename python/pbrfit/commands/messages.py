@@ -53,6 +53,8 @@ def message_of(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return address_space.too_little(error)
     words = " ".join(str(error).split())
+    if isinstance(error, FileNotFoundError) and error.errno:  # of no file: of `os.getcwd`
+        return f"{os.environ.get('PWD', '.')}: expected the working folder, found it removed"
     if isinstance(error, BlockingIOError) or "start new thread" in words:
         return f"threads and processes (ulimit -u): expected more, found {words}"
     return words

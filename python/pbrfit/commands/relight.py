@@ -13,6 +13,7 @@ from pbrfit.commands.light_options import add_light, choose_light
 from pbrfit.display import files
 from pbrfit.display.files import Radiance, Screen
 from pbrfit.display.tone import ToneMap
+from pbrfit.fit.memory import available, size
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
 from pbrfit.result.metrics import white_of
@@ -24,6 +25,9 @@ FPS = 12.0
 
 UNSEEN_SHARE_MAX = 0.98
 """Share of pixels that are nearly black or clipped above which another exposure is suggested."""
+
+FRAMES_MAX = 3600
+"""Frames of a turntable: a tenth of a degree apart, of which the sun covers five."""
 
 LARGEST_EXPOSURE = 100.0
 """Stops, in both directions."""
@@ -87,6 +91,7 @@ def run(options: argparse.Namespace) -> int:
     _check_belonging(options, kind)
     _check_free(options, kind)
     result = cli.read_result(options)
+    _check_memory(options, kind, result)
     light, said = choose_light(options, result)
     exposure, sampled = options.exposure, dict[int, Radiance]()
     if exposure is None and _for_screen(options, kind):
@@ -161,6 +166,11 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
                 f"{' (--format png)' if folder else ''}, found EXR: it holds linear radiance, and "
                 "what it is shown with is left to who shows it"
             )
+    if (options.turntable or 0) > FRAMES_MAX:
+        raise InputError(
+            f"--turntable: expected at most {FRAMES_MAX} frames, a tenth of a degree apart, found "
+            f"{options.turntable}"
+        )
     if "exposure" in given and not abs(options.exposure) <= LARGEST_EXPOSURE:
         raise InputError(
             f"--exposure: expected -{LARGEST_EXPOSURE:g} to {LARGEST_EXPOSURE:g} stops, found "
@@ -185,6 +195,17 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
         check_free(options.out, overwrite=options.overwrite, form=_frames_folder(options))
     else:
         check_free_file(options.out, overwrite=options.overwrite)
+
+
+def _check_memory(options: argparse.Namespace, kind: str, result: Result) -> None:
+    """Refuse animations that do not fit into memory, which holds all frames, 4 bytes a pixel."""
+    frames, free = options.turntable or 1, available()
+    needed = 4 * frames * result.mask.size
+    if kind != "folder" and free is not None and needed > free:
+        raise MemoryError(
+            f"{options.out}: expected {size(needed)} of memory for {frames} frames, found "
+            f"{size(free)}; a folder needs that of one"
+        )
 
 
 def _frames_folder(options: argparse.Namespace) -> FolderForm:

@@ -564,6 +564,14 @@ def test_too_few_threads_are_one_line(
 
 
 @needs_shell
+def test_a_working_folder_that_is_gone_is_named(tmp_path: Path) -> None:
+    write_folder(tmp_path / "scene")
+    words = "mkdir gone; cd gone; rmdir ../gone; $pbrfit decompose ../scene --out out --overwrite"
+    said = f"pbrfit: {tmp_path}/gone: expected the working folder, found it removed\n"
+    assert in_shell(tmp_path, words) == (2, "", said)
+
+
+@needs_shell
 @pytest.mark.slow
 def test_a_small_soft_limit_of_the_stack_is_raised(tmp_path: Path) -> None:
     write_folder(tmp_path / "scene")

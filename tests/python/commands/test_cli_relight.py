@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import OpenEXR
@@ -287,7 +288,12 @@ def test_a_frame_is_the_picture_under_the_turned_light(
 def test_animations(room: Path, tmp_path: Path, suffix: str, kind: str) -> None:
     out, folder = tmp_path / f"out{suffix}", tmp_path / "frames"
     light = ("--light", "10,20", "--turntable", 6, "--exposure", -0.5, "--quiet")
-    assert run("relight", room, *light, "--fps", 20, "--out", out) == 0
+    fps = ("relight", room, *light, "--fps", 20, "--out", out)
+    needed = 4 * 6 * 16 * 16
+    with mock.patch("pbrfit.commands.relight.available", return_value=needed - 1):
+        assert "MiB of memory for 6 frames, found" in refused(*fps)
+    with mock.patch("pbrfit.commands.relight.available", return_value=needed):
+        assert run(*fps) == 0
     assert run("relight", room, *light, "--format", "png", "--out", folder) == 0
     frames = sorted(folder.iterdir())
     assert [path.name for path in frames] == [f"frame_000{k}.png" for k in range(6)]
@@ -420,6 +426,8 @@ def test_what_is_read_is_not_overwritten(room: Path, pano: Path) -> None:
         ("out.gif", (), "found .gif; .gif needs --turntable N"),
         ("out.exr", ("--turntable", 2), "a folder (no suffix), .gif, .webp or .png (animated)"),
         ("out.png", ("--turntable", 0), "expected 1 or more, found 0"),
+        ("out", ("--turntable", 3601), "expected at most 3600 frames, a tenth of a degree apart,"),
+        ("out.gif", ("--turntable", 3600, "--exposure", 101), "--exposure: expected -100 to 100"),
         ("out.png", ("--rotate", 90), "--rotate: goes with --env, --sh or --picture"),
         ("out.png", ("--softness", 50), "softness: expected 0 to 45 degrees, found 50"),
         ("out.png", ("--picture", "a"), "--picture: goes with --sh"),
