@@ -21,7 +21,11 @@ from pbrfit.io.quoting import visible
 from pbrfit.report import inspection
 from pbrfit.result import preview
 from pbrfit.scene.folder import check_unread, locate
+from pbrfit.scene.reading import load
 from pbrfit.scene.scene import Scene
+
+LOOK_SIDE = 512
+"""Longer side in pixels at which larger pictures are looked at."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -37,10 +41,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what a scene folder holds."""
     refuse_idle(options, [("overwrite", options.preview is not None, "--preview")])
+    files = locate(scene_named(options.scene))
     if options.preview is not None:
         check_free_file(options.preview, overwrite=options.overwrite)
-        check_unread([locate(scene_named(options.scene)).folder], [options.preview])
-    scene = Scene.load(scene_named(options.scene), reading(options))
+        check_unread([files.folder], [options.preview])
+    scene = load(files, Scene, reading(options), look=LOOK_SIDE)
     for topic, fact in inspection.facts(scene):
         print(visible(f"{topic:<17} {fact}"))
     if options.preview is not None:

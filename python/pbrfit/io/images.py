@@ -119,6 +119,7 @@ def read_picture(
     orientation: Orientation = "exif",
     color_matrix: ArrayLike | None = None,
     place: Callable[[tuple[int, ...]], Place] | None = None,
+    look: int | None = None,
 ) -> Picture:
     """Read a picture as linear Rec.709.
 
@@ -133,7 +134,8 @@ def read_picture(
     `code_range` is the lowest and the highest code of 255 that is data; others are marked in
     `limits`, channel by channel; None = `CODE_RANGE` of a JPEG file, of others all but 0 and the
     maximum. `place` tells from its size (H, W) where it is put, and which part; without that
-    `warnings` are logged. Raises InputError if the content or an argument cannot be used.
+    `warnings` are logged. To `look` at all of it at a longer side of so many pixels, every few rows
+    and columns are enough, two a pixel. Raises InputError if content or an argument is unusable.
     """
     asked = None if code_range is None else checked_codes(code_range)
     if orientation not in (known := get_args(Orientation)):
@@ -162,8 +164,13 @@ def read_picture(
         convert = Conversion(convert.curve, np.asarray(color_matrix, np.float64) @ before)
 
     samples, turn = found.samples, found.turn
+    to = (place or Place.new)(exif.turned(samples, turn).shape[:2])
+    few = np.s_[:, :]
+    if look is not None and samples.shape[2] in (1, 3):
+        step = max(1, max(samples.shape) // (2 * look))
+        few = np.s_[::step, ::step]
+        samples, to = np.ascontiguousarray(samples[few]), replace(to, used=np.s_[:, :])
     seen = exif.turned(samples, turn)
-    to = (place or Place.new)(seen.shape[:2])
     colors, alpha = seen[to.used], None
     if seen.shape[2] in (2, 4):
         colors, alpha = colors[..., :-1], colors[..., -1]
@@ -192,7 +199,8 @@ def read_picture(
     limited = convert.average(samples, lying, codes)
     if turn != 1:
         to.pixels[:], to.limits[:] = (exif.turned(a, turn) for a in (lying.pixels, lying.limits))
-    if (told := found.limits) is not None:
+    if found.limits is not None:
+        told = found.limits[few]
         if codes is not None:  # where a value is at its end, that is nearer the truth
             told = np.where(samples < codes[0], AT_MOST, told)
             told = np.where(samples > codes[1], AT_LEAST, told)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pbrfit._core import InputError
@@ -22,13 +24,13 @@ from pbrfit.transport.room import counted, name_of
 from pbrfit.transport.scenery import Scenery
 
 
-def _needed(scene: Scene, layout: ParameterLayout) -> str:
+def _needed(scene: Scene, layout: ParameterLayout, held: int) -> str:
     """Memory that `decompose` needs at its peak, beside the interpreter and its libraries."""
     of_solver = {
         solver: memory.plan(
             layout,
             solver,
-            held=memory.bytes_of(scene),
+            held=held,
             refine_normals=hindrance(scene) is None,
             optional=True,
             transport="none" if scene.depth is None else "auto",
@@ -132,6 +134,12 @@ def _lamps(scene: Scene) -> str:
 def facts(scene: Scene) -> list[tuple[str, str]]:
     """(topic, fact) pairs, most wanted first."""
     layout, reason = ParameterLayout.of(scene), hindrance(scene)
+    unused = left_out(scene, layout, Priors())
+    height, width = (scene.source and scene.source.fitted) or scene.valid.shape
+    times, looked = height * width / scene.valid.size, ""
+    if times != 1:
+        layout = replace(layout, valid=np.broadcast_to(True, (1, round(times * layout.pixels))))
+        looked = f"; values are of their means over {scene.width} × {scene.height}"
     each = map(scene.samples, range(len(scene.images)))
     told = np.array([(one.mean(dtype=np.float64), one.min(), one.max()) for one in each])
     away = "unknown: no normals are given"
@@ -141,13 +149,13 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
     from pbrfit.fit.given import contradiction  # here: it needs scipy, which takes long to import
 
     found = [
-        ("pictures", f"{len(scene.images)} of {scene.width} × {scene.height} pixels"),
+        ("pictures", f"{len(scene.images)} of {width} × {height} pixels{looked}"),
         ("", f"{scene.names[0]} ... {scene.names[-1]}"),
         (
             "radiance",
             f"mean {told[:, 0].mean():.4g}, from {told[:, 1].min():.4g} to {told[:, 2].max():.4g}",
         ),
-        ("mask", f"{layout.pixels} pixels used, {100 * layout.pixels / scene.valid.size:.1f} %"),
+        ("mask", f"{layout.pixels} pixels used, {100 * scene.valid.mean():.1f} %"),
         ("facing away", away),
         ("normal error", _normal_sigma(scene)),
         ("depth", _depth(scene)),
@@ -169,7 +177,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         by = f"{scene.model}, with which the pictures were rendered"
         found.append(("assumed model", by if scene.model else f"{DEFAULT_MODEL}, the default"))
     found += [
-        ("left out", "; ".join(left_out(scene, layout, Priors())) or "nothing"),
+        ("left out", "; ".join(unused) or "nothing"),
         ("unknowns", f"{layout.size}"),
     ]
     free = memory.available()
@@ -179,7 +187,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
             "time needed",
             f"about {time_in_words(seconds)} of processor time, more among surroundings",
         ),
-        ("memory needed", _needed(scene, layout)),
+        ("memory needed", _needed(scene, layout, round(times * memory.bytes_of(scene)))),
         ("memory free", "unknown" if free is None else memory.size(free)),
     ]
     return found

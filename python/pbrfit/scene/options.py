@@ -189,3 +189,5 @@ class Source:
     """Pictures that were named one by one, relative to the folder; none = those that it has."""
     size: tuple[int, int] | None = field(default=None, compare=False)
     """(height, width) of the pictures before `max_size`; None = not known."""
+    fitted: tuple[int, int] | None = field(default=None, compare=False)
+    """The same after it, where the scene was read smaller, to be looked at."""

@@ -96,15 +96,17 @@ class _Notes:
     """What is asked for, else what the folder says."""
     size: tuple[int, int] = (0, 0)
     """(height, width) of whole pictures, and so of every map beside them."""
+    look: int | None = None
+    """As of `images.read_picture`."""
     inputs: dict[str, str] = field(default_factory=dict)
     """As `Scene.inputs`."""
     assumed: dict[str, str] = field(default_factory=dict)
     """As `Scene.assumed`."""
 
     @classmethod
-    def of(cls, scene: ScenePath, options: ReadOptions, **changed: Any) -> _Notes:
+    def of(cls, scene: ScenePath | SceneFiles, options: ReadOptions, **changed: Any) -> _Notes:
         """Find the files of a scene; `changed` are options that count whatever is asked for."""
-        files = locate(scene)
+        files = scene if isinstance(scene, SceneFiles) else locate(scene)
         if len(set(files.names)) != len(files.names):
             raise InputError(f"{files.pictures[0].parent}: {_twice(files.pictures)}")
         settings = files.settings()
@@ -173,18 +175,23 @@ class _Notes:
 
 
 def load(
-    scene: ScenePath,
+    scene: ScenePath | SceneFiles,
     kind: type[AnyScene],
     options: ReadOptions = AS_STATED,
     *,
     pictures_alone: bool = False,
+    look: int | None = None,
 ) -> AnyScene:
     """Read a scene as one of some class; see `Scene.load`.
 
-    With `pictures_alone` without normals, weights, which may be theirs, and cropping.
+    With `pictures_alone` without normals, weights, which may be theirs, and cropping. To `look` at
+    it, arrays have a longer side of at most so many pixels, in far less time and memory.
     """
     notes = _Notes.of(scene, options, **({"crop": None} if pictures_alone else {}))
-    files, assumed = notes.files, notes.assumed
+    files, assumed, longest = notes.files, notes.assumed, notes.how.max_size
+    if look is not None:
+        notes.how = replace(notes.how, max_size=min(look, longest or look))
+        notes.look = look if notes.how.crop is None else None
     folder, names = files.folder, files.names
     if files.parts:
         warn_of_near_misses(folder)
@@ -193,10 +200,10 @@ def load(
     full_size, size = mask.shape, read.size
     if full_size != notes.size:
         assumed["crop"] = "{2} × {3} pixels from {0},{1} on".format(*notes.how.crop or ())
-    if full_size != size:
-        assumed["size"] = (
-            f"averaged down from {full_size[1]} × {full_size[0]} to {size[1]} × {size[0]} pixels"
-        )
+    fitted = full_size if longest is None else reduced_size(full_size, longest)
+    if full_size != fitted:
+        to = f"{fitted[1]} × {fitted[0]} pixels"
+        assumed["size"] = f"averaged down from {full_size[1]} × {full_size[0]} to {to}"
     mask &= _read_mask(notes)
     dark = _read_frame(notes, notes.part(partial(find_frame, name=DARK_FRAME)))
     if dark is not None:
@@ -268,7 +275,7 @@ def load(
             truth=truth,
             assumed=assumed,
             inputs=dict(sorted(notes.inputs.items())),
-            source=Source(folder.resolve(), options, named, full_size),
+            source=Source(folder.resolve(), options, named, full_size, fitted if look else None),
             model=model,
             response=None if read.curve_told or changed or notes.how.color_matrix else "srgb",
         )
@@ -443,7 +450,7 @@ def _read_pictures(notes: _Notes) -> Pictures:
 
     def put(i: int) -> images.Picture:
         try:
-            picture = how.picture(paths[i], place=partial(place, i))
+            picture = how.picture(paths[i], place=partial(place, i), look=notes.look)
         except BaseException as error:
             if i == 0 and not begun.done():
                 begun.set_exception(error)

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from pbrfit import Scene
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.report.inspection import expected_seconds
+from pbrfit.report.inspection import expected_seconds, facts
+from pbrfit.scene.options import ReadOptions
+from pbrfit.scene.reading import load
 from pbrfit.synthetic import make_scene
 
 MEASURED = [
@@ -19,6 +24,30 @@ MEASURED = [
     *((False, 262144, 5, 83.0), (False, 213793, 16, 106.7)),
 ]
 """Whether normals were given, valid pixels, pictures, seconds of processor time."""
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_pictures_are_looked_at_smaller_and_a_fit_is_told_whole(
+    tmp_path: Path, suffix: str
+) -> None:
+    rng, exif = np.random.default_rng(1), Image.Exif()
+    exif[0x0112] = 3
+    for i in range(6):
+        codes = rng.integers(60, 140, (16, 20, 1)).repeat(40, axis=0).repeat(40, axis=1)
+        codes = np.rint(codes + rng.normal(0, 3, (640, 800, 3))).astype(np.uint8)
+        Image.fromarray(codes).save(tmp_path / f"{i}.{suffix}", quality=95, exif=exif)
+    Image.fromarray(np.full((640, 800), 255, np.uint8)).save(tmp_path / "mask.png")
+    looked, small = load(tmp_path, Scene, look=100), Scene.load(tmp_path, max_size=100)
+    assert looked.images.shape == (6, 80, 100, 3)
+    np.testing.assert_allclose(looked.images, small.images, atol=0.03)
+    told, whole = dict(facts(looked)), dict(facts(Scene.load(tmp_path)))
+    assert told["pictures"] == "6 of 800 × 640 pixels; values are of their means over 100 × 80"
+    for topic in ("mask", "unknowns", "time needed", "memory needed", "assumed color"):
+        assert told[topic] == whole[topic]
+    assert "assumed size" not in told
+    smaller = dict(facts(load(tmp_path, Scene, ReadOptions(max_size=500), look=100)))
+    assert smaller["assumed size"] == "averaged down from 800 × 640 to 500 × 400 pixels"
+    assert smaller["pictures"].startswith("6 of 500 × 400 pixels; values")
 
 
 @pytest.mark.parametrize(("known", "pixels", "pictures", "seconds"), MEASURED)
