@@ -49,12 +49,23 @@ def left() -> int | None:
     return min((most - used for most, used in _limits()), default=None)
 
 
-def too_little(error: MemoryError) -> str:
-    """What a MemoryError says, in one line that has the word."""
-    words = " ".join(str(error).split())
-    if "memory" in words:
+def in_one_line(failure: BaseException) -> str:
+    """What went wrong; the type too where it is not one that explains itself."""
+    from pbrfit._core import InputError  # here: with it comes numpy
+
+    words = " ".join(str(failure).split())
+    if isinstance(failure, OSError) and failure.strerror and failure.filename:
+        return f"{failure.filename}: {failure.strerror}"
+    if isinstance(failure, FileNotFoundError) and failure.errno:  # of no file: of `os.getcwd`
+        return f"{os.environ.get('PWD', '.')}: expected the working folder, found it removed"
+    if isinstance(failure, BlockingIOError) or "start new thread" in words:
+        return f"threads and processes (ulimit -u): expected more, found {words}"
+    if isinstance(failure, MemoryError) and "memory" not in words:
+        return f"not enough memory: {words}" if words else "not enough memory"
+    if isinstance(failure, (InputError, OSError, MemoryError)) and words:
         return words
-    return f"not enough memory: {words}" if words else "not enough memory"
+    name = type(failure).__name__
+    return f"{name}: {words}" if words else name
 
 
 def check_limits() -> None:

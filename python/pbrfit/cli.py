@@ -17,13 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pbrfit.commands import SUMMARIES, add_commands
-from pbrfit.commands.arguments import (
-    DONE,
-    INTERRUPTED,
-    UNUSABLE,
-    complain,
-    message_of,
-)
+from pbrfit.commands.arguments import DONE, INTERRUPTED, UNUSABLE, complain, in_one_line
 from pbrfit.commands.messages import in_flags, unread
 from pbrfit.io.quoting import visible
 
@@ -52,7 +46,7 @@ def run() -> NoReturn:
         try:
             ending.watch()
         except OSError as error:  # no thread can be started
-            complain(message_of(error))
+            complain(in_one_line(error))
             sys.exit(UNUSABLE)
     sys.exit(main(watched=watched))
 
@@ -100,7 +94,7 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         unread()
         return DONE
     except (InputError, OSError, MemoryError) as error:
-        end_with(message_of(error))
+        end_with(in_one_line(error))
         if isinstance(error, OSError):
             unread()
         return UNUSABLE
@@ -108,7 +102,7 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         if sys.flags.dev_mode:
             raise
         place = traceback.extract_tb(error.__traceback__)[-1]
-        what = message_of(error) or type(error).__name__
+        what = in_one_line(error)
         end_with(
             f"expected numbers that can be computed with, found {what} in {place.name}, "
             f"{Path(place.filename).name}:{place.lineno}; PYTHONDEVMODE=1 shows the way "
@@ -118,7 +112,7 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     except RuntimeError as error:
         if "start new thread" not in str(error):
             raise
-        end_with(message_of(error))
+        end_with(in_one_line(error))
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
         end_with(str(interrupt) or ending.WORD)

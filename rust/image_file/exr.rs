@@ -180,11 +180,12 @@ fn full_names(headers: &[Header], path: &Path) -> Result<Vec<String>> {
         let prefix = prefix.map(|part| part + ".").unwrap_or_default();
         for channel in &header.channels.list {
             let own = channel.name.to_string();
-            let name = if own.starts_with(&prefix) {
-                own
+            let start = if own.starts_with(&prefix) {
+                ""
             } else {
-                prefix.clone() + &own
+                &prefix
             };
+            let name = format!("{start}{own}");
             if !seen.insert(name.clone()) {
                 let reason = format!("expected distinct channels, found {name} twice");
                 return Err(content(path, reason));
@@ -260,10 +261,8 @@ fn of_dwa(chunk: &Chunk, header: &Header, path: &Path) -> Result<u64> {
 /// refused with the header). Returns the display window that all parts share.
 fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<IntegerBounds> {
     let Some(first) = headers.first() else {
-        return Err(content(
-            path,
-            "expected an EXR file with a picture, found none",
-        ));
+        let reason = "expected an EXR file with a picture, found none";
+        return Err(content(path, reason));
     };
     let display = first.shared_attributes.display_window;
     let held = file_size * headers.iter().map(samples_in_a_byte).max().unwrap_or(0);
@@ -275,16 +274,18 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
     let (mut shown, mut stored) = (0, 0);
     for header in headers {
         if header.shared_attributes.display_window != display {
-            return Err(content(
-                path,
-                "expected one display window for all parts, found several",
-            ));
+            let reason = "expected one display window for all parts, found several";
+            return Err(content(path, reason));
         }
         check(header.layer_size)?;
         // At most 2^28 pixels, and as many channels as a file in memory can list.
         let channels = header.channels.list.len() as u64;
         shown += display.size.area() as u64 * channels;
-        let block = largest_block(header);
+        // Memory is taken for whole tiles, even where the picture is smaller.
+        let block = match header.blocks {
+            BlockDescription::Tiles(tiles) => tiles.tile_size.area() as u64,
+            BlockDescription::ScanLines => 0,
+        };
         if block > super::LARGEST_TILE.max(header.layer_size.area() as u64) {
             let found = format!("tiles of {block} pixels");
             return Err(broken(path, Format::Exr, found));
@@ -298,30 +299,14 @@ fn check_headers(headers: &[Header], file_size: u64, path: &Path) -> Result<Inte
     }
     let samples = shown.max(stored); // of what is returned, and of what chunks may hold
     if samples > MAX_SAMPLES {
-        return Err(content(
-            path,
-            format!("expected at most {MAX_SAMPLES} samples, found {samples}"),
-        ));
+        let reason = format!("expected at most {MAX_SAMPLES} samples, found {samples}");
+        return Err(content(path, reason));
     }
     if samples > EMPTY_SAMPLES + held {
-        let found = format!("{samples} samples in {file_size} bytes");
-        return Err(content(
-            path,
-            format!("expected a sound file, found {found}"),
-        ));
+        let reason = format!("expected a sound file, found {samples} samples in {file_size} bytes");
+        return Err(content(path, reason));
     }
     Ok(display)
-}
-
-/// Pixels of a tile, which the decoder takes memory for even where the picture is
-/// smaller; 0 for scan lines.
-fn largest_block(header: &Header) -> u64 {
-    match header.blocks {
-        BlockDescription::Tiles(tiles) => {
-            (tiles.tile_size.x() as u64).saturating_mul(tiles.tile_size.y() as u64)
-        }
-        BlockDescription::ScanLines => 0,
-    }
 }
 
 fn samples_in_a_byte(header: &Header) -> u64 {
@@ -359,12 +344,8 @@ pub fn write_exr(
     for ExrChannel { name, values } in channels {
         let Some(text) = Text::new_or_none(&name).filter(|_| (1..=255).contains(&name.len()))
         else {
-            let found = format!("{name:?}");
-            return Err(Error::argument(
-                "channels",
-                "names of 1 to 255 letters",
-                found,
-            ));
+            let (expected, found) = ("names of 1 to 255 letters", format!("{name:?}"));
+            return Err(Error::argument("channels", expected, found));
         };
         if values.len() != width * height {
             let expected = format!("{height} x {width} values in {name}");

@@ -119,10 +119,8 @@ fn check_size(path: &Path, width: u64, height: u64, most: u64, file_size: u64) -
     // Both sides are at most 32 bits wide in every format, so the product cannot wrap.
     let pixels = width * height;
     if pixels == 0 || pixels > MAX_PIXELS {
-        return Err(content(
-            path,
-            format!("expected 1 to {MAX_PIXELS} pixels, found {width} x {height}"),
-        ));
+        let reason = format!("expected 1 to {MAX_PIXELS} pixels, found {width} x {height}");
+        return Err(content(path, reason));
     }
     if pixels > most {
         return Err(content(

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from pbrfit import address_space
-from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
 from pbrfit.batch.cluster import Cluster, threads_of_worker
 from pbrfit.batch.executors import Here, Processes, Workers
@@ -176,22 +175,9 @@ def attempt(
             with one_blas_thread():  # of small matrices: more get into each other's way
                 value = work(task, threads)
         except Exception as failure:  # whatever it is, the other tasks are no worse for it
-            error, raised = in_one_line(failure), type(failure).__name__
+            error, raised = address_space.in_one_line(failure), type(failure).__name__
             log.debug("%s", error, exc_info=True)
     return Attempt(value, error, raised, time.perf_counter() - began, tuple(said))
-
-
-def in_one_line(failure: BaseException) -> str:
-    """What went wrong; the type too where it is not one that explains itself."""
-    words = " ".join(str(failure).split())
-    if isinstance(failure, OSError) and failure.strerror and failure.filename:
-        return f"{failure.filename}: {failure.strerror}"
-    if isinstance(failure, MemoryError):
-        return address_space.too_little(failure)
-    if isinstance(failure, (InputError, OSError)) and words:
-        return words
-    name = type(failure).__name__
-    return f"{name}: {words}" if words else name
 
 
 def repeat_log(said: Sequence[tuple[int, str]]) -> None:
@@ -221,7 +207,9 @@ def _outcome(
         return Attempt(None, f"its process died{why}"), True
     if not isinstance(failure, Exception):
         raise failure
-    return Attempt(None, in_one_line(failure)), False  # such as a value that cannot be pickled
+    return Attempt(
+        None, address_space.in_one_line(failure)
+    ), False  # such as a value that cannot be pickled
 
 
 @contextmanager

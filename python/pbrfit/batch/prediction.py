@@ -120,18 +120,8 @@ def _of_hdr(head: bytes) -> tuple[int, int] | None:
 
 def _of_exr(head: bytes) -> tuple[int, int] | None:
     """From `displayWindow`; an attribute is name, type, length and value (openexr.com)."""
-    at = 8  # magic number and version
-    while at < len(head) and head[at] != 0:
-        name_end = head.find(b"\0", at)
-        type_end = head.find(b"\0", name_end + 1)
-        value = type_end + 5
-        if min(name_end, type_end) < 0 or len(head) < value + 16:
-            return None
-        (length,) = struct.unpack_from("<i", head, type_end + 1)
-        if head[at:name_end] == b"displayWindow":
-            left, top, right, bottom = struct.unpack_from("<4i", head, value)
-            return bottom - top + 1, right - left + 1
-        if length < 0:
-            return None
-        at = value + length
-    return None
+    found = re.search(rb"\0displayWindow\0box2i\0\x10\0\0\0(.{16})", head, re.DOTALL)
+    if found is None:
+        return None
+    left, top, right, bottom = struct.unpack("<4i", found[1])
+    return bottom - top + 1, right - left + 1

@@ -168,7 +168,7 @@ def decompose_scene(
                 with step("report"):
                     write_report(result, folder / REPORT_FILE, scene)
             except MemoryError as error:  # what was fitted is worth more
-                log.warning("%s: no report: %s", task.output, address_space.too_little(error))
+                log.warning("%s: no report: %s", task.output, address_space.in_one_line(error))
     if result.status is Status.TIME_LIMIT:
         reason = result.stop_reason
         log.warning("%s: unfinished: %s; the best state so far is written", task.output, reason)

@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+from pbrfit.address_space import in_one_line as in_one_line
 from pbrfit.commands.messages import complain as complain
-from pbrfit.commands.messages import message_of as message_of
 from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
 from pbrfit.commands.progress import progress_bar as progress_bar
 from pbrfit.io.quoting import visible
@@ -23,7 +23,6 @@ Subcommands = Any
 
 DONE, SOME_FAILED, UNUSABLE, NO_USABLE_MAP, INTERRUPTED = 0, 1, 2, 3, 130
 """Exit codes: done; some scenes failed; usage or input is wrong; `--strict` found none; Ctrl-C."""
-
 
 Flag = dict[str, Any]
 """Arguments of `argparse.ArgumentParser.add_argument`, but for the name."""

@@ -100,7 +100,11 @@ def run(options: argparse.Namespace) -> int:
     if options.out is None:
         options.out = _default_output(scenes if one else options.scenes)
     outputs = [options.out if one else options.out / path.resolve().name for path in scenes]
-    _check_outputs(scenes, outputs, replacing=options.overwrite or options.resume)
+    check_unread(scenes, outputs)
+    for output in outputs:
+        # What else is in one fails its own scene, and only if that is done again.
+        replacing = options.overwrite or options.resume
+        check_is_output(output, overwrite=replacing, form=RESULT_FOLDER)
     # Where address space is limited a process may end in a step: another one tells, and clears up.
     safe = address_space.left() is None and options.patience is None
     if one and options.cluster is None and safe:
@@ -114,13 +118,6 @@ def _default_output(paths: Sequence[Path]) -> Path:
     if len(paths) > 1:
         folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
     return Path(f"{folder.name or 'scene'}-pbrfit")
-
-
-def _check_outputs(scenes: Sequence[Path], outputs: Sequence[Path], *, replacing: bool) -> None:
-    check_unread(scenes, outputs)
-    for output in outputs:
-        # What else is in one fails its own scene, and only if that is done again.
-        check_is_output(output, overwrite=replacing, form=RESULT_FOLDER)
 
 
 def _task(
@@ -148,10 +145,10 @@ def _run_one(task: SceneTask, options: argparse.Namespace) -> int:
             with fit_steps(quiet=options.quiet) as show:
                 outcome = decompose_scene(task, 0, show)
         except (InputError, OSError, MemoryError) as error:
-            message = cli.message_of(error)
             if not options.json:
                 raise
-            display.tell(task, Attempt(None, message, seconds=time.perf_counter() - began))
+            seconds = time.perf_counter() - began
+            display.tell(task, Attempt(None, cli.in_one_line(error), seconds=seconds))
             return cli.UNUSABLE
         display.tell(task, Attempt(outcome, None, seconds=time.perf_counter() - began))
     return cli.NO_USABLE_MAP if display.unusable else cli.DONE
@@ -172,7 +169,6 @@ def _run_all(
             patience = PATIENCE
         done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=patience)
         beside = done_by.apart and options.cluster in (None, LOCAL)
-
         try:
             with display:
                 drive(
@@ -185,7 +181,7 @@ def _run_all(
                     available=memory.available(),
                 )
         except ConnectionError as error:
-            cli.complain(cli.message_of(error))
+            cli.complain(cli.in_one_line(error))
             display.summary()
             return cli.SOME_FAILED if display.ended > len(display.failed) else cli.UNUSABLE
         except KeyboardInterrupt:
@@ -201,8 +197,7 @@ def _run_all(
 
 
 def _display(scenes: int, options: argparse.Namespace) -> SceneDisplay:
-    names = ("quiet", "strict", "verbose")
-    how = {name: getattr(options, name) for name in names}
+    how = {name: getattr(options, name) for name in ("quiet", "strict", "verbose")}
     return SceneDisplay(scenes, as_json=options.json, **how)
 
 

@@ -70,11 +70,8 @@ def _listed(exported: Exported, out: Path) -> Iterator[str]:
         (file.path, file.size, file.holds) for file in exported.files if file.path not in of_lights
     ]
     worst = max(exported.panoramas, key=lambda light: light.difference)
-    remark = (
-        f"; without negative light, at most {worst.difference:.1%} different ({worst.picture})"
-        if worst.difference > 0
-        else ""
-    )
+    remark = f"; without negative light, at most {worst.difference:.1%} different ({worst.picture})"
+    remark *= worst.difference > 0
     size = sum(file.size for file in exported.files if file.path in of_lights)
     lines.append((f"lights/*.exr ({len(of_lights)})", size, f"a panorama a light{remark}"))
     width = max(len(path) for path, _, _ in lines)

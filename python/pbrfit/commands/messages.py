@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from pbrfit import address_space
 from pbrfit.io.quoting import visible
 
 OPTIONS = ("color_space", "fov", "iterations", "orientation", "time_limit", "white")
@@ -44,20 +43,6 @@ def complain(message: str) -> None:
         print(f"pbrfit: {visible(in_flags(message))}", file=sys.stderr, flush=True)
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # as above
-
-
-def message_of(error: Exception) -> str:
-    """One line that names the file."""
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    if isinstance(error, MemoryError):
-        return address_space.too_little(error)
-    words = " ".join(str(error).split())
-    if isinstance(error, FileNotFoundError) and error.errno:  # of no file: of `os.getcwd`
-        return f"{os.environ.get('PWD', '.')}: expected the working folder, found it removed"
-    if isinstance(error, BlockingIOError) or "start new thread" in words:
-        return f"threads and processes (ulimit -u): expected more, found {words}"
-    return words
 
 
 def in_flags(message: str) -> str:

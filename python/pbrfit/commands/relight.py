@@ -167,15 +167,11 @@ def _check_belonging(options: argparse.Namespace, kind: str) -> None:
                 "what it is shown with is left to who shows it"
             )
     if (options.turntable or 0) > FRAMES_MAX:
-        raise InputError(
-            f"--turntable: expected at most {FRAMES_MAX} frames, a tenth of a degree apart, found "
-            f"{options.turntable}"
-        )
+        expected = f"expected at most {FRAMES_MAX} frames, a tenth of a degree apart"
+        raise InputError(f"--turntable: {expected}, found {options.turntable}")
     if "exposure" in given and not abs(options.exposure) <= LARGEST_EXPOSURE:
-        raise InputError(
-            f"--exposure: expected -{LARGEST_EXPOSURE:g} to {LARGEST_EXPOSURE:g} stops, found "
-            f"{options.exposure:g}"
-        )
+        expected = f"expected -{LARGEST_EXPOSURE:g} to {LARGEST_EXPOSURE:g} stops"
+        raise InputError(f"--exposure: {expected}, found {options.exposure:g}")
     if "fps" in given and not 1 <= options.fps <= 50:
         raise InputError(f"--fps: expected 1 to 50, found {options.fps:g}")
 
@@ -202,10 +198,8 @@ def _check_memory(options: argparse.Namespace, kind: str, result: Result) -> Non
     frames, free = options.turntable or 1, available()
     needed = 4 * frames * result.mask.size
     if kind != "folder" and free is not None and needed > free:
-        raise MemoryError(
-            f"{options.out}: expected {size(needed)} of memory for {frames} frames, found "
-            f"{size(free)}; a folder needs that of one"
-        )
+        expected = f"expected {size(needed)} of memory for {frames} frames, found {size(free)}"
+        raise MemoryError(f"{options.out}: {expected}; a folder needs that of one")
 
 
 def _frames_folder(options: argparse.Namespace) -> FolderForm:

@@ -27,9 +27,8 @@ LEADS = ("next:", "also:")
 
 def has_colors(stream: TextIO) -> bool:
     """Whether it is a terminal that shows colours, and nobody asked for none (no-color.org)."""
-    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return False
-    return stream.isatty()
+    none = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return not none and stream.isatty()
 
 
 def verdict_lines(

@@ -14,7 +14,6 @@ from pbrfit.io.quoting import quoted
 REAL = "buif"
 """Kinds of numpy's types that hold real numbers."""
 
-
 Shape = tuple[int, ...] | None
 """Which an array has to have; None = any."""
 

@@ -101,12 +101,6 @@ def rgb_to_xyz(primaries: Primaries) -> NDArray[np.float64]:
     raise ValueError(f"chromaticities: expected a triangle around white, found {found}")
 
 
-def bradford(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrix that adapts XYZ under the white `source` to the white `target`, both (3,) XYZ."""
-    gain = (_BRADFORD @ target) / (_BRADFORD @ source)
-    return np.asarray(np.linalg.solve(_BRADFORD, gain[:, None] * _BRADFORD))
-
-
 def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
     """Matrix (3, 3) from linear RGB to Rec.709, whose rows sum to 1; raises as `rgb_to_xyz`."""
     to_xyz = rgb_to_xyz(primaries)
@@ -116,7 +110,8 @@ def to_rec709(primaries: Primaries) -> NDArray[np.float64]:
 def colorants_to_rec709(to_xyz: ArrayLike, white: NDArray[np.float64]) -> NDArray[np.float64]:
     """Matrix (3, 3) to linear Rec.709 of colorants (columns) in XYZ under a white (3,) in XYZ."""
     rec709 = rgb_to_xyz(REC709)
-    adapt = bradford(white, rec709.sum(axis=1))
+    gain = (_BRADFORD @ rec709.sum(axis=1)) / (_BRADFORD @ white)  # adapts white to white
+    adapt = np.linalg.solve(_BRADFORD, gain[:, None] * _BRADFORD)
     return np.asarray(np.linalg.solve(rec709, adapt @ np.asarray(to_xyz, dtype=np.float64)))
 
 

@@ -165,11 +165,10 @@ def read_picture(
 
     samples, turn = found.samples, found.turn
     to = (place or Place.new)(exif.turned(samples, turn).shape[:2])
-    few = np.s_[:, :]
+    step = 1
     if look is not None and samples.shape[2] in (1, 3):
         step = max(1, max(samples.shape) // (2 * look))
-        few = np.s_[::step, ::step]
-        samples, to = np.ascontiguousarray(samples[few]), replace(to, used=np.s_[:, :])
+        samples, to = np.ascontiguousarray(samples[::step, ::step]), replace(to, used=np.s_[:, :])
     seen = exif.turned(samples, turn)
     colors, alpha = seen[to.used], None
     if seen.shape[2] in (2, 4):
@@ -200,7 +199,7 @@ def read_picture(
     if turn != 1:
         to.pixels[:], to.limits[:] = (exif.turned(a, turn) for a in (lying.pixels, lying.limits))
     if found.limits is not None:
-        told = found.limits[few]
+        told = found.limits[::step, ::step]
         if codes is not None:  # where a value is at its end, that is nearer the truth
             told = np.where(samples < codes[0], AT_MOST, told)
             told = np.where(samples > codes[1], AT_LEAST, told)

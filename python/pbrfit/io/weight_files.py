@@ -50,8 +50,7 @@ def write_weights(path: Path, weights: NDArray[np.floating[Any]], names: Sequenc
     """Write weights (H, W), (N, H, W) or (N, H, W, 3): what is alike is there once."""
     if weights.ndim < 4:
         weights = weights[..., None]
-    if weights.ndim == 3:
-        weights = weights[None]
+    weights = weights.reshape(-1, *weights.shape[-3:])
     if (weights == weights[0, ..., :1]).all():
         images.write_exr(path, {ALL: weights[0, ..., 0]})
         return

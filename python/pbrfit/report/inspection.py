@@ -141,7 +141,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         layout = replace(layout, valid=np.broadcast_to(True, (1, round(times * layout.pixels))))
         looked = f"; values are of their means over {scene.width} × {scene.height}"
     each = map(scene.samples, range(len(scene.images)))
-    told = np.array([(one.mean(dtype=np.float64), one.min(), one.max()) for one in each])
+    mean, low, high = np.transpose([(one.mean(dtype=float), one.min(), one.max()) for one in each])
     away = "unknown: no normals are given"
     if scene.normals_known:
         facing = geometry.facing_away(scene.normals[scene.valid], scene.views[scene.valid])
@@ -151,10 +151,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
     found = [
         ("pictures", f"{len(scene.images)} of {width} × {height} pixels{looked}"),
         ("", f"{scene.names[0]} ... {scene.names[-1]}"),
-        (
-            "radiance",
-            f"mean {told[:, 0].mean():.4g}, from {told[:, 1].min():.4g} to {told[:, 2].max():.4g}",
-        ),
+        ("radiance", f"mean {mean.mean():.4g}, from {low.min():.4g} to {high.max():.4g}"),
         ("mask", f"{layout.pixels} pixels used, {100 * scene.valid.mean():.1f} %"),
         ("facing away", away),
         ("normal error", _normal_sigma(scene)),
@@ -162,10 +159,7 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("surroundings", _surroundings(scene)),
         ("refine normals", f"not possible: {reason}" if reason else "possible"),
         ("segments", "none" if layout.segments is None else f"{layout.segment_count} ids"),
-        (
-            "colour",
-            "grey: one channel will be fitted" if layout.channels == 1 else "three channels",
-        ),
+        ("colour", "three channels" if layout.channels > 1 else "grey: one channel will be fitted"),
         ("lights", "known" if layout.lighting_known else "unknown, will be fitted"),
         ("lamps", _lamps(scene)),
         *_aligned(scene),
@@ -181,12 +175,9 @@ def facts(scene: Scene) -> list[tuple[str, str]]:
         ("unknowns", f"{layout.size}"),
     ]
     free = memory.available()
-    seconds = expected_seconds(layout, normals_known=scene.normals_known)
+    about = time_in_words(expected_seconds(layout, normals_known=scene.normals_known))
     found += [
-        (
-            "time needed",
-            f"about {time_in_words(seconds)} of processor time, more among surroundings",
-        ),
+        ("time needed", f"about {about} of processor time, more among surroundings"),
         ("memory needed", _needed(scene, layout, round(times * memory.bytes_of(scene)))),
         ("memory free", "unknown" if free is None else memory.size(free)),
     ]

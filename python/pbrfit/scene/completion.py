@@ -138,13 +138,11 @@ def add_lamps(folder: Path, lamps: Lamps, *, overwrite: bool = False) -> Path:
 def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
     """Raise FileExistsError if the folder has lamps, but for a `lights.json` with `overwrite`."""
     path = next(iter(find_lamps(folder)), folder / LAMP_FILES[0])
-    if not there(path) or (overwrite and path.name == LAMP_FILES[0]):
+    own = path.name == LAMP_FILES[0]
+    if not there(path) or (overwrite and own):
         return
-    remedy = (
-        "overwrite=True replaces"
-        if path.name == LAMP_FILES[0]
-        else f"it is read as it is; move it away to write {LAMP_FILES[0]}"
-    )
+    other = f"it is read as it is; move it away to write {LAMP_FILES[0]}"
+    remedy = "overwrite=True replaces" if own else other
     raise FileExistsError(f"{path}: expected no lamps yet, found some; {remedy}")
 
 

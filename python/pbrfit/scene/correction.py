@@ -44,10 +44,9 @@ class Correction:
         numbers = list(self.numbers)
         numbers[index] = float(value)
         middle, *sides = numbers
-        middle = min(max(middle, -SLOPE_CHANGE_MAX), SLOPE_CHANGE_MAX)
-        sides = [
-            min(max(middle + side, -SLOPE_CHANGE_MAX), SLOPE_CHANGE_MAX) - middle for side in sides
-        ]
+        limits = -SLOPE_CHANGE_MAX, SLOPE_CHANGE_MAX
+        middle = float(np.clip(middle, *limits))
+        sides = (np.clip(np.add(middle, sides), *limits) - middle).tolist()
         return replace(self, numbers=(middle, *sides))
 
     def applied(self, samples: NDArray[np.floating[Any]]) -> Array:

@@ -274,13 +274,9 @@ def find_frame(folder: Path, name: str) -> Path | None:
 
     Raises InputError if there are several.
     """
-    found = sorted(
-        path
-        for path in folder.iterdir()
-        if path.stem.lower() == name
-        and path.suffix.lower() not in NOT_PICTURES
-        and not path.is_dir()
-    )
+    called = (path for path in folder.iterdir() if path.stem.lower() == name)
+    pictures = (path for path in called if path.suffix.lower() not in NOT_PICTURES)
+    found = sorted(path for path in pictures if not path.is_dir())
     if len(found) > 1:
         every = listed(path.name for path in found)
         raise InputError(f"{folder}: expected one picture {name}.*, found {every}")

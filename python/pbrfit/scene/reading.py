@@ -96,8 +96,6 @@ class _Notes:
     """What is asked for, else what the folder says."""
     size: tuple[int, int] = (0, 0)
     """(height, width) of whole pictures, and so of every map beside them."""
-    look: int | None = None
-    """As of `images.read_picture`."""
     inputs: dict[str, str] = field(default_factory=dict)
     """As `Scene.inputs`."""
     assumed: dict[str, str] = field(default_factory=dict)
@@ -184,18 +182,17 @@ def load(
 ) -> AnyScene:
     """Read a scene as one of some class; see `Scene.load`.
 
-    With `pictures_alone` without normals, weights, which may be theirs, and cropping. To `look` at
-    it, arrays have a longer side of at most so many pixels, in far less time and memory.
+    With `pictures_alone` without normals, weights, which may be theirs, and cropping; to `look` at
+    it, sooner, with a longer side of at most so many pixels.
     """
     notes = _Notes.of(scene, options, **({"crop": None} if pictures_alone else {}))
     files, assumed, longest = notes.files, notes.assumed, notes.how.max_size
     if look is not None:
         notes.how = replace(notes.how, max_size=min(look, longest or look))
-        notes.look = look if notes.how.crop is None else None
     folder, names = files.folder, files.names
     if files.parts:
         warn_of_near_misses(folder)
-    read = _read_pictures(notes)
+    read = _read_pictures(notes, None if notes.how.crop else look)
     mask = read.mask
     full_size, size = mask.shape, read.size
     if full_size != notes.size:
@@ -437,7 +434,7 @@ class Pictures:
         return [of[0] for of in groups.values()]
 
 
-def _read_pictures(notes: _Notes) -> Pictures:
+def _read_pictures(notes: _Notes, look: int | None = None) -> Pictures:
     """Read pictures on all processors; errors and warnings are those of one after the other."""
     how, paths = notes.how, notes.files.pictures
     begun: Future[Pictures] = Future()
@@ -450,7 +447,7 @@ def _read_pictures(notes: _Notes) -> Pictures:
 
     def put(i: int) -> images.Picture:
         try:
-            picture = how.picture(paths[i], place=partial(place, i), look=notes.look)
+            picture = how.picture(paths[i], place=partial(place, i), look=look)
         except BaseException as error:
             if i == 0 and not begun.done():
                 begun.set_exception(error)
@@ -569,9 +566,8 @@ def _limits(
     everywhere, counted, bounds = every_channel(mask), None, False
     if any(bad is not None for bad in read.bad) or not mask.all():
         counted = [everywhere if bad is None else everywhere & ~bad for bad in read.bad]
-    for path, limits in zip(
-        notes.files.pictures, counted_limits(read.limits, counted), strict=True
-    ):
+    of_pictures = counted_limits(read.limits, counted)
+    for path, limits in zip(notes.files.pictures, of_pictures, strict=True):
         bounds |= bool(limits.any())
         if limits.all():
             low, high = notes.how.code_range or images.CODE_RANGE

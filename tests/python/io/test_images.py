@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import io
 import logging
-import os
 import re
 import struct
 import sys
@@ -22,12 +21,12 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image, ImageCms, ImageOps
 
+from fuzz import seeds
 from pbrfit._core import InputError
 from pbrfit.io import color, images
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.io.resampling import averaged_channels
 
-DATA = Path(os.environ.get("PBRFIT_DATA", Path(__file__).parents[3] / "../shared/data"))
 RNG = np.random.default_rng(0)
 RGB8: NDArray[np.uint8] = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
 RGB8[0, 0], RGB8[0, 1], RGB8[0, 2] = (255, 0, 0), (254, 254, 254), (255, 9, 99)
@@ -341,7 +340,9 @@ def icc_srgb_curve() -> bytes:
 
 def icc_rgb(primaries: color.Primaries, curve: bytes) -> bytes:
     to_xyz = color.rgb_to_xyz(primaries)
-    to_xyz = color.bradford(to_xyz.sum(axis=1), color.ICC_D50) @ to_xyz
+    cones = color._BRADFORD
+    gain = (cones @ color.ICC_D50) / (cones @ to_xyz.sum(axis=1))
+    to_xyz = np.linalg.solve(cones, gain[:, None] * (cones @ to_xyz))
     tags = {b"rXYZ": icc_xyz(to_xyz[:, 0]), b"gXYZ": icc_xyz(to_xyz[:, 1])}
     tags |= {b"bXYZ": icc_xyz(to_xyz[:, 2]), b"wtpt": icc_xyz(color.ICC_D50)}
     return icc(b"RGB ", tags | {b"rTRC": curve, b"gTRC": curve, b"bTRC": curve})
@@ -744,14 +745,6 @@ def test_unwritable_pictures_leave_no_file(
 # Files that cannot be read
 
 
-def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
-    for read in (images.read_picture, images.read_data, images.read_ids, images.read_channels):
-        with pytest.raises(FileNotFoundError):
-            read(tmp_path / "none.png")
-        with pytest.raises(InputError, match="expected a regular file, found a folder"):
-            read(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
@@ -824,51 +817,21 @@ def test_unsupported_variants_are_refused(
         (read or images.read_picture)(tmp_path / name)
 
 
-def whole_files() -> dict[str, Callable[[Path], object]]:
-    def hdr(path: Path) -> None:
-        rows = b"\x02\x02\x00\x20" + b"".join(
-            bytes([16, *range(value, value + 16), 128 + 16, value]) for value in (10, 60, 90, 120)
-        )
-        path.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 9 +X 32\n" + rows * 9)
-
-    big = np.tile(RGB8, (4, 4, 1))
-    exif = Image.Exif()
-    exif[0x8769] = {0xA405: 28}
-    profile = srgb_profile()
-    picture = Image.fromarray(big)
-    floats = np.tile(FLOAT, (4, 4, 1))
-
-    def exr(compression: str, dtype: Any = np.float32) -> Callable[[Path], object]:
-        kind = getattr(OpenEXR, f"{compression}_COMPRESSION")
-        return lambda path: save_exr(path, {"RGB": floats.astype(dtype)}, compression=kind)
-
-    return {
-        "zip.exr": exr("ZIP"),
-        "piz.exr": exr("PIZ", np.float16),
-        "dwaa.exr": exr("DWAA"),
-        "b44.exr": exr("B44", np.float16),
-        "pxr.exr": exr("PXR24"),
-        "tiled.exr": lambda p: save_exr(p, {"Y": floats[..., 0].copy()}, **tiles()),
-        "a.png": lambda p: picture.save(p, exif=exif, icc_profile=profile),
-        "p.png": lambda p: picture.quantize(9).save(p),
-        "a.jpg": lambda p: picture.save(p, exif=exif, icc_profile=profile),
-        "p.jpg": lambda p: picture.save(p, progressive=True),
-        "a.tif": lambda p: picture.save(p, compression="tiff_lzw", icc_profile=profile),
-        "f.tif": tiff(floats, compression="deflate"),
-        "a.hdr": hdr,
-    }
+MAKERS = (seeds.png, seeds.jpeg, seeds.tiff, seeds.hdr, seeds.exr)
+WHOLE = {seed.name: seed for make in MAKERS for seed in make()}
 
 
-@pytest.mark.parametrize("name", sorted(whole_files()))
+@pytest.mark.parametrize("name", sorted(WHOLE.keys() - {"tif tiled"}))  # its tiles are padded
 def test_cut_off_files_are_errors(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    whole_files()[name](path)
-    data = path.read_bytes()
+    path, data = tmp_path / WHOLE[name].target, WHOLE[name].data
+    with pytest.raises(FileNotFoundError):
+        images.read_picture(path)
+    path.write_bytes(data)
     images.read_picture(path)
     lengths = {*range(0, len(data), max(1, len(data) // 300)), *range(len(data) - 12, len(data))}
     # Behind the strips of a TIFF may come padding, and a deflated strip ends in 6 bytes (end of
     # block, checksum) that no pixel needs; there a cut may do no harm.
-    needed = strips_end(data) - 6 if name.endswith(".tif") else len(data)
+    needed = strips_end(data) - 6 if name.startswith("tif") else len(data)
     for length in sorted(lengths):
         path.write_bytes(data[:length])
         if length < needed:
@@ -880,17 +843,3 @@ def strips_end(data: bytes) -> int:
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         page = file.pages[0]
         return max(o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True))
-
-
-# Pictures of the world
-
-
-def test_published_pictures_load_finite() -> None:
-    files = [*DATA.glob("hdri/*.hdr"), *DATA.glob("mit_multi_illumination/**/*.jpg")]
-    if not files:
-        pytest.skip("no shared data here")
-    for path in files:
-        picture = images.read_picture(path)
-        assert np.isfinite(picture.pixels).all()
-        assert picture.pixels.max() > 0
-        assert picture.pixels.ndim == 3

@@ -14,9 +14,9 @@ import pytest
 from command_runs import refused
 from pbrfit import InputError, Scene, _core
 from pbrfit.acquire.prompts import read_prompts
+from pbrfit.address_space import in_one_line
 from pbrfit.batch.prediction import picture_size
-from pbrfit.commands.messages import message_of
-from pbrfit.io import images, input_files
+from pbrfit.io import images
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import (
     LIST_BYTES,
@@ -220,19 +220,5 @@ def test_too_little_memory_names_the_file(
     assert said == f"pbrfit: {folder / 'mask.png'}: {expected}\n"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="addresses are bounded there")
-def test_a_file_that_does_not_fit_into_memory_is_named(tmp_path: Path) -> None:
-    import resource
-
-    path = sparse(tmp_path / "file", b"", 2**33)
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (2**33, before[1]))
-    try:
-        with pytest.raises(MemoryError, match="file: expected memory for what it holds, found"):
-            read_bytes(path, input_files.PICTURE_BYTES)
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
-
-
 def test_too_little_memory_is_told_where_nobody_knows_more() -> None:
-    assert message_of(MemoryError()) == "not enough memory"
+    assert in_one_line(MemoryError()) == "not enough memory"
