@@ -64,15 +64,13 @@ def main(connection: Connection, at: Any, plans: Mapping[str, Plan]) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     room = Room()
-    warm = set[str]()
     try:
+        for reader, plan in plans.items():  # imports are no memory of a case
+            for sound in plan.sound[:1]:
+                room.problem(reader, sound, Tally())
         while (block := connection.recv()) is not None:
             reader, first, last = block
             plan = plans[reader]
-            if reader not in warm:  # its imports are no memory of a case
-                warm.add(reader)
-                for sound in plan.sound[:1]:
-                    room.problem(reader, sound, Tally())
             tally = Tally()
             for number in range(first, last):
                 at.value = number

@@ -188,14 +188,12 @@ def test_equal_names_and_taken_outputs_are_refused_before_any_work(
 ) -> None:
     write_folder(tmp_path / "more" / "two")
     out = tmp_path / "out"
-    assert "expected different names, found two twice" in refused(
-        "decompose", scenes, tmp_path / "more" / "two", "--out", out, *FEW
-    )
+    said = refused("decompose", scenes, tmp_path / "more" / "two", "--out", out, *FEW)
+    assert "expected different names, found two twice" in said
     assert not out.exists()
     (out / "two").mkdir(parents=True)
-    assert f"{out / 'two'}: expected a folder that does not exist yet" in refused(
-        "decompose", scenes, "--out", out, *FEW
-    )
+    said = refused("decompose", scenes, "--out", out, *FEW)
+    assert f"{out / 'two'}: expected a folder that does not exist yet" in said
     assert not (out / "one").exists()
 
 

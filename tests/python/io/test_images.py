@@ -640,9 +640,8 @@ def test_ids_are_the_stored_integers(tmp_path: Path) -> None:
     ids = images.read_ids(save_png(tmp_path / "a.png", RGB16[..., 0]))
     assert ids.dtype == np.uint16
     np.testing.assert_array_equal(ids, RGB16[..., 0])
-    np.testing.assert_array_equal(
-        images.read_ids(save_png(tmp_path / "a.png", RGB8[..., 0])), RGB8[..., 0]
-    )
+    found = images.read_ids(save_png(tmp_path / "a.png", RGB8[..., 0]))
+    np.testing.assert_array_equal(found, RGB8[..., 0])
     tifffile.imwrite(tmp_path / "a.tif", RGB16[..., 0])
     np.testing.assert_array_equal(images.read_ids(tmp_path / "a.tif"), RGB16[..., 0])
 

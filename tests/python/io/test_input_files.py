@@ -214,9 +214,7 @@ def test_too_little_memory_names_the_file(
 
     monkeypatch.setattr(_core, "decode_raster", decode_raster)
     said = refused("inspect", folder)
-    expected = "expected memory for what it holds, found too little" + (
-        f": {words}" if words else ""
-    )
+    expected = "expected memory for what it holds, found too little" + f": {words}" * bool(words)
     assert said == f"pbrfit: {folder / 'mask.png'}: {expected}\n"
 
 

@@ -36,7 +36,6 @@ def test_pictures_are_looked_at_smaller_and_a_fit_is_told_whole(
         codes = rng.integers(60, 140, (16, 20, 1)).repeat(40, axis=0).repeat(40, axis=1)
         codes = np.rint(codes + rng.normal(0, 3, (640, 800, 3))).astype(np.uint8)
         Image.fromarray(codes).save(tmp_path / f"{i}.{suffix}", quality=95, exif=exif)
-    Image.fromarray(np.full((640, 800), 255, np.uint8)).save(tmp_path / "mask.png")
     looked, small = load(tmp_path, Scene, look=100), Scene.load(tmp_path, max_size=100)
     assert looked.images.shape == (6, 80, 100, 3)
     np.testing.assert_allclose(looked.images, small.images, atol=0.03)

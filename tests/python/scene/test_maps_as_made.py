@@ -325,4 +325,4 @@ def test_arithmetic_that_fails_is_one_line(
     assert run_command("inspect", folder) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "found float division by zero in divides, test_maps_as_made.py:" in said
+    assert "ZeroDivisionError: float division by zero in divides, test_maps_as_made.py:" in said
