@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pbrfit import Environment, Materials, Scene, Truth
-from pbrfit.display.files import write_exr
+from pbrfit.result.relit_files import write_exr
 from pbrfit_evaluation.cycles.process import find_python, run_worker
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,7 +11,6 @@ from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_fit_options, add_
 from pbrfit.commands.progress import fit_steps
 from pbrfit.commands.synth import add_synthetic, make_scene
 from pbrfit.commands.terminal import held_out_lines, verdict_lines
-from pbrfit.display.files import Screen, write_animation
 from pbrfit.fit.decompose import decompose
 from pbrfit.io.images import write_png
 from pbrfit.io.output import FolderForm, new_folder
@@ -19,6 +18,7 @@ from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.report import write_report
 from pbrfit.result.advice import next_steps
 from pbrfit.result.relighting import DirectionalLight, relight
+from pbrfit.result.relit_files import Screen, write_animation
 from pbrfit.result.result import RESULT_FOLDER, Result
 from pbrfit.scene.folder import SCENE_FOLDER
 from pbrfit.scene.scene import Scene

@@ -10,14 +10,13 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import add_light, choose_light
-from pbrfit.display import files
-from pbrfit.display.files import Radiance, Screen
 from pbrfit.display.tone import ToneMap
 from pbrfit.fit.memory import available, size
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
 from pbrfit.result.metrics import white_of
 from pbrfit.result.relighting import Light, relight, turned
+from pbrfit.result.relit_files import Radiance, Screen, write_animation, write_exr
 from pbrfit.result.result import Result
 
 FPS = 12.0
@@ -240,12 +239,12 @@ def _write(
             _write_picture(path, next(frames), screen)
         else:
             shown = (screen.shown(frame) for frame in frames)
-            files.write_animation(path, kind, shown, options.fps or FPS)
+            write_animation(path, kind, shown, options.fps or FPS)
 
 
 def _write_picture(path: Path, frame: Radiance, screen: Screen) -> None:
     if path.suffix.lower() == ".exr":
-        files.write_exr(path, frame)
+        write_exr(path, frame)
     else:
         images.write_png(path, screen.shown(frame), "srgb")
 

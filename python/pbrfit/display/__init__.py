@@ -1,1 +1,1 @@
-"""What a screen shows of radiance, and files of it."""
+"""What a screen and a notebook show."""

@@ -293,14 +293,9 @@ class _Sample:
         shares = standing_for / times
         return cls(pixels, objective.restricted(pixels, shares), shares, times)
 
-    @property
-    def is_part(self) -> bool:
-        """Whether there are others."""
-        return self.shares is not None
-
     def at(self, fit: JointFit) -> tuple[Array, dict[str, Any]]:
         """Their x, and the options for the core."""
-        part = fit.objective.part_of(fit.x, self.pixels) if self.is_part else fit.x
+        part = fit.x if self.shares is None else fit.objective.part_of(fit.x, self.pixels)
         options = fit.options(self.objective, part, self.objective.everything, self.pixels)
         if self.shares is not None and "precision" in options:
             options["precision"] = options["precision"] * self.shares[:, None]

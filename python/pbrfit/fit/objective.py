@@ -256,6 +256,30 @@ class Objective:
         data, gradient = self.data_value_and_grad(x, out)
         return data + self.add_penalties(x, gradient), gradient
 
+    def torch(self) -> Callable[[Any], Any]:
+        """The loss as a function of a tensor x (size,), which PyTorch differentiates once.
+
+        x may be of any real type, on any device, and so are the loss and its gradient; both are
+        computed in float64 on the processor. Raises ImportError without PyTorch (`pip install
+        'pbrfit[torch]'`); the function raises InputError as `value_and_grad`: keep x in `bounds`.
+        """
+        import torch
+        from torch.autograd.function import once_differentiable
+
+        class Loss(torch.autograd.Function):  # type: ignore[misc,unused-ignore]
+            @staticmethod
+            def forward(ctx: Any, x: Any) -> Any:
+                loss, gradient = self.value_and_grad(x.detach().to("cpu", torch.float64).numpy())
+                ctx.save_for_backward(torch.from_numpy(gradient).to(x))
+                return x.new_tensor(loss)
+
+            @staticmethod
+            @once_differentiable  # type: ignore[untyped-decorator,unused-ignore]
+            def backward(ctx: Any, by_loss: Any) -> Any:
+                return by_loss * ctx.saved_tensors[0]
+
+        return Loss.apply  # type: ignore[no-any-return,unused-ignore]
+
     def data_value_and_grad(
         self, x: ArrayLike, out: NDArray[np.float64] | None = None
     ) -> tuple[float, NDArray[np.float64]]:
@@ -284,15 +308,9 @@ class Objective:
         """X as `_core.Problem` takes it: with lights of every channel."""
         if self.layout.light_channels == self.channels:
             return real_array("x", x)
-        x = self._of_its_size(x)
+        x = real_array("x", x, (self.size,))
         end = self.layout.maps.stop
         return np.concatenate([x[:end], np.repeat(x[end:], self.channels)])
-
-    def _of_its_size(self, x: ArrayLike) -> NDArray[np.float64]:
-        x = real_array("x", x)
-        if x.shape != (self.size,):
-            raise InputError(f"x: expected shape {(self.size,)}, found {x.shape}")
-        return x
 
     def weighed(self, factors: NDArray[np.float32] | None) -> Objective:
         """Squares in which samples weigh as much more or less, (N, P, C); None = as given.
@@ -332,7 +350,9 @@ class Objective:
     def _given_weights(self, scene: Scene, units: Normalization) -> NDArray[np.float32]:
         """As `weights`: only their ratios matter."""
         assert scene.weights is not None
-        channels = slice(self.channels if _differ(scene.weights) else 1)
+        # One that was given for all channels is there once in memory.
+        alike = scene.weights.strides[-1] == 0 or all(map(equal_channels, scene.weights))
+        channels = slice(1 if alike else self.channels)
         weights = np.stack([of_picture[scene.valid, channels] for of_picture in scene.weights])
         weights /= np.float32(units.largest_weight)  # float32 neither overflows nor loses digits
         return weights
@@ -541,10 +561,7 @@ class Objective:
         x = np.concatenate(maps)
         if lighting is None or self.lighting is None:
             return self.with_best_lights(x)
-        lighting = real_array("lighting", lighting)
-        expected = (self.layout.pictures, 16, 3)
-        if lighting.shape != expected:
-            raise InputError(f"lighting: expected shape {expected}, found {lighting.shape}")
+        lighting = real_array("lighting", lighting, (self.layout.pictures, 16, 3))
         if not np.isfinite(lighting).all():
             raise InputError("lighting: expected finite coefficients, found NaN or infinity")
         lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
@@ -556,7 +573,7 @@ class Objective:
         Whatever x holds, there are three channels and 16 coefficients: one channel comes three
         times, and band 3 is 0 where it is left out.
         """
-        x = self._of_its_size(x)
+        x = real_array("x", x, (self.size,))
         if not np.isfinite(x).all():
             raise InputError("x: expected finite numbers, found NaN or infinity")
         albedo = np.broadcast_to(x[self.albedo].reshape(self.channels, -1).T, (self.pixels, 3))
@@ -706,19 +723,10 @@ def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]
     return values if channels == 3 else values.mean(axis=-1, keepdims=True)
 
 
-def _differ(weights: NDArray[np.float32]) -> bool:
-    """Whether channels (N, H, W, 3) have weights of their own."""
-    # One that was given for all channels is there once in memory.
-    return weights.strides[-1] != 0 and not all(equal_channels(one) for one in weights)
-
-
 def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel."""
-    values = real_array(name, values)
     shape = valid.shape + ((3,) if name == "albedo" else ())
-    if values.shape != shape:
-        raise InputError(f"{name}: expected shape {shape}, found {values.shape}")
-    values = values[valid]
+    values = real_array(name, values, shape)[valid]
     if not np.isfinite(values).all():
         raise InputError(f"{name}: expected finite values at all valid pixels, found NaN")
     return values

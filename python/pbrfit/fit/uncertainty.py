@@ -91,7 +91,8 @@ def spread(
     layout = objective.layout
     unknowns = layout.maps.stop // layout.pixels
     found = Spread.empty(layout.pixels, unknowns, layout.channels)
-    if posterior is None and not is_sharp(discrepancy):
+    # Where nothing is left of samples but rounding, a grid of nodes is coarse beside that.
+    if posterior is None and discrepancy.of_pixel > (10 * settings.EXACT_RMSE) ** 2:
         grid = Grid(objective, x, discrepancy.of_pixel)
         posterior = Distributions.flat(grid).of_all(grid)
     mean_albedo = x[objective.albedo].reshape(layout.channels, -1).mean(axis=1)
@@ -106,11 +107,6 @@ def spread(
 
     in_pieces(objective.threads, fill, pieces)
     return found
-
-
-def is_sharp(discrepancy: Discrepancy) -> bool:
-    """Whether nothing is left of samples but rounding, beside which a grid of nodes is coarse."""
-    return discrepancy.of_pixel <= (10 * settings.EXACT_RMSE) ** 2
 
 
 def _of_pixels(

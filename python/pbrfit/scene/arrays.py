@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -212,22 +212,15 @@ class SceneArrays:
                 "images: expected at least two pictures under different lights, found one "
                 f"({names[0]}); a single picture needs its light (lighting.json)"
             )
-        segments = None if self.segments is None else any_array("segments", self.segments)
-        if segments is not None and (
-            segments.shape != (height, width) or not np.issubdtype(segments.dtype, np.integer)
-        ):
-            raise InputError(
-                f"segments: expected integer ids of shape {(height, width)}, "
-                f"found {segments.dtype} of shape {segments.shape}"
-            )
-        lighting = None if self.lighting is None else real_array("lighting", self.lighting)
-        if lighting is not None and (
-            lighting.shape != (n, 16, 3) or not np.isfinite(lighting).all()
-        ):
-            raise InputError(
-                f"lighting: expected finite coefficients of shape {(n, 16, 3)}, "
-                f"found shape {lighting.shape}"
-            )
+        segments, lighting = self.segments, self.lighting
+        if segments is not None:
+            segments = any_array("segments", segments, (height, width))
+            if not np.issubdtype(segments.dtype, np.integer):
+                raise InputError(f"segments: expected integer ids, found {segments.dtype}")
+        if lighting is not None:
+            lighting = real_array("lighting", lighting, (n, 16, 3))
+            if not np.isfinite(lighting).all():
+                raise InputError("lighting: expected finite coefficients, found NaN or infinity")
         file_noise = (None,) * n if self.file_noise is None else tuple(self.file_noise)
         if len(file_noise) != n:
             raise InputError(f"file_noise: expected {n}, found {len(file_noise)}")
@@ -615,9 +608,8 @@ def _negative_in_words(images: NDArray[np.floating[Any]], counted: Counted) -> s
         negative = image < 0
         if counted is not None:
             negative &= counted[i]
-        if negative.any():
-            below += int(np.count_nonzero(negative))
-            lowest = min(lowest, float(image[negative].min()))
+        below += int(np.count_nonzero(negative))
+        lowest = min(lowest, float(image[negative].min(initial=0.0)))
     if not below:
         return ""
     share = f"{100 * below / total:.2g} %" if below / total >= 1e-4 else f"{below}"
@@ -637,10 +629,7 @@ def equal_channels(values: NDArray[Any]) -> bool:
 
 def _names(given: Any, pictures: int) -> tuple[str, ...]:
     """Names of files: different, and safe as such; made up where none are given."""
-    try:
-        names = tuple(given)
-    except TypeError:
-        names = (given,)
+    names = tuple(given) if isinstance(given, Iterable) else (given,)
     if not all(isinstance(name, str) for name in names):
         raise InputError(f"names: expected file names, found {of_what(given)}")
     digits = max(2, len(str(pictures - 1)))
@@ -744,11 +733,10 @@ def _warn_if_facing_away(
 def _warn_if_flat(normals: NDArray[np.float64]) -> None:
     """Normals (M, 3) that are all the same may be right, but mostly nobody knew any."""
     if len(normals) > 1 and (normals == normals[0]).all():
-        x, y, z = normals[0].tolist()
         log.warning(
             "normals: all equal, (%.3g, %.3g, %.3g); on anything but a flat surface shape is taken "
             "for material and light",
-            *(x, y, z),
+            *normals[0].tolist(),
         )
 
 

@@ -36,6 +36,9 @@ class Scene(SceneArrays):
         TypeError
             If there is no option of a name.
         """
+        for name in given.keys() - vars(AS_STATED):
+            expected = f"expected options {', '.join(vars(AS_STATED))}"
+            raise TypeError(f"Scene.load: {expected}, found {name!r}")
         return reading.load(path, cls, replace(options, **given))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
@@ -51,3 +54,10 @@ class Scene(SceneArrays):
             If the folder exists and `overwrite` is False.
         """
         writing.save(self, Path(path), overwrite=overwrite)
+
+    def _repr_html_(self) -> str:
+        """Small pictures and what is known of them, for notebooks."""
+        from pbrfit.display.notebook import pictures
+
+        facts = [repr(self), *(f"{topic}: {fact}" for topic, fact in self.assumed.items())]
+        return pictures(self.images, self.names, self.valid, facts)

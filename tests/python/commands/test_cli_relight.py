@@ -18,10 +18,10 @@ from PIL import Image, ImageSequence
 from command_runs import Ran, done, ran, refused
 from pbrfit import DirectionalLight, Environment, Result, relight
 from pbrfit.display import tone
-from pbrfit.display.files import ANIMATIONS, write_animation
 from pbrfit.io import images
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting, rotated
+from pbrfit.result.relit_files import ANIMATIONS, write_animation
 from relit import ball, fitted, shaded_ball
 from scene_files import Argument, run, write_exr, write_folder, write_hdr
 from under_lamps import ball_under_lamps

@@ -57,6 +57,8 @@ def test_a_wrong_keyword_says_whose_it_is_and_help_has_each_option() -> None:
         pbrfit.decompose(SCENE, max_size=8)
     with pytest.raises(TypeError, match=r"expected options solver, .*, found 'max_sise'"):
         pbrfit.decompose(SCENE, max_sise=8)
+    with pytest.raises(TypeError, match=r"Scene.load: expected options fov, .*, found 'solver'"):
+        pbrfit.Scene.load("none", solver="lbfgsb")
     said = pbrfit.decompose.__doc__ or ""
     for one in dataclasses.fields(pbrfit.FitOptions):
         assert f"\n{one.name}\n    " in said

@@ -13,6 +13,8 @@ import pytest
 from left_out_pictures import EXPLAINED, SENTENCE
 from page_reader import Page, decoded
 from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relight
+from pbrfit.display.notebook import PICTURES_MAX, SHOWN_MEAN
+from pbrfit.io.color import decode_srgb
 from pbrfit.result.advice import next_steps
 from pbrfit.result.notebook import SIDE
 from pbrfit.result.verdict import MARKS, Verdict, in_short
@@ -86,6 +88,26 @@ def test_maps_are_small_pictures_that_are_clear_outside_the_mask(result: Result)
     assert (codes[:, 2:, 3] == 255).all()
     expected = np.rint(255 * result.roughness[:, 2:])
     np.testing.assert_array_equal(codes[:, 2:, 0], expected)
+
+
+def test_a_notebook_shows_a_scene_in_small(scene: Scene) -> None:
+    bright = np.repeat(np.repeat(scene.images, 40, axis=1), 40, axis=2)
+    mask = np.repeat(np.repeat(scene.valid, 40, axis=0), 40, axis=1)
+    many = Scene(
+        images=np.concatenate([bright] * 10),
+        mask=mask,
+        names=[f"<{i}>" for i in range(30)],  # type: ignore[arg-type]
+        assumed={"fov": "a & b"},
+    )
+    page = Page(f"<!doctype html>\n<body>{many._repr_html_()}</body>")
+    shown = [np.asarray(decoded(image)) for image in page.all("img")]
+    assert len(shown) == PICTURES_MAX
+    assert {max(codes.shape) for codes in shown} == {128}
+    assert np.mean(shown[0][..., 3] > 0) == pytest.approx(mask.mean(), abs=0.02)
+    opaque = np.concatenate([codes[codes[..., 3] == 255][:, :3] for codes in shown]) / 255
+    assert decode_srgb(opaque).mean() == pytest.approx(SHOWN_MEAN, rel=0.1)
+    for said in ("<0>", "fov: a & b", f"{30 - PICTURES_MAX} more pictures", repr(many)):
+        assert said in page.text
 
 
 def test_large_maps_are_reduced(result: Result) -> None:
