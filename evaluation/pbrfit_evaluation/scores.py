@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pbrfit.result import metrics, relighting
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.similarity import psnr, ssim
 
 PROTOCOL = (
     "pbrfit-scores-1: RMSE over valid pixels and channels, linear values; relight under the true "
@@ -83,8 +84,8 @@ def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
         roughness_on_metal=_on(metal, found.roughness, true.roughness),
         metallic_on_metal=_on(metal, found.metallic, true.metallic),
         albedo_scaled=metrics.rmse(scaled, true.albedo),
-        albedo_psnr=metrics.psnr(*albedos),
-        albedo_ssim=metrics.ssim(*albedos),
+        albedo_psnr=psnr(*albedos),
+        albedo_ssim=ssim(*albedos),
         seconds=result.seconds,
         evaluations=result.evaluations,
         **relight,
@@ -103,8 +104,8 @@ def _relight(
     return (
         metrics.rmse(rendered, true),
         metrics.rmse(metrics.scaled_per_channel(rendered, true), true),
-        float(np.mean([metrics.psnr(*pair) for pair in pairs])),
-        float(np.mean([metrics.ssim(*pair) for pair in pairs])),
+        float(np.mean([psnr(*pair) for pair in pairs])),
+        float(np.mean([ssim(*pair) for pair in pairs])),
     )
 
 

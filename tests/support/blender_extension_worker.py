@@ -68,7 +68,7 @@ def write_floats(scene: Any, samples: int) -> None:
     """What only a measurement wants: two threads, a fixed seed, EXR."""
     scene.render.threads_mode, scene.render.threads = "FIXED", 2
     scene.cycles.device, scene.cycles.seed, scene.cycles.samples = "CPU", 1, samples
-    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
     if hasattr(scene.render.image_settings, "media_type"):  # Blender 5
         scene.render.image_settings.media_type = "MULTI_LAYER_IMAGE"
     scene.render.image_settings.file_format = "OPEN_EXR_MULTILAYER"

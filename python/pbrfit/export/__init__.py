@@ -148,45 +148,38 @@ def export_result(
     displacement = Displacement.of(result) if wanted else None
     files: list[ExportedFile] = []
     with new_folder(Path(path), overwrite=overwrite, form=EXPORT_FOLDER) as folder:
+
+        def put(name: str, content: bytes, holds: str, color_space: str) -> None:
+            (folder / name).write_bytes(content)
+            files.append(_file(folder, name, holds, color_space))
+
+        colors = "base color sRGB, all else linear"
         if "gltf" in planned.formats:
-            files.append(_write_gltf(folder, maps, planned, result.fov))
+            holds = f"{planned.geometry} with textures, and the camera of the pictures"
+            content = glb(maps, result.fov, planned.bits, planned.geometry)
+            put("material.glb", content, holds, colors)
         if "exr" in planned.formats:
             files += _write_exr(folder, maps, planned, result, displacement)
         if "png" in planned.formats:
             files += _write_png(folder, maps, planned, displacement)
         if "mtlx" in planned.formats:
-            (folder / "material.mtlx").write_text(materialx.mtlx(planned), encoding="utf-8")
-            colors = "base color sRGB, all else linear"
-            files.append(_file(folder, "material.mtlx", materialx.HOLDS, colors))
+            put("material.mtlx", materialx.mtlx(planned).encode(), materialx.HOLDS, colors)
         if preset == "blender" and "png" in planned.formats:
-            (folder / blender.ZIP_FILE).write_bytes(blender.extension())
-            files.append(_file(folder, blender.ZIP_FILE, blender.ZIP_HOLDS, "none"))
+            put(blender.ZIP_FILE, blender.extension(), blender.ZIP_HOLDS, "none")
         if "ply" in planned.formats:
-            (folder / "points.ply").write_bytes(points.ply(result))
-            colors = "albedo sRGB, all else linear"
-            files.append(_file(folder, "points.ply", points.HOLDS, colors))
+            put("points.ply", points.ply(result), points.HOLDS, "albedo sRGB, all else linear")
         if "ptm" in planned.formats:
             content, white = rti.ptm(result)
-            (folder / rti.PTM_FILE).write_bytes(content)
             codes = f"sRGB codes, white = radiance {white:.4g}"
-            files.append(_file(folder, rti.PTM_FILE, rti.PTM_HOLDS, codes))
+            put(rti.PTM_FILE, content, rti.PTM_HOLDS, codes)
         (folder / "lights").mkdir()
         if "lp" in planned.formats or rti.one_lamp_a_picture(result.lamps, len(result.pictures)):
-            (folder / "lights" / rti.LP_FILE).write_text(rti.lp(result), encoding="utf-8")
-            files.append(_file(folder, f"lights/{rti.LP_FILE}", rti.LP_HOLDS, "unit vectors"))
+            put(f"lights/{rti.LP_FILE}", rti.lp(result).encode(), rti.LP_HOLDS, "unit vectors")
         panoramas = lights.write_lights(folder / "lights", result)
         files += _light_files(folder, panoramas)
         _write_manifest(folder / MANIFEST, result, planned, files, displacement)
     _warn_of_negative(Path(path), panoramas)
     return Exported(tuple(files), panoramas)
-
-
-def _write_gltf(folder: Path, maps: Maps, planned: Plan, fov: float) -> ExportedFile:
-    path = "material.glb"
-    content = glb(maps, fov, planned.bits, planned.geometry)
-    (folder / path).write_bytes(content)
-    holds = f"{planned.geometry} with textures, and the camera of the pictures"
-    return _file(folder, path, holds, "base color sRGB, all else linear")
 
 
 def _write_exr(
@@ -226,10 +219,8 @@ def _write_png(
     if displacement is not None:
         bits, path = planned.bits or 16, f"png/{planned.displacement}.png"
         images.write_png(folder / path, displacement.integers(bits), "linear")
-        low, high = displacement.low, displacement.high
-        holds = (
-            f"height towards the viewer, from {low:.6g} (0) to {high:.6g} picture widths (white)"
-        )
+        limits = f"{displacement.low:.6g} (0) to {displacement.high:.6g}"
+        holds = f"height towards the viewer, from {limits} picture widths (white)"
         yield _file(folder, path, holds, f"data, linear; {bits} bits")
 
 
@@ -289,8 +280,7 @@ def _write_manifest(
         ],
     }
     if result.uncertainty is not None:
-        verdicts = result.uncertainty.verdicts
-        content["verdicts"] = {name: one.as_json() for name, one in verdicts.items()}
+        content["verdicts"] = {name: one.as_json() for name, one in result.verdicts.items()}
     if displacement is not None:
         content["displacement"] = displacement.as_json()
     write_json(path, content)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ class Displacement:
     low: float
     high: float
     """The lowest and the highest, which integer files have as 0 and as their largest code."""
+    source: Literal["fit", "normals"]
+    """Whether the fit found it, or it is what the normals integrate to."""
 
     @classmethod
     def of(cls, result: Result) -> Displacement | None:
@@ -52,7 +54,8 @@ class Displacement:
         if not known.any() or np.ptp(found[known]) < FLAT:
             return None
         height = found[nearest_inside(known)]
-        return cls(height, float(height.min()), float(height.max()))
+        source: Literal["fit", "normals"] = "normals" if result.height is None else "fit"
+        return cls(height, float(height.min()), float(height.max()), source)
 
     def integers(self, bits: Bits) -> NDArray[Any]:
         """(H, W, 1) uint8 or uint16."""
@@ -63,7 +66,8 @@ class Displacement:
 
     def as_json(self) -> dict[str, Any]:
         """What `export.json` holds under `displacement`."""
-        return {"unit": "picture widths", "low": self.low, "high": self.high}
+        unit = {"unit": "picture widths", "source": self.source}
+        return unit | {"low": self.low, "high": self.high}
 
 
 def _integrated(result: Result) -> NDArray[np.float64]:

@@ -44,8 +44,8 @@ class LightPanorama:
     file: str
     """Its name in the folder of lights."""
     difference: float
-    """By how much the surfaces look different under it than under the SH light, which may be
-    negative in places: RMS, relative; 0 where it is not."""
+    """By how much the surfaces look different under it than under the light, whose SH part may be
+    negative in places: RMS, relative to all that they show; 0 where it is not."""
 
 
 def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
@@ -61,11 +61,11 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     _write_three(folder / "three.json", soft)
     of_lamps = _lamps_as_texels(result)
     panoramas = []
-    for picture, name, light in zip(
-        lighting.pictures, file_names(lighting.pictures), lighting.coefficients, strict=True
-    ):
+    names = file_names(lighting.pictures)
+    lights = zip(lighting.pictures, names, lighting.coefficients, soft.coefficients, strict=True)
+    for picture, name, ambient, whole in lights:
         with one_blas_thread():  # the same bits whatever the processor count
-            radiance, difference = nonnegative_radiance(light, response, HEIGHT)
+            radiance, difference = nonnegative_radiance(ambient, response, HEIGHT, whole)
         radiance += of_lamps.get(picture, 0.0)
         file = f"{name}.exr"
         radiance = np.minimum(radiance, np.finfo(np.float32).max)

@@ -19,6 +19,7 @@ With M = S Sᵀ and μ = S ν that is the minimum of a convex function of 16 unk
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,11 +63,14 @@ def surface_response(result: Result) -> Array:
     return np.asarray(np.einsum("pck,pcl->ckl", weights, weights) / len(pixels))
 
 
-def nonnegative_radiance(light: Array, response: Array, height: int) -> tuple[Array, float]:
+def nonnegative_radiance(
+    light: Array, response: Array, height: int, whole: Array
+) -> tuple[Array, float]:
     """Panorama (height, 2 height, 3), 0 or more, of an SH light (16, 3).
 
     A light that is nowhere negative is its own panorama. Beside it the difference that is left:
-    RMS over pixels and channels of what surfaces of that `response` show, relative to the light's.
+    RMS over pixels and channels of what surfaces of that `response` show, relative to what they
+    show under the `whole` light (16, 3), of which this one is a part, or all.
     """
     radiance = panorama.radiance(light, height)
     negative = [c for c in range(3) if radiance[..., c].min() < 0]
@@ -75,10 +79,8 @@ def nonnegative_radiance(light: Array, response: Array, height: int) -> tuple[Ar
     for c in negative:
         radiance[..., c] = _fitted(light[:, c], response[c], height)
     off = panorama.project(radiance) - light
-    squares = [
-        sum(float(of[:, c] @ response[c] @ of[:, c]) for c in range(3)) for of in (off, light)
-    ]
-    return radiance, float(np.sqrt(max(squares[0], 0) / squares[1])) if squares[1] > 0 else 0.0
+    lost, shown = (float(np.einsum("kc,ckl,lc", of, response, of)) for of in (off, whole))
+    return radiance, math.sqrt(max(lost, 0.0) / shown) if shown > 0 else 0.0
 
 
 def _fitted(light: Array, response: Array, height: int) -> Array:

@@ -17,10 +17,7 @@ def sentence(result: Result) -> str:
     if result.held_out is None:
         return ""
     said = result.held_out.in_words().replace(" %", "\N{NO-BREAK SPACE}%")
-    return (
-        f'<p class="held-out">{escape(f"{said[0].upper()}{said[1:]}")}. '
-        f'<a href="#{ANCHOR}">How it was chosen</a></p>'
-    )
+    return f'{escape(said[0].upper() + said[1:])}. <a href="#{ANCHOR}">How it was chosen</a>.'
 
 
 def section(result: Result) -> str:

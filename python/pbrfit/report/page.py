@@ -38,6 +38,7 @@ from pbrfit.report.notation import percent, plain
 from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
 from pbrfit.result import differences
+from pbrfit.result.advice import next_steps
 from pbrfit.result.drawing import as_svg, draw_history
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.result import Result
@@ -175,11 +176,14 @@ def _document(result: Result, sections: Mapping[str, str]) -> str:
 
 
 def _head(result: Result) -> str:
-    """What stands above the picture: the title, which maps can be used, what is explained."""
-    found = verdict.chips(result)
-    verdicts = f'<div class="verdicts">{found}</div>' if found else ""
-    explains = held_out.sentence(result)
-    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{theme.button()}{explains}</header>"
+    """What stands above the picture: title, usable maps, what is explained, what would help."""
+    verdicts = f'<div class="verdicts">{verdict.chips(result)}</div>'
+    notes = [held_out.sentence(result)]
+    notes += [f"Next: {escape(one)}." for one in next_steps(result)[:1]]
+    if reduced := result.assumed.get("size"):
+        notes.append(f"{max(result.mask.shape)} px fit: {escape(reduced)}.")
+    told = f'<p class="told">{" ".join(filter(None, notes))}</p>'
+    return f"<header><h1>{escape(_title(result))}</h1>{verdicts}{theme.button()}{told}</header>"
 
 
 def _title(result: Result) -> str:
@@ -192,12 +196,11 @@ def _title(result: Result) -> str:
 
 def _size_remark(what: str, side: int, result: Result) -> str:
     height, width = reduced_size(result.mask.shape, side)
-    if (height, width) == result.mask.shape:
-        return paragraph(
-            f"{what} have the resolution of the fit, {width} × {height} pixels.", "note"
-        )
-    full = f"{result.mask.shape[1]} × {result.mask.shape[0]}"
-    return paragraph(f"{what} are averaged down from {full} to {width} × {height} pixels.", "note")
+    said = f"have the resolution of the fit, {width} × {height}"
+    if (height, width) != result.mask.shape:
+        full = f"{result.mask.shape[1]} × {result.mask.shape[0]}"
+        said = f"are averaged down from {full} to {width} × {height}"
+    return paragraph(f"{what} {said} pixels.", "note")
 
 
 def _pictures(originals: Originals, pictures: Sequence[Picture], chosen: _Chosen) -> str:

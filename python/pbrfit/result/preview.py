@@ -45,31 +45,25 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
         for name, one in zip(PARAMETERS, _maps(result.materials, PARAMETERS), strict=True)
     ]
     rows.append([*maps, _normals(result.normals, of_normals)])
-    on_scale = ["residual, relative to the picture's RMS"] if scene is not None else []
-    left_out = scene is not None and (scene.weights is not None or scene.limits is not None)
-    white = ["not used"] if left_out else []
-    marks: dict[str, tuple[float, float, float]] = {}
+    ticks, white = differences.tick_places(), _color(differences.WHITE)
+    keys = []
+    if scene is not None:
+        left_out = scene.weights is not None or scene.limits is not None
+        not_used = {"not used": white} if left_out else {}
+        keys.append(_key("residual, relative to the picture's RMS", ticks, not_used))
     truth = None if scene is None else scene.truth
     if truth is not None:
         rows.append([*_maps(truth.materials)])
         rows.append(_differences(differences.errors(result.materials, truth.materials)))
         labels += ["ground truth", "error"]
-        on_scale.append("error")
+        keys.append(_key("error", ticks, {}))
     if result.uncertainty is not None:
         of_maps = differences.deviations(result.uncertainty)
         rows.append(_differences(of_maps))
         labels.append("deviation")
-        on_scale.append("standard deviation")
-        for label, index in differences.deviation_marks(of_maps.values()).items():
-            if index == differences.WHITE:
-                white.insert(0, label)
-            else:
-                marks[label] = _color(index)
-    if white:
-        marks = {" or ".join(white): _color(differences.WHITE)} | marks
-    keys = []
-    if on_scale:
-        keys.append(_key("; ".join(on_scale), differences.tick_places(), marks))
+        marks = differences.deviation_marks(of_maps.values()).items()
+        of_marks = {label: _color(index) for label, index in marks}
+        keys.append(_key("standard deviation", ticks, of_marks))
     if result.given_normals is not None and result.normal_change is not None:
         rows.append(
             [
@@ -79,7 +73,7 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
             ]
         )
         labels.append("normals")
-        as_it_was = {"unchanged": _color(differences.WHITE)}
+        as_it_was = {"unchanged": white}
         keys.append(_key("change of the normals", differences.tick_places(degrees=True), as_it_was))
     height, width = result.mask.shape
     title = f"{len(result.pictures)} pictures of {width} x {height}"

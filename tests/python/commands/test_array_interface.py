@@ -311,8 +311,6 @@ CALLS: dict[str, Call] = {
         ["rmse"],
         inf_out=True,
     ),
-    "psnr": Call(metrics.psnr, picture_pair, ["rmse"], inf_out=True),
-    "ssim": Call(metrics.ssim, picture_pair, ["ssim"]),
     "scaled_per_channel": Call(
         metrics.scaled_per_channel, picture_pair, nan_out=True, inf_out=True
     ),

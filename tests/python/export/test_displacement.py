@@ -50,7 +50,7 @@ def test_a_planted_surface_comes_back_in_picture_widths(fitted: Result, tmp_path
     normals = unit(np.stack([-right, -up, np.ones_like(x)], axis=-1))
     export_result(card(fitted, normals, 0.0), tmp_path / "out")
     told = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))["displacement"]
-    assert told["unit"] == "picture widths"
+    assert (told["unit"], told["source"]) == ("picture widths", "normals")
     floats = images.read_channels(tmp_path / "out" / "exr" / "displacement.exr")["Y"]
     off = floats - height
     assert np.abs(off - off.mean()).max() < 0.01 * np.ptp(height)

@@ -524,7 +524,7 @@ def test_a_panorama_of_a_negative_light_is_the_best_there_is(seed: int) -> None:
     light[0] = random.normal(size=3)  # the mean light may be negative too
     weights = random.normal(size=(3, 40, 16)) * np.geomspace(1, 1e-3, 16)
     response = np.einsum("cpk,cpl->ckl", weights, weights) / 40
-    found, _ = nonnegative_radiance(light, response, height)
+    found, _ = nonnegative_radiance(light, response, height, light)
     basis = sh_basis(panorama.directions(height, 2 * height)).reshape(-1, 16)
     angles = np.repeat(panorama.solid_angles(height, 2 * height), 2 * height)
     for c in range(3):
@@ -552,7 +552,7 @@ def test_black_surfaces_and_no_light_have_a_black_panorama() -> None:
         (lamp(), np.zeros((3, 16, 16))),
         (0 * lamp(), np.eye(16)[None] + [[[0]]] * 3),
     ):
-        radiance, difference = nonnegative_radiance(light, response, 8)
+        radiance, difference = nonnegative_radiance(light, response, 8, light)
         np.testing.assert_array_equal(radiance, 0)
         assert difference == 0
 

@@ -78,7 +78,7 @@ def test_lp_and_displacement_are_part_of_an_export(each: Result, tmp_path: Path)
     assert np.isfinite(floats).all()
     content = json.loads((tmp_path / "out" / "export.json").read_text("utf-8"))
     told = content["displacement"]
-    assert told["unit"] == "picture widths"
+    assert (told["unit"], told["source"]) == ("picture widths", "fit")
     codes = images.read_picture(tmp_path / "out" / "png" / "displacement.png", "linear").pixels
     found = told["low"] + (told["high"] - told["low"]) * codes[..., 0]
     step = (told["high"] - told["low"]) / 65535
@@ -101,6 +101,15 @@ def test_results_without_lamps_and_height_are_as_ever(result: Result, tmp_path: 
     known = np.isfinite(np.asarray(result.height))
     off = found[known] - np.asarray(result.height)[known] / 32
     assert np.std(off) < 0.02 * np.ptp(found[known])
+
+
+def test_a_negative_ambient_part_is_judged_beside_the_lamps(each: Result, tmp_path: Path) -> None:
+    lights = np.random.default_rng(3).normal(size=each.lighting.shape) * 1e-3
+    weak = dataclasses.replace(each, lighting=lights)
+    for of, least, most in ((weak, 0, 0.05), (dataclasses.replace(weak, lamps=None), 0.1, 2)):
+        name = tmp_path / f"{most}"
+        found = [one.difference for one in export_result(of, name, format="png").panoramas]
+        assert least < max(found) < most
 
 
 def decoded(content: bytes) -> tuple[Array, Array]:

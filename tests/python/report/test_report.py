@@ -33,6 +33,7 @@ from pbrfit.report import budget, lights, originals, theme, write_report
 from pbrfit.report.html import document
 from pbrfit.report.page import REFLECTION
 from pbrfit.report.verdict import CLASSES
+from pbrfit.result.advice import next_steps
 from pbrfit.result.camera import Camera
 from pbrfit.result.differences import PALETTE, WHITE
 from pbrfit.result.verdict import ROUGH_MAX
@@ -149,10 +150,15 @@ def test_each_map_has_a_verdict_in_words_and_its_reason_one_click_away(
 
 def test_the_head_says_how_left_out_pictures_are_explained(unfitted: Path, tmp_path: Path) -> None:
     result = Result.load(unfitted / "result")
+    reduced = {"size": "averaged down from 80 × 80 to 20 × 20 pixels"}
+    result = dataclasses.replace(result, assumed={**result.assumed, **reduced})
     for name, held_out, said in (("a", EXPLAINED, SENTENCE), ("b", UNEXPLAINED, EXCUSE)):
         shown = written(dataclasses.replace(result, held_out=held_out), tmp_path / f"{name}.html")
         [header] = shown.all("header")
-        assert f"{said[0].upper()}{said[1:]}." in " ".join(header.text.split())
+        told = " ".join(header.text.split())
+        assert f"{said[0].upper()}{said[1:]}." in told
+        assert f"Next: {next_steps(result)[0]}." in told
+        assert "20 px fit: averaged down from 80 × 80 to 20 × 20 pixels." in told
         assert [link.attributes["href"] for link in shown.all("a") if link.text][:1] == ["#choice"]
         text = shown.content.split('id="choice"')[1].split("</section>")[0]
         for one in held_out.candidates:

@@ -593,12 +593,18 @@ def test_keys_do_everything(view: View, furnished: Result) -> None:
     press("0")
     assert stage("zoom") == 1
     press("c")
-    assert view.state()["picture"] == furnished.pictures[0]
-    press("]")  # the picture of the light is compared with
+    # A picture is compared under its own light.
+    assert view.state()["picture"] == view.state()["light"] == furnished.pictures[0]
     press("]")
     assert view.state()["picture"] == view.state()["light"] == furnished.pictures[1]
+    press("d")
+    wait_until(view.page, "document.querySelector('.relight-difference')")
+    assert not view.page.locator(".relight-reveal").is_visible()
+    assert "4 × difference of" in view.page.locator(".relight-names").inner_text()
+    press("d")
     press("c")
     assert view.state()["picture"] == ""
+    wait_until(view.page, "document.querySelector('.relight-before').hidden")
     press("l")
     assert view.state()["light"] == ""
     press("a")

@@ -136,7 +136,8 @@ def test_truth_with_its_errors_and_uncertainty_add_rows() -> None:
     height = preview(result, scene).shape[0]
     without_truth = preview(result, dataclasses.replace(scene, truth=None)).shape[0]
     unsure = preview(dataclasses.replace(result, uncertainty=None), scene).shape[0]
-    assert (height - without_truth, height - unsure) == (2 * row, row + note)
+    key = round(4.6 * FONT[0]) + MARGIN  # a bar a quantity
+    assert (height - without_truth, height - unsure) == (2 * row + key, row + note + key)
     # Why a map is no better stands below it, in as many lines as it needs.
     explained = preview(with_verdicts(result, "few lights, all of them from one side"), scene)
     assert explained.shape[0] - height in (note, 2 * note)

@@ -142,11 +142,11 @@ def set_up_render(scene: Any, *, as_relit: bool) -> None:
     view.view_transform, view.look = "Standard", "None"
     view.exposure, view.gamma = 0, 1
     cycles = scene.cycles
+    cycles.samples, cycles.use_denoising = 128, True
     cycles.pixel_filter_type = "BOX"  # a pixel shows its own facet alone
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
     cycles.blur_glossy = 0
     cycles.light_sampling_threshold = 0
-    cycles.use_denoising = not as_relit
     cycles.max_bounces = 0 if as_relit else 12
     cycles.diffuse_bounces = cycles.glossy_bounces = 0 if as_relit else 4
 
@@ -229,6 +229,9 @@ def add_surface(
     if export.green_down:
         normals[..., 1] *= -1
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    if geometry == "AUTO":
+        found = (export.displacement or {}).get("source")
+        geometry = "RELIEF" if found == "fit" else "FACETS"
     on_card = geometry == "CARD"
     if geometry == "FACETS":
         mesh = facet_mesh(normals, mask, export.fov)
@@ -476,6 +479,7 @@ class ImportResult(bpy.types.Operator, ImportHelper, LightOptions):
     geometry: EnumProperty(
         name="Geometry",
         items=(
+            ("AUTO", "Automatic", "A relief where the fit found its height, else facets"),
             (
                 "FACETS",
                 "Facets",

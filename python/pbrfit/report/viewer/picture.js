@@ -161,6 +161,7 @@ class Picture {
     gl.uniform1i(at("toneMap"), TONE_MAPS.indexOf(state.tone));
     gl.uniform1i(at("shown"), Math.max(0, SHOWN.indexOf(state.view)));
     gl.uniform1i(at("stride"), stride);
+    gl.uniform4fv(at("box"), data.box);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 }

@@ -30,6 +30,17 @@ function boxOf(facing, width, height) {
   return box;
 }
 
+/** What was fitted as a picture for CSS masks, opaque there; "" where that is all. */
+function maskOf(facing, width, height) {
+  if (facing.every(Boolean)) return "";
+  const canvas = Object.assign(document.createElement("canvas"), { width, height });
+  const context = canvas.getContext("2d");
+  const picture = context.createImageData(width, height);
+  facing.forEach((code, i) => { picture.data[4 * i + 3] = code ? 255 : 0; });
+  context.putImageData(picture, 0, 0);
+  return `url(${canvas.toDataURL()})`;
+}
+
 // Nodes to a cell of the splines: between these the shader interpolates in straight lines, which
 // takes 24 texels a pixel where splines would take 96; off by at most 0.002, where n·v is near 0.
 const NODES = 6;

@@ -16,6 +16,7 @@ uniform float gain;           // 2^exposure
 uniform int toneMap;          // 0 none, 1 neutral
 uniform int shown;            // 0 relit, 1 albedo, 2 roughness, 3 metallic, 4 normals, 5 all in strips
 uniform int stride;           // texels from one pixel to the next
+uniform vec4 box;             // around the mask, texels: left, top, right, bottom
 
 out vec4 color;
 
@@ -91,8 +92,9 @@ void main() {
       clamp(g.z + offset.x, 0.0, 1.0), clamp(s.a + offset.y, 0.0, 1.0));
 
   int what = shown;
-  if (shown == 5) {  // slanted strips, a dark line between them
-    float along = 5.0 * (float(pixel.x) + 0.5 + 0.12 * float(texel.y - size.y / 2)) / float(size.x);
+  if (shown == 5) {  // slanted strips over the box of the mask
+    float slant = 0.12 * (float(texel.y) - 0.5 * (box.y + box.w));
+    float along = 5.0 * (float(pixel.x) + 0.5 - box.x + slant) / (box.z - box.x);
     what = clamp(int(floor(along)), 0, 4);
   }
   vec3 code;

@@ -9,6 +9,7 @@ class Reveal {
     this.handle = root.querySelector(".relight-reveal");
     this.names = root.querySelector(".relight-names");
     this.share = 0.5;
+    this.differs = false;
     const { handle } = this;
     let held = null;
     handle.addEventListener("pointerdown", (event) => {
@@ -42,14 +43,21 @@ class Reveal {
   show(shown, after) {
     const { picture, handle, names } = this;
     for (const element of [picture, handle, names]) element.hidden = !shown;
+    if (!shown) this.differs = false;
+    picture.classList.toggle("relight-difference", this.differs);
+    handle.hidden ||= this.differs;
     if (shown) {
       if (picture.getAttribute("src") !== shown.address) picture.src = shown.address;
       picture.alt = `Picture ${shown.name}`;
       const [before, now] = names.children;
-      before.textContent = shown.name;
-      now.textContent = after;
+      before.textContent = this.differs ? `4 × difference of ${shown.name} and ${after}` : shown.name;
+      now.textContent = this.differs ? "" : after;
       this.lay();
     }
+  }
+
+  differ() {
+    this.differs = !this.differs;
   }
 
   move(share) {
@@ -58,8 +66,9 @@ class Reveal {
   }
 
   lay() {
-    if (this.handle.hidden) return;
-    const { stage, share } = this;
+    if (this.picture.hidden) return;
+    const { stage } = this;
+    const share = this.differs ? 1 : this.share;
     const [left, top, right, bottom] = stage.seen();
     const x = left + share * (right - left);
     this.handle.style.cssText = `left:${x}px;top:${top}px;height:${bottom - top}px`;

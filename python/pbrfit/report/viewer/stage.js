@@ -93,6 +93,15 @@ class Stage {
       Math.min(at[0] + size[0], left + wide), Math.min(at[1] + size[1], top + tall)];
   }
 
+  /** Left and right of what was fitted, as far as it is seen, in pixels of the stage. */
+  boxSeen() {
+    const [left, , right] = this.seen();
+    const [west, , east] = this.data.box;
+    const { at, size, data } = this;
+    return [west, east].map((x) =>
+      Math.min(right, Math.max(left, at[0] + (size[0] * x) / data.width)));
+  }
+
   /** A pointer's place, in pixels of the stage. */
   placeOf(event) {
     const box = this.element.getBoundingClientRect();

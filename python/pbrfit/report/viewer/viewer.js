@@ -60,6 +60,7 @@ class View {
     for (const className of ["relight-deviation", "relight-before"]) {
       sheet.append(Object.assign(new Image(), { className, hidden: true }));
     }
+    if (data.mask) sheet.querySelector(".relight-before").style.maskImage = data.mask;
     this.ball = new Ball(root.querySelector(".relight-ball"));
     this.stageElement = root.querySelector(".relight-stage");
     this.stage = new Stage(this.stageElement, sheet, data,
@@ -266,8 +267,10 @@ class View {
     marker.style.left = `${left + (0.5 + 0.5 * u) * (right - left)}px`;
     marker.style.top = `${top + (0.5 - 0.5 * v) * (bottom - top)}px`;
     marker.classList.toggle("relight-behind", Math.abs(wrapped(this.state.azimuth)) > 90);
-    Object.assign(this.root.querySelector(".relight-legend").style,
-      { left: `${left}px`, width: `${right - left}px`, top: `${bottom}px` });
+    const legend = this.root.querySelector(".relight-legend");
+    const [from, to] = legend.dataset.key?.startsWith("strips") ? stage.boxSeen() : [left, right];
+    Object.assign(legend.style,
+      { left: `${from}px`, width: `${to - from}px`, top: `${bottom}px` });
     this.root.querySelector(".relight-zoom").value = stage.resting ? "fit"
       : `${Math.round(100 * stage.scale * (window.devicePixelRatio || 1))} %`;
     this.reveal.lay();
@@ -289,7 +292,8 @@ class View {
     root.addEventListener("input", ({ target }) => {
       if (target.name in RANGES) this.change({ [target.name]: Number(target.value) });
       else if (target.name === "light") this.choose(target.value);
-      else if (["tone", "view", "of", "picture"].includes(target.name)) {
+      else if (target.name === "picture") this.compareWith(target.value);
+      else if (["tone", "view", "of"].includes(target.name)) {
         this.change({ [target.name]: target.value });
       }
     });
@@ -321,7 +325,19 @@ class View {
     const { state, originals } = this;
     if (originals.size === 0) return;
     const name = originals.has(state.light) ? state.light : originals.keys().next().value;
-    this.change({ picture: state.picture ? "" : name });
+    this.compareWith(state.picture ? "" : name);
+  }
+
+  /** Show a picture beside its reconstruction, under its own light; "" = none. */
+  compareWith(picture) {
+    this.change(picture ? { picture, light: picture, rotate: 0, tilt: 0 } : { picture });
+  }
+
+  /** The difference of both in place of a border, or the border again. */
+  differ() {
+    if (!this.state.picture) this.compare();
+    this.reveal.differ();
+    this.redraw();
   }
 
   setHand(hand) {
@@ -463,6 +479,7 @@ class View {
       0: () => this.stage.reset(),
       a: () => this.adjust(),
       c: () => this.compare(),
+      d: () => this.differ(),
       f: () => this.toggleFullscreen(),
       h: () => this.setHand(!this.hand),
       l: () => this.choose(""),
@@ -566,6 +583,7 @@ async function start(root) {
     const planes = await unpacked(maps.textContent, data.units, data.width, data.height);
     maps.remove(); // megabytes of text
     data.box = boxOf(planes.facing, data.width, data.height);
+    data.mask = maskOf(planes.facing, data.width, data.height);
     if (data.lobes) data.lobes = await unpackedLobes(data.lobes);
     const picture = new Picture(canvas, data, planes, SHADERS);
     for (const part of root.querySelectorAll("fieldset")) part.disabled = false;
