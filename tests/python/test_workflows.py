@@ -71,9 +71,24 @@ def test_wheels_are_handed_over_before_packages_of_others_are_there() -> None:
         assert [step for step in found[kept:] if "pip" in step]
 
 
+def test_there_are_wheels_for_every_platform_and_the_free_threaded_python() -> None:
+    job = jobs(ROOT / ".github" / "workflows" / "wheels.yml")["wheel"]
+    systems = ("manylinux", "musllinux", "macos", "windows")
+    built = re.findall(r"name: (\w+)-(\w+), runner", job)
+    intel, arm = {"x86_64", "x64"}, {"aarch64", "arm64"}
+    for system in systems:
+        kinds = {kind for of, kind in built if of == system}
+        assert len(kinds & intel) == len(kinds & arm) == 1, system
+    assert re.search(r'python: \["3\.11", "3\.\d+t"\]', job)
+
+
 def test_the_oldest_packages_are_those_that_are_allowed() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     pins = dict(re.findall(r"^([\w-]+)==(\S+)$", (ROOT / "tests/oldest.txt").read_text(), re.M))
+    recipe = (ROOT / "packaging" / "conda" / "recipe.yaml").read_text("utf-8")
+    cargo = tomllib.loads((ROOT / "Cargo.toml").read_text("utf-8"))["package"]
+    assert f'version: "{cargo["version"]}"' in recipe
     for requirement in project["dependencies"]:
         name, _, least = requirement.partition(">=")
         assert pins[name] == least + ".0" * (2 - least.count("."))
+        assert f"- {name.replace('matplotlib', 'matplotlib-base')} >={least}\n" in recipe
