@@ -32,7 +32,7 @@ SOFTNESS = 6.0
 """Angular radius of the lamp in degrees."""
 
 FILL = 0.05
-"""Radiance of the faint light from all around; a white surface under the lamp alone has 1."""
+"""Radiance of the faint environment light; a white surface under the lamp alone has 1."""
 
 PICTURES = (2, 12)
 """Those shown."""

@@ -19,11 +19,13 @@ from evaluation_tasks import own_room, recorded
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles, recipes
+from pbrfit_evaluation.explained import Case
+from pbrfit_evaluation.explained.figures import ratio
 from pbrfit_evaluation.suite import Verdict
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from pbrfit_evaluation.transport import SETUPS, SUITE, figures, measure
 from pbrfit_evaluation.transport.figures import CHOICES
-from pbrfit_evaluation.transport.measure import NAMES, ROWS, Case, told
+from pbrfit_evaluation.transport.measure import NAMES, ROWS, told
 from pbrfit_evaluation.transport.variants import BY_KEY, VARIANTS
 from scene_files import known
 
@@ -163,8 +165,8 @@ def test_ratios_are_of_rooms_that_both_have() -> None:
         *(of("shadows", "true", 1, 0.1), of("shadows", "true", 2, 0.3)),
         *(of("shadows", "without", 1, 0.2), of("shadows", "without", 3, 9.0)),
     )
-    assert figures.ratio(results, "shadows", "albedo", "true", "without") == pytest.approx(0.5)
-    assert np.isnan(figures.ratio(results, "shadows", "albedo", "rough", "without"))
+    assert ratio(results, "shadows", "albedo", "true", "without") == pytest.approx(0.5)
+    assert np.isnan(ratio(results, "shadows", "albedo", "rough", "without"))
 
 
 def test_rows_say_what_was_chosen_and_why_some_were_not_run(

@@ -83,7 +83,7 @@ def fit_with_ours(
 SOLVERS: tuple[Solver, ...] = (
     Solver(
         "default",
-        "pbrfit.decompose with its priors, told the segments where there are some.",
+        "pbrfit.decompose with its priors, given the segments where there are some.",
         fit_with_ours,
     ),
     Solver(

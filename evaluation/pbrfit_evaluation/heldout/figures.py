@@ -145,7 +145,7 @@ def sections(results: Of, _: Sequence[Row]) -> Iterator[Section]:
     if any(of for _, of in angles):
         yield Section(
             "Normals",
-            "Median angle to the true normals, which no way is told, in degrees.",
+            "Median angle to the true normals, which no way is given, in degrees.",
             [_by_way([(name, of) for name, of in angles if of], mean=False)],
         )
     yield Section(

@@ -244,7 +244,7 @@ SETS: dict[str, PublicSet] = {
             "github.com/maxcrous/photometric-stereo commit "
             "08eb113eca55f28934146d2fd60b589ec8dd0916, photometrics_images/SphereColor; MIT; as "
             "PNG",
-            "8 bits, told to be linear; normals of a sphere given; camera taken as orthographic",
+            "8 bits, declared linear; normals of a sphere given; camera taken as orthographic",
             "Sphere_*.png",
             _brick_normals,
             'color_space = "linear"\n',

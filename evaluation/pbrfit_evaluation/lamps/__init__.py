@@ -2,48 +2,17 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
-from pbrfit._core import InputError
-from pbrfit_evaluation import cycles
+from pbrfit_evaluation.explained import cases_of, options_of
 from pbrfit_evaluation.lamps import figures
-from pbrfit_evaluation.lamps.measure import FIRST_SEED, Case, Setup, run
-from pbrfit_evaluation.lamps.variants import BY_KEY, CONSTANT, HARMONICS, NEAR, VARIANTS
-from pbrfit_evaluation.options import absolute, count, cycles_cache, first_seed, option
+from pbrfit_evaluation.lamps.measure import FIRST_SEED, NAMES, run
+from pbrfit_evaluation.lamps.variants import BY_KEY, CONSTANT, HARMONICS, NEAR
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
-from pbrfit_evaluation.suite import Options, Part, Suite
+from pbrfit_evaluation.suite import Part, Suite
 
-SETUPS: tuple[Setup, ...] = get_args(Setup)
+SETUPS = tuple(NAMES)
 
 FEW = (CONSTANT, HARMONICS, NEAR)
 """Variants of a quick look."""
-
-
-def cases(options: Options) -> list[Case]:
-    """Every room of every setup, explained in every way.
-
-    Rooms change fastest, so that processes side by side do not render the same one.
-
-    Raises
-    ------
-    InputError
-        If there are too few pictures.
-    """
-    if options.lights < 2:
-        raise InputError(f"--lights: expected at least 2, found {options.lights}")
-    if cycles.why_not():
-        return []
-    return [
-        Case(
-            *(setup, variant.key, options.first_seed + i, options.size, options.lights),
-            picture=i == 0,
-            cycles_cache=absolute(options.cycles_cache),
-        )
-        for variant in VARIANTS
-        if variant.key in options.variants
-        for setup in options.setups
-        for i in range(options.scenes)
-    ]
 
 
 SUITE = Suite(
@@ -57,7 +26,7 @@ SUITE = Suite(
     parts=[
         Part(
             "lamps",
-            cases,
+            cases_of(BY_KEY, BY_KEY),
             run,
             figures.rows,
             verdicts=figures.verdicts,
@@ -65,28 +34,7 @@ SUITE = Suite(
             csvs=figures.csvs,
         ),
     ],
-    options=(
-        option(
-            "--setups",
-            metavar="NAME",
-            nargs="+",
-            choices=SETUPS,
-            help=f"only these (default: {SETUPS[0]}): {', '.join(SETUPS)}",
-        ),
-        option(
-            "--variants",
-            metavar="NAME",
-            nargs="+",
-            choices=tuple(BY_KEY),
-            help=f"only these ways to explain a room (default: all, with --quick {', '.join(FEW)})"
-            f": {', '.join(BY_KEY)}",
-        ),
-        count("--scenes", "K", "rooms of a setup"),
-        count("--size", "PIXELS", "of the pictures"),
-        count("--lights", "N", "pictures a room", default=16),
-        first_seed("room", FIRST_SEED),
-        cycles_cache,
-    ),
+    options=options_of(SETUPS, SETUPS[0], BY_KEY, FEW, FIRST_SEED),
     effort={
         "setups": (SETUPS[:1], SETUPS[:1]),
         "variants": (tuple(BY_KEY), FEW),

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,23 +14,21 @@ from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.result.sheet import displayed, outside_grey
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.explained import Case
 from pbrfit_evaluation.lamps.variants import BY_KEY
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.panels import packed
 from pbrfit_evaluation.recipes import explain, fit
 from pbrfit_evaluation.scores import score
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 
-Setup = Literal["points-shadows", "points"]
-
-ROWS: Mapping[Setup, str] = {
+ROWS: Mapping[str, str] = {
     "points-shadows": "cycles-points",
     "points": "cycles-points-unshadowed",
 }
 """Rows of Table 1 that the rooms are rendered as."""
 
-NAMES: Mapping[Setup, str] = {
+NAMES: Mapping[str, str] = {
     "points-shadows": "Point lamps with shadows",
     "points": "Point lamps without shadows",
 }
@@ -41,38 +38,6 @@ FIRST_SEED = 8200
 
 MODEL: Literal["principled"] = "principled"
 """The one whose reflection Cycles renders."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """A room of a setup, explained in one way.
-
-    Attributes
-    ----------
-    setup, variant
-        Keys.
-    seed
-        Of the room and its lamps.
-    size, lights
-        Side of the pictures, and their number.
-    picture
-        Whether maps are kept for the report.
-    cycles_cache
-        Where renders are kept.
-    """
-
-    setup: Setup
-    variant: str
-    seed: int
-    size: int
-    lights: int
-    picture: bool = False
-    cycles_cache: Path | None = field(default=None, repr=False)
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return f"{self.setup}_{self.variant}_{self.seed}"
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
@@ -102,11 +67,8 @@ def run(case: Case, threads: int) -> dict[str, Any]:
 
 def room(case: Case, threads: int) -> tuple[Scene, Lamps]:
     """Render the room, which has its true depth in metres; and its lamps."""
-    row = TABLE1[ROWS[case.setup]]
-    task = table1.Task(
-        row.key, case.seed, case.size, case.lights, 0, cycles_cache=case.cycles_cache
-    )
-    return table1.cycles_scene(task, row, threads), table1.cycles_lamps(task, row)
+    of = case.of_table1(ROWS)
+    return table1.cycles_scene(*of, threads), table1.cycles_lamps(*of)
 
 
 def lamps_off(found: Lamps | None, true: Lamps, scene: Scene) -> dict[str, float]:

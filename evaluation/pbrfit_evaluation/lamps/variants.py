@@ -36,8 +36,8 @@ CONSTANT, HARMONICS, NEAR = "constant", "sh", "lamps-depth"
 
 VARIANTS = (
     Variant(CONSTANT, "constant guess", guess=True),
-    Variant(HARMONICS, "light from all around, no depth"),
-    Variant("sh-depth", "light from all around, depth", depth=True),
+    Variant(HARMONICS, "environment light, no depth"),
+    Variant("sh-depth", "environment light, depth", depth=True),
     Variant("lamps", "lamps, no depth", "lamps"),
     Variant(NEAR, "lamps, depth", "lamps", depth=True),
     Variant("auto", "auto, no depth", "auto"),

@@ -182,7 +182,7 @@ def room_sections(results: Rooms, rows: Sequence[Row]) -> Iterator[Section]:
         "fit without refinement at true normals. scenes.csv says why auto decided as it did.",
         [
             Table.of(rows, [*METRICS, *angles, "seconds"]),
-            Table.of(fitted, [*shares, "angle_left", "share_refined"]),
+            Table.of(fitted, [*shares, Column("angle_left", "residual angle"), "share_refined"]),
         ],
         plots,
     )

@@ -2,48 +2,17 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
-from pbrfit._core import InputError
-from pbrfit_evaluation import cycles
-from pbrfit_evaluation.options import absolute, count, cycles_cache, first_seed, option
+from pbrfit_evaluation.explained import cases_of, options_of
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
-from pbrfit_evaluation.suite import Options, Part, Suite
+from pbrfit_evaluation.suite import Part, Suite
 from pbrfit_evaluation.transport import figures
-from pbrfit_evaluation.transport.measure import FIRST_SEED, PICTURED, Case, Setup, run
-from pbrfit_evaluation.transport.variants import BY_KEY, VARIANTS
+from pbrfit_evaluation.transport.measure import FIRST_SEED, NAMES, PICTURED, run
+from pbrfit_evaluation.transport.variants import BY_KEY
 
-SETUPS: tuple[Setup, ...] = get_args(Setup)
+SETUPS = tuple(NAMES)
 
 FEW = ("constant", "without", "true")
 """Variants of a quick look."""
-
-
-def cases(options: Options) -> list[Case]:
-    """Every room of every setup, explained in every way that this version has.
-
-    Rooms change fastest, so that processes side by side do not render the same one.
-
-    Raises
-    ------
-    InputError
-        If there are too few pictures.
-    """
-    if options.lights < 2:
-        raise InputError(f"--lights: expected at least 2, found {options.lights}")
-    if cycles.why_not():
-        return []
-    return [
-        Case(
-            *(setup, variant.key, options.first_seed + i, options.size, options.lights),
-            picture=i == 0 and variant.key in PICTURED,
-            cycles_cache=absolute(options.cycles_cache),
-        )
-        for variant in VARIANTS
-        if variant.key in options.variants
-        for setup in options.setups
-        for i in range(options.scenes)
-    ]
 
 
 SUITE = Suite(
@@ -57,7 +26,7 @@ SUITE = Suite(
     parts=[
         Part(
             "transport",
-            cases,
+            cases_of(BY_KEY, PICTURED),
             run,
             figures.rows,
             verdicts=figures.verdicts,
@@ -65,27 +34,9 @@ SUITE = Suite(
             csvs=figures.csvs,
         ),
     ],
-    options=(
-        option(
-            "--setups",
-            metavar="NAME",
-            nargs="+",
-            choices=SETUPS,
-            help=f"only these (default: all, with --quick shadows): {', '.join(SETUPS)}",
-        ),
-        option(
-            "--variants",
-            metavar="NAME",
-            nargs="+",
-            choices=tuple(BY_KEY),
-            help=f"only these ways to explain a room (default: all, with --quick {', '.join(FEW)})"
-            f": {', '.join(BY_KEY)}",
-        ),
-        count("--scenes", "K", "rooms of a setup"),
-        count("--size", "PIXELS", "of the pictures"),
-        count("--lights", "N", "pictures a room; as many are held out", default=16),
-        first_seed("room", FIRST_SEED),
-        cycles_cache,
+    options=options_of(
+        *(SETUPS, "all, with --quick shadows", BY_KEY, FEW, FIRST_SEED),
+        held_out="; as many are held out",
     ),
     effort={
         "setups": (SETUPS, ("shadows",)),

@@ -12,25 +12,20 @@ from numpy.typing import NDArray
 
 from pbrfit.result.sheet import Panel as SheetPanel
 from pbrfit.result.sheet import as_png, sheet
-from pbrfit_evaluation import cycles
+from pbrfit_evaluation.explained import figures as explained
+from pbrfit_evaluation.explained.figures import Of, ratio
 from pbrfit_evaluation.suite import (
     Column,
     Line,
-    Panel,
     Picture,
-    Plot,
-    Results,
     Row,
     Section,
-    Series,
     Table,
     Verdict,
     numbers_csv,
 )
-from pbrfit_evaluation.transport.measure import NAMES, PICTURED, SHOWN, Case, Setup
-from pbrfit_evaluation.transport.variants import BY_KEY, TRUE, VARIANTS, WITHOUT
-
-Of = Results[Case]
+from pbrfit_evaluation.transport.measure import NAMES, PICTURED, SHOWN
+from pbrfit_evaluation.transport.variants import TRUE, VARIANTS, WITHOUT, Variant
 
 ERRORS = ("albedo", "roughness", "metallic", "relight")
 METRICS = (*ERRORS, "recon", "seconds")
@@ -47,32 +42,18 @@ SPOILT = 1.03
 """Mean error with any geometry over that without, at most: what `auto` takes has to be no worse."""
 
 
-def _lines(results: Of) -> Iterator[tuple[Setup, str]]:
-    for setup in results.options.setups:
-        for variant in VARIANTS:
-            if variant.key in results.options.variants:
-                yield setup, variant.key
-
-
 def rows(results: Of) -> list[Row]:
     """A row a setup and variant; one that was not run says why."""
-    found = []
-    for setup, key in _lines(results):
-        of, variant = results.of(setup=setup, variant=key), BY_KEY[key]
-        if not of.pairs:
-            why = cycles.why_not()
-            found.append(Row(NAMES[setup], 0, variant.words, {}, status=f"not run: {why}"))
-            continue
-        measured = of.metrics(METRICS, "scores")
-        measured |= {name: of.mean("facts", name).mean for name in FACTS}
+
+    def measured(variant: Variant, of: Of) -> dict[str, float | None]:
+        found = of.metrics(METRICS, "scores")
+        found |= {name: of.mean("facts", name).mean for name in FACTS}
         if variant.transport is not None:
             chosen = [values["choice"] for _, values in of.finished]
-            measured |= {f"chose_{one}": _share(chosen, one) for one in CHOICES}
-        scenes, status = len(of.finished), of.status("rooms")
-        found.append(
-            Row(NAMES[setup], scenes, variant.words, measured, status=status, guess=variant.guess)
-        )
-    return found
+            found |= {f"chose_{one}": _share(chosen, one) for one in CHOICES}
+        return found
+
+    return explained.rows(results, NAMES, VARIANTS, measured)
 
 
 def _share(chosen: Sequence[str], one: str) -> float:
@@ -81,10 +62,10 @@ def _share(chosen: Sequence[str], one: str) -> float:
 
 def verdicts(results: Of, _: object) -> Iterator[Verdict]:
     """True depth beats the guess and what is found without it; no variant spoils anything."""
-    for setup, key in _lines(results):
-        if BY_KEY[key].transport is None or not results.of(setup=setup, variant=key).finished:
+    for setup, variant, of in explained.each(results, VARIANTS):
+        if variant.transport is None or not of.finished:
             continue
-        case = f"{NAMES[setup]}, {BY_KEY[key].words}"
+        case, key = f"{NAMES[setup]}, {variant.words}", variant.key
         worst = {name: ratio(results, setup, name, key, WITHOUT) for name in ERRORS}
         if key == TRUE and setup != "brdf":
             for name in ERRORS:
@@ -94,18 +75,6 @@ def verdicts(results: Of, _: object) -> Iterator[Verdict]:
             continue
         name = max(worst, key=lambda one: worst[one])
         yield Verdict(f"{case}: worst error over that without depth", worst[name], SPOILT, name)
-
-
-def ratio(results: Of, setup: Setup, name: str, variant: str, other: str) -> float:
-    """Mean error of a variant over that of another, of the rooms that both have."""
-    one, two = (
-        {case.seed: values["scores"][name] for case, values in of.finished}
-        for of in (results.of(setup=setup, variant=key) for key in (variant, other))
-    )
-    both = sorted(one.keys() & two.keys())
-    if not both:
-        return math.nan
-    return float(np.mean([one[seed] for seed in both]) / np.mean([two[seed] for seed in both]))
 
 
 def csvs(results: Of, _: object) -> dict[str, list[Line]]:
@@ -123,7 +92,7 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         "Errors",
         "RMSE, linear values.",
         [Table.of(found, [*(Column(name, best="low") for name in ERRORS), "recon", "seconds"])],
-        [_plot(found)] if results.finished else [],
+        [explained.plot("transport", found, VARIANTS, ERRORS)] if results.finished else [],
     )
     headings = {
         "depth_off": "depth off by,\nrelative",
@@ -133,7 +102,7 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
     run = [row for row in found if row.scenes and not row.guess]
     told = [*FACTS, *(f"chose_{one}" for one in CHOICES)]
     yield Section(
-        "What fits were told, and what they chose",
+        "What fits were given, and what they chose",
         "Depth after the best common factor.",
         [Table.of(run, [Column(name, headings.get(name, "")) for name in told])],
     )
@@ -146,29 +115,8 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         yield Section("Relit pictures", "The first room of each setup.", figures=strips)
 
 
-def _caption(setup: Setup) -> str:
+def _caption(setup: str) -> str:
     return f"{NAMES[setup]}: pictures of light that the fit has not seen."
-
-
-def _plot(found: Sequence[Row]) -> Plot:
-    """A panel an error, a line a setup, a colour a variant."""
-    panels = []
-    for name in ERRORS:
-        series = []
-        for look, variant in enumerate(VARIANTS):
-            of = [row for row in found if row.solver == variant.words and row.scenes]
-            mean, low, high = (
-                [row.metrics[f"{name}{end}"] or math.nan for row in of]
-                for end in ("", "_low", "_high")
-            )
-            if of:
-                names = [row.name for row in of]
-                series.append(Series(variant.words, mean, names, low=low, high=high, look=look))
-        panels.append(Panel("dots", series, f"{name} RMSE", log="x"))
-    setups = len({row.name for row in found if row.scenes})
-    size = (2.8, 0.8 + 1.2 * setups)
-    caption = "The same as a plot, with intervals."
-    return Plot("transport", caption, panels, columns=len(ERRORS), share_y="all", size=size)
 
 
 def relit(results: Of) -> NDArray[np.uint8] | None:

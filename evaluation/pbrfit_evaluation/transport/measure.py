@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +17,14 @@ from pbrfit.result.sheet import displayed
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.depth_errors import ROUGH, estimated, normals_off, off
+from pbrfit_evaluation.explained import Case
 from pbrfit_evaluation.found_segments import found_segments, purity
 from pbrfit_evaluation.recipes import explain, fit
 from pbrfit_evaluation.scores import score
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from pbrfit_evaluation.transport.variants import BY_KEY, TRUE, WITHOUT, Variant
 
-Setup = Literal["brdf", "shadows", "bounces", "detailed"]
-
-ROWS: Mapping[Setup, str] = {
+ROWS: Mapping[str, str] = {
     "brdf": "cycles-brdf",
     "shadows": "cycles-shadows",
     "bounces": "cycles-panorama",
@@ -35,7 +32,7 @@ ROWS: Mapping[Setup, str] = {
 }
 """Rows of Table 1 that the rooms are rendered as."""
 
-NAMES: Mapping[Setup, str] = {
+NAMES: Mapping[str, str] = {
     "brdf": "BRDF alone",
     "shadows": "and shadows",
     "bounces": "all bounces",
@@ -50,38 +47,6 @@ PICTURED = (WITHOUT, TRUE)
 
 SHOWN = 3
 """Held-out pictures that are shown."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """A room of a setup, explained in one way.
-
-    Attributes
-    ----------
-    setup, variant
-        Keys.
-    seed
-        Of the room, its lights and what disturbs its depth.
-    size, lights
-        Side of the pictures, and their number; as many are held out.
-    picture
-        Whether relit pictures are kept.
-    cycles_cache
-        Where renders are kept.
-    """
-
-    setup: Setup
-    variant: str
-    seed: int
-    size: int
-    lights: int
-    picture: bool = False
-    cycles_cache: Path | None = field(default=None, repr=False)
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return f"{self.setup}_{self.variant}_{self.seed}"
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
@@ -107,11 +72,7 @@ def run(case: Case, threads: int) -> dict[str, Any]:
 
 def room(case: Case, threads: int) -> Scene:
     """Render the room; it has its true depth."""
-    row = TABLE1[ROWS[case.setup]]
-    task = table1.Task(
-        row.key, case.seed, case.size, case.lights, 0, cycles_cache=case.cycles_cache
-    )
-    return table1.cycles_scene(task, row, threads)
+    return table1.cycles_scene(*case.of_table1(ROWS), threads)
 
 
 def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, float]]:

@@ -83,7 +83,7 @@ SUITE = Suite(
     quick="half a minute: one small scene, three rows",
     about=(
         "Rooms with known materials, 16 pictures each, fitted with all defaults. In some rows the "
-        "pictures are as the model has them, in others something is wrong that no fit is told of. "
+        "pictures are as the model has them, in others something is wrong that no fit knows of. "
         "A posterior is right where the errors of its values are as large as it says, whatever is "
         "wrong.",
         "docs/uncertainty.md says what must hold. A demand that does not hold is shown as such.",

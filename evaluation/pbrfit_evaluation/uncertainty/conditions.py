@@ -1,4 +1,4 @@
-"""Scenes that a posterior is asked about: as the model has it, told wrong, or lit by other light.
+"""Scenes that a posterior is asked about: as the model has it, wrong input, or lit by other light.
 
 All are furnished rooms with a mean radiance of 0.4, in float32. Where nothing else is said, there
 is no noise: what is wrong is then all that is wrong.
@@ -41,7 +41,7 @@ from pbrfit_evaluation.recipes import OTHER
 
 Array = NDArray[np.float64]
 
-Group = Literal["model holds", "told wrong", "other light and files"]
+Group = Literal["model holds", "wrong input", "other light and files"]
 GROUPS: tuple[Group, ...] = get_args(Group)
 
 Name = Literal[
@@ -73,7 +73,7 @@ LITTLE_NOISE = 0.005
 """Standard deviation in radiance where other light than the model's is what is wrong."""
 
 AMBIENT = 0.3
-"""Share of a picture's mean radiance that is light from all around, beside its lamp."""
+"""Share of a picture's mean radiance that is environment light, beside its lamp."""
 
 NEAREST, FARTHEST = 0.2, 0.6
 """Distance of a near lamp from the camera over that of the surface behind it."""
@@ -107,11 +107,11 @@ CONDITIONS: Mapping[Name, Condition] = {
     "no-priors": Condition("noise, no priors", "model holds", {"priors": None}),
     "three": Condition("noise, three pictures", "model holds"),
     "grey": Condition("noise, grey", "model holds"),
-    "fov-90": Condition("90° told, 60° true", "told wrong"),
-    "sh-2": Condition("lights of order 2 fitted", "told wrong", {"sh_order": 2}),
-    "normals-3": Condition("normals 3° off, noise", "told wrong"),
-    "normals-5": Condition("normals 5° off, noise", "told wrong"),
-    "other-model": Condition("other reflection model", "told wrong"),
+    "fov-90": Condition("90° given, 60° true", "wrong input"),
+    "sh-2": Condition("lights of order 2 fitted", "wrong input", {"sh_order": 2}),
+    "normals-3": Condition("normals 3° off, noise", "wrong input"),
+    "normals-5": Condition("normals 5° off, noise", "wrong input"),
+    "other-model": Condition("other reflection model", "wrong input"),
     "png": Condition("PNG of 8 bits, noise", "other light and files"),
     "jpeg": Condition("JPEG 90, 4:2:0", "other light and files"),
     "shadows": Condition("shadows, no depth given", "other light and files"),
