@@ -1,17 +1,21 @@
-"""Peers that see one picture, with tiny networks."""
+"""Peers that see one picture, with tiny networks; an objective in PyTorch."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from acquire.tiny_maps import TARGETS, save_tiny_marigold_iid, save_tiny_rgbx
-from pbrfit._core import InputError
+from pbrfit import InputError, Objective
 from pbrfit.cli import main
 from pbrfit.io.color import decode_srgb
+from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.peers.marigold import Marigold, targets
 from pbrfit_evaluation.peers.rgbx import RgbToX
 
@@ -39,7 +43,6 @@ def test_marigold_gives_maps_of_the_pictures_size(iid: str) -> None:
     assert np.abs(found.roughness - found.metallic).mean() > 1e-3
 
     # Albedo is encoded, the scalars are not: what the pipeline itself gives says which is which.
-    import torch
     from PIL import Image
 
     raw = peer._pipeline(
@@ -162,3 +165,26 @@ def test_a_peer_that_breaks_is_a_failure(
     assert main([*arguments, "--rgbx", rgbx, "--marigold", str(tmp_path / "none")]) == 1
     rows = json.loads((tmp_path / "out" / "summary.json").read_text())["rows"]
     assert [row["status"] for row in rows][::3] == ["ok", "ZeroDivisionError"]
+
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "pytorch.py"
+
+
+@pytest.mark.parametrize(("dtype", "digits"), [(torch.float32, 1e-6), (torch.float64, 1e-12)])
+@pytest.mark.parametrize("mono_light", [False, True])
+def test_its_gradient_takes_part_in_a_graph(dtype: object, digits: float, mono_light: bool) -> None:
+    objective = Objective(make_scene("room", size=8, lights=2), mono_light=mono_light)
+    x = torch.from_numpy(objective.start()).to(dtype).requires_grad_()
+    value, gradient = objective.value_and_grad(x.detach().double().numpy())
+    loss = objective.torch()(x)
+    assert loss.dtype == dtype
+    (3 * loss**2 + x.sum()).backward()
+    np.testing.assert_allclose(loss.item(), value, rtol=digits)
+    np.testing.assert_allclose(x.grad, 6 * value * gradient + 1, rtol=digits)
+
+
+def test_the_example_lowers_the_loss() -> None:
+    command = [sys.executable, str(EXAMPLE), "--steps=60"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    first, *_, last = (line.split("loss ")[1] for line in said.splitlines() if "loss" in line)
+    assert float(last) < float(first) / 2

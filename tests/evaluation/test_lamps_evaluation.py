@@ -6,7 +6,6 @@ How well fits find lamps is not tested here. A room of our own renderer stands i
 from __future__ import annotations
 
 import json
-from argparse import Namespace
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,11 +21,10 @@ from pbrfit.synthetic import draw
 from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.explained import Case
-from pbrfit_evaluation.lamps import SETUPS, SUITE, figures, measure
+from pbrfit_evaluation.lamps import SETUPS, figures, measure
 from pbrfit_evaluation.lamps.measure import NAMES, ROWS, lamps_off
 from pbrfit_evaluation.lamps.variants import BY_KEY, CONSTANT, HARMONICS, NEAR, VARIANTS
 from pbrfit_evaluation.normal_errors import unit
-from pbrfit_evaluation.suite import Results
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from scene_files import run
@@ -175,11 +173,3 @@ def test_command(
         BY_KEY[key].words for key in (CONSTANT, HARMONICS)
     ]
     assert (out / "maps-points-shadows.png").is_file()
-
-
-def test_without_cycles_rows_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cycles, "why_not", lambda: "nothing there")
-    options = Namespace(setups=["points-shadows"], variants=[NEAR], lights=4)
-    assert SUITE.parts[0].cases(options) == []
-    [row] = figures.rows(Results(options, []))
-    assert row.status == "not run: nothing there"

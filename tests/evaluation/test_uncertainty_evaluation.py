@@ -195,9 +195,6 @@ def test_a_result_is_compared_with_the_truth(clean: Scene) -> None:
     json.dumps(of)
 
 
-HELD = "share of maps called"
-
-
 def record(
     within_2: float = 0.95,
     rmse: float = 0.05,
@@ -265,12 +262,6 @@ def test_coverage_fails_on_both_sides(within_2: float, what: str | None) -> None
     assert missed(record(within_2)) == expected
 
 
-def test_a_map_may_not_be_worse_than_the_guess() -> None:
-    assert not missed(record(rmse=0.05, guess=0.05 / (ABOVE_GUESS - 0.001)))
-    [what] = missed(record(rmse=0.05, guess=0.05 / (ABOVE_GUESS + 0.001)))
-    assert "guess" in what
-
-
 def test_one_map_that_is_off_fails_its_row() -> None:
     off = record()
     off["maps"]["metallic"]["within_2"] = 0.5
@@ -279,30 +270,36 @@ def test_one_map_that_is_off_fails_its_row() -> None:
     assert bar.where == "metallic"
 
 
-def test_usable_maps_have_to_be() -> None:
-    wrong, right = record(rmse=2 * USABLE_ERROR["albedo"], said="usable"), record()
-    enough = math.ceil(USABLE_RIGHT / (1 - USABLE_RIGHT) - 1e-9)
-    assert not missed(wrong, *[right] * enough)
-    assert missed(wrong, *[right] * (enough - 1)) == [f"{HELD} “usable” and right"]
+@pytest.mark.parametrize(
+    ("held", "fails", "what"),
+    [
+        ({"guess": 0.05 / (ABOVE_GUESS - 0.001)}, {"guess": 0.05 / (ABOVE_GUESS + 0.001)}, "guess"),
+        ({"after": TIME}, {"after": TIME + 0.001}, "seconds"),
+    ],
+)
+def test_bars_of_a_scene(held: Any, fails: Any, what: str) -> None:
+    assert not missed(record(**held))
+    [found] = missed(record(**fails))
+    assert what in found
 
 
-def test_maps_not_determined_should_not_be_good() -> None:
-    well = record(rmse=min(ROUGH_ERROR.values()), said="not determined")
-    badly = record(rmse=0.29)
-    enough = math.ceil((1 - UNDETERMINED_WRONG) / UNDETERMINED_WRONG - 1e-9)
-    assert not missed(well, *[badly] * enough)
-    assert missed(well, *[badly] * (enough - 1)) == [f"{HELD} “not determined” and wrong"]
+WELL = record(rmse=min(ROUGH_ERROR.values()), said="not determined")
 
 
-def test_scales_and_seconds() -> None:
-    off, right = record(scale=0.0201), record(scale=0.02)
-    enough = math.ceil(SCALES_COVERED / (1 - SCALES_COVERED) - 1e-9)
-    assert not missed(off, *[right] * enough)
-    [what] = missed(off, *[right] * (enough - 1))
-    assert "scales" in what
-    assert not missed(record(after=TIME))
-    [what] = missed(record(after=TIME + 0.001))
-    assert "seconds" in what
+@pytest.mark.parametrize(
+    ("odd", "right", "share", "what"),
+    [
+        (record(rmse=2 * USABLE_ERROR["albedo"], said="usable"), record(), USABLE_RIGHT, "usable"),
+        (WELL, record(rmse=0.29), 1 - UNDETERMINED_WRONG, "not determined"),
+        (record(scale=0.0201), record(scale=0.02), SCALES_COVERED, "scales"),
+    ],
+    ids=["usable", "not determined", "scales"],
+)
+def test_shares_of_scenes(odd: Any, right: Any, share: float, what: str) -> None:
+    enough = math.ceil(share / (1 - share) - 1e-9)
+    assert not missed(odd, *[right] * enough)
+    [found] = missed(odd, *[right] * (enough - 1))
+    assert what in found
 
 
 def test_scenes_whose_lamps_were_found_have_no_time_of_their_own() -> None:

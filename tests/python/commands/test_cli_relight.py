@@ -510,19 +510,15 @@ def test_a_near_lamp_is_as_bright_as_asked_at_the_middle(deep: Path, tmp_path: P
         (("--lamp", "0,0,0", "--light", "0,0"), "not allowed with argument"),
         (("--picture", "d"), "expected a light of d (--picture), found a, b, c"),
         (("--picture", "a", "--color", "1,1,1"), "--color: goes with --light or --lamp"),
+        (("--lamp", "0,0,0", "--turntable", 3), "far ones to be turned, found near ones"),
     ],
 )
 def test_lights_that_cannot_be(
-    lamps: Path, arguments: tuple[str | int, ...], message: str, tmp_path: Path
+    lamps: Path, deep: Path, arguments: tuple[str | int, ...], message: str, tmp_path: Path
 ) -> None:
-    assert message in refused("relight", lamps, *arguments, "--out", tmp_path / "out.png")
+    result, out = (deep, "out.gif") if "--turntable" in arguments else (lamps, "out.png")
+    assert message in refused("relight", result, *arguments, "--out", tmp_path / out)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_near_lamp_takes_no_turn(deep: Path, tmp_path: Path) -> None:
-    lamp = ("--lamp", "0,0,0", "--turntable", 3)
-    message = refused("relight", deep, *lamp, "--out", tmp_path / "out.gif")
-    assert "lamps: expected far ones to be turned, found near ones" in message
 
 
 def test_far_lamps_of_a_picture_go_around(lamps: Path, tmp_path: Path) -> None:

@@ -719,6 +719,7 @@ def test_export_prints_what_it_wrote(folder: Path, tmp_path: Path) -> None:
         ({"format": "ptm", "bits": 8}, "bits: expected none with format ptm, found 8"),
         ({"format": "ply", "normals": "directx"}, "normals: expected none with format ply"),
         ({"preset": "unity", "geometry": "facets"}, "geometry: expected none where no glTF"),
+        ({"format": "ply"}, "expected a result with depth for ply, found one without"),
         *(
             ({name: "tiff"}, f"{name}: expected one of .*, found 'tiff'")
             for name in ("format", "preset", "normals", "bits", "geometry")
@@ -802,9 +803,3 @@ def test_points_as_another_reader_sees_them(result: Result, tmp_path: Path) -> N
         np.testing.assert_allclose(decode_srgb(color), result.albedo[i, j], atol=0.01)
         assert point["roughness"] == pytest.approx(result.roughness[i, j])
         assert point["metallic"] == pytest.approx(result.metallic[i, j])
-
-
-def test_points_need_depth(result: Result, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="expected a result with depth for ply, found one without"):
-        export_result(result, tmp_path / "out", format="ply")
-    assert not (tmp_path / "out").exists()

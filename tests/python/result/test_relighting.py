@@ -62,17 +62,9 @@ def test_directions_of_azimuth_and_elevation(
 @pytest.mark.parametrize(
     ("lamp", "arguments", "message"),
     [
-        (
-            DirectionalLight,
-            (math.nan, 0),
-            "azimuth: expected a finite number of degrees, found nan",
-        ),
+        (DirectionalLight, (math.nan, 0), "azimuth: .* finite number of degrees, found nan"),
         (DirectionalLight, (0, math.inf), "elevation: expected a finite number of degrees"),
-        (
-            DirectionalLight,
-            ("left", 0),
-            "azimuth: expected a finite number of degrees, found 'left'",
-        ),
+        (DirectionalLight, ("left", 0), "azimuth: .* finite number of degrees, found 'left'"),
         *(
             (DirectionalLight, (0, 0, color), "color: expected three finite numbers, 0 or more")
             for color in ((1, 1, -0.1), (1, 1, math.nan), (1, 1), 3)
