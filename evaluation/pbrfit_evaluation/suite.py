@@ -95,6 +95,16 @@ class Results(Generic[C]):
         """Mean of `numbers`, with its interval."""
         return mean_with_interval(self.numbers(*path))
 
+    def over(self, other: Results[C], name: str) -> float:
+        """Mean score over that of others, of seeds that both have; NaN without any, or over 0."""
+        one, two = (
+            {vars(case)["seed"]: values["scores"][name] for case, values in of.finished}
+            for of in (self, other)
+        )
+        both = one.keys() & two.keys()
+        sums = [sum(scores[seed] for seed in sorted(both)) for scores in (one, two)]
+        return sums[0] / sums[1] if sums[1] else float("nan")
+
     def metrics(self, names: Iterable[str], *path: str) -> dict[str, float | None]:
         """For a row: means of names below a path, and NAME_low and NAME_high of their intervals.
 
@@ -448,6 +458,18 @@ class Part(Generic[C]):
     csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line]]] = _no_files
     alone: bool = False
     then: Callable[[Results[C]], Sequence[C]] | None = None
+
+    @classmethod
+    def shown_by(
+        cls,
+        module: Any,
+        name: str,
+        cases: Callable[[Options], Sequence[C]],
+        run: Callable[[C, int], Values],
+    ) -> Part[C]:
+        """A part whose figures, verdicts, sections and CSV files are by functions of a module."""
+        shown = {"verdicts": module.verdicts, "sections": module.sections, "csvs": module.csvs}
+        return cls(name, cases, run, module.rows, **shown)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.explained import Case
 from pbrfit_evaluation.lamps import SETUPS, figures, measure
 from pbrfit_evaluation.lamps.measure import NAMES, ROWS, lamps_off
-from pbrfit_evaluation.lamps.variants import BY_KEY, CONSTANT, HARMONICS, NEAR, VARIANTS
+from pbrfit_evaluation.lamps.variants import BY_KEY, CONSTANT, HARMONICS, NEAR
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
@@ -126,10 +126,6 @@ def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> Non
     assert light[CONSTANT] is None
     expected = {"sh": "sh", "lamps": "lamps", NEAR: "lamps", "auto-depth": "auto", "known": "lamps"}
     assert {key: light[key] for key in expected} == expected
-
-
-def test_known_lamps_need_depth() -> None:
-    assert all(variant.depth for variant in VARIANTS if variant.lamps)
 
 
 def values(error: float, cm: float | None = None) -> dict[str, Any]:

@@ -88,17 +88,7 @@ SUITE = Suite(
     "second-order solver is not as much sooner than others as it must be. Peers need PyTorch: pip "
     "install pbrfit-evaluation[peers]; they know the paper's model alone.",
     protocol="pbrfit-convergence-2, {effort}",
-    parts=[
-        Part(
-            "runs",
-            tasks,
-            run,
-            figures.rows,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-    ],
+    parts=[Part.shown_by(figures, "runs", tasks, run)],
     options=(
         lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, "paper"),
         count("--seeds", "K", "scenes of a case"),

@@ -43,17 +43,7 @@ SUITE = Suite(
     "report.html, a plot, a sheet of maps, everyday.md, scenes.csv and summary.json. Exit code 1 "
     "if something does not hold.",
     protocol=f"pbrfit-everyday-1: {SCORES}; {{size}} pixels, {{effort}}",
-    parts=[
-        Part(
-            "everyday",
-            cases,
-            run,
-            figures.rows,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-    ],
+    parts=[Part.shown_by(figures, "everyday", cases, run)],
     options=(
         option(
             "--disturbances",

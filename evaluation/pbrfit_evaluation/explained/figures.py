@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-import numpy as np
-
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.explained import Case
 from pbrfit_evaluation.suite import Panel, Plot, Results, Row, Series
@@ -62,14 +60,8 @@ def rows(
 
 def ratio(results: Of, setup: str, name: str, variant: str, other: str) -> float:
     """Mean error of a variant over that of another, of the rooms that both have; else NaN."""
-    one, two = (
-        {case.seed: values["scores"][name] for case, values in of.finished}
-        for of in (results.of(setup=setup, variant=key) for key in (variant, other))
-    )
-    both = sorted(one.keys() & two.keys())
-    if not both:
-        return math.nan
-    return float(np.mean([one[seed] for seed in both]) / np.mean([two[seed] for seed in both]))
+    one, two = (results.of(setup=setup, variant=key) for key in (variant, other))
+    return one.over(two, name)
 
 
 def plot(name: str, found: Sequence[Row], variants: Sequence[V], errors: Sequence[str]) -> Plot:

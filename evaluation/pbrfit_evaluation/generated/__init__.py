@@ -56,17 +56,7 @@ SUITE = Suite(
     "if something does not hold. Without Blender Cycles (make cycles-env) and with --quick our own "
     "renderer makes the rooms.",
     protocol=f"pbrfit-generated-1: {SCORES}; {{size}} pixels, {{pictures}} pictures, {{effort}}",
-    parts=[
-        Part(
-            "generated",
-            cases,
-            run,
-            figures.rows,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-    ],
+    parts=[Part.shown_by(figures, "generated", cases, run)],
     options=(
         option(
             "--ways",

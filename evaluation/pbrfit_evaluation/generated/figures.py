@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 from pbrfit.result.sheet import Panel, as_png, sheet
@@ -68,20 +67,7 @@ def verdicts(results: Of, _: object) -> Iterator[Verdict]:
         if {way, other} <= set(results.options.ways):
             for name in ERRORS:
                 title = f"{what}: {name.replace('_', ', ')}"
-                yield Verdict(title, ratio(results, name, way, other), bar)
-
-
-def ratio(results: Of, name: str, way: str, other: str) -> float:
-    """Mean error of a way over that of another, of the rooms that both have."""
-    one, two = (
-        {case.seed: values["scores"][name] for case, values in results.of(way=key).finished}
-        for key in (way, other)
-    )
-    both = sorted(one.keys() & two.keys())
-    if not both:
-        return math.nan
-    sums = [float(sum(of[seed] for seed in both)) for of in (one, two)]
-    return sums[0] / sums[1]
+                yield Verdict(title, results.of(way=way).over(results.of(way=other), name), bar)
 
 
 def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:

@@ -48,17 +48,7 @@ SUITE = Suite(
     "over RMS of all held-out pictures together, in values of the files, samples that are clipped "
     "left out; {held_out} of at most {pictures} pictures held out at a time, {folds} folds, "
     "{max_size} pixels",
-    parts=[
-        Part(
-            "heldout",
-            cases,
-            run,
-            figures.rows,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        )
-    ],
+    parts=[Part.shown_by(figures, "heldout", cases, run)],
     options=(
         folders(
             "scene folder, a public set as published, or a folder of such (default: the folder "

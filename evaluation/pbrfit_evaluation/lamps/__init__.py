@@ -23,17 +23,7 @@ SUITE = Suite(
     "Exit code 1 if something does not hold.",
     protocol=f"pbrfit-lamps-1: {SCORES}; lamps one a picture, medians over a room's; {{size}} "
     "pixels, {lights} pictures, {effort}",
-    parts=[
-        Part(
-            "lamps",
-            cases_of(BY_KEY, BY_KEY),
-            run,
-            figures.rows,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-    ],
+    parts=[Part.shown_by(figures, "lamps", cases_of(BY_KEY, BY_KEY), run)],
     options=options_of(SETUPS, SETUPS[0], BY_KEY, FEW, FIRST_SEED),
     effort={
         "setups": (SETUPS[:1], SETUPS[:1]),

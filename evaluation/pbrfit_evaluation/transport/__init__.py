@@ -23,17 +23,7 @@ SUITE = Suite(
     "Writes report.html, a plot, strips of relit pictures, transport.md, scenes.csv and "
     "summary.json. Exit code 1 if something does not hold.",
     protocol=f"pbrfit-transport-1: {SCORES}; {{size}} pixels, {{lights}} pictures, {{effort}}",
-    parts=[
-        Part(
-            "transport",
-            cases_of(BY_KEY, PICTURED),
-            run,
-            figures.rows,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-    ],
+    parts=[Part.shown_by(figures, "transport", cases_of(BY_KEY, PICTURED), run)],
     options=options_of(
         *(SETUPS, "all, with --quick shadows", BY_KEY, FEW, FIRST_SEED),
         held_out="; as many are held out",

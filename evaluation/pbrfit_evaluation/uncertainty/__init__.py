@@ -38,17 +38,7 @@ SUITE = Suite(
     "if something does not hold.",
     protocol="pbrfit-uncertainty-2: values of maps within their deviations and intervals, RMSE of "
     "maps by their verdicts; {size} pixels, model {model}, {effort}",
-    parts=[
-        Part(
-            "uncertainty",
-            cases,
-            run,
-            figures.rows,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-    ],
+    parts=[Part.shown_by(figures, "uncertainty", cases, run)],
     options=(
         option(
             "--rows",
