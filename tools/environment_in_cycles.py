@@ -29,7 +29,7 @@ from pbrfit_evaluation.suite import Table, Value
 
 Array = NDArray[np.floating[Any]]
 
-WORKER = Path(__file__).resolve().parents[1] / "tests" / "support" / "blender_environment.py"
+WORKER = Path(__file__).resolve().with_name("spheres_in_cycles.py")
 SURFACES = {
     "metal, r = 0.2": (0.8, 0.2, 1.0),
     "0.35": (0.8, 0.35, 1.0),

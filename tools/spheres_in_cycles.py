@@ -1,6 +1,6 @@
 """Render spheres under panoramas with Cycles. Runs in the environment that has bpy.
 
-    python blender_environment.py FOLDER JOB
+    python spheres_in_cycles.py FOLDER JOB
 
 JOB is JSON: `side`, `samples`, `panoramas` (paths by name) and `surfaces` ([albedo, roughness,
 metallic] by name). FOLDER/PANORAMA-SURFACE.npy is written, (side, side, 3). A camera in Blender
@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-sys.path.append(str(Path(__file__).parents[2] / "evaluation" / "pbrfit_evaluation" / "cycles"))
+sys.path.append(str(Path(__file__).parents[1] / "evaluation" / "pbrfit_evaluation" / "cycles"))
 
 from worker import Nodes, layer, new_material, render, set_up  # type: ignore[import-not-found]
 
