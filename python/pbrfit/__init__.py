@@ -62,19 +62,21 @@ _MODULES = {
 starts without the fit."""
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version  # takes longer to import than all of this
+if not TYPE_CHECKING:  # or type checkers took any name for one
 
-        globals()[name] = version("pbrfit")
-        return globals()[name]
-    if name == "kernel":
-        return import_module("pbrfit.kernel")
-    for module, names in _MODULES.items():
-        if name in names:
-            value = globals()[name] = getattr(import_module(f"pbrfit.{module}"), name)
-            return value
-    raise AttributeError(f"module 'pbrfit' has no attribute {name!r}")
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from importlib.metadata import version  # takes longer to import than all of this
+
+            globals()[name] = version("pbrfit")
+            return globals()[name]
+        if name == "kernel":
+            return import_module("pbrfit.kernel")
+        for module, names in _MODULES.items():
+            if name in names:
+                value = globals()[name] = getattr(import_module(f"pbrfit.{module}"), name)
+                return value
+        raise AttributeError(f"module 'pbrfit' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
