@@ -49,7 +49,7 @@ def test_every_public_name_is_found_and_no_other() -> None:
     assert all(callable(getattr(pbrfit.kernel, name)) for name in pbrfit.kernel.__all__)
     assert all(getattr(pbrfit, name).__name__ == name for name in pbrfit.__all__)
     with pytest.raises(AttributeError, match="no attribute 'another'"):
-        pbrfit.another  # noqa: B018 - what is asked for is what is tested  # type: ignore[attr-defined]
+        pbrfit.another  # type: ignore[attr-defined]  # noqa: B018 - what is tested
 
 
 def test_commands_know_their_options_without_anything_heavy() -> None:
