@@ -81,5 +81,5 @@ def _png(image: Image.Image) -> bytes:
     if image.width * image.height <= SMALL:
         image.save(buffer, "PNG", optimize=True)
     else:
-        image.save(buffer, "PNG")
+        image.save(buffer, "PNG", compress_level=4)  # half the time of 6, 4 % more bytes
     return buffer.getvalue()
