@@ -84,8 +84,8 @@ def _exr(data: bytes) -> tuple[int, int]:
         pixels = max(pixels, width * height if width * height <= 1 << 22 else 0)
     channels = 0
     for found in re.finditer(rb"channels\0chlist\0(.{4})", data, re.DOTALL):
-        # A channel takes 18 bytes or more.
-        channels += min(struct.unpack("<I", found[1])[0], len(data)) // 18
+        listed = data[found.end() : found.end() + struct.unpack("<I", found[1])[0]]
+        channels += len(re.findall(rb"[^\0]+\0.{16}", listed, re.DOTALL))  # name, then its kind
     samples = pixels * channels
     dwa = re.search(rb"compression\0compression\0\x01\0\0\0[\x08\x09]", data) is not None
     if samples > (1 << 26) + (16512 if dwa else 1032) * len(data):
