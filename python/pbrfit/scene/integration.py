@@ -71,13 +71,11 @@ RESIDUAL_SCALE = 3 * 1.4826
 """Scale s of the weights in medians of the residuals: three standard deviations."""
 
 ROUNDS = 6
-"""Times that weights of residuals are found at most."""
+"""Times that the equations are solved, weights of residuals found in between."""
 
-UNCHANGED = 1e-6
-"""Change of the unknowns from round to round below which they are found: a millionth of depth."""
-
-TOLERANCE = 1e-7
-"""Norm of the residual of solved linear equations, relative to their right side."""
+TOLERANCE, ROUGH_TOLERANCE = 1e-7, 1e-3
+"""Norm of the residual of solved linear equations, relative to their right side; of those that only
+weights are found from, which move by less than that."""
 
 ITERATIONS_MAX = 500
 """Steps of conjugate gradients at most."""
@@ -128,11 +126,11 @@ def depth_from_normals(
         data[told] = DEPTH_WEIGHT / pixels**2
         given = np.where(told, given, 0.0)
     found, weights = given, edges.reweighted(given, data > 0)
-    for _ in range(ROUNDS):
-        before, found = found, _solved(edges, weights, data, given, found)
-        if np.abs(found - before).max() < UNCHANGED:
-            break
-        weights = edges.reweighted(found)
+    # Weights are found from rough solutions: only the last is what they ask for.
+    for tolerance in (*[ROUGH_TOLERANCE] * (ROUNDS - 1), TOLERANCE):
+        found = _solved(edges, weights, data, given, found, tolerance)
+        if tolerance > TOLERANCE:
+            weights = edges.reweighted(found)
     plane = found.reshape(shape)
     if fov == 0:
         plane = plane - (0.0 if data.any() else plane[wanted].min() - 1.0)
@@ -224,7 +222,9 @@ def _half(normals: Array, end: Array, middle: Array, step: Array, fov: float, si
     return np.asarray(sign * np.log(at_end / at_middle))
 
 
-def _solved(edges: _Edges, weights: Array, data: Array, given: Array, start: Array) -> Array:
+def _solved(
+    edges: _Edges, weights: Array, data: Array, given: Array, start: Array, tolerance: float
+) -> Array:
     """The unknowns (P,) that minimise the weighted squares."""
     from scipy.sparse import coo_array, diags_array
     from scipy.sparse.linalg import LinearOperator, cg
@@ -249,7 +249,7 @@ def _solved(edges: _Edges, weights: Array, data: Array, given: Array, start: Arr
     cycle = _multigrid(scaled, np.stack(places, axis=-1), size[:, None] ** -1)
     operator = LinearOperator(scaled.shape, matvec=cycle, dtype=np.float64)
     found, _ = cg(
-        scaled, size * right, start / size, rtol=TOLERANCE, maxiter=ITERATIONS_MAX, M=operator
+        scaled, size * right, start / size, rtol=tolerance, maxiter=ITERATIONS_MAX, M=operator
     )
     return np.asarray(found * size)
 
