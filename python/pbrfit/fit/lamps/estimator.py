@@ -501,13 +501,7 @@ class LampFit:
         errors, shown, squares = [], [], []
         for start in starts:
             state, *_ = surfaces.robust_surfaces(
-                fitted,
-                start,
-                fit.noise,
-                prior,
-                rounds=1,
-                free_normals=free,
-                free_roughness=False,
+                fitted, start, fit.noise, prior, free_normals=free, free_roughness=False
             )
             seen = seen_error(few, state, relative=relative)
             errors.append(seen @ ~left_out)

@@ -166,13 +166,7 @@ class LampState:
 
     def of_rows(self, rows: NDArray[np.intp] | slice) -> LampState:
         """The same lights on some of the pixels."""
-        return replace(
-            self,
-            normals=self.normals[rows],
-            albedo=self.albedo[rows],
-            roughness=self.roughness[rows],
-            metallic=self.metallic[rows],
-        )
+        return self.with_surface(*(values[rows] for values in surface_of(self)))
 
     def incident(self, pixels: LampPixels) -> tuple[Array, Array]:
         """Unit vectors to the lamps (P, K, 3), and what colours are multiplied by (P, K)."""

@@ -33,7 +33,7 @@ from pbrfit.fit.lamps.joint import (
     offsets,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
-from pbrfit.fit.lamps.sample_noise import Left, Noise, probability
+from pbrfit.fit.lamps.sample_noise import Left, Noise, over_channels, probability
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside, slices
 from pbrfit.fit.settings import PIXELS_AT_ONCE
@@ -160,13 +160,20 @@ def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfaceP
 
 
 def better_of(
-    one: LampState, of_one: Array, other: LampState, of_other: Array
+    state: LampState,
+    surprising: Array,
+    other: LampState,
+    of_other: Array,
+    rows: NDArray[np.intp] | slice = slice(None),
 ) -> tuple[LampState, Array]:
-    """Of each pixel the surface that surprises less."""
-    take = of_other < of_one
-    both = zip(surface_of(one), surface_of(other), strict=True)
-    taken = (np.where(take if a.ndim == 1 else take[:, None], b, a) for a, b in both)
-    return one.with_surface(*taken), np.where(take, of_other, of_one)
+    """Surfaces of pixels, with others, of some rows, where these surprise less; and surprise."""
+    less = of_other < surprising[rows]
+    taken, surprising = np.arange(len(surprising))[rows][less], surprising.copy()
+    surprising[taken] = of_other[less]
+    surface = [values.copy() for values in surface_of(state)]
+    for values, others in zip(surface, surface_of(other), strict=True):
+        values[taken] = others[less]
+    return state.with_surface(*surface), surprising
 
 
 def robust_surfaces(
@@ -175,7 +182,7 @@ def robust_surfaces(
     noise: Noise,
     prior: SurfacePrior,
     *,
-    rounds: int,
+    rounds: int = 1,
     free_normals: bool,
     free_roughness: bool = True,
     width: int | None = None,
@@ -210,6 +217,16 @@ def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
     return state.with_surface(halves, state.albedo, state.roughness, state.metallic)
 
 
+def missing_highlights(pixels: LampPixels, state: LampState, noise: Noise) -> NDArray[np.intp]:
+    """Pixels with a sample that is brighter than the model by more than the noise's deviation.
+
+    They alone may mirror a lamp that their normal does not face yet.
+    """
+    left = Left.of(pixels, state)
+    brighter = np.maximum(-over_channels(left.residuals) / 3, 0)
+    return np.flatnonzero((brighter**2 > over_channels(noise.variance(left)) / 3).any(axis=1))
+
+
 def from_neighbours(
     pixels: LampPixels,
     state: LampState,
@@ -218,12 +235,16 @@ def from_neighbours(
     prior: SurfacePrior,
     width: int,
 ) -> tuple[LampState, Array]:
-    """Surfaces of neighbours, where these surprise less than a pixel's own: (state, surprise)."""
+    """Surfaces of neighbours, where these surprise less than a pixel's own: (state, surprise).
+
+    A surface fits best where it was found, so that only those that surprise less there are tried.
+    """
     for other in beside(pixels.places, width, NEIGHBOURS):
-        trial = state.of_rows(np.where(other >= 0, other, np.arange(len(pixels))))
-        state, surprising = better_of(
-            state, surprising, trial, surprise(pixels, trial, noise, prior)
-        )
+        rows = np.flatnonzero((other >= 0) & (surprising[other] < surprising))
+        if len(rows):
+            trial = state.of_rows(other[rows])
+            told = surprise(pixels.of_rows(rows), trial, noise, prior.of_rows(rows))
+            state, surprising = better_of(state, surprising, trial, told, rows)
     return state, surprising
 
 
@@ -231,15 +252,11 @@ def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | 
     """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
     judged: Array | None = None
     if width is not None:
-        odds, dark = by_pieces(
-            pixels,
-            lambda some, rows: (
-                noise.log_odds(left := Left.of(some, state.of_rows(rows))),
-                left.dark,
-            ),
+        (odds,) = by_pieces(
+            pixels, lambda some, rows: (noise.log_odds(Left.of(some, state.of_rows(rows))),)
         )
         around = neighbour_means(np.clip(odds, -20, 20), pixels.places, width)
-        judged = np.where(dark, around, odds)
+        judged = np.where(np.isfinite(odds), around, odds)  # infinite where not too dark
 
     def of(some: LampPixels, rows: slice) -> tuple[Array]:
         left = Left.of(some, state.of_rows(rows))
@@ -264,9 +281,7 @@ def fit_band(
 
     `once` leaves them as one fit finds them, dielectrics alone, in an eighth of the time.
     """
-    state, weights, *_ = robust_surfaces(
-        pixels, state, noise, prior, rounds=1, free_normals=freedom.normals
-    )
+    state, weights, *_ = robust_surfaces(pixels, state, noise, prior, free_normals=freedom.normals)
     if not once:
         state, weights = _from_more_starts(
             pixels, state, noise, prior, width, free=freedom.normals, metals=metals
@@ -275,13 +290,8 @@ def fit_band(
     variance = marginal = np.zeros((len(pixels), 7))
     if uncertain is not None:
         variance, marginal = deviations(pixels, state, noise, weights, freedom, uncertain)
-    return Band(
-        state,
-        variance,
-        marginal,
-        float((pixels.weights * residual**2).sum()),
-        float(pixels.weights.sum()),
-    )
+    squares = float((pixels.weights * residual**2).sum())
+    return Band(state, variance, marginal, squares, float(pixels.weights.sum()))
 
 
 def _from_more_starts(
@@ -296,20 +306,24 @@ def _from_more_starts(
 ) -> tuple[LampState, Array]:
     """Surfaces, and weights of samples, where one fit may have ended in a wrong minimum."""
 
-    def fitted(begin: LampState) -> tuple[LampState, Array]:
-        found, *_ = robust_surfaces(pixels, begin, noise, prior, rounds=1, free_normals=free)
-        return found, surprise(pixels, found, noise, prior)
+    def improved(begin: LampState, rows: NDArray[np.intp]) -> tuple[LampState, Array]:
+        """With some pixels from another start, where that surprises less."""
+        if not len(rows):
+            return state, left
+        some, of_some = pixels.of_rows(rows), prior.of_rows(rows)
+        found, *_ = robust_surfaces(some, begin.of_rows(rows), noise, of_some, free_normals=free)
+        return better_of(state, left, found, surprise(some, found, noise, of_some), rows)
 
     left = surprise(pixels, state, noise, prior)
     if free:
-        state, left = better_of(state, left, *fitted(facing_highlights(pixels, state)))
-        moved, _ = from_neighbours(pixels, state, left, noise, prior, width)
-        state, left = better_of(state, left, *fitted(moved))
+        turned = facing_highlights(pixels, state)
+        state, left = improved(turned, missing_highlights(pixels, state, noise))
+        moved, least = from_neighbours(pixels, state, left, noise, prior, width)
+        state, left = improved(moved, np.flatnonzero(least < left))
     else:
         for roughness in ROUGHNESS_STARTS:
-            same = np.full(len(pixels), roughness)
-            begin = state.with_surface(state.normals, state.albedo, same, state.metallic)
-            state, left = better_of(state, left, *fitted(begin))
+            begin = replace(state, roughness=np.full(len(pixels), roughness))
+            state, left = improved(begin, np.arange(len(pixels)))
     state, weights, cost, information = robust_surfaces(
         pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
     )
@@ -372,14 +386,9 @@ def _with_metals(
     state = replace(better_of(state, chance, metal, 1 - chance)[0], metallic=chance)
     between = np.flatnonzero((chance > 0) & (chance < 1))
     if len(between):
-        refitted, _, _ = fit_surfaces(
-            pixels.of_rows(between),
-            state.of_rows(between),
-            weights[between],
-            prior.of_rows(between),
-            iterations=STEPS,
-            free_normals=free_normals,
-        )
+        some, of_some = pixels.of_rows(between), prior.of_rows(between)
+        given = some, state.of_rows(between), weights[between], of_some
+        refitted, _, _ = fit_surfaces(*given, iterations=STEPS, free_normals=free_normals)
         for name in ("normals", "albedo", "roughness"):
             getattr(state, name)[between] = getattr(refitted, name)
     return state

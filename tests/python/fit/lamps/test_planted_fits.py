@@ -208,10 +208,7 @@ def test_white_is_refused_outside_the_mask() -> None:
 def test_known_near_lamps_need_depth() -> None:
     near = Lamps(np.arange(8), LAMPS.places, near=np.ones(8, bool))
     scene = replace(planted(LAMPS, size=16).scene, lamps=near)
-    for ask in (
-        lambda: fit_lamps(scene, setup()),
-        lambda: decompose(scene),
-    ):
+    for ask in (lambda: fit_lamps(scene, setup()), lambda: decompose(scene)):
         with pytest.raises(InputError, match=r"^lamps: expected depth for near lamps, found none$"):
             ask()
 

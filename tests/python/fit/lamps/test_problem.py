@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pbrfit.fit.lamps.joint import Freedom, JointLamps, SurfacePrior
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import Noise
-from pbrfit.fit.lamps.surfaces import deviations
+from pbrfit.fit.lamps.surfaces import deviations, missing_highlights
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import MODELS, Model
@@ -33,19 +33,9 @@ def example(model: Model, *, ambient: bool = True) -> tuple[LampPixels, LampStat
     views = unit(rng.normal(size=(PIXELS, 3)) * 0.2 + [0, 0, 1])
     points = rng.normal(size=(PIXELS, 3)) * 0.3 - [0, 0, 2]
     blank = np.zeros((PIXELS, PICTURES, 3))
-    pixels = LampPixels(
-        blank,
-        np.ones_like(blank),
-        np.zeros(blank.shape, np.uint8),
-        views,
-        points,
-        normals,
-        np.zeros(PIXELS, np.intp),
-        np.arange(PIXELS),
-        1.0,
-        model,
-        1,
-    )
+    samples = blank, np.ones_like(blank), np.zeros(blank.shape, np.uint8)
+    of_places = np.zeros(PIXELS, np.intp), np.arange(PIXELS)
+    pixels = LampPixels(*samples, views, points, normals, *of_places, 1.0, model, 1)
     lamps = Lamps(
         np.array([0, 1, 1, 2]),
         np.array([[0.3, 0.2, 0.1], [0, 0.6, 0.8], [-0.4, 0.3, -0.2], [0.1, -0.5, 0.1]]),
@@ -204,6 +194,16 @@ def test_clipped_samples_are_bounds() -> None:
     np.testing.assert_array_equal(brighter[1], np.repeat([[0.0], [0.5], [0.5]], 3, axis=1))
     np.testing.assert_array_equal(darker[1], np.repeat([[-0.5], [0.0], [-0.5]], 3, axis=1))
     assert (brighter[0] == 0).all()
+
+
+def test_a_highlight_is_missing_where_a_sample_is_brighter_by_more_than_the_noise() -> None:
+    pixels, state = example("paper")
+    noise = Noise(0.1, 0.0, np.zeros(PICTURES))
+    for off, missing in ((0.099, []), (0.101, [3]), (-0.101, [])):
+        samples = radiance(pixels, state)
+        samples[3, 1] += off
+        found = missing_highlights(replace(pixels, samples=samples), state, noise)
+        assert found.tolist() == missing
 
 
 def test_matrices_that_rounding_made_indefinite_tell_nothing(
