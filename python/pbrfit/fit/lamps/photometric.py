@@ -156,17 +156,19 @@ def _best_of_triples(relative: Array, usable: Mask, lamps: Array) -> Array:
     singular = np.linalg.svd(lamps, compute_uv=False)
     if len(lamps) < 4 or singular[2] < 1e-3 * singular[0]:
         return plain
-    triples = _triples(lamps)
-    inverses = np.linalg.inv(lamps[triples])  # b = S⁻¹ I
+    # Only a start is chosen: half the digits do.
+    triples, of_lamps = _triples(lamps), lamps.T.astype(np.float32)
+    inverses = np.linalg.inv(lamps[triples]).astype(np.float32)  # b = S⁻¹ I
     best = np.empty_like(plain)
     step = max(SAMPLES_AT_ONCE // (len(triples) * len(lamps)), 1)
     for first in range(0, len(relative), step):
         part = slice(first, first + step)
-        here, used = relative[part], usable[part]
+        here, used = relative[part].astype(np.float32), usable[part]
         tried = np.einsum("txk,ptk->ptx", inverses, here[:, triples])
-        tried = np.concatenate([tried, plain[part, None]], axis=1)
-        squared = ((here[:, None] - np.maximum(tried @ lamps.T, 0.0)) / SCALE_START) ** 2
-        misfit = np.where(used[:, None], squared / (1 + squared), 0.0).sum(axis=2)
-        misfit[:, :-1][~used[:, triples].all(axis=2)] = np.inf
-        best[part] = tried[np.arange(len(here)), misfit.argmin(axis=1)]
+        tried = np.concatenate([tried, plain[part, None].astype(np.float32)], axis=1)
+        apart = (here[:, None] - np.maximum(tried @ of_lamps, 0)) / np.float32(SCALE_START)
+        # Σ ρ is least where Σ 1 − ρ = Σ 1/(1 + x²) is most.
+        agreed = (used[:, None] / (1 + np.square(apart))).sum(axis=2)
+        agreed[:, :-1][~used[:, triples].all(axis=2)] = -1
+        best[part] = tried[np.arange(len(here)), agreed.argmax(axis=1)]
     return best
