@@ -503,11 +503,7 @@ impl Example {
         let mut gradient = vec![0.0; problem.size()];
         group.throughput(Throughput::Elements(self.images.len() as u64));
         group.bench_function(BenchmarkId::new(function, parameter), |b| {
-            b.iter(|| {
-                problem
-                    .value_and_grad(black_box(x), &mut gradient)
-                    .unwrap()
-            });
+            b.iter(|| problem.value_and_grad(black_box(x), &mut gradient).unwrap());
         });
     }
 }
