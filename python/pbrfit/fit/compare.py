@@ -7,10 +7,9 @@ others is fitted, and what is left of these, in the files' own values, so that d
 compare, has a score (`pbrfit.fit.left_out`).
 
 The lowest score wins; but the curve that the files are said to have stays unless another is better
-by more than two standard errors under some light; surroundings and other normals than the given
-ones are taken only where they gain as much, and the material prior where it gains as much, and in
-each picture. What explains the pictures but for rounding, or leaves nothing but noise, ends the
-comparison.
+by more than two standard errors under some light, and is out then; surroundings and other normals
+than the given ones have to gain as much, and the material prior as much in each picture. What
+explains the pictures but for rounding, or leaves nothing but noise, ends the comparison.
 """
 
 from __future__ import annotations
@@ -386,10 +385,11 @@ class _Comparison:
         best = min(results, key=SCORE)
         kind, errors = best.explanation, settings.COMPARE_ERRORS_MIN
         said = self._scene.response
-        if kind.response != said and not self._is_refuted(said, errors):
+        refuted = self._is_refuted(said, errors)
+        if (kind.response == said) == refuted:
             same = [one for one in results if one.explanation.light == kind.light]
-            as_said = [one for one in same if one.explanation.response == said]
-            best = min(as_said, key=SCORE, default=best)
+            allowed = [one for one in same if (one.explanation.response == said) != refuted]
+            best = min(allowed, key=SCORE, default=best)
         for plainer in ({"surroundings": "none"}, {"free_normals": False}):
             kind = replace(best.explanation, **plainer)
             plain = next((one for one in results if one.explanation == kind), best)
