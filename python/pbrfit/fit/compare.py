@@ -596,8 +596,8 @@ class _Comparison:
             found = refined_fit.fit(run, start, setup.objective, start_given=False, refines=True)
             run, x = found.run, found.x
         else:
-            run, lights = self._under_lights(replace(kind, material=0.0), fold, scene, among)
-            run.options = setup.options
+            key = replace(kind, material=0.0), fold
+            run, lights = self._under_lights(setup, key, scene, among)
             x = fit_materials(run, lights)
         scene, (materials, _) = run.scene, run.objective.unpack(x)
         valid, camera = scene.valid, run.camera
@@ -613,19 +613,23 @@ class _Comparison:
         )
 
     def _under_lights(
-        self, kind: Explanation, fold: int, scene: Scene, among: PixelTransfer | None
+        self,
+        setup: FitSetup,
+        key: tuple[Explanation, int],
+        scene: Scene,
+        among: PixelTransfer | None,
     ) -> tuple[Run, Lights]:
         """A run of a fold that has found lights, which do not depend on the material prior."""
-        if (kind, fold) not in self._lit:
-            setup = self._setup_with(robust=kind.robust)
+        if key not in self._lit:
             objective = setup.objective(scene)
             if among is not None:
                 objective = objective.among(among)
             run = setup.run(scene, objective)
-            self._lit[kind, fold] = run, lights_and_noise(run, objective.start())
-        run, lights = self._lit[kind, fold]
+            self._lit[key] = run, lights_and_noise(run, objective.start())
+        run, lights = self._lit[key]
         run = copy(run)
-        run.objective, shared = copy(run.objective), copy(lights.shared)
+        run.options, run.objective = setup.options, copy(run.objective)
+        shared = copy(lights.shared)
         return run, replace(lights, x=lights.x.copy(), shared=shared)
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:

@@ -11,7 +11,6 @@ from pbrfit.fit.run import Run
 from pbrfit.fit.settings import (
     DATA_SHARE_OF_ITERATIONS,
     LBFGS_STAGES,
-    LBFGS_STAGES_GIVEN_START,
     START_ROUGHNESS,
     TRAP_ROUGHNESS,
     TRAPPED_MARGIN,
@@ -26,7 +25,7 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
     The last is empty unless the state is one from before the last restart.
     """
     iterations = (DATA_SHARE_OF_ITERATIONS if run.has_mixture_prior else 1.0) * run.left
-    stages = LBFGS_STAGES_GIVEN_START if start_given else LBFGS_STAGES
+    stages = LBFGS_STAGES[-1:] if start_given else LBFGS_STAGES
     best = loss, x
     trapped = False
     before = run.iteration

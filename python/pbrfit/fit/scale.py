@@ -113,7 +113,7 @@ def refer(
 def groupings(layout: ParameterLayout, pixels: Pixels) -> list[Labels]:
     """Groups (Q,) of some pixels: patches of the picture, and segments."""
     rows, columns = (of_all[pixels] for of_all in np.nonzero(layout.valid))
-    side = max(1, round(max(layout.valid.shape) / settings.SCALE_PATCHES))
+    side = max(1, round(max(layout.valid.shape) / settings.COMPARE_PATCHES))
     found = [rows // side * layout.valid.shape[1] + columns // side]
     return found if layout.segments is None else [*found, layout.segments[pixels]]
 

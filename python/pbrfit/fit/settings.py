@@ -49,6 +49,9 @@ DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
 """Smallest share of the samples that the noise's degrees of freedom count as, where the unknowns
 leave fewer."""
 
+MEAN_RADIANCE_MIN = 1e-4 * MEAN_RADIANCE
+"""Smallest mean radiance of samples that variances are relative to: of black pictures it is 0."""
+
 NOISE_VARIANCE_MIN = 1e-20
 """Smallest variance of the noise in units of x squared: quotients stay finite where pictures are
 explained perfectly."""
@@ -262,8 +265,8 @@ COMPARE_PICTURES_MIN = 2
 """Left-out pictures altogether, in as many folds as that takes: they are not all alike."""
 
 COMPARE_PATCHES = 8
-"""Patches along the longer side of a picture, whose means tell how sure a score is: an eighth is
-larger than most shadows and highlights."""
+"""Patches along the longer side of a picture, whose means tell how sure a score is, or the scale:
+64 tell a variance to a fifth, and are larger than most shadows, highlights and blocks of JPEG."""
 
 COMPARE_ERRORS_MIN = 2.0
 """Standard errors of a difference of scores, or between surroundings of left-out pixels, from which
@@ -326,10 +329,7 @@ TRAPPED_MARGIN = 0.005
 
 LBFGS_STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 """(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
-that ended at the bound start again from the middle."""
-
-LBFGS_STAGES_GIVEN_START = ((0.0, 1.0),)
-"""The same where a start is given."""
+that ended at the bound start again from the middle. The last alone is where a start is given."""
 
 
 # --- Mixture prior on materials ---------------------------------------------------------------
@@ -389,10 +389,6 @@ SCALE_PIXELS = 4096
 
 SCALE_STEP_MAX = 0.1
 """Largest relative step of the scale by a linear change of the lights: its square leaves 1 %."""
-
-SCALE_PATCHES = 8
-"""Patches along the longer side of the picture, the groups of its jackknife: 64 tell a variance to
-a fifth, and are larger than what a shadow or a JPEG's block has in common."""
 
 GROUP_LEVERAGE_MAX = 0.5
 """Share of the information on the scale that a group counts as having, at most."""

@@ -171,7 +171,8 @@ def with_lights(
         distributions = Distributions.of(likelihood, labels, grid)
         posterior = distributions.posterior(likelihood, labels)
         if sigma_min == 0:
-            kept = np.flatnonzero(posterior.in_groups > 0.5).astype(np.uint64)
+            of_any = distributions.share_in_groups(likelihood, labels) > 0.5
+            kept = np.flatnonzero(of_any).astype(np.uint64)
             if 2 * len(kept) > len(labels):
                 few, part = few.restricted(kept), few.part_of(part, kept)
                 posterior, labels = posterior.part(kept), labels[kept]

@@ -150,8 +150,6 @@ class Posterior(NamedTuple):
     """(Q, 2): quantiles, `INTERVAL` of the probability between them."""
     cluster: Labels
     """(Q,): the group of nodes that most of it is in."""
-    in_groups: NDArray[np.float32]
-    """(Q,): how much of it is in any group."""
     unused: NDArray[np.float32]
     """(Q,): 1 − η."""
 
@@ -284,14 +282,19 @@ class Distributions:
         known = labels < len(self.row)
         return np.where(known, self.row[np.where(known, labels, 0)], 0)
 
+    def share_in_groups(self, likelihood: Likelihood, labels: Labels) -> NDArray[np.float32]:
+        """(Q,): how much of pixels' posteriors is at nodes of any group."""
+        rows = self.rows(labels)
+        shares = self.probabilities[rows] * likelihood.values
+        return np.asarray((shares * (self.groups[rows] > 0)).sum(axis=1) / shares.sum(axis=1))
+
     def posterior(self, likelihood: Likelihood, labels: Labels) -> Posterior:
         """Of pixels with these likelihoods and labels."""
         rows = self.rows(labels)
         posterior = self.probabilities[rows]
         posterior *= likelihood.values
         sums = posterior @ self._functions
-        total = sums[:, 0].copy()
-        sums /= total[:, None]
+        sums /= sums[:, :1]
         mean, squares, product = sums[:, 1:3], sums[:, 3:5], sums[:, 5]
         variance = np.maximum(squares - mean**2, 0)
         covariance = product - mean.prod(axis=1)
@@ -302,18 +305,15 @@ class Distributions:
         ]
         low, high = np.stack(intervals, axis=-1).astype(np.float32)
         # The group that most of the posterior is in.
-        group, in_groups = np.zeros(len(posterior), np.intp), np.empty_like(sums[:, 0])
+        group = np.zeros(len(posterior), np.intp)
         count = self.groups.max() + 1
         for of_row in np.unique(rows):
             of_groups = np.equal.outer(self.groups[of_row], np.arange(1, count))
             here = rows == of_row
-            shares = posterior[here] @ of_groups.astype(np.float32)
-            group[here], in_groups[here] = shares.argmax(axis=1), shares.sum(axis=1) / total[here]
+            group[here] = (posterior[here] @ of_groups.astype(np.float32)).argmax(axis=1)
         cluster = labels * count + group
         mean = np.clip(mean, 0, 1)
-        return Posterior(
-            mean, variance, covariance, low, high, cluster, in_groups, likelihood.unused
-        )
+        return Posterior(mean, variance, covariance, low, high, cluster, likelihood.unused)
 
 
 def _interval(
