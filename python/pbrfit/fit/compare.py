@@ -149,7 +149,7 @@ class _Comparison:
             self._few = replace(self._few, mask=valid)
         if told or setup.options.iterations == 0 or few:
             self._folds = []
-        self._shapes: dict[tuple[Curve | None, int], FirstShape] = {}
+        self._shapes: dict[tuple[Curve | None, int], tuple[Scene, LampFit]] = {}
         self._tried: dict[Explanation, list[LeftOut]] = {}
         self._lit: dict[tuple[Explanation, int], tuple[Run, Lights]] = {}
         self._surrounded: Surrounded | None = None
@@ -487,9 +487,9 @@ class _Comparison:
     def _of_fold(self, kind: Explanation, fold: int) -> LeftOut:
         kept, out = self._folds[fold]
         scene = self._few if kind.response is None else self._few.decoded_by(kind.response)
-        few, shape = self._pixels(scene, kept, kind.response, fold)
+        few, shaped = self._pixels(scene, kept, kind.response, fold)
         if kind.light == "lamps":
-            fit = self._under_lamps(few.of_pictures(kept), shape)
+            fit = self._under_lamps(few.of_pictures(kept), shaped)
         else:
             fit = self._under_harmonics(kind, fold, few.of_pictures(kept), self._among(kind, kept))
         errors, values, rounding, lamps = [], [], [], []
@@ -553,21 +553,21 @@ class _Comparison:
 
     def _pixels(
         self, scene: Scene, kept: Sequence[int], response: Curve | None, number: int
-    ) -> tuple[Scene, FirstShape | None]:
-        """The pixels that are compared, of all pictures, and the shape that some tell."""
+    ) -> tuple[Scene, LampFit | None]:
+        """The pixels that are compared, of all pictures, and the fit that tells their shape."""
         if self._scene.normals_known:
             return scene, None
         if (response, number) not in self._shapes:
-            found = first_shape(scene.of_pictures(kept), self._setup.threads)
-            self._shapes[response, number] = found
-        shape = self._shapes[response, number]
-        told = np.isfinite(shape.normals).all(axis=-1, keepdims=True)
-        facing = np.where(told, shape.normals, [0.0, 0.0, 1.0])
-        known = replace(scene, normals=facing, normals_known=True)
-        window = strided_window(known.valid, settings.COMPARE_PIXELS)
-        return cut(known, window), replace(
-            shape, normals=window.of(facing), albedo=window.of(shape.albedo)
-        )
+            shape = first_shape(scene.of_pictures(kept), self._setup.threads)
+            told = np.isfinite(shape.normals).all(axis=-1, keepdims=True)
+            facing = np.where(told, shape.normals, [0.0, 0.0, 1.0])
+            known = replace(scene, normals=facing, normals_known=True)
+            window = strided_window(known.valid, settings.COMPARE_PIXELS)
+            few, normals, albedo = cut(known, window), window.of(facing), window.of(shape.albedo)
+            shape = replace(shape, normals=normals, albedo=albedo)
+            lamps = self._lamp_fit(few.of_pictures(kept), shape)
+            self._shapes[response, number] = replace(few, normals=lamps.settled), lamps
+        return self._shapes[response, number]
 
     def _setup_with(self, **options: Any) -> FitSetup:
         """That of a fit that is compared: maps alone, with some options in place of the given."""
@@ -632,8 +632,11 @@ class _Comparison:
         shared = copy(lights.shared)
         return run, replace(lights, x=lights.x.copy(), shared=shared)
 
-    def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
-        fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
+    def _lamp_fit(self, scene: Scene, shape: FirstShape | None = None) -> LampFit:
+        return LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
+
+    def _under_lamps(self, scene: Scene, fit: LampFit | None) -> _Fitted:
+        fit = self._lamp_fit(scene) if fit is None else fit
         pixels, state, found = fit.of_all_pixels()
         return _Fitted(
             (state.albedo, state.roughness, state.metallic),

@@ -76,6 +76,14 @@ they cost as much as a deviation from a cue's own spread."""
 SLANTS = (0.25, 0.5, 1.0, 2.0)
 """Tangents of the lamps' root mean square angle to the camera's axis that c₃ starts from."""
 
+BAS_RELIEF = np.zeros((3, 3, 3))
+BAS_RELIEF[0, [0, 1], [0, 1]] = BAS_RELIEF[1, 0, 2] = BAS_RELIEF[2, 1, 2] = 1.0
+"""By what M of the generalised bas-relief transformation differs from 1: how deep the surface is,
+and the two planes that are added to it."""
+
+STEP = 0.02
+"""Of these, for second derivatives."""
+
 SLOPE_MAX = 0.1
 """Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a
 search ends: C changes the surface by a degree where an entry changes by about 0.02."""
@@ -323,6 +331,31 @@ class Minimum:
         # d C⁻ᵀ = -C⁻ᵀ dCᵀ C⁻ᵀ
         slope = slope + sign * (by_lamps - inverse @ by_inverse.T @ inverse)
         return cls(sign * inverse, sign * C, cost, slope)
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """The cues by the bas-relief that turns normals n to M n, from those of a matrix C (3, 3)."""
+
+    C: Array
+    places: Places
+
+    def __call__(self, M: Array) -> tuple[float, Array]:
+        """Twice the negative log likelihood, and half its slope by G, M' = (1 + G) M, (3,).
+
+        C⁻ᵀ bᵀ becomes M C⁻ᵀ bᵀ, so C becomes C M⁻¹.
+        """
+        here = Minimum.at(self.C @ np.linalg.inv(M), self.places)
+        # C (1 + G)⁻¹ changes by −C G.
+        slope = -np.einsum("gij,ki,kj->g", BAS_RELIEF, here.lamps, here.slope)
+        return 2 * here.cost, slope
+
+    def curvature(self, M: Array) -> Array:
+        """(3, 3): half the second derivatives there, of which none is negative."""
+        ends = [[self(M + sign * STEP * one @ M)[1] for sign in (1.0, -1.0)] for one in BAS_RELIEF]
+        found = np.array([(up - down) / (2 * STEP) for up, down in ends])
+        values, axes = np.linalg.eigh((found + found.T) / 2)
+        return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
 
 def _by_vectors(unit: Array, length: Array, by_unit: Array, by_log: Array) -> Array:

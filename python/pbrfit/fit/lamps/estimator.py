@@ -29,14 +29,21 @@ from pbrfit.fit.lamps.joint import (
     SurfacePrior,
     minimize,
     offsets,
+    turned,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.samples import FirstShape
+from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD
 from pbrfit.fit.priors.population import METALLIC_DEVIATION
 from pbrfit.fit.run import Trace, material_errors
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
-from pbrfit.fit.settings import DEGREES_OF_FREEDOM_SHARE_MIN, LAMP_PIXELS, MEAN_RADIANCE
+from pbrfit.fit.settings import (
+    COMPARE_LAMP_ROUNDS,
+    DEGREES_OF_FREEDOM_SHARE_MIN,
+    LAMP_PIXELS,
+    MEAN_RADIANCE,
+)
 from pbrfit.fit.uncertainty import TWO_SIDED
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.lazy import lazy
@@ -100,14 +107,6 @@ LOOK_PIXELS = 400
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
 
-FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 12.0, 75.0
-"""Degrees of what is likely before: who takes pictures of an object stands back, and cuts out what
-is around it."""
-
-INDEPENDENT_SHARE = 1 / 8
-"""Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
-too."""
-
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
@@ -125,6 +124,10 @@ these: 5 degrees, what they are off on glossy surfaces."""
 GIVEN_DEGREES = 5.0
 """Of given normals whose deviation nobody told, where they are refined."""
 
+
+INDEPENDENT_SHARE = 1 / 8
+"""Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
+too."""
 
 UNIFORM_VARIANCE = 1 / 12
 """Largest variance of albedo and roughness: that of a uniform distribution in [0, 1]."""
@@ -225,8 +228,10 @@ class LampFit:
         assert setup.options.model is not None
         self.model = setup.options.model
         self.start = start
-        self.free_normals = not scene.normals_known or self.options.refine_normals == "on"
-        self.fov = scene.fov if begin is None else begin.fov
+        told = scene.normals_known and start is None
+        self.free_normals = not told or self.options.refine_normals == "on"
+        self.fov = (scene.fov if scene.fov_known else FOV_MEAN) if begin is None else begin.fov
+        self._matrix = np.eye(3)
         self._shared_covariance: Array | None = None
         self._reference: reference.Reference | None = None
 
@@ -258,9 +263,7 @@ class LampFit:
 
     def of_all_pixels(self) -> tuple[LampPixels, LampState, Found]:
         """All pixels of a small scene, fitted together and then each by itself."""
-        scene = self.scene
-        places = scene.places
-        fit = self.joint(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
+        scene, fit = self.scene, self.of_few
         [band] = self._surfaces(fit, scene.valid)
         pixels = LampPixels.of(
             scene.through(self.fov), self.normals, self.model, self.setup.threads, like=fit.pixels
@@ -272,12 +275,25 @@ class LampFit:
         }
         return pixels, band.state, Found(lamps, roughness, self.fov)
 
+    @lazy
+    def of_few(self) -> JointLamps:
+        """The joint fit of as many pixels as find lamps where explanations are compared."""
+        places = self.scene.places
+        return self.joint(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
+
     @property
     def normals(self) -> Array:
-        """(H, W, 3): that the fit begins with."""
-        return np.asarray(
-            self.scene.normals if self.start is None else self.start.normals, np.float64
-        )
+        """(H, W, 3): that pixels' own are offset from."""
+        if self.start is None:
+            return np.asarray(self.scene.normals, np.float64)
+        return turned(np.asarray(self.start.normals, np.float64), self._matrix)
+
+    @property
+    def settled(self) -> Array:
+        """(H, W, 3): with the bas-relief that a joint fit of few pixels has found."""
+        if self.scene.lamps is None:
+            _ = self.of_few
+        return self.normals
 
     def _starts(
         self, places: NDArray[np.intp]
@@ -308,7 +324,7 @@ class LampFit:
     def _offset_sigma(self, places: NDArray[np.intp]) -> Array:
         """(P,): prior standard deviation of each tangent offset, radians."""
         scene = self.scene
-        if not scene.normals_known:
+        if self.start is not None:
             return np.full(len(places), FREE_OFFSETS)
         degrees = np.full(len(places), GIVEN_DEGREES)
         if scene.normal_sigma is not None:
@@ -340,7 +356,8 @@ class LampFit:
                 prior.mean[few.labels == label, 5] = value
         near = bool(lamps.near.any())
         noise = Noise.first(few, proportional=near)
-        fit = JointLamps(few, state, noise, prior, freedom, lit=self.lit_at(few))
+        relief = None if self.start is None else self.start.relief
+        fit = JointLamps(few, state, noise, prior, freedom, lit=self.lit_at(few), relief=relief)
         fit.reweigh(renew=False)
         fit.state, fit.cost = fit.fitted(fit.state, 10)
         if not self.trace.rows:
@@ -365,7 +382,9 @@ class LampFit:
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
             # is what pulls them away where a metal is not known yet.
             if number == HELD_ROUNDS and not near:
-                fit.freedom = replace(fit.freedom, places=known is None, colors=not told)
+                unknown = known is None
+                shape = fit.relief is not None
+                fit.freedom = replace(fit.freedom, places=unknown, colors=not told, shape=shape)
             if (
                 number == self.rounds - FREE_SCALE_ROUNDS
                 and self._relative_left(fit) < NOTHING_LEFT
@@ -374,13 +393,13 @@ class LampFit:
             made = minimize(fit, steps=STEPS, stop=lambda: not self.trace.goes_on)
             self.trace.iteration += made
             self.trace.evaluations += made
-            # In the first field of view: by the one found, two of five real sets are told worse.
-            fit.state, fit.cost = fit.fitted(fit.state, surfaces.STEPS, few)
+            fit.state, fit.cost = fit.fitted(fit.state, surfaces.STEPS)
             # With normals that are known a highlight says how rough a surface is.
             spreads = ROUGHNESS_SPREADS if freedom.normals else KNOWN_NORMALS_SPREADS
             fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)
             fit.reweigh()
             self._record(fit)
+        self._matrix = fit.matrix
         return fit
 
     def _record(self, fit: JointLamps) -> None:
@@ -632,7 +651,7 @@ class LampFit:
             shared = fit.information()
             # Looks have found the scale where steps have not, and it is as uncertain.
             freedom = fit.freedom
-            fit.freedom = replace(freedom, scale=True)
+            fit.freedom = replace(freedom, scale=True, shape=False)
             basis, _ = fit.directions()
             fit.freedom = freedom
             inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
@@ -802,6 +821,12 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
         raise InputError("light: expected unknown light for lamps, found known SH light")
     if scene.lamps is not None and scene.lamps.near.any() and scene.depth is None:
         raise InputError("lamps: expected depth for near lamps, found none")
+
+
+@one_blas_thread()
+def settled_normals(scene: Scene, setup: FitSetup, start: FirstShape) -> Array:
+    """(H, W, 3): the start's, with the bas-relief that few pixels tell under lamps."""
+    return LampFit(scene, replace(setup, progress=None), start, rounds=COMPARE_LAMP_ROUNDS).settled
 
 
 @one_blas_thread()

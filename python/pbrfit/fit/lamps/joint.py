@@ -24,8 +24,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from pbrfit import _core
+from pbrfit.fit.lamps.ambiguity import BAS_RELIEF, Relief
 from pbrfit.fit.lamps.problem import LampPixels, LampState, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
 from pbrfit.fit.settings import MEAN_RADIANCE
@@ -84,6 +86,8 @@ class Freedom:
     colors: bool = True
     same_lamp: bool = False
     """Whether all lamps have one colour."""
+    shape: bool = False
+    """Whether a matrix is that turns all normals which pixels' own are offset from."""
     scale: bool = False
     """Whether the colour that all lamps share is free in joint steps: weights that belong to a
     wrong scale hide the highlights that would tell a better one."""
@@ -130,6 +134,12 @@ def fit_surfaces(
     return state.with_surface(normals, albedo, roughness, metallic), cost, information
 
 
+def turned(normals: Array, matrix: Array) -> Array:
+    """Unit vectors along M n."""
+    found = normals @ matrix.T
+    return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
+
+
 def offsets(base: Array, normals: Array) -> Array:
     """(P, 2): tangent offsets of normals from others, (P, 3) each."""
     cosine = np.maximum(np.einsum("px,px->p", normals, base), 1e-6)
@@ -171,12 +181,16 @@ class JointLamps:
         freedom: Freedom,
         *,
         lit: Callable[[Lamps], Array] | None = None,
+        relief: Relief | None = None,
     ) -> None:
         self.pixels, self.state, self.noise = pixels, state, noise
         self.prior, self.freedom = prior, freedom
-        self.lit = lit
+        self.lit, self.relief = lit, relief
+        # Of the cues a block of the picture counts as one observation, as in `ambiguity`.
+        self.share = 1.0 if relief is None else relief.places.blocks / len(pixels)
         self.damping = 1e-3
         self.cost = np.inf
+        self.matrix = np.eye(3)
         self.weights = np.zeros(pixels.samples.shape)
         self._log_brightness = float(
             np.log(np.maximum(pixels.samples.mean(), NOISE_MIN) / ALBEDO_MEAN)
@@ -223,7 +237,11 @@ class JointLamps:
         return np.asarray(slope.reshape(4, -1))
 
     def fitted(
-        self, state: LampState, iterations: int, pixels: LampPixels | None = None
+        self,
+        state: LampState,
+        iterations: int,
+        pixels: LampPixels | None = None,
+        matrix: Array | None = None,
     ) -> tuple[LampState, float]:
         """A state with surfaces that took so many steps, and the cost of all."""
         state, costs, _ = fit_surfaces(
@@ -235,7 +253,10 @@ class JointLamps:
             free_normals=self.freedom.normals,
         )
         scale, ambient = self.scale_of(state.lamps), state.ambient / (AMBIENT_SHARE * MEAN_RADIANCE)
-        return state, float(costs.sum() + (scale**2).sum() + (ambient**2).sum())
+        cost = float(costs.sum() + (scale**2).sum() + (ambient**2).sum())
+        if self.relief is not None:
+            cost += self.relief(self.matrix if matrix is None else matrix)[0] / self.share
+        return state, cost
 
     def step(self) -> float:
         """One step; the relative decrease of the cost, 0 where none was found."""
@@ -244,9 +265,15 @@ class JointLamps:
             trial = self._moved(system)
             before = self.cost
             if trial is not None:
-                state, cost = self.fitted(trial, 3)
+                moved, matrix = trial
+                pixels = self.pixels
+                if self.freedom.shape:
+                    pixels = replace(pixels, normals=turned(pixels.normals, matrix))
+                matrix = matrix @ self.matrix
+                state, cost = self.fitted(moved, 3, pixels, matrix)
                 if cost < before:
-                    self.state, self.cost = state, cost
+                    self.state, self.cost, self.pixels = state, cost, pixels
+                    self.matrix = matrix
                     self.damping = max(self.damping * 0.2, 1e-7)
                     return (before - cost) / max(before, 1e-300)
             self.damping = min(self.damping * 8, 1e6)
@@ -257,7 +284,10 @@ class JointLamps:
         shared, _, own, mixed, _ = self.system()
         flat = mixed.reshape(-1, mixed.shape[-1])
         eliminated = flat.T @ np.matmul(np.linalg.inv(own), mixed).reshape(flat.shape)
-        return np.asarray(shared - eliminated)
+        known, size = shared - eliminated, self._size()
+        lights, matrix = known[:size, :size], known[size:, size:]
+        across = known[:size, size:]
+        return np.asarray(lights - across @ np.linalg.pinv(matrix, hermitian=True) @ across.T)
 
     def scores(self, direction: Array) -> tuple[Array, float]:
         """Half the slope of the cost along a direction (M,) of what is shared, pixels solved for.
@@ -279,7 +309,32 @@ class JointLamps:
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
         linear = self._linear()
-        return *self._of_shared(linear), *self._of_pixels(linear)
+        shared, gradient = self._of_shared(linear)
+        own, mixed, gradients = self._of_pixels(linear)
+        if self.freedom.shape:
+            by_matrix, pull, of_offsets = self._of_matrix()
+            shared = block_diag(shared, by_matrix)
+            gradient = np.concatenate([gradient, pull])
+            mixed = np.concatenate([mixed, of_offsets], axis=2)
+        return shared, gradient, own, mixed, gradients
+
+    def _of_matrix(self) -> tuple[Array, Array, Array]:
+        """Matrix (9, 9), gradient (9,) and B (P, 6, 9) of the matrix 1 + G that turns normals.
+
+        It moves a normal n by G n, so the offsets o of the pixel's own from it by −D g, where D has
+        t_i n_j for the tangents t. With their precision Q the prior is (o − D g)ᵀ Q (o − D g).
+        """
+        base, precision = self.pixels.normals, self.prior.precision[:, :2, None]
+        moves = np.einsum("pti,gij,pj->ptg", tangents(base), BAS_RELIEF, base)
+        away = offsets(base, self.state.normals)[..., None]
+        mixed = np.zeros((len(base), UNKNOWNS, 3))
+        mixed[:, :2] = -precision * moves
+        flat = moves.reshape(-1, 3)
+        weighted = (precision * moves).reshape(-1, 3)
+        assert self.relief is not None
+        by_matrix = flat.T @ weighted + self.relief.curvature(self.matrix) / self.share
+        slope = self.relief(self.matrix)[1] / self.share - weighted.T @ away.ravel()
+        return by_matrix, slope, mixed
 
     def pixel_system(self) -> tuple[Array, Array, Array]:
         """A (P, 6, 6), B (P, 6, M) and gradients (P, 6) of the pixels alone."""
@@ -372,8 +427,13 @@ class JointLamps:
             gradient += slope.T @ self.scale_of(self.state.lamps)
         return shared, gradient
 
-    def _moved(self, system: tuple[Array, Array, Array, Array, Array]) -> LampState | None:
-        """The state after a step with the present damping; None if there is none."""
+    def _moved(
+        self, system: tuple[Array, Array, Array, Array, Array]
+    ) -> tuple[LampState, Array] | None:
+        """The state after a step with the present damping, and what turns normals (3, 3).
+
+        None if there is no step.
+        """
         lamps = self.state.lamps
         found = step_of(*system, *self.directions(), self.damping)
         if found is None:
@@ -382,7 +442,10 @@ class JointLamps:
         places = change[: 3 * len(lamps)].reshape(-1, 3)
         colors = change[3 * len(lamps) : 6 * len(lamps)].reshape(-1, 3)
         ambient = self.state.ambient.copy()
-        ambient[:, 0] += change[6 * len(lamps) :].reshape(-1, 3)
+        ambient[:, 0] += change[6 * len(lamps) : self._size()].reshape(-1, 3)
+        matrix = np.eye(3)
+        if self.freedom.shape:
+            matrix += np.tensordot(change[self._size() :], BAS_RELIEF, 1)
         reach = np.where(lamps.near, np.linalg.norm(lamps.places, axis=-1), 1.0)
         longest = np.maximum(np.linalg.norm(places, axis=-1) / (PLACE_STEP_MAX * reach), 1.0)
         moved = lamps.places + places / longest[:, None]
@@ -394,12 +457,12 @@ class JointLamps:
             offsets = of_pixels[:, :2]
             length = np.maximum(np.linalg.norm(offsets, axis=-1) / OFFSET_STEP_MAX, 1.0)
             offsets = offsets / length[:, None]
-            turned = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
-            turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
-            visible = np.einsum("px,px->p", turned, self.pixels.views) > 0.02
-            visible &= np.einsum("px,px->p", turned, self.pixels.normals) > COSINE_MIN
-            normals = np.where(visible[:, None], turned, normals)
-        return replace(
+            moved_normals = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
+            moved_normals /= np.linalg.norm(moved_normals, axis=-1, keepdims=True)
+            visible = np.einsum("px,px->p", moved_normals, self.pixels.views) > 0.02
+            visible &= np.einsum("px,px->p", moved_normals, self.pixels.normals) > COSINE_MIN
+            normals = np.where(visible[:, None], moved_normals, normals)
+        state = replace(
             self.state,
             lamps=replace(lamps, places=moved, colors=tinted),
             ambient=ambient,
@@ -409,11 +472,10 @@ class JointLamps:
                 self.state.roughness + np.clip(of_pixels[:, 5], -0.2, 0.2), ROUGHNESS_MIN, 1
             ),
         )
+        return state, matrix
 
     def directions(self) -> tuple[Array, Array]:
         """In which what is shared may move, (M, columns), and slopes of what is held, (rows, M)."""
-        from scipy.linalg import block_diag
-
         lamps, count = self.state.lamps, len(self.state.lamps)
         places = colors = np.zeros((3 * count, 0))
         held = np.zeros((0, self._size()))
@@ -431,7 +493,11 @@ class JointLamps:
                 by_log = 1 / np.maximum(lamps.colors, 1e-12)
                 for c in range(3):
                     held[c, 3 * count + c : 6 * count : 3] = by_log[:, c]
-        return block_diag(places, colors, np.eye(3 * self.pixels.pictures)), held
+        free = block_diag(places, colors, np.eye(3 * self.pixels.pictures))
+        if self.freedom.shape:
+            free = block_diag(free, np.eye(3))
+            held = np.concatenate([held, np.zeros((len(held), 3))], axis=1)
+        return free, held
 
 
 def minimize(fit: JointLamps, *, steps: int, stop: Callable[[], bool] = lambda: False) -> int:

@@ -91,6 +91,8 @@ class FirstShape:
     """(N, 3) each: unit vectors to the lamps, and their colours up to that factor."""
     undetermined: tuple[str, ...]
     """What the pictures leave open, each in words."""
+    relief: Any = None
+    """`ambiguity.Relief`: what the cues say of other bas-reliefs; None where lamps are known."""
     note: str = ""
     """How they were found, and what the pictures leave open."""
 

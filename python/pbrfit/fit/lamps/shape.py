@@ -13,6 +13,10 @@ from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
+FOV_MEAN, FOV_SPREAD, FOV_MAX = 10.0, 12.0, 75.0
+"""Degrees of what is likely before: who takes pictures of an object stands back, and cuts out what
+is around it."""
+
 
 def first_shape(scene: Scene, threads: int = 0) -> FirstShape:
     """Normals, and directions of the lamps, that the pictures of a scene tell by themselves."""
@@ -26,13 +30,15 @@ def first_shape(scene: Scene, threads: int = 0) -> FirstShape:
     images = np.where(usable, images, 0.0).astype(np.float64)
     if scene.limits is not None:
         usable &= scene.limits == 0
-    known, pictures = scene.lamps, (images, usable, scene.valid, scene.views)
+    seen = scene if scene.fov_known else scene.through(FOV_MEAN)
+    known, pictures = scene.lamps, (images, usable, scene.valid, seen.views)
     if known is not None and not known.near.any() and len(known) == len(images):
         colors = known.colors if known.colored else None
         found = start_of_known_lamps(*pictures, known.places, colors, threads=threads)
         note = "normals by known lamps"
     else:
-        found = start_of_unknown_lamps(*pictures, scene.fov, threads=threads)
+        fov = scene.fov if scene.fov_known else 0.0
+        found = start_of_unknown_lamps(*pictures, fov, threads=threads)
         note = "normals and far lamps by the pictures"
     return replace(found, note="; ".join([note, *found.undetermined]))
 

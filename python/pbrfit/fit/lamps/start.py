@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.lamps.ambiguity import Minimum, Places, minima, unit_and_length
+from pbrfit.fit.lamps.ambiguity import Minimum, Places, Relief, minima, unit_and_length
 from pbrfit.fit.lamps.factorization import Factors, factors
 from pbrfit.fit.lamps.outline import outline, rough_shape
 from pbrfit.fit.lamps.photometric import DARK, pseudo_normals
@@ -106,7 +106,9 @@ def start_of_unknown_lamps(
     rough = rough_shape(mask, views)[data.where][places.chosen] if len(edge) else None
     found = minima(places, rough)
     best, undetermined = _decided(found, places, len(edge) > 0)
-    return finished(data, normals, best.normals, lamps @ best.lamps, undetermined)
+    shape = finished(data, normals, best.normals, lamps @ best.lamps, undetermined)
+    # Without an outline nothing tells how deep a surface is that misfit would not outvote.
+    return replace(shape, relief=Relief(best.lamps, places)) if len(edge) else shape
 
 
 def _with_black(start: FirstShape, seen: Mask) -> FirstShape:
