@@ -45,8 +45,8 @@ def main() -> int:
         write_pictures(folder, options.size)
     generate = [
         *("generate", given / "photo.png", "--out", out / "scene", "--fov", "60"),
-        *("--generator", f"folder:{given / 'relit'}", "--segments", "none"),
-        *("--normals", given / "normals.exr"),
+        *("--generator", f"folder:{given / 'relit'}", "--normals", given / "normals.exr"),
+        *("--segments", "none", "--depth", "none"),
     ]
     decompose = ["decompose", out / "scene", "--out", out / "result"]
     decompose += ["--iterations", str(options.iterations)]

@@ -7,26 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from acquire.tiny_maps import save_tiny_depth_anything, save_tiny_marigold_depth
+from acquire.tiny_maps import picture, save_tiny_depth_anything, save_tiny_marigold_depth
 from pbrfit._core import InputError
 from pbrfit.acquire.depth import depth_anything, marigold
-from pbrfit.cli import main
-from pbrfit.scene.scene import Scene
 
 
 @pytest.fixture(scope="module")
 def network(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(save_tiny_marigold_depth(tmp_path_factory.mktemp("marigold_depth")))
-
-
-def picture(height: int, width: int) -> NDArray[np.uint8]:
-    """Smooth colours."""
-    rng = np.random.default_rng(0)
-    y, x = np.mgrid[:height, :width] / max(height, width)
-    waves = [np.sin(a * x + b * y + c) for a, b, c in rng.uniform(-9, 9, (3, 3))]
-    return np.rint(127.5 + 127 * np.stack(waves, axis=-1)).astype(np.uint8)
 
 
 @pytest.mark.parametrize("size", [(97, 131), (64, 64)])
@@ -52,19 +41,6 @@ def test_depth_anything_says_what_its_depth_is(tmp_path: Path, metric: bool) -> 
     assert is_metric == metric == record["metric"]
     assert found.shape == (97, 131)
     assert np.isfinite(found).all()
-
-
-def test_the_command_writes_depth_that_the_scene_reads(network: str, tmp_path: Path) -> None:
-    size = 64
-    tilted = np.broadcast_to([0.6, 0, 0.8], (size, size, 3)).copy()
-    images = np.stack([picture(size, size) / 255.0 + 0.1] * 2).astype(np.float32)
-    images[1] *= 0.5
-    Scene(images=images, normals=tilted, fov=60.0).save(tmp_path / "scene")
-    flags = ["--model", network, "--device", "cpu", "--ensemble", "1", "--fuse"]
-    assert main(["depth", str(tmp_path / "scene"), *flags]) == 0
-    depth = Scene.load(tmp_path / "scene").depth
-    assert depth is not None
-    assert np.isfinite(depth).all()
 
 
 def test_a_folder_without_weights_is_named(tmp_path: Path) -> None:

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from acquire.image_service import KEY, Answer, Call, Serve, Service, failure, picture
+from acquire.image_service import KEY, Answer, Call, Serve, failure, picture
+from acquire.tiny_maps import (
+    save_tiny_depth_anything,
+    save_tiny_marigold_normals,
+    save_tiny_sam2,
+)
 from command_runs import ran
+from pbrfit.acquire import segments
+from pbrfit.acquire.depth import depth_anything
+from pbrfit.acquire.normals import marigold
 from pbrfit.cli import main
 from pbrfit.scene.scene import Scene
 
@@ -47,10 +56,6 @@ def dimmed(call: Call) -> Answer:
     return picture(call.image // 2)
 
 
-def prompts_of(service: Service) -> list[str]:
-    return [call.text["prompt"] for call in service.calls]
-
-
 def test_a_tiny_network_makes_a_scene_and_resume_adds_to_it(
     photo: Path, tiny_flux2_klein: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,15 +70,29 @@ def test_a_tiny_network_makes_a_scene_and_resume_adds_to_it(
     record = json.loads((scene / "review.json").read_text())["pictures"][2]["attempts"][0]["record"]
     assert record["generator"] == "flux2-klein"
     assert record["seed"] == 2
-
-
-def test_other_steps_are_other_settings(
-    photo: Path, tiny_flux2_klein: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert generate(photo, *klein(tiny_flux2_klein, "--count", 1)) == 0
-    more = ("--model", tiny_flux2_klein, "--steps", 2, "--device", "cpu", "--count", 1)
-    assert generate(photo, *more, "--resume") == 2
+    assert generate(photo, *klein(tiny_flux2_klein, "--steps", 2, "--resume")) == 2
     assert "found steps 1 (now 2); --overwrite" in capsys.readouterr().err
+
+
+def test_tiny_networks_make_all_that_a_scene_may_have(
+    photo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = photo.parent
+    for module, name, save in (
+        (marigold, "from_picture", save_tiny_marigold_normals),
+        (segments, "by_sam2", save_tiny_sam2),
+        (depth_anything, "from_picture", partial(save_tiny_depth_anything, metric=False)),
+    ):
+        model = str(save(here / module.__name__))
+        monkeypatch.setattr(module, name, partial(getattr(module, name), model=model))
+    (here / "relit").mkdir()
+    Image.open(photo).transpose(Image.Transpose.ROTATE_180).save(here / "relit" / "a.png")
+    source = ("--generator", f"folder:{here / 'relit'}", "--no-review", "--device", "cpu")
+    assert main(["generate", str(photo), "--out", str(here / "scene"), "--fov", "50", *source]) == 0
+    made = json.loads((here / "scene" / "review.json").read_text())
+    found = [made[of]["source"] for of in ("normals", "segments", "depth")]
+    assert found == ["marigold", "sam2", "depth-anything"]
+    assert Scene.load(here / "scene").depth is not None
 
 
 def test_what_cannot_be_shows_before_anything_is_made(
@@ -105,18 +124,3 @@ def test_a_service_makes_a_scene_without_the_prompt_that_it_refused(
     written = b"".join(path.read_bytes() for path in scene.rglob("*") if path.is_file())
     assert KEY.encode() not in written
     assert KEY not in said.out + said.err
-
-
-def test_a_service_that_fails_in_the_middle_is_not_asked_again_for_what_it_gave(
-    photo: Path, serve: Serve
-) -> None:
-    service = serve(dimmed, dimmed, failure(403, "Your organization must be verified."))
-    options = ("--generator", "gpt-image-2", "--count", 4)
-    said = complaint(photo, *options)
-    assert "must be verified" in said
-    assert "2 answers are kept in" in said
-    given = prompts_of(service)[:2]
-    service = serve(dimmed)
-    assert generate(photo, *options, "--resume") == 0
-    assert len(service.calls) == 2
-    assert not set(given) & set(prompts_of(service))

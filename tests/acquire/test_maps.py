@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquire.tiny_maps import save_tiny_marigold_normals, save_tiny_sam2
+from acquire.tiny_maps import picture, save_tiny_marigold_normals, save_tiny_sam2
 from pbrfit._core import InputError
 from pbrfit.acquire.marigold import seen_size
 from pbrfit.acquire.normals import HALF_WEIGHT, estimate
@@ -34,14 +34,6 @@ def marigold(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture(scope="module")
 def sam2(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(save_tiny_sam2(tmp_path_factory.mktemp("sam2")))
-
-
-def picture(height: int, width: int, seed: int = 0) -> NDArray[np.uint8]:
-    """Smooth colours."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:height, :width] / max(height, width)
-    waves = [np.sin(a * x + b * y + c) for a, b, c in rng.uniform(-9, 9, (3, 3))]
-    return np.rint(127.5 + 127 * np.stack(waves, axis=-1)).astype(np.uint8)
 
 
 def folder_of_photographs(folder: Path, height: int = 97, width: int = 131) -> Path:

@@ -10,6 +10,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 TARGETS = {
     "target_names": ["albedo", "material"],
     "albedo": {"prediction_space": "srgb", "up_to_scale": False},
@@ -22,6 +25,14 @@ TARGETS = {
     "metallicity": {"prediction_space": "linear", "up_to_scale": False},
 }
 """What prs-eth/marigold-iid-appearance-v1-1 says of itself."""
+
+
+def picture(height: int, width: int, seed: int = 0) -> NDArray[np.uint8]:
+    """Smooth colours."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width] / max(height, width)
+    waves = [np.sin(a * x + b * y + c) for a, b, c in rng.uniform(-9, 9, (3, 3))]
+    return np.rint(127.5 + 127 * np.stack(waves, axis=-1)).astype(np.uint8)
 
 
 def save_tiny_marigold_normals(folder: Path) -> Path:

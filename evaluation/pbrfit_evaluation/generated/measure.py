@@ -25,6 +25,7 @@ from pbrfit.result.sheet import displayed, outside_grey
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.blender import rendered_export
+from pbrfit_evaluation.depth_errors import estimated
 from pbrfit_evaluation.generated.stand_ins import Array, codes, room, segments_of, stand_ins
 from pbrfit_evaluation.generated.ways import BY_KEY, NORMALS_OFF
 from pbrfit_evaluation.jobs import Values
@@ -69,7 +70,7 @@ def run(case: Case, threads: int) -> Values:
     pictures, kinds = stand_ins(truth, way.level, case.seed)
     found: dict[str, Any] = {}
     kept = list(range(len(pictures)))
-    scene = truth.scene
+    scene, depth = replace(truth.scene, depth=None), truth.scene.depth
     if way.path:
         result, names, in_blender = through_files(case, scene, pictures)
         kept = [int(name) for name in names]
@@ -79,20 +80,13 @@ def run(case: Case, threads: int) -> Values:
             kept = reviewed(pictures)
         if way.normals == "estimated":
             wrong = disturbed(scene, "estimator", NORMALS_OFF, case.seed)
-            scene = replace(scene, normals=wrong)
+            assert depth is not None
+            scene = replace(scene, normals=wrong, depth=estimated(depth, case.seed))
         scene = given(scene, pictures[kept], as_files=way.level != "exact")
         if way.guess:
             result = explain(scene, "constant", threads=threads)
         else:
-            others = dict(way.options)
-            refine_normals = others.pop("refine_normals", "auto")
-            result = decompose(
-                scene,
-                refine_normals=refine_normals,
-                threads=threads,
-                uncertainty=False,
-                **others,
-            )
+            result = decompose(scene, threads=threads, uncertainty=False, **way.options)
         in_blender = {}
     honest = {i for i, kind in enumerate(kinds) if kind == "honest"}
     found |= {
@@ -156,7 +150,8 @@ def through_files(
         write_normals(at / "normals.exr", everywhere(scene))
         Image.fromarray(segments_of(scene)).save(at / "segments.png")
         told = ["--normals", str(at / "normals.exr"), "--segments", str(at / "segments.png")]
-        source = ["--generator", f"folder:{at / 'pictures'}", "--fov", f"{scene.fov:g}"]
+        told += ["--depth", "none", "--fov", f"{scene.fov:g}"]
+        source = ["--generator", f"folder:{at / 'pictures'}"]
         command("generate", at / "photo.png", "--out", at / "scene", *source, *told)
         command("decompose", at / "scene", "--out", at / "result", "--threads", 1)
         command("export", at / "result", "--out", at / "export", "--preset", "blender")

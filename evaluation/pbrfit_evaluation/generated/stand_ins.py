@@ -81,7 +81,7 @@ def room(seed: int, size: int, lights: int, *, by_cycles: bool, cache: Path | No
     pictures = np.stack([exposed(of.astype(np.float64), rng) for of in scene.images])
     assert scene.truth is not None
     truth = replace(scene.truth, lighting=None)  # of other exposures
-    return Room(replace(scene, images=pictures, depth=None, truth=truth), pictures)
+    return Room(replace(scene, images=pictures, truth=truth), pictures)
 
 
 def stand_ins(of: Room, level: Level, seed: int) -> tuple[Array, list[str]]:

@@ -43,7 +43,7 @@ class Way:
     review
         Whether pictures are reviewed first.
     normals
-        "true", or "estimated": true ones with the errors of an estimator.
+        "true", or "estimated": with the errors of an estimator, and with a network's depth.
     path
         Whether commands do it, from files to files.
     guess
@@ -73,7 +73,7 @@ WAYS = (
     Way("together", "all damage: all together", "repainted", TOGETHER, review=True),
     Way(
         "estimated",
-        "all together, estimated normals, refined",
+        "all together, estimated normals and depth",
         "repainted",
         {**TOGETHER, "refine_normals": "auto"},
         review=True,

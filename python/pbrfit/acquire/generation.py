@@ -1,30 +1,31 @@
 """From a photograph to a scene folder: pictures asked for, reviewed, and put in place.
 
-What can fail for nothing is done first: the place, the key, and normals and segments, which need
-the photo alone. Then pictures, each written to the journal as it comes. The scene appears at the
-very end.
+What can fail for nothing is done first: the place, the key, and segments, normals and depth, which
+need the photo alone. Then pictures, each written to the journal as it comes. The scene appears at
+the very end.
 """
 
 from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.acquire import depth as depths
 from pbrfit.acquire.generation_report import FILE, SHEET, GenerationReport
 from pbrfit.acquire.generators import Generator, Request
 from pbrfit.acquire.journal import ESCAPED, FOLDER, Journal
 from pbrfit.acquire.normals import DEPTH, Normals, estimate
 from pbrfit.acquire.photo import Photo, read_photo
 from pbrfit.acquire.prompts import Catalogue
-from pbrfit.acquire.rounds import REGENERATE, Progress, Reviewer, Rounds
+from pbrfit.acquire.rounds import REGENERATE, Progress, Rounds
 from pbrfit.acquire.scene_output import PHOTO, PICTURES, check_place, place
 from pbrfit.io import images
 from pbrfit.io.color import ColorSpace
@@ -34,11 +35,18 @@ from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model import geometry
 from pbrfit.result.sheet import as_png
 from pbrfit.scene.arrays import FIRST_FOV
+from pbrfit.scene.reading import Surface
+
+if TYPE_CHECKING:
+    from pbrfit.acquire.review import Reviewer
 
 log = logging.getLogger("pbrfit")
 
 PICTURES_MIN = 2
 """Pictures that a scene needs."""
+
+NETWORKS = ("sam2", "marigold", *depths.NETWORKS)
+"""Sources of maps that are networks."""
 
 COUNT = 16
 """How many pictures are asked for unless somebody says so: what the method was published with."""
@@ -56,9 +64,9 @@ def generate(
     review: bool = True,
     reviewer: Reviewer | None = None,
     normals: str = "marigold",
-    normal_options: Mapping[str, Any] | None = None,
     segments: str = "none",
-    segment_options: Mapping[str, Any] | None = None,
+    depth: str | None = None,
+    device: str = "auto",
     fov: float | None = None,
     color_space: ColorSpace | None = None,
     max_size: int | None = 1024,
@@ -78,9 +86,13 @@ def generate(
         How often a picture that the review refused is asked for again.
     review
         Whether pictures are reviewed; by `reviewer`, or a `pbrfit.acquire.review.Reviewer`.
-    normals, normal_options, segments, segment_options
-        Sources, as `pbrfit.acquire.normals.estimate` and `pbrfit.acquire.segments.segment` take
-        them; segments may be "none".
+    normals, segments, depth
+        Sources, as `pbrfit.acquire.normals.estimate`, `pbrfit.acquire.segments.segment` and
+        `pbrfit.acquire.depth.estimate` take them; the last two may be "none". Depth of None is
+        Depth Anything's, of normals "depth:FILE" the file's, and none beside flat normals and of an
+        orthographic camera, where nothing tells the offset of relative depth.
+    device
+        Where their networks compute, as for `pbrfit.acquire.weights.placement`.
     fov
         Horizontal field of view in degrees, 0 = orthographic; None: EXIF, else 60 with a warning.
     color_space, max_size
@@ -108,6 +120,7 @@ def generate(
     check_place(out, photo, settings, resume=resume, overwrite=overwrite)
     requests = _requests(generator, catalogue, count, seed, with_photo)
     view, assumed = _field_of_view(photo, fov)
+    depth_source = _depth_source(depth, normals, view)
     told = progress or (lambda *_: None)
     with place(out) as made:
         generator.check()
@@ -115,12 +128,13 @@ def generate(
         if not review:
             reviewer = None
         elif reviewer is None:
-            from pbrfit.acquire.review import Reviewer as Default
+            from pbrfit.acquire.review import Reviewer
 
-            reviewer = Default(photo.pixels * np.float32(2.0**photo.exposure), mask=photo.mask)
-        told("segments and normals", 0, len(requests))
-        parts = _segments(photo, segments, segment_options or {})
-        surface = _normals(photo, normals, view, normal_options or {})
+            reviewer = Reviewer(photo.pixels * np.float32(2.0**photo.exposure), mask=photo.mask)
+        told("segments, normals and depth", 0, len(requests))
+        parts = _segments(photo, segments, device)
+        surface = _normals(photo, normals, view, device)
+        relief = _depth(photo, depth_source, view, surface, parts, device)
         journal.begin()
         with _kept(journal, out):
             rounds = Rounds(photo, generator, journal, reviewer, regenerate, told)
@@ -134,8 +148,11 @@ def generate(
             reviewed=review,
             fov=view,
             assumed=assumed,
-            normals=surface.record,
-            segments=None if parts is None else parts[1],
+            maps={
+                "normals": surface.record,
+                "segments": None if parts is None else parts[1],
+                "depth": None if relief is None else relief.record | {"remarks": relief.remarks},
+            },
         )
         told("writing", rounds.asked, rounds.asked)
         write_json(made / FILE, report.as_json(), ESCAPED)
@@ -145,6 +162,8 @@ def generate(
             _write_maps(made, photo, view, surface)
             if parts is not None:
                 images.write_png(made / "segments.png", parts[0], tag=None)
+            if relief is not None:
+                images.write_exr(made / "depth.exr", {"Z": relief.depth})
             _write_pictures(made / PICTURES, report, journal)
     if not enough:
         raise InputError(_too_few(report))
@@ -183,35 +202,70 @@ def _field_of_view(photo: Photo, asked: float | None) -> tuple[float, dict[str, 
     return FIRST_FOV, {"fov": f"{FIRST_FOV:g} degrees: neither --fov nor EXIF says"}
 
 
-def _segments(
-    photo: Photo, source: str, options: Mapping[str, Any]
-) -> tuple[NDArray[np.uint16], dict[str, Any]] | None:
+Segments = tuple[NDArray[np.uint16], dict[str, Any]]
+
+
+def _segments(photo: Photo, source: str, device: str) -> Segments | None:
     if source == "none":
         return None
     from pbrfit.acquire.segments import segment
 
-    with _or_instead("segments", source, "sam2", "none or FILE"):
-        return segment(source, photo.srgb8(), **options)
+    with _or_instead("segments", source, "none or FILE"):
+        return segment(source, photo.srgb8(), **_options(source, device))
 
 
-def _normals(photo: Photo, source: str, fov: float, options: Mapping[str, Any]) -> Normals:
-    if source.startswith(DEPTH) and fov == 0 and "view_width" not in options:
+def _normals(photo: Photo, source: str, fov: float, device: str) -> Normals:
+    if source.startswith(DEPTH) and fov == 0:
         raise InputError(
             f"normals: expected a field of view above 0 for {source}, found an orthographic one: "
             f"take flat ones first, and then `pbrfit normals SCENE --from {source} --view-width "
             "WIDTH --overwrite`"
         )
-    with _or_instead("normals", source, "marigold", "flat, depth:FILE or FILE"):
+    options = _options(source, device)
+    with _or_instead("normals", source, "flat, depth:FILE or FILE"):
         return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
 
 
+def _depth_source(asked: str | None, normals: str, fov: float) -> str:
+    """Where depth comes from; raises InputError for depth that is asked for without normals."""
+    if asked is None:
+        if normals.startswith(DEPTH):
+            return normals.removeprefix(DEPTH)
+        return "none" if normals == "flat" or fov == 0 else depths.NETWORKS[0]
+    if asked != "none" and normals == "flat":
+        raise InputError("depth: expected normals beside it, found flat ones; --depth none")
+    return asked
+
+
+def _depth(
+    photo: Photo, source: str, fov: float, of: Normals, segments: Segments | None, device: str
+) -> depths.Depth | None:
+    if source == "none":
+        return None
+    known = np.ones(photo.size, bool) if of.known is None else of.known
+    surface = Surface(
+        size=photo.size,
+        fov=fov,
+        normals=np.where(known[..., None], of.normals, np.nan),
+        mask=np.ones(photo.size, bool) if photo.mask is None else photo.mask,
+        segments=None if segments is None else segments[0],
+    )
+    options = _options(source, device)
+    with _or_instead("depth", source, "none, normals or FILE"):
+        return depths.estimate(source, photo.srgb8(), surface, fuse=True, **options)
+
+
+def _options(source: str, device: str) -> dict[str, Any]:
+    return {"device": device} if source in NETWORKS else {}
+
+
 @contextmanager
-def _or_instead(what: str, source: str, network: str, others: str) -> Iterator[None]:
+def _or_instead(what: str, source: str, others: str) -> Iterator[None]:
     """Let the failure of a network say what does without one."""
     try:
         yield
     except InputError as error:
-        if source != network:
+        if source not in NETWORKS:
             raise
         raise InputError(f"{what}: {error}; without a network: --{what} {others}") from error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from pbrfit.acquire.journal import FOLDER, Journal
 from pbrfit.acquire.photo import Photo
 from pbrfit.acquire.rounds import Attempt, Picture
+from pbrfit.io.json_files import finite_or_null
 from pbrfit.result.sheet import OUTSIDE, Panel, sheet
 
 if TYPE_CHECKING:
@@ -50,9 +50,8 @@ class GenerationReport:
     """Horizontal field of view in degrees."""
     assumed: dict[str, str]
     """In words, what was found or decided."""
-    normals: dict[str, Any]
-    segments: dict[str, Any] | None
-    """How they were made; the latter None if there are none."""
+    maps: dict[str, dict[str, Any] | None]
+    """How normals, segments and depth were made; None where there are none."""
 
     @property
     def accepted(self) -> list[Picture]:
@@ -81,8 +80,7 @@ class GenerationReport:
             "generator": self.settings,
             "reviewed": self.reviewed,
             "pictures": [_picture(picture) for picture in self.pictures],
-            "normals": self.normals,
-            "segments": self.segments,
+            **self.maps,
             "totals": {
                 "asked_for": len(self.pictures),
                 "accepted": len(self.accepted),
@@ -173,12 +171,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
 
 
 def _check(check: Check) -> dict[str, Any]:
-    return {**asdict(check), "value": _finite(check.value), "bound": _finite(check.bound)}
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no infinity."""
-    return float(value) if math.isfinite(value) else None
+    return asdict(check) | finite_or_null({"value": check.value, "bound": check.bound})
 
 
 def _summed(usages: Iterable[Any]) -> dict[str, Any] | None:

@@ -75,11 +75,7 @@ class Frame:
         return (self.padded[0] - self.scaled[0]) // 2, (self.padded[1] - self.scaled[1]) // 2
 
     def to_model(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Picture (H, W, 3), sRGB, at the size that the network takes.
-
-        Raises InputError if the picture is of another size than the frame is for.
-        """
-        self._check("picture", picture, self.size)
+        """Picture (H, W, 3) of `size`, sRGB, at the size that the network takes."""
         if self.scaled != self.size:
             picture = resized_srgb8(picture, self.scaled)
         around = [
@@ -94,18 +90,14 @@ class Frame:
         Raises InputError if it is not of the size that was asked for, so that nobody knows what
         became of the pixels.
         """
-        self._check("generated picture", picture, self.padded)
+        if picture.shape != (*self.padded, 3):
+            raise InputError(
+                f"generated picture: expected {self.padded[1]} × {self.padded[0]} pixels in 3 "
+                f"channels, found an array of shape {picture.shape}"
+            )
         top, left = self.offset
         inner = picture[top : top + self.scaled[0], left : left + self.scaled[1]]
         return resized_srgb8(inner, self.size) if self.scaled != self.size else inner.copy()
-
-    @staticmethod
-    def _check(what: str, picture: NDArray[Any], size: tuple[int, int]) -> None:
-        if picture.shape != (*size, 3):
-            raise InputError(
-                f"{what}: expected {size[1]} × {size[0]} pixels in 3 channels, found an array of "
-                f"shape {picture.shape}"
-            )
 
 
 def frame(size: tuple[int, int], limits: Limits) -> Frame:

@@ -33,8 +33,7 @@ class Photo:
     path: Path
     """The file."""
     pixels: NDArray[np.float32]
-    """(H, W, 3), linear Rec.709, float32, upright. Finite; what the mask leaves out is as
-    stored."""
+    """(H, W, 3), linear Rec.709, upright. Finite; what the mask leaves out is as stored."""
     mask: NDArray[np.bool_] | None
     """(H, W), bool: what alpha and finite values leave; None = all."""
     sha256: str

@@ -10,9 +10,9 @@ same attempts again and finds them in the journal.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,20 +23,10 @@ from pbrfit.acquire.photo import Photo
 from pbrfit.io.color import decode_srgb
 
 if TYPE_CHECKING:
-    from pbrfit.acquire.review import Check, Verdict
+    from pbrfit.acquire.review import Check, Reviewer
 
 REGENERATE = 2
 """How often a picture that the review refused is asked for again, with another seed each time."""
-
-
-class Reviewer(Protocol):
-    """Judges pictures (H, W, 3) in linear Rec.709 against the photo, and against each other."""
-
-    def picture(self, pixels: NDArray[np.float32]) -> Verdict:
-        """Judge one picture by itself."""
-
-    def together(self, pictures: Sequence[NDArray[np.float32]]) -> list[Verdict]:
-        """Judge each of these beside the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,25 +125,19 @@ class Rounds:
         request = dataclasses.replace(first, seed=first.seed + k * RETRY_STEP)
         self.asked += 1
         entry = self.journal.find(request)
-        pixels = None
         if entry is None:
             self._tell(f"{request.name}, seed {request.seed}")
             try:
-                generated = self.generator.generate(self.photo, request)
+                entry = self.journal.keep(request, self.generator.generate(self.photo, request))
             except Refused as refusal:
                 entry = self.journal.refuse(request, refusal)
-            else:
-                entry = self.journal.keep(request, generated)
-                pixels = generated.pixels
         else:
             self._tell(f"{request.name}, in the journal")
         if entry.refused:
             return Attempt(entry, reason=entry.refused)
         if self.reviewer is None:
             return Attempt(entry)
-        verdict = self.reviewer.picture(
-            linear(self.journal.pixels(entry) if pixels is None else pixels)
-        )
+        verdict = self.reviewer.picture(linear(self.journal.pixels(entry)))
         return Attempt(entry, verdict.checks, reason="" if verdict.accepted else verdict.reason)
 
     def _tell(self, what: str) -> None:

@@ -29,6 +29,7 @@ PARTS = (
     "normals.exr",
     "normals.png",
     "segments.png",
+    "depth.exr",
     "mask.png",
     "weights.exr",
     "scene.toml",

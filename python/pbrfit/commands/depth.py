@@ -16,7 +16,7 @@ from pbrfit.commands import network_options as network
 from pbrfit.commands.scene_options import DEPTH_KIND, field_of_view
 from pbrfit.io.depth_files import DEPTH_FILES, METRES
 from pbrfit.scene import completion
-from pbrfit.scene.depth import checked_depth, in_words
+from pbrfit.scene.depth import in_words
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import read_surface
 
@@ -90,8 +90,6 @@ def run(options: argparse.Namespace) -> int:
             found = estimate(kind, shown, surface, fuse=options.fuse, progress=bar.update, **given)
     else:
         found = estimate(options.source, shown, surface, fuse=options.fuse, **given)
-    if surface.normals is not None:
-        checked_depth(found.depth, surface.normals, surface.fov)  # as reading the scene will
     path = completion.add_depth(options.scene, found.depth, overwrite=options.overwrite)
     lines = [f"{path}: {in_words(found.depth)}", *(f"  {remark}" for remark in found.remarks)]
     cli.tell(options, [*lines, f"look at it: pbrfit inspect {shlex.quote(str(options.scene))}"])

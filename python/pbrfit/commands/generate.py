@@ -11,9 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.acquire.generation import generate
+from pbrfit.acquire.generation import NETWORKS, generate
 from pbrfit.acquire.generation_report import GenerationReport
 from pbrfit.acquire.generators import create
+from pbrfit.acquire.normals import kind_of
 from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
 from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
@@ -40,8 +41,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.description = (
         "Make a scene folder of one photograph: pictures of the same view under other lights, "
-        "each checked against the photograph; normals and segments. Needs extra packages for "
-        "all but --generator folder:DIR --normals flat --segments none. gpt-image-2 sends the "
+        "each checked against the photograph; normals, segments and depth. Needs extra packages "
+        "for all but --generator folder:DIR --normals flat --segments none. gpt-image-2 sends the "
         "photograph to OpenAI; docs/tutorials/one-photograph.md has packages and costs."
     )
     parser.usage = "%(prog)s PHOTO --out SCENE [OPTION ...]"
@@ -105,22 +106,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             "low|medium|high|auto", str, "gpt-image-2: decides most of the price (default: high)"
         ),
     )
-    prompts = parser.add_argument_group("prompts")
     cli.add_flags(
-        prompts, prompts=cli.value("FILE", Path, "catalogue (default: the one that ships)")
-    )
-    cli.add_flags(
-        prompts.add_mutually_exclusive_group(),
-        negative=cli.value("TEXT", str, "what must not appear (default: the catalogue's)"),
-        no_negative={
-            "dest": "negative",
-            "action": "store_const",
-            "const": "",
-            "help": "no negative prompt",
-        },
-    )
-    cli.add_flags(
-        prompts,
+        parser.add_argument_group("prompts"),
+        prompts=cli.value("FILE", Path, "catalogue (default: the one that ships)"),
+        negative=cli.value("TEXT", str, "to avoid; '': nothing (default: the catalogue's)"),
         list_prompts=cli.switch("print the catalogue and do nothing else"),
         save_prompts=cli.value(
             "FILE", Path, "write the catalogue that ships to a file to edit, and do nothing else"
@@ -136,13 +125,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         no_review=cli.switch("take every picture as it comes"),
     )
     cli.add_flags(
-        parser.add_argument_group("normals and segments"),
+        parser.add_argument_group("normals, segments and depth"),
         normals=source(
             ("marigold", "flat"),
             "by a network, none (every surface faces the camera), or from a file",
             ("depth:",),
         ),
         segments=source(("sam2", "none"), "by a network, none, or from a file"),
+        depth={
+            **source(
+                ("depth-anything", "marigold", "normals", "none"),
+                "by a network, integrated from normals, none, or from a file; made to agree with "
+                "the normals (default: depth-anything; with --normals depth:FILE that file, with "
+                "--normals flat or --fov 0 none)",
+            ),
+            "default": None,
+        },
         device=cli.choice(
             Device,
             "where networks compute, those for pictures too (default: a GPU if there is one)",
@@ -171,7 +169,6 @@ def run(options: argparse.Namespace) -> int:
     if options.generator == "flux2-klein":
         names += ["device", "quiet"]
     generator = create(options.generator, **{name: getattr(options, name) for name in names})
-    networks = {} if options.device is None else {"device": options.device}
     with _progress(options) as told:
         report = generate(
             options.photo,
@@ -183,9 +180,9 @@ def run(options: argparse.Namespace) -> int:
             regenerate=REGENERATE if options.regenerate is None else options.regenerate,
             review=not options.no_review,
             normals=options.normals,
-            normal_options=networks if options.normals == "marigold" else None,
             segments=options.segments,
-            segment_options=networks if options.segments == "sam2" else None,
+            depth=options.depth,
+            device=options.device or "auto",
             fov=options.fov,
             color_space=options.color_space,
             max_size=options.max_size,
@@ -209,10 +206,12 @@ def _check_belonging(options: argparse.Namespace) -> None:
         (name, chosen in ones, f"--generator {' or '.join(ones)}, found {chosen}")
         for name, ones in BELONGS.items()
     ]
-    used = {chosen, options.normals, options.segments} & {"flux2-klein", "marigold", "sam2"}
+    depth = options.depth or ("depth-anything" if kind_of(options.normals) == "file" else None)
+    networks = {"flux2-klein", *NETWORKS}
+    used = {chosen, options.normals, options.segments, depth} & networks
     checks += [
         ("regenerate", not options.no_review, "the review, found --no-review"),
-        ("device", bool(used), "flux2-klein, marigold or sam2, found no network to be used"),
+        ("device", bool(used), f"{', '.join(sorted(networks))}, found no network to be used"),
     ]
     cli.refuse_idle(options, checks)
 

@@ -109,9 +109,6 @@ def test_requests_go_around_the_catalogue_with_seeds_of_their_own() -> None:
     assert [request.seed for request in requests] == [40, 41, 42, 43, 44]
     assert requests[2].prompt == requests[0].prompt == "Relight. From the left."
     assert requests[0].negative == "no"
-
-
-def test_a_second_round_does_not_take_a_name_that_the_catalogue_has() -> None:
     lighting = (Prompt("left", "a"), Prompt("left_2", "b"))
     names = [request.name for request in requests_from(Catalogue("", lighting, ""), 4, 0)]
     assert len(set(names)) == 4

@@ -16,13 +16,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from acquire_run import CATALOGUE, Counting, Strict, failing, pixels, refusing, write_photo
+from acquire_run import CATALOGUE, SIZE, Counting, Strict, failing, pixels, refusing, write_photo
 from pbrfit._core import InputError
+from pbrfit.acquire.depth import depth_anything
 from pbrfit.acquire.generation import generate
 from pbrfit.acquire.generation_report import GenerationReport
 from pbrfit.acquire.generators import Request
 from pbrfit.acquire.prompts import Catalogue, Prompt
+from pbrfit.scene.depth import compared
 from pbrfit.scene.scene import Scene
+from scene_files import world
 
 
 @pytest.fixture
@@ -77,6 +80,37 @@ def test_a_scene_folder_holds_the_pictures_the_photo_normals_and_why(
         "asked_for": 4, "accepted": 4, "left_out": 0, "attempts": 4,
         "seconds": 0.0, "usage": {"tokens": 40},
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("normals", "depth", "source"),
+    [
+        ("normals.npy", None, "depth-anything"),
+        ("normals.npy", "noisy.npy", "file"),
+        ("normals.npy", "normals", "normals"),
+        ("normals.npy", "none", None),
+        ("depth:true.npy", None, "file"),
+    ],
+)
+def test_depth_is_made_beside_normals_and_agrees_with_them(
+    make: Make,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    normals: str,
+    depth: str | None,
+    source: str | None,
+) -> None:
+    true, directions = world("room", 3, SIZE, SIZE, 50.0)[:2]
+    noisy = true * np.exp(0.05 * np.random.default_rng(0).normal(size=true.shape))
+    for name, array in {"true": true, "noisy": noisy, "normals": directions}.items():
+        np.save(tmp_path / f"{name}.npy", array)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(depth_anything, "from_picture", lambda *_, **__: (1 / noisy, False, {}))
+    make(Counting(), normals=normals, depth=depth)
+    record, found = reviewed(tmp_path / "scene")["depth"], Scene.load(tmp_path / "scene").depth
+    assert (record and record["source"]) == source
+    assert (found is None) == (source is None)
+    assert found is None or compared(found, directions, 50.0).depth < 5  # the noisy one's: 40
 
 
 def test_pictures_are_in_the_scene_bit_by_bit_and_the_photo_where_it_is_wanted(
@@ -381,10 +415,16 @@ def test_a_broken_journal_is_told(make: Make, tmp_path: Path) -> None:
 
 def test_what_cannot_be_shows_before_any_picture(make: Make, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
+    true, directions = world("room", 3, SIZE, SIZE, 50.0)[:2]
+    given = [str(tmp_path / "inverse.npy"), str(tmp_path / "normals.npy")]
+    for path, array in zip(given, (1 / true, directions), strict=True):
+        np.save(path, array)
     no_place = r"scene: expected a place where a folder can be made"
     of_photo = Catalogue("", (Prompt("photo", "Day."), Prompt("night", "Night.")), "")
     cases: list[tuple[dict[str, Any], str]] = [
         ({"normals": str(tmp_path / "no_such.exr")}, r"no_such\.exr"),
+        ({"depth": given[0], "normals": given[1]}, "depth: expected distances, found inverse"),
+        ({"depth": given[0]}, "depth: expected normals beside it, found flat ones"),
         ({"out": tmp_path / "file" / "scene"}, no_place),
         ({"catalogue": of_photo, "count": 2}, "photo: expected another name"),
     ]
@@ -425,6 +465,6 @@ def test_transparent_pixels_are_masked(make: Make, tmp_path: Path, photo: Path) 
 def test_progress_counts_up_to_all_pictures(make: Make) -> None:
     told: list[tuple[str, int, int]] = []
     make(Counting(), reviewer=Strict(alone=[0]), progress=lambda *step: told.append(step))
-    assert told[0] == ("segments and normals", 0, 4)
+    assert told[0] == ("segments, normals and depth", 0, 4)
     assert ("light_0, seed 1000", 2, 4) in told
     assert told[-1] == ("writing", 5, 5)

@@ -91,7 +91,7 @@ def test_count_takes_the_first_and_resume_adds_the_rest_and_what_was_changed(mad
 def test_json_is_the_review_and_nothing_else(made: Path) -> None:
     tilted = np.full((64, 64, 3), (128, 218, 218), dtype=np.uint8)
     Image.fromarray(tilted).save(made / "mine.png")
-    found = ran(*command(made, "--json", "--normals", made / "mine.png"))
+    found = ran(*command(made, "--json", "--normals", made / "mine.png", "--depth", "none"))
     written = json.loads((made / "scene" / "review.json").read_text(encoding="utf-8"))
     assert json.loads(found.out) == written
     assert written["generator"]["generator"] == "folder"
@@ -107,9 +107,10 @@ def test_json_is_the_review_and_nothing_else(made: Path) -> None:
         (("--guidance", "3"), "--guidance: goes with --generator flux2-klein, found folder"),
         (("--seed", "0"), "--seed: goes with --generator flux2-klein or gpt-image-2"),
         (("--negative", "dogs"), "--negative: goes with"),
-        (("--no-negative",), "--negative: goes with"),
+        (("--negative", ""), "--negative: goes with"),
         (("--model", "x"), "--model: goes with"),
-        (("--device", "cpu"), "--device: goes with flux2-klein, marigold or sam2"),
+        (("--device", "cpu"), "--device: goes with depth-anything, flux2-klein, marigold, sam2"),
+        (("--depth", "normals"), "depth: expected normals beside it, found flat ones"),
         (("--regenerate", "1"), "--regenerate: goes with"),
         (("--max-size", "60"), "max_size: expected at least 64"),
         (("--normals", "flatt"), "--normals: expected marigold, flat, depth:FILE or a file"),

@@ -16,13 +16,13 @@ from pbrfit.acquire.normals.maps import check_reducible
 from pbrfit.io.depth_files import read_depth
 from pbrfit.model import geometry
 from pbrfit.model.depth_normals import DepthKind
-from pbrfit.scene.depth import compared, reduced, without_holes
+from pbrfit.scene.depth import checked_depth, compared, reduced, without_holes
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.reading import Surface
 
-NETWORKS = ("marigold", "depth-anything")
+NETWORKS = ("depth-anything", "marigold")
 
-SOURCES = "marigold, depth-anything, normals or FILE"
+SOURCES = "depth-anything, marigold, normals or FILE"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +49,12 @@ def estimate(
 ) -> Depth:
     """Find depth for a picture.
 
-    Raises InputError or OSError.
+    Raises InputError or OSError, also where the normals show that it is inverse depth.
 
     Parameters
     ----------
     source
-        "marigold" or "depth-anything"; "normals", which are integrated; or a file: EXR, .npy, or a
+        "depth-anything" or "marigold"; "normals", which are integrated; or a file: EXR, .npy, or a
         grey PNG or TIFF, of the picture's size or larger in the same proportion, in any unit.
     srgb8
         (H, W, 3), sRGB: what a network is shown. Of the others only its size matters.
@@ -68,7 +68,7 @@ def estimate(
     fuse
         Make the depth agree with the normals (`pbrfit.scene.integration`).
     options
-        Of the network: those of `marigold.from_picture` or `depth_anything.from_picture`.
+        Of the network: those of `depth_anything.from_picture` or `marigold.from_picture`.
     """
     size = srgb8.shape[0], srgb8.shape[1]
     remarks: list[str] = []
@@ -102,6 +102,8 @@ def estimate(
         found, of_file = _of_file(path, size, surface.fov, depth_kind, unit)
         remarks += of_file
         record |= {"file": path.name, "kind": depth_kind}
+    if surface.normals is not None:  # fused with them any map would agree
+        checked_depth(found, surface.normals, surface.fov)
     if fuse:
         normals = _normals(surface, "fuse")
         found = depth_from_normals(

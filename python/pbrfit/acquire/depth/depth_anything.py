@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pbrfit.acquire import weights
 from pbrfit.acquire.padding import resized
 
-MODEL = "depth-anything/Depth-Anything-V2-Metric-Indoor-Large-hf"
+MODEL = "depth-anything/Depth-Anything-V2-Small-hf"
 
 WHAT = "Depth Anything"
 

@@ -37,8 +37,6 @@ def aligned_mean(members: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     first = members[0]
     total = first.copy()
     for member in members[1:]:
-        centred = member - member.mean()
-        square = float(np.sum(centred**2))
-        factor = float(np.sum(centred * first)) / square if square > 0 else 0.0
-        total += first.mean() + factor * centred
+        both = np.stack([member.ravel(), np.ones(member.size)], axis=-1)
+        total += (both @ np.linalg.lstsq(both, first.ravel())[0]).reshape(first.shape)
     return np.asarray(total / len(members))

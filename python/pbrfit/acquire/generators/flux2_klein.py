@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -66,9 +66,6 @@ class Flux2Klein:
             raise InputError(f"guidance: expected a number of 0 or more, found {self.guidance}")
         if self.steps < 1:
             raise InputError(f"steps: expected at least 1, found {self.steps}")
-        self._pipeline: Any = None
-        self._record: dict[str, Any] = {}
-        self._negative: tuple[str, Any] | None = None
 
     def settings(self) -> dict[str, Any]:
         """What decides about the pictures. The device does not: seeds are drawn on the processor.
@@ -85,7 +82,7 @@ class Flux2Klein:
         asked for.
         """
         _ = self._placement
-        self._load(lambda name, **options: self._check_kind(name, "", **options))
+        self._load(self._check_kind)
 
     def plan(self, catalogue: Catalogue, count: int, seed: int) -> list[Request]:
         """The first `count` lightings of the catalogue.
@@ -103,8 +100,7 @@ class Flux2Klein:
         for, or runs out of memory; or the prompt is too long.
         """
         self._check_guidance(request.negative)
-        pipeline = self._loaded(request.negative)
-        self._check_distilled(pipeline.config.is_distilled, request.negative)
+        pipeline, made = self._loaded.network, self._loaded.record
         import torch
 
         frame = padding.frame(photo.size, padding.FLUX2_KLEIN)
@@ -114,7 +110,10 @@ class Flux2Klein:
         with weights.memory_in_words(f"{KIND}, picture {request.name}"), torch.no_grad():
             options = {}
             if self.guidance > 1:
-                options["negative_prompt_embeds"] = self._embedded(request.negative)
+                embedded = pipeline.encode_prompt(
+                    prompt=request.negative, max_sequence_length=PROMPT_TOKENS
+                )
+                options["negative_prompt_embeds"] = embedded[0]
             output = pipeline(
                 image=Image.fromarray(frame.to_model(photo.srgb8())),
                 prompt=request.prompt,
@@ -129,9 +128,9 @@ class Flux2Klein:
                 **options,
             )
         return Generated(
-            pixels=frame.from_model(_in_bytes(output.images[0], self._record["dtype"])),
+            pixels=frame.from_model(_in_bytes(output.images[0], made["dtype"])),
             record={
-                **self._record,
+                **made,
                 "guidance": self.guidance,
                 "steps": self.steps,
                 "seed": request.seed,
@@ -143,24 +142,18 @@ class Flux2Klein:
             },
         )
 
-    def _loaded(self, negative: str) -> Any:
-        """The pipeline on its device; loaded once."""
-        if self._pipeline is not None:
-            return self._pipeline
+    @cached_property
+    def _loaded(self) -> weights.Loaded:
+        """The pipeline on its device, and how pictures are made by it."""
         from diffusers import Flux2KleinPipeline
 
+        self.check()  # the small file first: a wrong choice shows before gigabytes are read
         where = self._placement
-
-        def loader(name: str, **options: Any) -> Any:
-            # The small file first: a wrong choice shows before gigabytes are read.
-            self._check_kind(name, negative, **options)
-            return Flux2KleinPipeline.from_pretrained(name, dtype=where.torch_dtype, **options)
-
-        loaded = self._load(loader)
+        loaded = self._load(partial(Flux2KleinPipeline.from_pretrained, dtype=where.torch_dtype))
         pipeline = loaded.network
         pipeline.set_progress_bar_config(disable=True if self.quiet else None, leave=False)
         weights.place(pipeline, where, what=f"{KIND} {self.model}")
-        self._record = {
+        record = {
             "generator": self.name,
             **loaded.record,
             "device": where.device,
@@ -168,8 +161,7 @@ class Flux2Klein:
             "offload": where.offload,
             "versions": weights.versions("torch", "diffusers", "transformers"),
         }
-        self._pipeline = pipeline
-        return pipeline
+        return weights.Loaded(pipeline, record)
 
     def _load(self, loader: Callable[..., Any]) -> weights.Loaded:
         return weights.load(
@@ -180,7 +172,7 @@ class Flux2Klein:
     def _placement(self) -> weights.Placement:
         return weights.placement(self.device, self.dtype, self.offload, what=KIND)
 
-    def _check_kind(self, name: str, negative: str, **options: Any) -> None:
+    def _check_kind(self, name: str, **options: Any) -> None:
         """Read what a checkpoint says about itself, a small file."""
         from diffusers import Flux2KleinPipeline
 
@@ -188,26 +180,21 @@ class Flux2Klein:
         kind = config.get("_class_name")
         if kind != "Flux2KleinPipeline":
             raise InputError(f"{name}: expected a Flux2KleinPipeline, found a {kind}")
-        self._check_distilled(config.get("is_distilled", False), negative)
+        if config.get("is_distilled", False) and self.guidance != 1:
+            raise InputError(
+                f"{self.model}: expected a base checkpoint for guidance {self.guidance:g}, found a "
+                f"distilled one, which ignores it: take {MODEL}, or --guidance 1 --negative ''"
+            )
 
     def _check_guidance(self, negative: str) -> None:
         if negative and self.guidance <= 1:
             raise InputError(
                 f"negative prompts: expected guidance above 1, which they work through, found "
-                f"{self.guidance:g}; --no-negative leaves them out"
-            )
-
-    def _check_distilled(self, distilled: bool, negative: str) -> None:
-        if distilled and (self.guidance != 1 or negative):
-            asked = [f"guidance {self.guidance:g}"] * (self.guidance != 1)
-            asked += ["negative prompts"] * bool(negative)
-            raise InputError(
-                f"{self.model}: expected a base checkpoint for {' and '.join(asked)}, found a "
-                f"distilled one, which ignores both: take {MODEL}, or --guidance 1 --no-negative"
+                f"{self.guidance:g}; --negative '' leaves them out"
             )
 
     def _check_length(self, name: str, text: str) -> None:
-        tokenizer = self._pipeline.tokenizer
+        tokenizer = self._loaded.network.tokenizer
         whole = tokenizer.apply_chat_template(
             [{"role": "user", "content": text}],
             tokenize=False,
@@ -220,15 +207,6 @@ class Flux2Klein:
                 f"prompt {name}: expected at most {PROMPT_TOKENS} tokens, of which the network "
                 f"reads no more, found {tokens}"
             )
-
-    def _embedded(self, negative: str) -> Any:
-        """A run has one negative prompt; the text network, large, is asked once."""
-        if self._negative is None or self._negative[0] != negative:
-            embeddings, _ = self._pipeline.encode_prompt(
-                prompt=negative, max_sequence_length=PROMPT_TOKENS
-            )
-            self._negative = negative, embeddings
-        return self._negative[1]
 
 
 def _in_bytes(picture: NDArray[np.floating[Any]], dtype: str) -> NDArray[np.uint8]:
