@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from acquire.tiny_maps import picture, save_tiny_depth_anything, save_tiny_marigold_depth
-from pbrfit._core import InputError
 from pbrfit.acquire.depth import depth_anything, marigold
 
 
@@ -41,10 +40,3 @@ def test_depth_anything_says_what_its_depth_is(tmp_path: Path, metric: bool) -> 
     assert is_metric == metric == record["metric"]
     assert found.shape == (97, 131)
     assert np.isfinite(found).all()
-
-
-def test_a_folder_without_weights_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"expected Marigold .depth. with a model_index.json"):
-        marigold.from_picture(picture(64, 64), model=str(tmp_path), device="cpu")
-    with pytest.raises(InputError, match=r"expected Depth Anything with a config.json"):
-        depth_anything.from_picture(picture(64, 64), model=str(tmp_path), device="cpu")

@@ -69,36 +69,12 @@ def test_what_the_network_is_shown_comes_back_bit_for_bit(
     np.testing.assert_array_equal(made.pixels, photo.srgb8())
 
 
-def test_a_photograph_too_large_for_the_network_comes_back_where_it_was(
-    echo: Flux2Klein, tmp_path: Path
-) -> None:
-    photo = photo_of(1100, 1403, tmp_path)
-    made = echo.generate(photo, Request("same", "The same.", "", 0))
-    assert made.record["scaled_size"] != [1100, 1403]
-    assert np.prod(made.record["network_size"]) <= 1024 * 1024
-    error = made.pixels.astype(np.float64) - photo.srgb8()
-    down, across = np.gradient(photo.srgb8().astype(np.float64), axis=(0, 1))
-    shifts = [np.sum(error * slope) / np.sum(slope**2) for slope in (down, across)]
-    assert np.abs(shifts).max() < 0.01
-    assert np.sqrt(np.mean(error**2)) < 4
-
-
-@pytest.mark.parametrize("size", [(97, 131), (131, 97)])
-def test_a_picture_has_the_size_of_the_photo(
-    size: tuple[int, int], klein: Flux2Klein, tmp_path: Path
-) -> None:
-    photo = photo_of(*size, tmp_path)
-    made = klein.generate(photo, LEFT)
-    assert made.pixels.shape == (*size, 3)
-    assert made.pixels.dtype == np.uint8
-    assert made.pixels.std() > 5  # random weights paint noise, not nothing
-
-
 def test_seed_prompt_negative_and_photo_decide_about_the_picture(
     klein: Flux2Klein, photo: Photo, tmp_path: Path
 ) -> None:
     first, again = klein.generate(photo, LEFT), klein.generate(photo, LEFT)
     np.testing.assert_array_equal(first.pixels, again.pixels)
+    assert first.pixels.std() > 5  # random weights paint noise, not nothing
     others: dict[str, Generated] = {
         "seed": klein.generate(photo, Request("left", LEFT.prompt, LEFT.negative, 4)),
         "prompt": klein.generate(photo, Request("left", "Red light.", LEFT.negative, 3)),

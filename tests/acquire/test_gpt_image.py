@@ -89,27 +89,6 @@ def test_what_comes_back_lies_on_the_photo_pixel_by_pixel(
     np.testing.assert_array_equal(generated.pixels, 255 - taken.srgb8())
 
 
-@pytest.mark.parametrize(("width", "height"), [(131, 97), (97, 131), (1024, 300), (640, 480)])
-def test_odd_sizes_come_back_at_the_photos_size_and_place(
-    tmp_path: Path, serve: Serve, width: int, height: int
-) -> None:
-    service = serve(inverted)
-    taken = photo(tmp_path, width, height)
-    generated = GptImage().generate(taken, ASK)
-    assert generated.pixels.shape == taken.srgb8().shape
-    sent = service.calls[0].image
-    assert sent.shape[0] % 16 == sent.shape[1] % 16 == 0
-    assert sent.shape[0] * sent.shape[1] >= 655_360
-    assert max(sent.shape) <= 3 * min(sent.shape[:2])
-    # Back from an enlargement edges are a little softer. Were they moved by a share of a pixel,
-    # the error against the photo moved to one side would differ from that to the other by it.
-    back = 255.0 - generated.pixels
-    for axis in (0, 1):
-        off = [np.abs(back - np.roll(taken.srgb8(), d, axis)).mean() for d in (-1, 0, 1)]
-        assert off[1] < 0.5 * min(off[0], off[2])
-        assert abs(off[0] - off[2]) < 0.02 * off[0]
-
-
 def test_the_upload_holds_what_the_api_asks_for(tmp_path: Path, serve: Serve) -> None:
     service = serve(inverted)
     taken = photo(tmp_path, 1008, 752)
@@ -318,20 +297,17 @@ def test_what_a_terminal_would_obey_is_not_passed_on(tmp_path: Path, serve: Serv
     assert len(str(refused.value)) < 2000
 
 
-def test_a_picture_of_another_shape_is_refused(tmp_path: Path, serve: Serve) -> None:
-    serve(picture(np.zeros((1024, 1024, 3), dtype=np.uint8)))
-    taken = photo(tmp_path, 1008, 752)
-    with pytest.raises(Refused, match=r"1008 × 752 pixels, as was asked for, found 1024 × 1024"):
-        GptImage().generate(taken, ASK)
-
-
-def test_a_picture_of_the_same_shape_is_scaled_and_said_to_be(tmp_path: Path, serve: Serve) -> None:
-    serve(lambda call: picture(call.image[::2, ::2]))
+def test_a_picture_of_the_same_shape_is_scaled_and_another_refused(
+    tmp_path: Path, serve: Serve
+) -> None:
+    serve(lambda call: picture(call.image[::2, ::2]), picture(np.zeros((1024, 1024, 3), np.uint8)))
     taken = photo(tmp_path, 1008, 752)
     generated = GptImage().generate(taken, ASK)
     assert generated.pixels.shape == taken.srgb8().shape
     assert generated.record["size"] == [1008, 752]
     assert generated.record["size_given"] == [504, 376]
+    with pytest.raises(Refused, match=r"1008 × 752 pixels, as was asked for, found 1024 × 1024"):
+        GptImage().generate(taken, ASK)
 
 
 @pytest.mark.parametrize(

@@ -383,36 +383,31 @@ def test_normals_that_cannot_be_written_cost_none_that_are_there(
 # --- The picture a network is shown ---
 
 
-def test_the_mean_of_all_pictures_is_shown(folder: Path) -> None:
-    found, what = shown_to_network(folder)
-    assert what == f"the mean of {LIGHTS} pictures"
-    mean = sum(image / image.mean() for image in room().images)
-    expected = np.rint(255 * display(mean, white_of(mean)))
-    assert np.abs(found.astype(int) - expected).max() <= 1
-    # However bright a picture is: each has the same part in it.
-    path = next((folder / "images").iterdir())
-    channels = images.read_channels(path)
-    images.write_exr(path, {name: 100 * plane for name, plane in channels.items()})
-    assert np.abs(shown_to_network(folder)[0].astype(int) - expected).max() <= 1
-
-
-def test_a_picture_is_shown_by_name(folder: Path) -> None:
-    name = room().names[1]
-    found, what = shown_to_network(folder, name)
-    assert what == f"picture {name}"
-    own = room().images[1]
-    expected = np.rint(255 * display(own, white_of(own)))
-    assert np.abs(found.astype(int) - expected).max() <= 1
-    with pytest.raises(InputError, match=f"picture: expected one of {room().names[0]}"):
+def test_a_network_is_shown_the_mean_of_all_pictures_or_one_by_name(folder: Path) -> None:
+    names, pictures = room().names, room().images
+    mean = sum(image / image.mean() for image in pictures)
+    for name, what, light in (
+        (None, f"the mean of {LIGHTS} pictures", mean),
+        (names[1], f"picture {names[1]}", pictures[1]),
+    ):
+        found, said = shown_to_network(folder, name)
+        assert said == what
+        expected = np.rint(255 * display(light, white_of(light)))
+        assert np.abs(found.astype(int) - expected).max() <= 1
+    with pytest.raises(InputError, match=f"picture: expected one of {names[0]}"):
         shown_to_network(folder, "other")
 
 
-def test_black_pictures_tell_nothing(folder: Path) -> None:
-    expected, _ = shown_to_network(folder, room().names[0])
-    paths = sorted((folder / "images").iterdir())
-    for path in paths[1:]:
-        images.write_exr(path, {name: np.zeros((SIZE, SIZE)) for name in "RGB"})
-    np.testing.assert_array_equal(shown_to_network(folder)[0], expected)
-    images.write_exr(paths[0], {name: np.zeros((SIZE, SIZE)) for name in "RGB"})
+def test_how_bright_a_picture_is_does_not_matter_and_black_ones_tell_nothing(folder: Path) -> None:
+    first, *others = sorted((folder / "images").iterdir())
+    whole, alone = shown_to_network(folder)[0], shown_to_network(folder, room().names[0])[0]
+    channels = images.read_channels(first)
+    images.write_exr(first, {name: 100 * plane for name, plane in channels.items()})
+    assert np.abs(shown_to_network(folder)[0].astype(int) - whole).max() <= 1
+    black = dict.fromkeys("RGB", np.zeros((SIZE, SIZE)))
+    for path in others:
+        images.write_exr(path, black)
+    assert np.abs(shown_to_network(folder)[0].astype(int) - alone).max() <= 1
+    images.write_exr(first, black)
     with pytest.raises(InputError, match="images: expected radiance above 0, found none"):
         shown_to_network(folder)
