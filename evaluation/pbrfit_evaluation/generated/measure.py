@@ -153,7 +153,8 @@ def through_files(
         told += ["--depth", "none", "--fov", f"{scene.fov:g}"]
         source = ["--generator", f"folder:{at / 'pictures'}"]
         command("generate", at / "photo.png", "--out", at / "scene", *source, *told)
-        command("decompose", at / "scene", "--out", at / "result", "--threads", 1)
+        options = ["--prior", "material=1", "--threads", 1]  # as `generate` says
+        command("decompose", at / "scene", "--out", at / "result", *options)
         command("export", at / "result", "--out", at / "export", "--preset", "blender")
         report = read_json(at / "scene" / "review.json", "a review")
         accepted = [one["name"] for one in report["pictures"] if one["accepted"]]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pbrfit.result.options import Priors
 from pbrfit_evaluation.generated.stand_ins import Level
 
 BARE: Mapping[str, Any] = {
@@ -22,7 +23,9 @@ ALIGN: Mapping[str, Any] = {"align": "auto"}
 ROBUST: Mapping[str, Any] = {"robust": "auto"}
 EXPOSURE: Mapping[str, Any] = {"response": "auto", "equal_exposures": None}
 
-TOGETHER: Mapping[str, Any] = {**BARE, **ALIGN, **ROBUST, **EXPOSURE}
+PRIOR: Mapping[str, Any] = {"priors": Priors(material=1.0)}
+
+TOGETHER: Mapping[str, Any] = {**BARE, **ALIGN, **ROBUST, **EXPOSURE, **PRIOR}
 
 NORMALS_OFF = 8.0
 """Degrees, θ of `normals.disturbances`: estimated normals are off by 10 degrees in the mean."""

@@ -245,6 +245,7 @@ def _print_summary(report: GenerationReport) -> None:
     facts.append(("review", f"{report.out / 'review.png'}"))
     result = report.out.with_name(f"{report.out.name}-result")
     scene, out = (shlex.quote(str(path)) for path in (report.out, result))
-    facts.append(("next", f"pbrfit decompose {scene} --out {out}"))
+    # Left-out pictures would drop the prior, for metals that take up what no light explains.
+    facts.append(("next", f"pbrfit decompose {scene} --out {out} --prior material=1"))
     for topic, fact in facts:
         print(visible(f"{topic:<12}{fact}"))
