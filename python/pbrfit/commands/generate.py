@@ -246,6 +246,6 @@ def _print_summary(report: GenerationReport) -> None:
     result = report.out.with_name(f"{report.out.name}-result")
     scene, out = (shlex.quote(str(path)) for path in (report.out, result))
     # Left-out pictures would drop the prior, for metals that take up what no light explains.
-    facts.append(("next", f"pbrfit decompose {scene} --out {out} --prior material=1"))
+    facts.append(("next", f"pbrfit decompose {scene} --prior material=1 --out {out}"))
     for topic, fact in facts:
         print(visible(f"{topic:<12}{fact}"))

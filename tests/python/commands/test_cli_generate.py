@@ -52,6 +52,7 @@ def test_the_scene_that_it_makes_can_be_decomposed_as_it_says(made: Path) -> Non
         assert sheet.format == "PNG"
     following = shlex.split(said["next"])
     assert following[:2] == ["pbrfit", "decompose"]
+    assert "material=1" in following
     assert run(*following[1:], "--iterations", "20", "--quiet") == 0
     assert Result.load(following[-1]).metrics["recon_rmse"] < 0.2
 
