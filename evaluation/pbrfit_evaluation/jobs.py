@@ -38,7 +38,7 @@ PART = ".part"
 
 SUITE_FOLDER = FolderForm(
     contains=(RECORDS,),
-    holds=(f"{RECORDS}/*", SUMMARY, "report.html", "*.csv", "*.md", "*.png"),
+    holds=(f"{RECORDS}/*", SUMMARY, "report.html", "*.csv", "*.mat", "*.md", "*.png"),
 )
 """Form of a suite's folder."""
 

@@ -440,7 +440,8 @@ class Part(Generic[C]):
     cases, run, figures, verdicts, sections
         See the top of this file.
     csvs
-        Lines of CSV files by file name; those of one name in several parts come together.
+        Lines of CSV files by file name; those of one name in several parts come together. Other
+        files as bytes.
     alone
         Whether its cases run one at a time in this process, after those of other parts: for times,
         and for networks that fill a GPU.
@@ -455,7 +456,7 @@ class Part(Generic[C]):
     _: KW_ONLY
     verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
     sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
-    csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line]]] = _no_files
+    csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line] | bytes]] = _no_files
     alone: bool = False
     then: Callable[[Results[C]], Sequence[C]] | None = None
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 SUITES = {
     "ablation": "what each prior is worth, where it holds and where it does not",
     "convergence": "error against run time, for every solver, start and peer",
+    "diligent": "photometric stereo: normals beside true ones, lamps told or unknown",
     "everyday": "8 bits, JPEG, clipping, bad pictures and unknown cameras beside clean floats",
     "gap": "the reflection models against full reflection integrals and Cycles",
     "generated": "what faults of generated pictures cost, from photograph to Blender",
@@ -239,7 +240,7 @@ def _outcome(
     verdicts: list[Verdict] = []
     sections: list[Section] = []
     failed: list[Record] = []
-    csvs: dict[str, list[Any]] = {}
+    csvs: dict[str, Any] = {}
     for part in parts:
         results = _results(options, done[part.name])
         of_part = part.figures(results)
@@ -248,6 +249,9 @@ def _outcome(
         verdicts += [replace(one, part=one.part or name) for one in part.verdicts(results, of_part)]
         sections += part.sections(results, of_part)
         for file, lines in part.csvs(results, of_part).items():
-            csvs.setdefault(file, []).extend(lines)
+            if isinstance(lines, bytes):
+                csvs[file] = lines
+            else:
+                csvs.setdefault(file, []).extend(lines)
         failed += results.failed
     return Outcome(rows, verdicts, sections, csvs, failed)

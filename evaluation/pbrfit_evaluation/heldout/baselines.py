@@ -13,12 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RBFInterpolator
 
+from pbrfit.export.rti import basis as polynomial
 from pbrfit.fit.lamps.samples import grey_samples
+from pbrfit.model.lamps import Lamps
+from pbrfit.model.reflection import sh_basis
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.heldout.light import (
     Score,
@@ -28,22 +32,36 @@ from pbrfit_evaluation.heldout.light import (
     score,
     target,
 )
+from pbrfit_evaluation.normal_errors import unit
 
 Array = NDArray[np.float64]
 
-Baseline = Literal["lambert", "lambert-known", "nearest", "sum"]
+UnderKnown = Literal["lambert-known", "lambert-trimmed", "ptm", "hsh", "pca"]
+"""What is told the directions of the lamps, and their strengths where these are known."""
+
+Baseline = Literal["lambert", "nearest", "sum", UnderKnown]
 
 ROUNDS = 20
 """Of alternating least squares that better strengths of lamps: shadows spoil where these start."""
 
+TRIMMED = 0.25
+"""Share of a pixel's samples that trimmed least squares leaves out at each end: cast shadows are
+the darkest, highlights the brightest."""
+
+UNKNOWNS = 3
+"""Of a pseudo-normal: as few samples are kept."""
+
+COMPONENTS = 8
+"""Principal components, as many as the web viewers of relightable images keep."""
+
 
 def explained_by_kept(
-    way: Baseline, scene: Scene, kept: Sequence[int], pictures: Sequence[int], lamps: Array | None
+    way: Baseline, scene: Scene, kept: Sequence[int], pictures: Sequence[int], lamps: Lamps | None
 ) -> tuple[list[Score], Array | None]:
     """How well some pictures of a scene explain others, and normals (H, W, 3) where they have any.
 
     Files whose tone curve nobody told are read both as sRGB and as linear; the better counts.
-    `lamps`, for "lambert-known", are those of all pictures, as of `sources.Opened`.
+    `lamps`, for `UnderKnown`, are those of all pictures, as of `sources.Opened`.
     """
     readings = [scene, scene.decoded_by("linear")] if scene.response == "srgb" else [scene]
     found = [_read(way, one, kept, pictures, lamps) for one in readings]
@@ -51,7 +69,7 @@ def explained_by_kept(
 
 
 def _read(
-    way: Baseline, scene: Scene, kept: Sequence[int], pictures: Sequence[int], lamps: Array | None
+    way: Baseline, scene: Scene, kept: Sequence[int], pictures: Sequence[int], lamps: Lamps | None
 ) -> tuple[list[Score], Array | None]:
     valid = scene.valid
     samples = scene.images[list(kept)][:, valid].astype(np.float64)
@@ -61,20 +79,62 @@ def _read(
         tried = [[unknown_lamps(samples)]] * len(pictures)
     elif way == "nearest":
         tried = [[one[None] for one in samples]] * len(pictures)
-    elif way == "lambert-known":
+    elif way in get_args(UnderKnown):
         assert lamps is not None
-        counted = np.stack([target(scene, i, valid, None).weights for i in kept])
-        found, albedo = known_lamps(samples, counted, lamps[list(kept)])
-        normals = np.full((*valid.shape, 3), np.nan)
-        normals[valid] = found
-        shading = np.maximum(lamps[list(pictures)] @ found.T, 0.0)
-        tried = [[(one[:, None] * albedo)[None]] for one in shading]
+        weights = np.stack([target(scene, i, valid, None).weights for i in kept])
+        colors = lamps.colors[list(kept)] if lamps.colored else None
+        if colors is not None:
+            samples /= np.maximum(colors, np.finfo(np.float64).tiny)[:, None]
+        under, seek = lamps.places[list(kept)], lamps.places[list(pictures)]
+        if way in ("lambert-known", "lambert-trimmed"):
+            told, trim = colors is not None, way == "lambert-trimmed"
+            found, albedo = known_lamps(samples, weights, under, equal=told, trim=trim)
+            normals = np.full((*valid.shape, 3), np.nan)
+            normals[valid] = found
+            shown = np.maximum(seek @ found.T, 0.0)[..., None] * albedo
+        else:
+            shown = _interpolated(way, samples, weights, under, seek)
+        tried = [[one[None]] for one in shown]
     curve, scores = curve_of(scene), []
     for i, of_picture in zip(pictures, tried, strict=True):
         of = target(scene, i, valid, curve)
-        shown = [of.explained(partial(combination, planes)) for planes in of_picture]
-        scores.append(score(scene, i, min(shown, key=of.left)))
+        planes = [of.explained(partial(combination, one)) for one in of_picture]
+        scores.append(score(scene, i, min(planes, key=of.left)))
     return scores, normals
+
+
+def _interpolated(
+    way: Baseline, samples: Array, weights: Array, under: Array, seek: Array
+) -> Array:
+    """(M, P, 3): pictures under far lamps along `seek` (M, 3), as relightable images give them.
+
+    Of samples (N, P, 3) with their weights under lamps along `under` (N, 3). "ptm": the polynomial
+    of order 2 in (l_u, l_v) of `pbrfit.export.rti`. "hsh": hemispherical harmonics up to order 2
+    (Gautron et al., "A novel hemispherical basis", EGSR 2004), spherical ones of the direction
+    whose cosine is 2 l_w - 1. "pca": principal components of the pictures, whose factors are
+    interpolated over (l_u, l_v) by thin plates.
+    """
+    flat = samples.reshape(len(samples), -1)
+    if way == "pca":
+        mean = flat.mean(axis=0)
+        left, values, right = np.linalg.svd(flat - mean, full_matrices=False)
+        factors = RBFInterpolator(under[:, :2], left[:, :COMPONENTS])(seek[:, :2])
+        found = mean + (factors * values[:COMPONENTS]) @ right[:COMPONENTS]
+    else:
+        terms = polynomial if way == "ptm" else _hemispherical
+        factors = _least_squares(flat, weights.reshape(flat.shape), terms(under))
+        found = terms(seek) @ factors.T
+    return np.asarray(np.maximum(found, 0.0).reshape(-1, *samples.shape[1:]))
+
+
+def _hemispherical(directions: Array) -> Array:
+    """(N, 9)."""
+    along = 2 * directions[:, 2] - 1
+    across = (
+        directions[:, :2] / np.maximum(np.linalg.norm(directions[:, :2], axis=1), 1e-12)[:, None]
+    )
+    stretched = np.column_stack([across * np.sqrt(1 - along**2)[:, None], along])
+    return sh_basis(unit(stretched))[:, :9]
 
 
 def unknown_lamps(samples: Array) -> Array:
@@ -90,27 +150,41 @@ def unknown_lamps(samples: Array) -> Array:
     return np.asarray(pseudo[..., None] * color)
 
 
-def known_lamps(samples: Array, weights: Array, lamps: Array) -> tuple[Array, Array]:
+def known_lamps(
+    samples: Array, weights: Array, lamps: Array, *, equal: bool = False, trim: bool = False
+) -> tuple[Array, Array]:
     """Normals and albedo, both (P, 3), of a matt surface, of samples (N, P, 3) and their weights.
 
-    `lamps` (N, 3) are as of `sources.Opened`. Strengths that are unknown start at `strengths_along`
-    and alternate with pseudo-normals.
+    `lamps` (N, 3) are unit vectors to lamps that are `equal`ly strong. Unknown strengths start at
+    `strengths_along` and alternate with pseudo-normals. `trim` leaves out a pixel's darkest and
+    brightest samples.
     """
     by_pixel, told = grey_samples(samples.swapaxes(0, 1), (weights > 0).swapaxes(0, 1))
     grey, counted = by_pixel.T, np.where(told.T, weights.max(axis=-1), 0.0)
-    if np.allclose(np.linalg.norm(lamps, axis=-1), 1.0):
+    if not equal:
         directions, lamps = lamps, lamps * strengths_along(lamps, grey)[:, None]
         for _ in range(ROUNDS):
-            shading = directions @ _pseudo_normals(grey, counted, lamps).T
+            shading = directions @ _least_squares(grey, counted, lamps).T
             best = (counted * shading * grey).sum(axis=1) / (counted * shading**2).sum(axis=1)
             lamps = directions * (best / best.mean())[:, None]
-    pseudo = _pseudo_normals(grey, counted, lamps)
+    if trim:
+        middle = _middle(grey / np.linalg.norm(lamps, axis=-1, keepdims=True), counted > 0)
+        counted, weights = counted * middle, weights * middle[..., None]
+    pseudo = _least_squares(grey, counted, lamps)
     lengths = np.linalg.norm(pseudo, axis=-1, keepdims=True)
     normals = np.where(lengths > 0, pseudo / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
     shading = np.maximum(lamps @ normals.T, 0.0)[..., None]
     squares = (weights * shading**2).sum(axis=0)
     albedo = (weights * shading * samples).sum(axis=0) / np.where(squares > 0, squares, 1.0)
     return normals, np.maximum(albedo, 0.0)
+
+
+def _middle(grey: Array, told: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N, P): which samples (N, P) are told, and not `TRIMMED` at either end of their pixel's."""
+    places = np.where(told, grey, np.inf).argsort(axis=0).argsort(axis=0)
+    count = told.sum(axis=0)
+    cut = np.minimum((TRIMMED * count).astype(int), np.maximum(count - UNKNOWNS, 0) // 2)
+    return np.asarray((places >= cut) & (places < count - cut))
 
 
 def strengths_along(directions: Array, grey: Array) -> Array:
@@ -128,10 +202,14 @@ def strengths_along(directions: Array, grey: Array) -> Array:
     return np.asarray(found / found.mean())
 
 
-def _pseudo_normals(grey: Array, weights: Array, lamps: Array) -> Array:
-    """(P, 3) least squares; the ridge decides where there are no three samples."""
-    outer = (lamps[:, :, None] * lamps[:, None]).reshape(-1, 9)
-    matrices = (weights.T @ outer).reshape(-1, 3, 3)
-    matrices += 1e-9 * np.trace(lamps.T @ lamps) * np.eye(3)
-    sums = (weights * grey).T @ lamps
+def _least_squares(values: Array, weights: Array, basis: Array) -> Array:
+    """(P, K) factors of a basis (N, K) that values (N, P) with weights are nearest to.
+
+    The ridge decides where there are too few samples.
+    """
+    size = basis.shape[1]
+    outer = (basis[:, :, None] * basis[:, None]).reshape(-1, size**2)
+    matrices = (weights.T @ outer).reshape(-1, size, size)
+    matrices += 1e-9 * np.trace(basis.T @ basis) * np.eye(size)
+    sums = (weights * values).T @ basis
     return np.asarray(np.linalg.solve(matrices, sums[..., None])[..., 0])

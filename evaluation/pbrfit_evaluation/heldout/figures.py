@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
@@ -44,9 +45,9 @@ class OfSet:
         found = {}
         for way in WAYS:
             of = self.results.of(way=way)
-            scores = [Score(**one) for _, values in of.finished for one in values.get(light) or ()]
+            scores = [one for _, values in of.finished for one in values.get(light) or ()]
             if scores and not of.failed:
-                found[way] = relative_error(scores)
+                found[way] = error_of(scores)
         return found
 
     @property
@@ -55,6 +56,11 @@ class OfSet:
         ours = [error for way, error in self.errors.items() if way in OURS]
         default = self.errors.get("default", math.nan)
         return default / min(ours) if len(ours) > 1 else math.nan
+
+
+def error_of(scores: Iterable[Mapping[str, Any]]) -> float:
+    """Relative error of scores as records keep them."""
+    return relative_error([Score(**one) for one in scores])
 
 
 def sets(results: Of) -> list[OfSet]:

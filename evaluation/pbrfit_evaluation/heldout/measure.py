@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -16,16 +17,22 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.limits import AT_LEAST
 from pbrfit.model.geometry import angles_between
+from pbrfit.model.lamps import Lamps
 from pbrfit.result.result import Result
+from pbrfit.result.sheet import outside_grey
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept
+from pbrfit_evaluation.heldout.baselines import Baseline, UnderKnown, explained_by_kept
 from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
 from pbrfit_evaluation.heldout.public_sets import Source
-from pbrfit_evaluation.heldout.sources import Opened, opened
+from pbrfit_evaluation.heldout.sources import Opened, evenly, opened
 from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.panels import packed
 from pbrfit_evaluation.recipes import explain
 
-Way = Literal["default", "lamps", "linear", "lamps-linear", "sh-no-priors", "paper", Baseline]
+Told = Literal["directions", "strengths"]
+"""What a default fit is told of the lamps, where it is known: how strong they are, too."""
+
+Way = Literal["default", "lamps", "linear", "lamps-linear", "sh-no-priors", "paper", Told, Baseline]
 WAYS: tuple[Way, ...] = get_args(Way)
 
 IN_WORDS: dict[Way, str] = {
@@ -35,10 +42,16 @@ IN_WORDS: dict[Way, str] = {
     "lamps-linear": "lamps, linear",
     "sh-no-priors": "harmonics, no priors",
     "paper": "paper's recipe",
+    "directions": "directions told",
+    "strengths": "directions, strengths told",
     "lambert": "Lambert, rank 3",
-    "lambert-known": "Lambert, known lamps",
     "nearest": "nearest picture",
     "sum": "sum of pictures",
+    "lambert-known": "Lambert, known lamps",
+    "lambert-trimmed": "the same, trimmed",
+    "ptm": "PTM",
+    "hsh": "HSH",
+    "pca": "PCA",
 }
 
 FLAGS: Mapping[Way, Mapping[str, Any]] = {
@@ -51,13 +64,16 @@ FLAGS: Mapping[Way, Mapping[str, Any]] = {
 """Options of `decompose`; beside these, ways of `LINEAR` are told how files are encoded."""
 
 OURS: tuple[Way, ...] = (*FLAGS, "paper")
-"""Ways that find materials."""
+"""Ways that find materials and are told no lamps."""
 
 LINEAR: tuple[Way, ...] = ("linear", "lamps-linear")
 
 Array = NDArray[np.float64]
 
 LEAST_KEPT = 2
+
+LARGEST_SHOWN = 45.0
+"""Degrees of an error that is white in its picture."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +84,20 @@ class Split:
     held_out: tuple[int, ...]
 
 
-def split(pictures: int, held_out: int = 1, folds: int = 1, fold: int = 0) -> Split:
+def split(pictures: int, held_out: int = 1, folds: int = 1, fold: int = 0, keep: int = 0) -> Split:
     """Hold out some pictures, spread evenly; none in two folds.
+
+    With `keep` so many are kept, evenly chosen, and some of the others held out, if there are any.
 
     Raises
     ------
     InputError
         If fewer than two would be kept.
     """
+    if keep:
+        kept = evenly(pictures, keep)
+        rest = [i for i in range(pictures) if i not in kept]
+        return Split(tuple(kept), tuple(rest[i] for i in evenly(len(rest), held_out)))
     if held_out < 1 or pictures - held_out < LEAST_KEPT:
         raise InputError(
             f"held-out pictures: expected 1 or more and {LEAST_KEPT} to keep, "
@@ -103,11 +125,17 @@ class Task:
     """That are used of a set, at most."""
     max_size: int
     """Longer side that pictures are averaged down to."""
+    keep: int = 0
+    """Pictures that are fitted; 0 = all that are not held out."""
+    linear: bool = False
+    """Whether all ways are told that values in the files are linear."""
+    mapped: bool = False
+    """Whether normals, and a picture of their errors, are kept."""
 
     @property
     def key(self) -> str:
         """Name of the record."""
-        return f"{self.source.name}-{self.way}-{self.fold}"
+        return f"{self.source.name}-{self.way}-{self.keep or self.fold}"
 
 
 def run(task: Task, threads: int) -> Values:
@@ -118,8 +146,8 @@ def run(task: Task, threads: int) -> Values:
     `size`, `pixels` and how many pictures were `kept`; `own` and `lamp`, scores of the held-out
     pictures by light of the way's own kind and by one far lamp (None without materials);
     `normals`, `mean` and `median` angle to the true ones in degrees, or None; `seconds` and
-    `processor` seconds of the fit; `chosen`, what it decided. Where a way needs what the source
-    lacks, only `not_possible`, the reason.
+    `processor` seconds of the fit; `chosen`, what it decided; of a task that is `mapped` what
+    `_mapped` gives. Where a way needs what the source lacks, only `not_possible`, the reason.
 
     Raises
     ------
@@ -127,15 +155,22 @@ def run(task: Task, threads: int) -> Values:
         If there are too few pictures, or the fit refuses them.
     """
     way = task.way
-    found = _opened(task)
+    found = _opened(task, "linear" if task.linear else None)
     if way in LINEAR:
         if found.scene.response is None:
             return {"not_possible": "the encoding is known"}
         found = _opened(task, "linear")
-    if way == "lambert-known" and found.lamps is None:
+    if way in (*get_args(Told), *get_args(UnderKnown)) and found.lamps is None:
         return {"not_possible": "nobody knows the lamps"}
-    which = split(len(found.scene.images), task.held_out, task.folds, task.fold)
+    if way == "strengths" and found.lamps is not None and not found.lamps.colored:
+        return {"not_possible": "nobody knows how strong the lamps are"}
+    which = split(len(found.scene.images), task.held_out, task.folds, task.fold, task.keep)
     kept = found.scene.of_pictures(which.kept)
+    if way in get_args(Told):
+        assert found.lamps is not None
+        lamps = found.lamps.of_pictures(which.kept)
+        far = Lamps(lamps.pictures, lamps.places)
+        kept = replace(kept, lamps=lamps if way == "strengths" else far)
     judged = judged_at(found.scene, kept.valid)
     result, lamp = None, None
     began = perf_counter(), process_time()
@@ -161,6 +196,7 @@ def run(task: Task, threads: int) -> Values:
         "seconds": seconds,
         "processor": processor,
         "chosen": None if result is None else _chosen(result),
+        **(_mapped(normals, found.normals) if task.mapped else {}),
     }
 
 
@@ -183,10 +219,10 @@ def judged_at(scene: Scene, valid: NDArray[np.bool_]) -> Scene:
 
 
 def fit(way: Way, scene: Scene, threads: int) -> Result:
-    """Explain the pictures of a scene in one of `OURS`."""
+    """Explain the pictures of a scene in one of `OURS`, or by default with what it is told."""
     if way == "paper":
         return explain(scene, "paper", model="paper", threads=threads)
-    return decompose(scene, threads=threads, refine_normals="auto", **FLAGS[way])
+    return decompose(scene, threads=threads, refine_normals="auto", **FLAGS.get(way, {}))
 
 
 def _chosen(result: Result) -> dict[str, Any]:
@@ -206,3 +242,18 @@ def _angles(found: Array | None, true: Array | None) -> dict[str, float] | None:
     off = angles_between(found, true)
     off = off[np.isfinite(off)]
     return {"mean": float(off.mean()), "median": float(np.median(off))}
+
+
+def _mapped(found: Array | None, true: Array | None) -> dict[str, Any]:
+    """`estimate`, the normals as float32 in base 64 with their `shape`, and `error` as a panel."""
+    if found is None:
+        return {}
+    plain = np.nan_to_num(found).astype("<f4")
+    kept: dict[str, Any] = {
+        "shape": plain.shape,
+        "estimate": base64.b64encode(plain.tobytes()).decode("ascii"),
+    }
+    if true is not None:
+        off = angles_between(found, true) / LARGEST_SHOWN
+        kept["error"] = packed({"error": outside_grey(np.clip(off, 0.0, 1.0))})
+    return kept

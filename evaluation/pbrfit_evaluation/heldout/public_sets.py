@@ -36,6 +36,8 @@ class Source:
     """What has to be known about it."""
     private: bool = False
     """Whether its licence lets nothing of it be published."""
+    linear: bool = False
+    """Whether it says that the values in its files are linear."""
 
     def digest(self) -> str:
         """sha256 of the names and contents of all files."""

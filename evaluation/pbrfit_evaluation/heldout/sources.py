@@ -2,6 +2,10 @@
 
 A *source* is a scene folder, perhaps with a `set.json` that says where it comes from and what is
 known, or one of the public sets as it was published; `write_scene` makes a scene folder of those.
+Objects of photometric stereo benchmarks are scene folders as they are published: DiLiGenT (Shi et
+al., "A benchmark dataset and evaluation for non-Lambertian and uncalibrated photometric stereo",
+TPAMI 41, 2019), DiLiGenT10² (Ren et al., CVPR 2022), LUCES (Mecca et al., BMVC 2021), Harvard's
+(Xiong et al., "From shading to local shape", TPAMI 37, 2015).
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from pbrfit.io.color import ColorSpace
 from pbrfit.io.json_files import UNFIT, read_json, unfit
 from pbrfit.io.normal_files import find_normals
 from pbrfit.io.resampling import averaged_channels
+from pbrfit.model.lamps import Lamps
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.heldout.public_sets import ROOMS, SETS, Source, room_source
@@ -30,8 +35,16 @@ from pbrfit_evaluation.normal_errors import unit
 
 Array = NDArray[np.float64]
 
-SET, NORMALS = "set.json", "normals.npz"
-"""Of a scene folder, beside what pbrfit reads: what it is, and true normals to compare with."""
+SET, NORMALS = "set.json", ("normals.npz", "Normal_gt.mat", "normals.mat")
+"""Of a scene folder, beside what pbrfit reads: what it is, and files of true normals to compare
+with, as arrays (H, W, 3)."""
+
+DIRECTIONS, STRENGTHS = ("light_directions.txt", "refined_light.txt"), "light_intensities.txt"
+"""Tables of a benchmark's lamps, one a line in the order of the pictures, here or in the folder
+above: vectors to them, and strengths of their channels."""
+
+OBJECTS = "Objects"
+"""Folder of the pictures in that of one of Harvard's objects, beside those of light probes."""
 
 UNLICENSED = "none stated"
 """How the licence of a set begins of which nothing may be published."""
@@ -46,10 +59,10 @@ class Opened:
     """A source, read."""
 
     scene: Scene
-    """As pbrfit reads it, without true materials and known lighting."""
-    lamps: Array | None
-    """(N, 3) vectors to the far lamps of the pictures, one each, as long as they are strong; unit
-    vectors where nobody knows how strong; None = unknown."""
+    """As pbrfit reads it, without true materials, known lighting and lamps."""
+    lamps: Lamps | None
+    """The far lamps of the pictures, one each, with colours where these are known; None = unknown.
+    """
     normals: Array | None
     """(H, W, 3) true ones that the scene is not told, NaN where unknown; None = no such."""
 
@@ -109,16 +122,22 @@ def _sources_at(path: Path) -> list[Source]:
     name = path.resolve().name
     if name in SETS:
         return SETS[name].find(path)
-    if not scene_folder.is_scene(path):
+    if (path / OBJECTS).is_dir():
+        return [replace(one, name=name) for one in _sources_at(path / OBJECTS)]
+    benchmark = path.name == OBJECTS or any(
+        (path / one).is_file() for one in (*DIRECTIONS, *NORMALS)
+    )
+    if not scene_folder.is_scene(path) and not benchmark:
         return []
-    if not (path / "images").is_dir() and not find_normals(path):
+    if not (path / "images").is_dir() and not find_normals(path) and not benchmark:
         return [room_source(path)]
     said = _said(path)
     licence = str(said.get("licence", ""))
     about = "; ".join(str(said[key]) for key in ("what", "source", "licence") if said.get(key))
     pictures = len(scene_folder.locate(path).pictures)
-    private = licence.startswith(UNLICENSED)
-    return [Source(name, path, "scene", pictures, about or "scene folder, as it is", private)]
+    private, linear = licence.startswith(UNLICENSED), said.get("pixels_are_linear") is True
+    about = about or "scene folder, as it is"
+    return [Source(name, path, "scene", pictures, about, private, linear)]
 
 
 def _said(folder: Path) -> dict[str, Any]:
@@ -167,53 +186,88 @@ def opened(
             logger.disabled = before
     count = len(scene.images)
     lamps = _lamps(source, scene)
-    if lamps is not None and lamps.shape != (count, 3):
+    if lamps is not None and len(lamps) != count:
         raise InputError(
             f"{source.folder}: expected a lamp for each of {count} pictures, found {len(lamps)}"
         )
-    some = np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
+    some = evenly(count, most)
     return Opened(
-        replace(scene, lighting=None, truth=None).of_pictures(some),
-        None if lamps is None else lamps[some],
+        replace(scene, lighting=None, truth=None, lamps=None).of_pictures(some),
+        None if lamps is None else lamps.of_pictures(some),
         None if scene.normals_known else _true_normals(source.folder, scene),
     )
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most so many of the indices below `count`, evenly chosen, from the first to the last."""
+    chosen: list[int] = np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
+    return chosen
+
+
 def _true_normals(folder: Path, scene: Scene) -> Array | None:
-    path = folder / NORMALS
-    if not path.exists():
+    """X right, Y up, Z to the viewer; files whose Z points into the picture have Y down as well."""
+    path = next((folder / name for name in NORMALS if (folder / name).exists()), None)
+    if path is None:
         return None
-    with np.load(path) as arrays:
-        normals = np.asarray(arrays[arrays.files[0]], np.float64)
+    expected = "an array (H, W, 3)"
+    try:
+        if path.suffix == ".npz":
+            with np.load(path) as arrays:
+                found = [arrays[arrays.files[0]]]
+        else:
+            from scipy.io import loadmat
+
+            found = [one for one in loadmat(path).values() if np.ndim(one) == 3]
+        normals = np.nan_to_num(np.asarray(found[0], np.float64))
+    except (IndexError, NotImplementedError, *UNFIT) as error:
+        raise unfit(path, expected, error) from None
     if normals.ndim != 3 or normals.shape[2] != 3:
-        raise InputError(f"{path}: expected an array (H, W, 3), found {normals.shape}")
-    normals = averaged_channels(np.nan_to_num(normals), (scene.height, scene.width))
+        raise InputError(f"{path}: expected {expected}, found {normals.shape}")
+    if normals[..., 2].sum() < 0:
+        normals = normals * [1.0, -1.0, -1.0]
+    normals = averaged_channels(normals, (scene.height, scene.width))
     with np.errstate(invalid="ignore"):
         return np.where(scene.valid[..., None], unit(normals), np.nan)
 
 
-def _lamps(source: Source, scene: Scene) -> Array | None:
+def _lamps(source: Source, scene: Scene) -> Lamps | None:
     """As of `Opened`, of all pictures."""
-    path, said = source.folder / SET, _said(source.folder)
+    folder, said = source.folder, _said(source.folder)
     if said.get("directions"):
         try:
-            directions = unit(np.array(said["directions"], np.float64))
-            colors = np.array(said.get("colors") or np.ones_like(directions), np.float64)
-            return np.asarray(directions * colors.mean(axis=-1, keepdims=True))
+            return _far(said["directions"], said.get("colors"))
         except UNFIT as error:
-            raise unfit(path, "directions and colors (N, 3)", error) from None
+            raise unfit(folder / SET, "directions and colors (N, 3)", error) from None
+    for path in (above / name for above in (folder, folder.parent) for name in DIRECTIONS):
+        if path.is_file():
+            strengths = path.with_name(STRENGTHS)
+            return _far(_table(path), _table(strengths) if strengths.is_file() else None)
     if source.kind == "bunny_ps":
-        with np.load(source.folder / f"{source.name}.npz") as arrays:
-            return np.asarray(arrays["lights"], np.float64)
+        with np.load(folder / f"{source.name}.npz") as arrays:
+            lengths = np.linalg.norm(arrays["lights"], axis=-1, keepdims=True)
+            return _far(arrays["lights"], np.repeat(lengths, 3, axis=-1))
     if source.kind.startswith("visiont3lab"):
         # As OpenCV writes it: its longest list of numbers.
-        text = (source.folder / "LightMatrix.yml").read_text(encoding="utf-8")
+        text = (folder / "LightMatrix.yml").read_text(encoding="utf-8")
         numbers = max(re.findall(r"\[([^\]]*)\]", text), key=len).split(",")
-        return unit(np.array(numbers, np.float64).reshape(-1, 3))
+        return _far(np.array(numbers, np.float64).reshape(-1, 3))
     if source.kind == "maxcrous_sphere_color":  # Sphere_X_Y
-        places = [[*map(float, name.split("_")[1:]), BRICK_HEIGHT] for name in scene.names]
-        return unit(np.array(places))
+        return _far([[*map(float, name.split("_")[1:]), BRICK_HEIGHT] for name in scene.names])
     lamps = scene.lamps
     if lamps is None or lamps.near.any() or len(lamps) != len(scene.images):
         return None
-    return lamps.places
+    return lamps
+
+
+def _far(vectors: Any, colors: Any = None) -> Lamps:
+    """Lamps along vectors (N, 3), one a picture; ValueError or InputError if they are none."""
+    places = unit(np.asarray(vectors, np.float64).reshape(-1, 3))
+    return Lamps(np.arange(len(places)), places, colors=colors)
+
+
+def _table(path: Path) -> Array:
+    """(N, 3) numbers of a text file."""
+    try:
+        return np.loadtxt(path, ndmin=2)[:, -3:]
+    except UNFIT as error:
+        raise unfit(path, "three numbers a line", error) from None

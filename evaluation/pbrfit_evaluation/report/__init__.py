@@ -50,7 +50,7 @@ class Outcome:
     rows: Sequence[Row]
     verdicts: Sequence[Verdict]
     sections: Sequence[Section]
-    csvs: Mapping[str, Sequence[Line]]
+    csvs: Mapping[str, Sequence[Line] | bytes]
     failed: Sequence[Record]
 
 
@@ -63,6 +63,9 @@ def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcom
     texts = (_titled(section, one) for section in sections for one in section.tables)
     (folder / f"{suite.name}.md").write_text("\n".join(texts), encoding="utf-8")
     for name, lines in found.csvs.items():
+        if isinstance(lines, bytes):
+            (folder / name).write_bytes(lines)
+            continue
         columns = list(dict.fromkeys(column for line in lines for column in line))
         write_csv(folder / name, columns, ([line.get(c) for c in columns] for line in lines))
     judged = [verdict.row for verdict in found.verdicts] if suite.verdict_rows else []

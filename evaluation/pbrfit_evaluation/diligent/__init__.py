@@ -1,0 +1,103 @@
+"""Photometric stereo as its benchmarks judge it: angles between normals and the true ones."""
+
+from __future__ import annotations
+
+import os
+
+from pbrfit.commands.arguments import positive
+from pbrfit_evaluation.diligent import figures
+from pbrfit_evaluation.diligent.figures import IN_WORDS, WAYS
+from pbrfit_evaluation.heldout.measure import Task, run
+from pbrfit_evaluation.heldout.sources import check_names, find_data, find_sources
+from pbrfit_evaluation.options import count, folders, option
+from pbrfit_evaluation.suite import Options, Part, Suite
+
+PICTURES = (4, 8, 16, 24, 32, 96)
+"""Pictures of an object that are fitted."""
+
+HELD_OUT = 8
+"""Pictures that are not, on which relighting is judged."""
+
+
+def cases(options: Options) -> list[Task]:
+    """All objects in every way, of every number of pictures that they have.
+
+    Normals are kept of the most pictures alone.
+
+    Raises
+    ------
+    InputError, FileNotFoundError
+        If there are no pictures, or two objects have one name.
+    """
+    paths = find_data(options.folders, os.environ)
+    sources = [source for path in paths for source in find_sources(path.absolute())]
+    check_names(sources)
+    return [
+        Task(
+            *(source, way, 0, digest, HELD_OUT, 1, source.pictures, options.max_size),
+            keep=keep,
+            linear=source.linear,
+            mapped=keep == numbers[-1],
+        )
+        for source in sources
+        for digest in [source.digest()]
+        for numbers in [sorted({min(n, source.pictures) for n in options.pictures})]
+        for keep in numbers
+        for way in WAYS
+        if way in options.ways
+    ]
+
+
+SUITE = Suite(
+    name="diligent",
+    title="Photometric stereo",
+    description="Fit objects whose normals were measured under some of their lamps, which are told "
+    "or not, and report the mean angle to the true normals beside least squares and published "
+    "figures. Writes report.html, a plot, pictures of errors, diligent.md and summary.json. Exit "
+    "code 1 if something does not hold.",
+    protocol="pbrfit-diligent-1: mean angle in degrees over the mask; pictures evenly "
+    f"chosen; relighting as of pbrfit-heldout-1 on at most {HELD_OUT} others; {{max_size}} pixels",
+    parts=[Part.shown_by(figures, "diligent", cases, run)],
+    options=(
+        folders(
+            "object, or folder of such, as DiLiGenT, DiLiGenT10², LUCES and Harvard publish them, "
+            "or scene folders with set.json and normals.npz (default: the folder that the "
+            "environment variable PBRFIT_DATA names)"
+        ),
+        option(
+            "--ways",
+            metavar="NAME",
+            nargs="+",
+            choices=WAYS,
+            help="only these (default: all): "
+            + "; ".join(f"{way}: {words}" for way, words in IN_WORDS.items()),
+        ),
+        option(
+            "--pictures",
+            metavar="N",
+            nargs="+",
+            type=positive,
+            help="numbers of pictures that are fitted, as far as an object has so many (default: "
+            f"{' '.join(map(str, PICTURES))}, with --quick {PICTURES[1]})",
+        ),
+        count("--max-size", "PIXELS", "average larger pictures down to this longer side"),
+        option(
+            "--mat",
+            action="store_true",
+            help="write the normals of the most pictures as NAME-WAY.mat, (H, W, 3) Normal_est",
+        ),
+    ),
+    effort={
+        "ways": (WAYS, WAYS),
+        "pictures": (PICTURES, PICTURES[1:2]),
+        "max_size": (1024, 64),
+    },
+    quick="a minute an object: eight small pictures",
+    about=(
+        "Each object is seen under far lamps, one a picture. A fit is told all of them, their "
+        "directions, or nothing. Least squares (Woodham 1980) is told all; trimmed, it leaves out "
+        "a quarter of a pixel's samples at either end. Errors are mean angles to the true normals, "
+        "which nothing is told.",
+    ),
+    timed=True,
+)
