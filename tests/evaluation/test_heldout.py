@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.io import loadmat, savemat
 
 from evaluation_tasks import recorded
 from pbrfit._core import InputError
@@ -23,6 +25,7 @@ from pbrfit.model.reflection import render_directional
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.diligent import figures as diligent
 from pbrfit_evaluation.heldout import figures, light, measure, sources
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept, known_lamps
 from pbrfit_evaluation.heldout.light import (
@@ -196,20 +199,26 @@ def test_matt_pictures_are_explained_however_their_files_are_encoded(
         errors[way] = relative_error(scores)
         if normals is not None:
             assert np.median(angles_between(normals, known(found.normals))) < 0.05
-    assert max(errors[way] for way in ("lambert", "lambert-known", "sum")) < 1e-3
-    assert 0.02 < errors["nearest"] < 0.5
+    # Of lamps of two slants l_w is a sum of the squares of l_u and l_v, and 1.
+    exact = ("lambert", "lambert-known", "lambert-trimmed", "sum", "ptm")
+    assert max(errors[way] for way in exact) < 1e-3
+    assert max(errors["hsh"], errors["pca"]) < errors["nearest"] < 0.5
 
 
-def test_samples_without_weight_and_black_pixels_tell_no_normal() -> None:
-    known = np.linspace(0.6, 1.1, LAMPS)[:, None] * lamps()
-    samples, weights = matt().reshape(LAMPS, -1, 3), np.ones((LAMPS, SIZE**2, 3))
+@pytest.mark.parametrize("trim", [False, True])
+def test_samples_without_weight_and_black_pixels_tell_no_normal(trim: bool) -> None:
+    strengths = np.linspace(0.6, 1.1, LAMPS)[:, None, None]
+    samples, weights = matt().reshape(LAMPS, -1, 3) / strengths, np.ones((LAMPS, SIZE**2, 3))
     samples[2, 1], weights[2, 1] = 50.0, 0.0
     samples[:, 5] = 0
-    normals, albedo = known_lamps(samples, weights, known)
+    samples[0, 7], samples[3, 7] = 9.0, 0.0  # a highlight, a cast shadow
+    normals, albedo = known_lamps(samples, weights, lamps(), trim=trim)
     expected = cap().reshape(-1, 3)
     expected[5] = 0, 0, 1
-    np.testing.assert_allclose(normals, expected, atol=1e-6)
+    others = np.arange(SIZE**2) != 7
+    np.testing.assert_allclose(normals[others], expected[others], atol=1e-6)
     np.testing.assert_array_equal(albedo[5], 0)
+    assert (float(angles_between(normals[7], expected[7])) < 1e-3) == trim
 
 
 def test_sphere_normals() -> None:
@@ -270,8 +279,47 @@ def test_public_sets_and_their_lamps_are_read(
         assert np.nanmedian(angles_between(known(normals), scene.normals)) < degrees
 
 
-def task(source: Source, way: Way, fold: int = 0) -> Task:
-    return Task(source, way, fold, "", 1, 4, 6, SIZE)
+def as_published(kind: str, folder: Path) -> Path:
+    """The bump as a benchmark publishes its objects, and the folder that is named."""
+    strengths = np.linspace(0.6, 1.1, LAMPS)[:, None] * np.ones(3)
+    folder = folder / kind
+    to = folder / ("cat/Objects" if kind == "Harvard" else "catPNG")
+    shutil.copytree(write_set(folder / "made", "MIT", linear=True) / "images", to)
+    shutil.rmtree(folder / "made")
+    normals = cap() * ([1, -1, -1] if kind == "LUCES" else [1, 1, 1])
+    if kind == "Harvard":
+        np.savetxt(to.parent / "refined_light.txt", lamps())
+    else:
+        savemat(to / ("normals.mat" if kind == "LUCES" else "Normal_gt.mat"), {"n": normals})
+    if kind == "DiLiGenT":
+        (to / "filenames.txt").write_text("".join(f"{i}.png\n" for i in range(LAMPS)))
+        np.savetxt(to / "light_directions.txt", lamps())
+        np.savetxt(to / "light_intensities.txt", strengths)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["DiLiGenT", "Harvard", "LUCES"])
+def test_objects_of_benchmarks_are_read_as_they_are_published(kind: str, tmp_path: Path) -> None:
+    [source] = sources.find_sources(as_published(kind, tmp_path))
+    assert (source.name, source.pictures) == ("cat" if kind == "Harvard" else "catPNG", LAMPS)
+    found = sources.opened(source, SIZE)
+    assert (found.scene.lamps, found.scene.normals_known) == (None, False)
+    assert (found.normals is None, found.lamps is None) == (kind == "Harvard", kind == "LUCES")
+    if found.normals is not None:
+        np.testing.assert_allclose(found.normals, cap(), atol=1e-6)
+    if found.lamps is not None:
+        np.testing.assert_allclose(found.lamps.places, lamps(), atol=1e-6)
+        assert found.lamps.colored == (kind == "DiLiGenT")
+    if kind == "DiLiGenT":
+        for name, wrong in (("Normal_gt.mat", "an array"), ("light_intensities.txt", "three num")):
+            (source.folder / name).write_text("x y z\n" * LAMPS)
+            with pytest.raises(InputError, match=f"{name}: expected {wrong}"):
+                sources.opened(source, SIZE)
+            savemat(source.folder / name, {"n": cap()}, appendmat=False)
+
+
+def task(source: Source, way: Way, fold: int = 0, **more: Any) -> Task:
+    return Task(source, way, fold, "", 1, 4, 6, SIZE, **more)
 
 
 def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
@@ -298,6 +346,11 @@ def test_a_fit_is_told_nothing_and_sees_no_held_out_picture(
     assert values["lamp"][0]["rmse"] != values["own"][0]["rmse"]
     assert values["normals"]["mean"] < 0.01
     assert values["chosen"]["held_out"] == {"kind": 1}
+    measure.run(task(source, "directions", keep=3), 1)
+    scene = seen.pop()[0]
+    assert scene.names == ("0", "3", "7")
+    np.testing.assert_allclose(known(scene.lamps).places, lamps()[[0, 3, 7]])
+    assert not known(scene.lamps).colored
     measure.run(task(source, "lamps-linear", 1), 1)
     scene, options = seen[1]
     assert (options["light"], scene.response) == ("lamps", None)
@@ -310,8 +363,9 @@ def test_a_way_says_what_it_lacks(tmp_path: Path) -> None:
     (folder / "scene.toml").write_text('color_space = "linear"\n', encoding="utf-8")
     [source] = sources.find_sources(folder)
     assert measure.run(task(source, "linear"), 1) == {"not_possible": "the encoding is known"}
-    said = measure.run(task(source, "lambert-known"), 1)
-    assert said == {"not_possible": "nobody knows the lamps"}
+    for way in ("lambert-known", "directions"):
+        said = measure.run(task(source, way), 1)
+        assert said == {"not_possible": "nobody knows the lamps"}
 
 
 def found(error: float) -> dict[str, Any]:
@@ -366,3 +420,27 @@ def test_command_reports_resumes_and_keeps_private_sets_out_of_documentation(
     written = record.stat().st_mtime_ns
     assert run(*said, "--ways", "lambert", "sum", "--resume") == 0
     assert record.stat().st_mtime_ns == written
+
+
+def test_diligent_writes_normals_and_holds_ways_against_each_other(tmp_path: Path) -> None:
+    data, out = as_published("DiLiGenT", tmp_path), tmp_path / "out"
+    ways = ("--ways", "lambert-known", "lambert-trimmed", "--pictures", 4, 99, "--mat")
+    assert run("evaluate", "diligent", data, "--out", out, "--jobs", 1, "--quick", *ways) == 0
+    rows = json.loads((out / "summary.json").read_text("utf-8"))["rows"]
+    assert [row["metrics"]["pictures"] for row in rows] == [4, 4, 8, 8]
+    assert max(row["metrics"]["mean"] for row in rows) < 0.05
+    assert rows[0]["metrics"]["relighting"] < 1e-3
+    assert "relighting" not in rows[2]["metrics"]  # all pictures were fitted
+    written = loadmat(out / "catPNG-lambert-known.mat")["Normal_est"]
+    np.testing.assert_allclose(written, cap(), atol=1e-3)
+    assert (out / "errors-catPNG.png").is_file()
+
+
+def test_to_be_told_more_must_make_nothing_worse() -> None:
+    source = Source("cat", Path("cat"), "scene", 8, "")
+    angles: dict[Way, float] = {"default": 7.8, "directions": 8.0, "strengths": 8.1}
+    angles |= {"lambert-trimmed": 7.9}
+    pairs = [(task(source, way, keep=8), {"normals": {"mean": of}}) for way, of in angles.items()]
+    found = diligent.verdicts(recorded(*pairs, effort="full"), None)
+    assert [one.holds for one in found] == [True, True, False]
+    assert not list(diligent.verdicts(recorded(*pairs, effort="quick"), None))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -198,11 +199,11 @@ def csvs(results: Of, _: object) -> Mapping[str, bytes]:
     }
 
 
-def _mat(values: Mapping[str, object]) -> bytes:
+def _mat(values: Mapping[str, Any]) -> bytes:
     """MATLAB's form 5: Normal_est, (H, W, 3) float64 unit vectors, 0 outside the mask."""
     from scipy.io import savemat
 
-    plain = np.frombuffer(base64.b64decode(str(values["estimate"])), "<f4")
+    plain = np.frombuffer(base64.b64decode(values["estimate"]), "<f4")
     file = io.BytesIO()
     savemat(file, {"Normal_est": plain.reshape(values["shape"]).astype(np.float64)})  # type: ignore[arg-type]
     return file.getvalue()

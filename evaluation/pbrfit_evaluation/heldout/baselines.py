@@ -36,7 +36,10 @@ from pbrfit_evaluation.normal_errors import unit
 
 Array = NDArray[np.float64]
 
-UnderKnown = Literal["lambert-known", "lambert-trimmed", "ptm", "hsh", "pca"]
+Interpolated = Literal["ptm", "hsh", "pca"]
+"""Relightable images, which have no normals."""
+
+UnderKnown = Literal["lambert-known", "lambert-trimmed", Interpolated]
 """What is told the directions of the lamps, and their strengths where these are known."""
 
 Baseline = Literal["lambert", "nearest", "sum", UnderKnown]
@@ -82,13 +85,14 @@ def _read(
     elif way in get_args(UnderKnown):
         assert lamps is not None
         weights = np.stack([target(scene, i, valid, None).weights for i in kept])
-        colors = lamps.colors[list(kept)] if lamps.colored else None
-        if colors is not None:
-            samples /= np.maximum(colors, np.finfo(np.float64).tiny)[:, None]
         under, seek = lamps.places[list(kept)], lamps.places[list(pictures)]
+        if lamps.colored:
+            strengths = np.maximum(lamps.colors[list(kept)], np.finfo(np.float64).tiny)
+        else:
+            strengths = strengths_of(samples, weights, under)[:, None]
+        samples /= strengths[:, None]
         if way in ("lambert-known", "lambert-trimmed"):
-            told, trim = colors is not None, way == "lambert-trimmed"
-            found, albedo = known_lamps(samples, weights, under, equal=told, trim=trim)
+            found, albedo = known_lamps(samples, weights, under, trim=way == "lambert-trimmed")
             normals = np.full((*valid.shape, 3), np.nan)
             normals[valid] = found
             shown = np.maximum(seek @ found.T, 0.0)[..., None] * albedo
@@ -129,7 +133,7 @@ def _interpolated(
 
 def _hemispherical(directions: Array) -> Array:
     """(N, 9)."""
-    along = 2 * directions[:, 2] - 1
+    along = np.clip(2 * directions[:, 2] - 1, -1.0, 1.0)
     across = (
         directions[:, :2] / np.maximum(np.linalg.norm(directions[:, :2], axis=1), 1e-12)[:, None]
     )
@@ -151,24 +155,16 @@ def unknown_lamps(samples: Array) -> Array:
 
 
 def known_lamps(
-    samples: Array, weights: Array, lamps: Array, *, equal: bool = False, trim: bool = False
+    samples: Array, weights: Array, lamps: Array, *, trim: bool = False
 ) -> tuple[Array, Array]:
     """Normals and albedo, both (P, 3), of a matt surface, of samples (N, P, 3) and their weights.
 
-    `lamps` (N, 3) are unit vectors to lamps that are `equal`ly strong. Unknown strengths start at
-    `strengths_along` and alternate with pseudo-normals. `trim` leaves out a pixel's darkest and
-    brightest samples.
+    `lamps` (N, 3) are unit vectors to lamps that are equally strong. `trim` leaves out a pixel's
+    darkest and brightest samples.
     """
-    by_pixel, told = grey_samples(samples.swapaxes(0, 1), (weights > 0).swapaxes(0, 1))
-    grey, counted = by_pixel.T, np.where(told.T, weights.max(axis=-1), 0.0)
-    if not equal:
-        directions, lamps = lamps, lamps * strengths_along(lamps, grey)[:, None]
-        for _ in range(ROUNDS):
-            shading = directions @ _least_squares(grey, counted, lamps).T
-            best = (counted * shading * grey).sum(axis=1) / (counted * shading**2).sum(axis=1)
-            lamps = directions * (best / best.mean())[:, None]
+    grey, counted = _grey(samples, weights)
     if trim:
-        middle = _middle(grey / np.linalg.norm(lamps, axis=-1, keepdims=True), counted > 0)
+        middle = _middle(grey, counted > 0)
         counted, weights = counted * middle, weights * middle[..., None]
     pseudo = _least_squares(grey, counted, lamps)
     lengths = np.linalg.norm(pseudo, axis=-1, keepdims=True)
@@ -177,6 +173,27 @@ def known_lamps(
     squares = (weights * shading**2).sum(axis=0)
     albedo = (weights * shading * samples).sum(axis=0) / np.where(squares > 0, squares, 1.0)
     return normals, np.maximum(albedo, 0.0)
+
+
+def strengths_of(samples: Array, weights: Array, directions: Array) -> Array:
+    """(N,) relative strengths of lamps along `directions` (N, 3), by samples of a matt surface.
+
+    They start at `strengths_along` and alternate with pseudo-normals.
+    """
+    grey, counted = _grey(samples, weights)
+    found = strengths_along(directions, grey)
+    for _ in range(ROUNDS):
+        pseudo = _least_squares(grey, counted, directions * found[:, None])
+        shading = directions @ pseudo.T
+        found = (counted * shading * grey).sum(axis=1) / (counted * shading**2).sum(axis=1)
+        found /= found.mean()
+    return found
+
+
+def _grey(samples: Array, weights: Array) -> tuple[Array, Array]:
+    """(N, P) grey samples and their weights."""
+    by_pixel, told = grey_samples(samples.swapaxes(0, 1), (weights > 0).swapaxes(0, 1))
+    return by_pixel.T, np.where(told.T, weights.max(axis=-1), 0.0)
 
 
 def _middle(grey: Array, told: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -23,6 +23,9 @@ BESIDE = ("paper", 1.0), ("paper", 1.1), ("lambert", 1.0), ("nearest", 1.0)
 
 Of = Results[Task]
 
+Scores = Sequence[Mapping[str, Any]]
+"""Of pictures, as records keep them."""
+
 
 @dataclass(frozen=True)
 class OfSet:
@@ -34,20 +37,25 @@ class OfSet:
     @cached_property
     def errors(self) -> dict[Way, float]:
         """Error of the held-out pictures by a way's own kind of light, of ways without failures."""
-        return self._errors("own")
+        return self._of_ways("own", error_of)
 
     @cached_property
     def under_lamp(self) -> dict[Way, float]:
         """The same by one far lamp, of ways with materials."""
-        return self._errors("lamp")
+        return self._of_ways("lamp", error_of)
 
-    def _errors(self, light: str) -> dict[Way, float]:
+    @cached_property
+    def psnr(self) -> dict[Way, float]:
+        """PSNR in dB of the held-out pictures by a way's own kind of light, all together."""
+        return self._of_ways("own", psnr_of)
+
+    def _of_ways(self, light: str, figure: Callable[[Scores], float]) -> dict[Way, float]:
         found = {}
         for way in WAYS:
             of = self.results.of(way=way)
             scores = [one for _, values in of.finished for one in values.get(light) or ()]
             if scores and not of.failed:
-                found[way] = error_of(scores)
+                found[way] = figure(scores)
         return found
 
     @property
@@ -58,9 +66,16 @@ class OfSet:
         return default / min(ours) if len(ours) > 1 else math.nan
 
 
-def error_of(scores: Iterable[Mapping[str, Any]]) -> float:
-    """Relative error of scores as records keep them."""
+def error_of(scores: Scores) -> float:
+    """RMSE over RMS of pictures together."""
     return relative_error([Score(**one) for one in scores])
+
+
+def psnr_of(scores: Scores) -> float:
+    """PSNR in dB of pictures together, whose white is 1; infinite where nothing is left."""
+    of = [Score(**one) for one in scores]
+    left = math.fsum(one.samples * one.rmse**2 for one in of)
+    return 10 * math.log10(sum(one.samples for one in of) / left) if left > 0 else math.inf
 
 
 def sets(results: Of) -> list[OfSet]:
@@ -82,6 +97,7 @@ def rows(results: Of) -> list[Row]:
             metrics = {
                 "own": one.errors.get(way),
                 "lamp": one.under_lamp.get(way),
+                "psnr": one.psnr.get(way),
                 "normals_mean": of.mean("normals", "mean").mean,
                 "normals_median": of.mean("normals", "median").mean,
                 "seconds": of.mean("seconds").mean,
@@ -140,6 +156,12 @@ def sections(results: Of, _: Sequence[Row]) -> Iterator[Section]:
             "black. The least of each set is bold.",
             [_by_way([(one.source.name, one.errors) for one in of_sets])],
         )
+        yield Section(
+            "PSNR",
+            "The same errors in dB, white being 1. Relightable images (PTM, HSH, PCA) are told the "
+            "lamp of a held-out picture where it is known, else where a fit finds it.",
+            [_by_way([(one.source.name, one.psnr) for one in of_sets], mean=False, best=max)],
+        )
     if any(one.under_lamp for one in of_sets):
         yield Section(
             "Errors under a lamp",
@@ -176,13 +198,18 @@ def _in_short(of_sets: Sequence[OfSet]) -> Table:
     return Table(["default", "found"], lines)
 
 
-def _by_way(of_sets: Sequence[tuple[str, Mapping[Way, float]]], *, mean: bool = True) -> Table:
+def _by_way(
+    of_sets: Sequence[tuple[str, Mapping[Way, float]]],
+    *,
+    mean: bool = True,
+    best: Callable[[Iterable[float]], float] = min,
+) -> Table:
     """A line a set, a column a way; at last geometric means, of ways that all sets have."""
     ways = [way for way in WAYS if any(way in of for _, of in of_sets)]
     lines: list[list[Value]] = []
     for name, of in of_sets:
         cells = [
-            Cell(digits(of[way]), "best" if of[way] == min(of.values()) else "number", of[way])
+            Cell(digits(of[way]), "best" if of[way] == best(of.values()) else "number", of[way])
             if way in of
             else None
             for way in ways

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.export.rti import one_lamp_a_picture
 from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import ColorSpace
 from pbrfit.io.limits import AT_LEAST
@@ -21,7 +22,12 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.result.result import Result
 from pbrfit.result.sheet import outside_grey
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.heldout.baselines import Baseline, UnderKnown, explained_by_kept
+from pbrfit_evaluation.heldout.baselines import (
+    Baseline,
+    Interpolated,
+    UnderKnown,
+    explained_by_kept,
+)
 from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
 from pbrfit_evaluation.heldout.public_sets import Source
 from pbrfit_evaluation.heldout.sources import Opened, evenly, opened
@@ -160,23 +166,25 @@ def run(task: Task, threads: int) -> Values:
         if found.scene.response is None:
             return {"not_possible": "the encoding is known"}
         found = _opened(task, "linear")
-    if way in (*get_args(Told), *get_args(UnderKnown)) and found.lamps is None:
+    lamps = found.lamps
+    if way in get_args(Interpolated) and lamps is None:
+        lamps = _found_lamps(replace(task, way="lamps", fold=0), threads)
+    if way in (*get_args(Told), *get_args(UnderKnown)) and lamps is None:
         return {"not_possible": "nobody knows the lamps"}
-    if way == "strengths" and found.lamps is not None and not found.lamps.colored:
+    if way == "strengths" and lamps is not None and not lamps.colored:
         return {"not_possible": "nobody knows how strong the lamps are"}
     which = split(len(found.scene.images), task.held_out, task.folds, task.fold, task.keep)
     kept = found.scene.of_pictures(which.kept)
     if way in get_args(Told):
-        assert found.lamps is not None
-        lamps = found.lamps.of_pictures(which.kept)
-        far = Lamps(lamps.pictures, lamps.places)
-        kept = replace(kept, lamps=lamps if way == "strengths" else far)
+        assert lamps is not None
+        far = lamps if way == "strengths" else Lamps(lamps.pictures, lamps.places)
+        kept = replace(kept, lamps=far.of_pictures(which.kept))
     judged = judged_at(found.scene, kept.valid)
     result, lamp = None, None
     began = perf_counter(), process_time()
     if way in get_args(Baseline):
         own, normals = explained_by_kept(
-            cast(Baseline, way), judged, which.kept, which.held_out, found.lamps
+            cast(Baseline, way), judged, which.kept, which.held_out, lamps
         )
     else:
         result = fit(way, kept, threads)
@@ -208,6 +216,20 @@ def _opened(task: Task, color_space: ColorSpace | None = None) -> Opened:
 def _read(*of: Any) -> Opened:
     """What `opened` gives, kept for the next task of a set; the last argument is its digest."""
     return opened(*of[:-1])
+
+
+@lru_cache(maxsize=2)
+def _found_lamps(task: Task, threads: int) -> Lamps | None:
+    """Lamps, as far ones, as a fit to all pictures of a set finds them, one a picture.
+
+    Relightable images need such; that they are of the held-out pictures, too, favours these.
+    """
+    scene = _opened(task, "linear" if task.linear else None).scene
+    result = fit("lamps", scene, threads)
+    if not one_lamp_a_picture(result.lamps, len(scene.images)):
+        return None
+    directions, colors = result.lamps_seen()
+    return Lamps(np.arange(len(scene.images)), directions, colors=colors)
 
 
 def judged_at(scene: Scene, valid: NDArray[np.bool_]) -> Scene:
