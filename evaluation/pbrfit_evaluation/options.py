@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,22 @@ def option(*flags: str, **settings: Any) -> Add:
 def count(flag: str, metavar: str, what: str, **settings: Any) -> Add:
     """A whole number above 0; without a default it is that of the suite's `effort`."""
     return option(flag, metavar=metavar, type=positive, help=what, **settings)
+
+
+def several(
+    flag: str,
+    metavar: str,
+    choices: Iterable[str],
+    few: Iterable[str] = (),
+    *,
+    what: str = "only these",
+    default: str = "all",
+) -> Add:
+    """Some of several names, `default` in words; `few` are those of `--quick`."""
+    names = tuple(choices)
+    default += f", with --quick {', '.join(few)}" if few else ""
+    told = f"{what} (default: {default}): {', '.join(names)}"
+    return option(flag, metavar=metavar, nargs="+", choices=names, help=told)
 
 
 def first_seed(of: str, untuned: int | None = None) -> Add:

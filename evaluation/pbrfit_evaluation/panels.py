@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.result.sheet import as_png
+from pbrfit.model.materials import Materials
+from pbrfit.result.sheet import Panel, Row, as_png, displayed, outside_grey, sheet
+
+
+def of_maps(of: Materials, before: str = "") -> dict[str, NDArray[np.floating[Any]]]:
+    """Albedo, roughness and metallic for the screen, by name with something before it."""
+    return {
+        f"{before}albedo": displayed(of.albedo),
+        f"{before}roughness": outside_grey(of.roughness),
+        f"{before}metallic": outside_grey(of.metallic),
+    }
 
 
 def packed(panels: Mapping[str, NDArray[np.floating[Any]]]) -> dict[str, Any]:
@@ -26,3 +36,29 @@ def unpacked(kept: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
     with Image.open(io.BytesIO(base64.b64decode(kept["png"]))) as image:
         pixels = np.asarray(image.convert("RGB")) / 255
     return dict(zip(kept["names"], np.split(pixels, len(kept["names"]), axis=1), strict=True))
+
+
+def in_lines(kept: Mapping[str, Mapping[str, NDArray[np.floating[Any]]]]) -> bytes:
+    """PNG of panels by label and name, a line each label; names stand where they are new."""
+    told: set[str] = set()
+    grid: list[Row] = []
+    for panels in kept.values():
+        grid.append([Panel("" if name in told else name, of) for name, of in panels.items()])
+        told |= panels.keys()
+    return as_png(sheet(grid, labels=list(kept)))
+
+
+def beside_truth(
+    kept: Mapping[str, Mapping[str, NDArray[np.floating[Any]]]], names: Sequence[str], *more: str
+) -> bytes:
+    """PNG of panels of some names by label, below the true ones, called "true NAME", and `more`.
+
+    Others that a label has beyond these are at the end of its line.
+    """
+    first = next(iter(kept.values()))
+    shown = {"truth": {name: first[f"true {name}"] for name in names}}
+    shown["truth"] |= {name: first[name] for name in more}
+    hidden = {*more, *(f"true {name}" for name in names)}
+    for label, panels in kept.items():
+        shown[label] = {name: of for name, of in panels.items() if name not in hidden}
+    return in_lines(shown)

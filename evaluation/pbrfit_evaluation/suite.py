@@ -11,7 +11,8 @@ How to add a suite `speed`:
    are kept in `records/KEY.json`; `--resume` uses them again if case and code are the same.
 4. `figures(results)` makes the rows of summary.json from what was finished, which may be nothing.
 5. `verdicts(results, rows)` says what the figures must be; `sections(results, rows)` is what the
-   page shows beside them: tables, plots and pictures as data; `csvs(results, rows)` the CSV files.
+   page shows beside them: tables, plots and pictures as data; `csvs(results, rows)` the CSV files,
+   by default scenes.csv with every number and word that was found.
 6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
    takes precedence. Files named `figures.py` do not count as code that records depend on.
 
@@ -398,7 +399,10 @@ Line = Mapping[str, object]
 
 
 def numbers_csv(part: str, results: Results[Any]) -> list[Line]:
-    """Every number that was found, a line each; lists, such as curves, are in the records alone."""
+    """Every number and word that was found, a line each.
+
+    Lists, such as curves, and pictures (`panels.packed`) are in the records alone.
+    """
     return [
         {"part": part, "task": case.key, "figure": name, "value": value}
         for case, values in results.finished
@@ -406,10 +410,12 @@ def numbers_csv(part: str, results: Results[Any]) -> list[Line]:
     ]
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, float]]:
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, float | str]]:
     for name, value in values.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and "png" not in value:
             yield from _flat(value, f"{before}{name}/")
+        elif isinstance(value, str):
+            yield f"{before}{name}", value
         elif isinstance(value, (int, float)):
             yield f"{before}{name}", float(value)
 
@@ -419,10 +425,6 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, fl
 
 def _nothing(*_: Any) -> tuple[()]:
     return ()
-
-
-def _no_files(*_: Any) -> dict[str, list[Line]]:
-    return {}
 
 
 def _all_rows(_: Any, rows: Sequence[Row]) -> Sequence[Section]:
@@ -441,7 +443,7 @@ class Part(Generic[C]):
         See the top of this file.
     csvs
         Lines of CSV files by file name; those of one name in several parts come together. Other
-        files as bytes.
+        files as bytes. By default `numbers_csv` as scenes.csv.
     alone
         Whether its cases run one at a time in this process, after those of other parts: for times,
         and for networks that fill a GPU.
@@ -456,7 +458,7 @@ class Part(Generic[C]):
     _: KW_ONLY
     verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
     sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
-    csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line] | bytes]] = _no_files
+    csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line] | bytes]] | None = None
     alone: bool = False
     then: Callable[[Results[C]], Sequence[C]] | None = None
 
@@ -467,10 +469,27 @@ class Part(Generic[C]):
         name: str,
         cases: Callable[[Options], Sequence[C]],
         run: Callable[[C, int], Values],
+        before: str = "",
+        **more: Any,
     ) -> Part[C]:
-        """A part whose figures, verdicts, sections and CSV files are by functions of a module."""
-        shown = {"verdicts": module.verdicts, "sections": module.sections, "csvs": module.csvs}
-        return cls(name, cases, run, module.rows, **shown)
+        """A part that functions of a module show: `rows`, and such of the others as it has.
+
+        `before` begins their names.
+        """
+
+        def of(what: str) -> Any:
+            return getattr(module, before + what, None)
+
+        shown = {what: found for what in ("verdicts", "sections", "csvs") if (found := of(what))}
+        return cls(name, cases, run, of("rows"), **shown, **more)
+
+    def files(
+        self, results: Results[C], rows: Sequence[Row]
+    ) -> Mapping[str, Sequence[Line] | bytes]:
+        """What `csvs` gives, or its default."""
+        if self.csvs is not None:
+            return self.csvs(results, rows)
+        return {"scenes.csv": numbers_csv(self.name, results)}
 
 
 @dataclass(frozen=True)

@@ -186,7 +186,7 @@ def rooms_with(errors: dict[str, float]) -> Results[RoomTask]:
 
 def test_the_default_is_judged_and_failures_are_named() -> None:
     results = rooms_with({"default": 0.12})
-    rows = {row.name: row for row in figures.rooms(results)}
+    rows = {row.name: row for row in figures.rows(results)}
     demands = [row for name, row in rows.items() if name.startswith("must hold")]
     assert len(demands) == len(DEMANDS) == len(figures.verdicts(results, []))
     missed = {row.name for row in demands if row.status == "not held"}
@@ -205,7 +205,7 @@ def test_the_default_is_judged_and_failures_are_named() -> None:
     assert held.tables[0].rows[0][1:] == pytest.approx([0.6, 0.12, 0.6, 0.6, 0.6, 0.6, "32 of 38"])
     failed = [(task, Record(task.key, None, "OSError: full", 0.0)) for task, _ in results.pairs]
     nothing = Results(results.options, failed)
-    assert [row.status for row in figures.rooms(nothing)] == ["2 of 2 rooms failed"] * len(CASES)
+    assert [row.status for row in figures.rows(nothing)] == ["2 of 2 rooms failed"] * len(CASES)
     assert not list(figures.sections(nothing, []))
 
 

@@ -6,9 +6,7 @@ How well disturbed scenes are fitted is not tested here: verdicts are on figures
 from __future__ import annotations
 
 import argparse
-import base64
 import csv
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -39,6 +37,7 @@ from pbrfit_evaluation.everyday.disturbances import (
 )
 from pbrfit_evaluation.everyday.figures import MAPS, MOST, REFERENCE, SLOWEST, TWINS
 from pbrfit_evaluation.everyday.measure import Case
+from pbrfit_evaluation.panels import unpacked
 from pbrfit_evaluation.suite import Results, Row, Verdict
 from scene_files import known, lights_of, truth_of
 
@@ -383,9 +382,9 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -
         f"{name}_room_{SEED}" for name in ("noise", "shifted", "fov-true", "fov-wrong")
     }
     record = json.loads((out / "records" / f"noise_room_{SEED}.json").read_text(encoding="utf-8"))
-    strip = io.BytesIO(base64.b64decode(record["values"]["strips"]["truth"]))
-    with Image.open(strip) as picture:
-        assert picture.size == (12 * len(measure.PANELS), 12)
+    panels = unpacked(record["values"]["truth"])
+    assert {of.shape for of in panels.values()} == {(12, 12, 3)}
+    assert list(panels) == ["undisturbed", "given", *MAPS]
     monkeypatch.setattr(measure, "decompose", None)  # once more, from the records
     again = [*arguments, "--resume", "--quiet", "--before", str(out / "summary.json")]
     assert main(again) == code

@@ -44,7 +44,6 @@ from pbrfit_evaluation.suite import (
     Table,
     Verdict,
     digits,
-    numbers_csv,
 )
 
 
@@ -63,15 +62,7 @@ def verdicts(_: Results[Task], rows: Sequence[Row]) -> list[Verdict]:
 
 
 def part(name: str, **more: Any) -> Part[Task]:
-    return Part(
-        name,
-        partial(cases, name),
-        work,
-        partial(figures, name),
-        verdicts=verdicts,
-        csvs=lambda results, _: {"scenes.csv": numbers_csv(name, results)},
-        **more,
-    )
+    return Part(name, partial(cases, name), work, partial(figures, name), verdicts=verdicts, **more)
 
 
 SUITE = Suite(
@@ -154,8 +145,9 @@ def test_parts_options_and_files(
     assert set(content["rows"][0]) == {"name", "scenes", "solver", "metrics", "paper", "status"}
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
-    assert [line["task"] for line in lines] == ["quiet0", "loud0", "loud0-then"]
-    assert lines[0] == {"part": "quiet", "task": "quiet0", "figure": "threads", "value": "2.0"}
+    every = [name for name in ("quiet0", "loud0", "loud0-then") for _ in ("name", "threads")]
+    assert [line["task"] for line in lines] == every
+    assert lines[1] == {"part": "quiet", "task": "quiet0", "figure": "threads", "value": "2.0"}
     page = Page((out / "report.html").read_text("utf-8"))
     assert [element.text for element in page.all("h2")] == [
         "What must hold, by part", "What must hold", "Figures", "Figures",

@@ -23,7 +23,7 @@ from pbrfit_evaluation.normal_errors import LOWEST_COSINE
 from pbrfit_evaluation.recipes import Recipe
 from pbrfit_evaluation.suite import Row
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS, SOLVERS, figures, not_the_best
+from pbrfit_evaluation.table1.figures import METRICS, SOLVERS, not_the_best, rows
 from pbrfit_evaluation.table1.measure import Task
 from pbrfit_evaluation.table1.normals import disturbed, estimated
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
@@ -193,15 +193,15 @@ def test_means_are_over_finished_scenes() -> None:
         pairs.append((Task("base", seed, 16, 4, 3, model="paper"), values))
     pairs.append((Task("base", 1002, 16, 4, 3, model="paper"), "ValueError: no"))
     asked = {"rows": ["base", "cycles-brdf"], "model": "paper", "quick": True}
-    rows = figures(recorded(*pairs, **asked))
-    assert [row.name for row in rows] == ["Base, paper"] * 3 + [
+    found = rows(recorded(*pairs, **asked))
+    assert [row.name for row in found] == ["Base, paper"] * 3 + [
         "Cycles, panorama: BRDF alone, paper"
     ]
-    assert rows[0].metrics["albedo"] == pytest.approx(0.15)
-    assert {row.status for row in rows[:3]} == {"1 of 3 scenes failed"}
-    assert [row.guess for row in rows] == [False, False, True, False]
-    assert rows[-1].status == "not run: --quick leaves out what takes minutes"
-    assert (rows[-1].scenes, rows[-1].metrics) == (0, {})
+    assert found[0].metrics["albedo"] == pytest.approx(0.15)
+    assert {row.status for row in found[:3]} == {"1 of 3 scenes failed"}
+    assert [row.guess for row in found] == [False, False, True, False]
+    assert found[-1].status == "not run: --quick leaves out what takes minutes"
+    assert (found[-1].scenes, found[-1].metrics) == (0, {})
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, Verdict
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday.disturbances import NOISE
 from pbrfit_evaluation.report.plots import draw
-from pbrfit_evaluation.suite import Plot, Results, Row
+from pbrfit_evaluation.suite import Plot, Results, Row, numbers_csv
 from pbrfit_evaluation.suite import Verdict as Bar
 from pbrfit_evaluation.uncertainty import conditions, figures, measure
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, NAMES, Name, made
@@ -334,7 +334,7 @@ def test_pages_show_tables_and_plots_of_every_group() -> None:
     assert len({plot.name for plot in plots}) == len(plots) == len(GROUPS) + 1
     assert draw(plots[0]).startswith(b"\x89PNG")
     assert draw(plots[-1]).startswith(b"\x89PNG")
-    [csv] = figures.csvs(found, rows).values()
+    csv = numbers_csv("uncertainty", found)
     said = next(line for line in csv if line["figure"] == "maps/albedo/said")
     assert (said["task"], said["value"]) == ("clean_furnished_0", "usable")
 

@@ -44,17 +44,7 @@ SUITE = Suite(
     "pictures, ablation.md, rooms.csv and summary.json.",
     protocol="pbrfit-ablation-1: rooms with noise of 0.01 at a mean radiance of 0.4; "
     f"{SCORES}; {{size}} pixels, {{iterations}} iterations",
-    parts=[
-        Part(
-            "rooms",
-            rooms,
-            room,
-            figures.rooms,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-    ],
+    parts=[Part.shown_by(figures, "rooms", rooms, room)],
     options=(
         lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, DEFAULT_MODEL),
         count("--scenes", "K", "rooms of each case"),

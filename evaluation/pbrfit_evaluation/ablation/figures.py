@@ -54,28 +54,28 @@ def _judged(results: Of, one: Configuration) -> list[Judged]:
     ]
 
 
-def rooms(results: Of) -> list[Row]:
+def rows(results: Of) -> list[Row]:
     """Means and ratios of every case and configuration; what the default has to hold."""
-    rows = []
+    found = []
     for case in CASES:
         of = results.of(case=case)
         count, status = len(of.finished), of.status("rooms")
         for one in of.pairs[0][0].configurations if count else ():
             metrics: dict[str, float | None] = {}
             for name in ("recon", *SHOWN):
-                metrics[name] = found = _mean(of, one, name)
-                metrics[f"{name}_ratio"] = found / _mean(of, NONE, name)
-            rows.append(Row(f"{case}, {one.key}", count, "gauss-newton", metrics, status=status))
+                metrics[name] = mean = _mean(of, one, name)
+                metrics[f"{name}_ratio"] = mean / _mean(of, NONE, name)
+            found.append(Row(f"{case}, {one.key}", count, "gauss-newton", metrics, status=status))
         if not count:
-            rows.append(Row(case, 0, None, {}, status=status))
+            found.append(Row(case, 0, None, {}, status=status))
     for judged in _judged(results, DEFAULT):
         demand = judged.demand
         metrics = {"value": judged.value, "limit": demand.limit, "without": judged.without}
         metrics |= {"found": judged.found, "rooms_that_hold": float(judged.holding)}
         name = f"must hold ({demand.part}): {demand.case}, {demand.metric}"
         status = "ok" if judged.holds else "not held"
-        rows.append(Row(name, len(judged.rooms), "gauss-newton", metrics, status=status))
-    return rows
+        found.append(Row(name, len(judged.rooms), "gauss-newton", metrics, status=status))
+    return found
 
 
 def verdicts(results: Of, _: Sequence[Row]) -> list[Verdict]:

@@ -62,6 +62,8 @@ def add_suites(suites: Subcommands) -> None:
 
 def _complete(name: str, parser: argparse.ArgumentParser) -> None:
     """Import a suite and add its options."""
+    from pbrfit_evaluation.options import several
+
     suite: Suite = import_module(f"pbrfit_evaluation.{name}").SUITE
     parser.description = suite.description
     add_out(parser, "folder to write")
@@ -83,13 +85,7 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
     add_quiet(parser)
     if len(suite.parts) > 1:
         names = [part.name for part in suite.parts]
-        parser.add_argument(
-            "--part",
-            metavar="NAME",
-            nargs="+",
-            choices=names,
-            help=f"only these parts (default: all): {', '.join(names)}",
-        )
+        several("--part", "NAME", names, what="only these parts")(parser)
     for add in suite.options:
         add(parser)
     parser.add_argument("--quick", action="store_true", help=suite.quick)
@@ -248,7 +244,7 @@ def _outcome(
         name = part.name if len(suite.parts) > 1 else ""
         verdicts += [replace(one, part=one.part or name) for one in part.verdicts(results, of_part)]
         sections += part.sections(results, of_part)
-        for file, lines in part.csvs(results, of_part).items():
+        for file, lines in part.files(results, of_part).items():
             if isinstance(lines, bytes):
                 csvs[file] = lines
             else:

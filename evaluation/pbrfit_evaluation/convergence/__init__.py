@@ -17,7 +17,7 @@ from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Task
 from pbrfit_evaluation.heldout.sources import find_sources
 from pbrfit_evaluation.jobs import digest_of_files
-from pbrfit_evaluation.options import count, option
+from pbrfit_evaluation.options import count, option, several
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 FIRST_SEED = 100
@@ -92,13 +92,7 @@ SUITE = Suite(
     options=(
         lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, "paper"),
         count("--seeds", "K", "scenes of a case"),
-        option(
-            "--cases",
-            metavar="NAME",
-            nargs="+",
-            choices=list(CASES),
-            help=f"only these cases: {', '.join(CASES)} (default: all but the last two)",
-        ),
+        several("--cases", "NAME", CASES, default="all but the last two"),
         option(
             "--real",
             metavar="DIR",

@@ -6,10 +6,10 @@ import os
 
 from pbrfit.commands.arguments import positive
 from pbrfit_evaluation.diligent import figures
-from pbrfit_evaluation.diligent.figures import IN_WORDS, WAYS
+from pbrfit_evaluation.diligent.figures import WAYS
 from pbrfit_evaluation.heldout.measure import Task, run
 from pbrfit_evaluation.heldout.sources import check_names, find_data, find_sources
-from pbrfit_evaluation.options import count, folders, option
+from pbrfit_evaluation.options import count, folders, option, several
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 PICTURES = (4, 8, 16, 24, 32, 96)
@@ -64,14 +64,7 @@ SUITE = Suite(
             "or scene folders with set.json and normals.npz (default: the folder that the "
             "environment variable PBRFIT_DATA names)"
         ),
-        option(
-            "--ways",
-            metavar="NAME",
-            nargs="+",
-            choices=WAYS,
-            help="only these (default: all): "
-            + "; ".join(f"{way}: {words}" for way, words in IN_WORDS.items()),
-        ),
+        several("--ways", "NAME", WAYS),
         option(
             "--pictures",
             metavar="N",

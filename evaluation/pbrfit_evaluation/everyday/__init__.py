@@ -5,7 +5,7 @@ from __future__ import annotations
 from pbrfit_evaluation.everyday import figures
 from pbrfit_evaluation.everyday.disturbances import DISTURBANCES, KINDS
 from pbrfit_evaluation.everyday.measure import PICTURED, Case, run
-from pbrfit_evaluation.options import count, first_seed, option
+from pbrfit_evaluation.options import count, first_seed, option, several
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -45,13 +45,10 @@ SUITE = Suite(
     protocol=f"pbrfit-everyday-1: {SCORES}; {{size}} pixels, {{effort}}",
     parts=[Part.shown_by(figures, "everyday", cases, run)],
     options=(
-        option(
-            "--disturbances",
-            metavar="NAME",
-            nargs="+",
-            choices=DISTURBANCES,
-            help="only these, and what they are compared with (default: all, with --quick JPEG "
-            f"but once): {', '.join(DISTURBANCES)}",
+        several(
+            *("--disturbances", "NAME", DISTURBANCES),
+            what="only these, and what they are compared with",
+            default="all, with --quick JPEG but once",
         ),
         count("--scenes", "K", "in all; the kinds room, furnished and detailed take turns"),
         count("--size", "PIXELS", "of the pictures"),

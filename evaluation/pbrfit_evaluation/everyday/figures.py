@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import base64
-import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,18 +11,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit.io.json_files import UNFIT, table
-from pbrfit.result.sheet import Panel as SheetPanel
-from pbrfit.result.sheet import Row as SheetRow
-from pbrfit.result.sheet import as_png, sheet
 from pbrfit_evaluation.everyday.disturbances import DISTURBANCES, TITLES, Disturbance
-from pbrfit_evaluation.everyday.measure import CHANNELS, PANELS, PICTURED, Case
+from pbrfit_evaluation.everyday.measure import CHANNELS, PICTURED, Case
 from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.panels import in_lines, unpacked
 from pbrfit_evaluation.suite import (
     Column,
-    Line,
     Mark,
     Panel,
     Picture,
@@ -36,7 +30,6 @@ from pbrfit_evaluation.suite import (
     Table,
     Verdict,
     digits,
-    numbers_csv,
 )
 
 Of = Results[Case]
@@ -321,23 +314,16 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
         "deviations.",
         [_errors(of_rows)],
     )
-    strips = {
-        name: {
-            case.disturbance: values["strips"][name]
-            for case, values in results.finished
-            if name in values.get("strips", {})
-        }
-        for name in ("truth", "maps")
-    }
-    if strips["maps"]:
+    maps = {case.disturbance: v["maps"] for case, v in results.finished if "maps" in v}
+    if maps:
+        truth = next(values["truth"] for _, values in results.finished if "truth" in values)
+        kept = {"truth": truth} | {TITLES[name]: maps[name] for name in PICTURED if name in maps}
+        png = in_lines({label: unpacked(panels) for label, panels in kept.items()})
         caption = (
             "One scene: a part of the picture that changed most, twice as large, and the maps that "
             "were found. The first row is the truth."
         )
-        yield Section(
-            "Maps",
-            figures=[Picture("everyday-maps", caption, _sheet(strips["truth"], strips["maps"]))],
-        )
+        yield Section("Maps", figures=[Picture("everyday-maps", caption, png)])
 
 
 def _multiples(of_rows: Sequence[Row], earlier: Earlier | None) -> Table:
@@ -404,26 +390,3 @@ def _plot(of_rows: Sequence[Row], earlier: Earlier | None) -> Plot:
         f"{LEAST:g} is drawn there."
     )
     return Plot("everyday", caption, [panel])
-
-
-def _sheet(truth: Mapping[Disturbance, str], found: Mapping[Disturbance, str]) -> bytes:
-    lines = [("truth", of) for of in truth.values()]
-    lines += [(TITLES[name], found[name]) for name in PICTURED if name in found]
-    captions: Sequence[str] = PANELS
-    made: list[SheetRow] = []
-    for _, strip in lines:
-        with Image.open(io.BytesIO(base64.b64decode(strip))) as picture:
-            panels = np.split(np.asarray(picture, dtype=np.float64) / 255, len(captions), axis=1)
-        made.append([SheetPanel(*pair) for pair in zip(captions, panels, strict=True)])
-        captions = [""] * len(captions)
-    return as_png(sheet(made, labels=[label for label, _ in lines]))
-
-
-def csvs(results: Of, _: Sequence[Row]) -> dict[str, list[Line]]:
-    """Every number of every scene, and what was said about the field of view."""
-    said: list[Line] = [
-        {"part": "everyday", "task": case.key, "figure": "fov/said", "value": text}
-        for case, values in results.finished
-        if (text := values.get("fov", {}).get("said"))
-    ]
-    return {"scenes.csv": [*numbers_csv("everyday", results), *said]}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +15,7 @@ from pbrfit.model.reflection import chosen_model, render
 from pbrfit.result import metrics
 from pbrfit.result.options import FitOptions
 from pbrfit.result.result import Result
-from pbrfit.result.sheet import as_png, displayed, outside_grey
+from pbrfit.result.sheet import displayed
 from pbrfit_evaluation.everyday.disturbances import (
     Array,
     Disturbance,
@@ -26,6 +25,7 @@ from pbrfit_evaluation.everyday.disturbances import (
     NotRunError,
     disturbed,
 )
+from pbrfit_evaluation.panels import of_maps, packed
 from pbrfit_evaluation.scores import score
 
 CHANNELS = ("red", "green", "blue")
@@ -76,12 +76,9 @@ def run(case: Case, _: int) -> dict[str, Any]:
         },
     }
     if case.picture:
-        strips = {"maps": maps(result, made)} | (
-            {"truth": true_maps(made)} if case.disturbance == "noise" else {}
-        )
-        found["strips"] = {
-            name: base64.b64encode(as_png(strip)).decode("ascii") for name, strip in strips.items()
-        }
+        found["maps"] = maps(result, made)
+        if case.disturbance == "noise":
+            found["truth"] = true_maps(made)
     return found
 
 
@@ -123,30 +120,25 @@ def _scale(result: Result, made: Disturbed) -> dict[str, dict[str, float]]:
 
 # ------------------------------------------------------------------------------------- pictures
 
-PANELS = ("undisturbed", "given", "albedo", "roughness", "metallic")
 
-
-def maps(result: Result, made: Disturbed) -> NDArray[np.uint8]:
-    """(H, 5 W, 3) for the screen: `PANELS` of a scene, its pictures cut to a window."""
+def maps(result: Result, made: Disturbed) -> dict[str, Any]:
+    """Panels of a scene for a record: its pictures cut to a window, and the maps found."""
     number, rows, columns = window(made)
     expected, given = (of[number] for of in (made.expected, made.scene.images))
     at = np.ix_(rows, columns)
-    return _strip(expected[at], given[at], metrics.white_of(expected), result.materials)
+    return _panels(expected[at], given[at], metrics.white_of(expected), result.materials)
 
 
-def true_maps(made: Disturbed) -> NDArray[np.uint8]:
+def true_maps(made: Disturbed) -> dict[str, Any]:
     """The same with a whole picture and the true maps."""
     assert made.scene.truth is not None
     expected, given = made.expected[0], made.scene.images[0]
-    return _strip(expected, given, metrics.white_of(expected), made.scene.truth.materials)
+    return _panels(expected, given, metrics.white_of(expected), made.scene.truth.materials)
 
 
-def _strip(expected: Floats, given: Floats, white: float, of: Materials) -> NDArray[np.uint8]:
-    panels = [
-        *(displayed(expected, white), displayed(given, white)),
-        *(displayed(of.albedo), outside_grey(of.roughness), outside_grey(of.metallic)),
-    ]
-    return (255 * np.clip(np.concatenate(panels, axis=1), 0, 1) + 0.5).astype(np.uint8)
+def _panels(expected: Floats, given: Floats, white: float, of: Materials) -> dict[str, Any]:
+    pictures = {"undisturbed": displayed(expected, white), "given": displayed(given, white)}
+    return packed(pictures | of_maps(of))
 
 
 def window(made: Disturbed) -> tuple[int, NDArray[np.intp], NDArray[np.intp]]:

@@ -1,7 +1,6 @@
 """Rooms by Cycles, each explained in several ways: what the suites `lamps` and `transport` share.
 
-A setup is a row of Table 1 that rooms are rendered as; a variant is a way to explain them, with a
-`key` for files, `words` for people, and `guess`, whether nothing is fitted but the lights.
+A setup is a row of Table 1 that rooms are rendered as; a variant (`variants.py`) explains them.
 """
 
 from __future__ import annotations
@@ -12,11 +11,21 @@ from pathlib import Path
 
 from pbrfit._core import InputError
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.options import Add, absolute, count, cycles_cache, first_seed, option
+from pbrfit_evaluation.options import Add, absolute, count, cycles_cache, first_seed, several
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from pbrfit_evaluation.table1.rows import Row
+
+ROWS: Mapping[str, tuple[str, str]] = {
+    "brdf": ("cycles-brdf", "BRDF alone"),
+    "shadows": ("cycles-shadows", "and shadows"),
+    "bounces": ("cycles-panorama", "all bounces"),
+    "detailed": ("cycles-detailed", "all bounces, detailed"),
+    "points-shadows": ("cycles-points", "Point lamps with shadows"),
+    "points": ("cycles-points-unshadowed", "Point lamps without shadows"),
+}
+"""Rows of Table 1 by setup, and what the setups are called."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +59,10 @@ class Case:
         """Name of the record."""
         return f"{self.setup}_{self.variant}_{self.seed}"
 
-    def of_table1(self, rows: Mapping[str, str]) -> tuple[table1.Task, Row]:
-        """The task and the row of Table 1 that renders the room, by the rows of setups."""
-        row = TABLE1[rows[self.setup]]
+    @property
+    def of_table1(self) -> tuple[table1.Task, Row]:
+        """The task and the row of Table 1 that renders the room."""
+        row = TABLE1[ROWS[self.setup][0]]
         of = (row.key, self.seed, self.size, self.lights, 0)
         return table1.Task(*of, cycles_cache=self.cycles_cache), row
 
@@ -96,17 +106,9 @@ def options_of(
     held_out: str = "",
 ) -> tuple[Add, ...]:
     """Options of the suite; setups `by_default` and what is `held_out` in words."""
-    ways = f"only these ways to explain a room (default: all, with --quick {', '.join(few)})"
-    several = {"metavar": "NAME", "nargs": "+"}
-    only = f"only these (default: {by_default}): {', '.join(setups)}"
     return (
-        option("--setups", choices=tuple(setups), help=only, **several),
-        option(
-            "--variants",
-            choices=tuple(variants),
-            help=f"{ways}: {', '.join(variants)}",
-            **several,
-        ),
+        several("--setups", "NAME", setups, default=by_default),
+        several("--variants", "NAME", variants, few, what="only these ways to explain a room"),
         count("--scenes", "K", "rooms of a setup"),
         count("--size", "PIXELS", "of the pictures"),
         count("--lights", "N", f"pictures a room{held_out}", default=16),

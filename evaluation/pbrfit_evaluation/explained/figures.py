@@ -4,35 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.explained import Case
+from pbrfit_evaluation.explained import ROWS, Case
+from pbrfit_evaluation.explained.variants import Variant
+from pbrfit_evaluation.panels import unpacked
 from pbrfit_evaluation.suite import Panel, Plot, Results, Row, Series
 
 Of = Results[Case]
 
-
-class Variant(Protocol):
-    """A way to explain a room."""
-
-    @property
-    def key(self) -> str:
-        """For files."""
-
-    @property
-    def words(self) -> str:
-        """For people."""
-
-    @property
-    def guess(self) -> bool:
-        """Whether nothing is fitted but the lights."""
+Panels = Mapping[str, Mapping[str, NDArray[np.float64]]]
+"""Of cases, by label and name."""
 
 
-V = TypeVar("V", bound=Variant)
-
-
-def each(results: Of, variants: Sequence[V]) -> Iterator[tuple[str, V, Of]]:
+def each(results: Of, variants: Sequence[Variant]) -> Iterator[tuple[str, Variant, Of]]:
     """Setups and variants that were asked for, with their cases."""
     for setup in results.options.setups:
         for variant in variants:
@@ -42,14 +30,13 @@ def each(results: Of, variants: Sequence[V]) -> Iterator[tuple[str, V, Of]]:
 
 def rows(
     results: Of,
-    names: Mapping[str, str],
-    variants: Sequence[V],
-    measured: Callable[[V, Of], Mapping[str, float | None]],
+    variants: Sequence[Variant],
+    measured: Callable[[Variant, Of], Mapping[str, float | None]],
 ) -> list[Row]:
     """A row a setup, by its name, and variant; one that was not run says why."""
     found = []
     for setup, variant, of in each(results, variants):
-        about = names[setup], len(of.finished), variant.words
+        about = ROWS[setup][1], len(of.finished), variant.words
         if not of.pairs:
             found.append(Row(*about, {}, status=f"not run: {cycles.why_not()}"))
             continue
@@ -64,7 +51,17 @@ def ratio(results: Of, setup: str, name: str, variant: str, other: str) -> float
     return one.over(two, name)
 
 
-def plot(name: str, found: Sequence[Row], variants: Sequence[V], errors: Sequence[str]) -> Plot:
+def panels(results: Of, words: Mapping[str, str]) -> Panels:
+    """Panels of the cases that kept some, by words for their variants, in the order of these."""
+    kept = {
+        case.variant: values["panels"] for case, values in results.finished if "panels" in values
+    }
+    return {words[key]: unpacked(kept[key]) for key in words if key in kept}
+
+
+def plot(
+    name: str, found: Sequence[Row], variants: Sequence[Variant], errors: Sequence[str]
+) -> Plot:
     """A panel an error, a line a setup, a colour a variant."""
     panels = []
     for error in errors:

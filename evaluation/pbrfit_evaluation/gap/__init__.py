@@ -52,14 +52,8 @@ SUITE = Suite(
     "paper's (eqs. 1, 3-5); spheres seen from far away under random lights turned in every way; "
     "spheres by Cycles; {effort}",
     parts=[
-        Part("integrals", cases, run, figures.rows, sections=figures.sections, csvs=figures.csvs),
-        Part(
-            "cycles",
-            sphere_cases,
-            spheres.run,
-            figures.sphere_rows,
-            sections=figures.sphere_sections,
-        ),
+        Part.shown_by(figures, "integrals", cases, run),
+        Part.shown_by(figures, "cycles", sphere_cases, spheres.run, "sphere_"),
     ],
     options=(
         option("--seed", type=whole_number, default=0, help="of the random lights"),

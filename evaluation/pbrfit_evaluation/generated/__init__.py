@@ -8,7 +8,7 @@ from pbrfit_evaluation import cycles
 from pbrfit_evaluation.generated import figures
 from pbrfit_evaluation.generated.measure import Case, run
 from pbrfit_evaluation.generated.ways import BY_KEY, FEW
-from pbrfit_evaluation.options import absolute, count, cycles_cache, first_seed, option
+from pbrfit_evaluation.options import absolute, count, cycles_cache, first_seed, option, several
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -52,19 +52,13 @@ SUITE = Suite(
     description="Render textured rooms under many lights, damage the pictures as a generator "
     "would (tone curves, drift, repainting, another room), and fit them with and without review, "
     "alignment, robust weights and exposure handling, and by commands from photograph to Blender. "
-    "Writes report.html, sheets of pictures, generated.md, rooms.csv and summary.json. Exit code 1 "
-    "if something does not hold. Without Blender Cycles (make cycles-env) and with --quick our own "
-    "renderer makes the rooms.",
+    "Writes report.html, sheets of pictures, generated.md, scenes.csv and summary.json. Exit code "
+    "1 if something does not hold. Without Blender Cycles (make cycles-env) and with --quick our "
+    "own renderer makes the rooms.",
     protocol=f"pbrfit-generated-1: {SCORES}; {{size}} pixels, {{pictures}} pictures, {{effort}}",
     parts=[Part.shown_by(figures, "generated", cases, run)],
     options=(
-        option(
-            "--ways",
-            metavar="NAME",
-            nargs="+",
-            choices=tuple(BY_KEY),
-            help=f"only these (default: all, with --quick {', '.join(FEW)}): {', '.join(BY_KEY)}",
-        ),
+        several("--ways", "NAME", BY_KEY, FEW),
         count("--scenes", "K", "rooms"),
         count("--size", "PIXELS", "of the pictures"),
         count("--pictures", "N", "a room, the photograph among them"),

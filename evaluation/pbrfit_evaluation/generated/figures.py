@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pbrfit.result.sheet import Panel, as_png, sheet
 from pbrfit_evaluation.generated.measure import Case
 from pbrfit_evaluation.generated.ways import BY_KEY, WAYS
-from pbrfit_evaluation.panels import unpacked
+from pbrfit_evaluation.panels import beside_truth, in_lines, unpacked
 from pbrfit_evaluation.suite import (
     Column,
-    Line,
     Picture,
     Results,
     Row,
     Section,
     Table,
     Verdict,
-    numbers_csv,
 )
 
 Of = Results[Case]
@@ -112,27 +109,14 @@ def _pictures(results: Of) -> Iterator[Picture]:
     if not shown:
         return
     most = max(shown.values(), key=lambda values: len(set(values["kinds"])))
-    row: list[Panel | None] = [Panel(name, of) for name, of in unpacked(most["inputs"]).items()]
-    yield Picture("inputs", "Stand-ins of the first room.", as_png(sheet([row])))
-    grid: list[list[Panel | None]] = []
-    labels = []
-    names = ("albedo", "roughness", "metallic", "relit")
+    yield Picture(
+        "inputs", "Stand-ins of the first room.", in_lines({"": unpacked(most["inputs"])})
+    )
+    kept = {}
     for key, values in shown.items():
-        panels = unpacked(values["maps"])
-        if not grid:
-            true = ("true albedo", "true roughness", "true metallic", "true picture")
-            grid.append(
-                [Panel(name, panels[of]) for name, of in zip(names, true, strict=True)] + [None]
-            )
-            labels.append("truth")
-        in_blender = values.get("in_blender")
-        last = Panel("Blender", unpacked(in_blender)["Blender"]) if in_blender else None
-        grid.append([*(Panel("", panels[name]) for name in names), last])
-        labels.append(BY_KEY[key].words)
+        kept[BY_KEY[key].words] = panels = unpacked(values["maps"])
+        if "in_blender" in values:
+            panels |= unpacked(values["in_blender"])
+    names = ("albedo", "roughness", "metallic", "relit")
     caption = "The first room; relit by the first held-out light."
-    yield Picture("maps", caption, as_png(sheet(grid, labels=labels)))
-
-
-def csvs(results: Of, _: object) -> dict[str, list[Line]]:
-    """Every number of every room."""
-    return {"rooms.csv": numbers_csv("generated", results)}
+    yield Picture("maps", caption, beside_truth(kept, names))

@@ -30,7 +30,7 @@ from pbrfit_evaluation.generated.stand_ins import Array, codes, room, segments_o
 from pbrfit_evaluation.generated.ways import BY_KEY, NORMALS_OFF
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.normals.disturbances import disturbed
-from pbrfit_evaluation.panels import packed
+from pbrfit_evaluation.panels import of_maps, packed
 from pbrfit_evaluation.recipes import explain
 from pbrfit_evaluation.review.measure import review
 from pbrfit_evaluation.scores import score
@@ -227,10 +227,8 @@ def maps(result: Result, scene: Scene, threads: int) -> dict[str, NDArray[np.flo
         "roughness": outside_grey(result.materials.roughness),
         "metallic": outside_grey(result.materials.metallic),
         "relit": displayed(metrics.scaled_per_channel(relit, true), white),
-        "true albedo": displayed(truth.materials.albedo),
-        "true roughness": outside_grey(truth.materials.roughness),
-        "true metallic": outside_grey(truth.materials.metallic),
-        "true picture": displayed(true, white),
+        **of_maps(truth.materials, "true "),
+        "true relit": displayed(true, white),
     }
 
 

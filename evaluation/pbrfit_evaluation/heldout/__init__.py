@@ -7,7 +7,7 @@ import os
 from pbrfit_evaluation.heldout import figures
 from pbrfit_evaluation.heldout.measure import WAYS, Task, Way, run
 from pbrfit_evaluation.heldout.sources import check_names, find_data, find_sources
-from pbrfit_evaluation.options import count, folders, option
+from pbrfit_evaluation.options import count, folders, several
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 FEW: tuple[Way, ...] = ("default", "lambert", "nearest")
@@ -54,13 +54,7 @@ SUITE = Suite(
             "scene folder, a public set as published, or a folder of such (default: the folder "
             "that the environment variable PBRFIT_DATA names)"
         ),
-        option(
-            "--ways",
-            metavar="NAME",
-            nargs="+",
-            choices=WAYS,
-            help=f"only these (default: all, with --quick {', '.join(FEW)}): {', '.join(WAYS)}",
-        ),
+        several("--ways", "NAME", WAYS, FEW),
         count("--held-out", "K", "pictures that are held out at a time", default=1),
         count("--folds", "F", "so many times, spread evenly over the pictures"),
         count("--pictures", "N", "of a set that are used at most, evenly chosen"),

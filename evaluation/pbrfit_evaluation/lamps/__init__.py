@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pbrfit_evaluation.explained import cases_of, options_of
+from pbrfit_evaluation.explained.measure import run
+from pbrfit_evaluation.explained.variants import GUESS, HARMONICS, NEAR, OF_LAMPS
 from pbrfit_evaluation.lamps import figures
-from pbrfit_evaluation.lamps.measure import FIRST_SEED, NAMES, run
-from pbrfit_evaluation.lamps.variants import BY_KEY, CONSTANT, HARMONICS, NEAR
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Part, Suite
 
-SETUPS = tuple(NAMES)
+SETUPS = ("points-shadows", "points")
 
-FEW = (CONSTANT, HARMONICS, NEAR)
-"""Variants of a quick look."""
+KEYS = tuple(variant.key for variant in OF_LAMPS)
+FEW = (GUESS.key, HARMONICS, NEAR)
+"""Variants, and those of a quick look."""
 
+FIRST_SEED = 8200
+"""Nothing was tuned on seeds from there on."""
 
 SUITE = Suite(
     name="lamps",
@@ -23,11 +26,11 @@ SUITE = Suite(
     "Exit code 1 if something does not hold.",
     protocol=f"pbrfit-lamps-1: {SCORES}; lamps one a picture, medians over a room's; {{size}} "
     "pixels, {lights} pictures, {effort}",
-    parts=[Part.shown_by(figures, "lamps", cases_of(BY_KEY, BY_KEY), run)],
-    options=options_of(SETUPS, SETUPS[0], BY_KEY, FEW, FIRST_SEED),
+    parts=[Part.shown_by(figures, "lamps", cases_of(KEYS, KEYS), run)],
+    options=options_of(SETUPS, SETUPS[0], KEYS, FEW, FIRST_SEED),
     effort={
         "setups": (SETUPS[:1], SETUPS[:1]),
-        "variants": (tuple(BY_KEY), FEW),
+        "variants": (KEYS, FEW),
         "scenes": (10, 2),
         "size": (64, 24),
     },

@@ -5,34 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pbrfit.result.sheet import Panel as SheetPanel
-from pbrfit.result.sheet import Row as SheetRow
-from pbrfit.result.sheet import as_png, sheet
+from pbrfit_evaluation.explained import ROWS
 from pbrfit_evaluation.explained import figures as explained
 from pbrfit_evaluation.explained.figures import Of, ratio
-from pbrfit_evaluation.lamps.measure import NAMES
-from pbrfit_evaluation.lamps.variants import (
+from pbrfit_evaluation.explained.variants import (
     BY_KEY,
-    CONSTANT,
+    GUESS,
     HARMONICS,
     NEAR,
-    VARIANTS,
+    OF_LAMPS,
     Variant,
 )
-from pbrfit_evaluation.panels import unpacked
-from pbrfit_evaluation.suite import (
-    Column,
-    Line,
-    Picture,
-    Row,
-    Section,
-    Table,
-    Verdict,
-    numbers_csv,
-)
+from pbrfit_evaluation.panels import beside_truth
+from pbrfit_evaluation.suite import Column, Picture, Row, Section, Table, Verdict
 
 ERRORS = ("albedo", "roughness", "metallic")
 METRICS = (*ERRORS, "recon", "seconds")
@@ -65,36 +50,31 @@ def rows(results: Of) -> list[Row]:
         lamps = {f"lamps_{name}": of.mean("lamps", name).mean for name in PLACES}
         return of.metrics(METRICS, "scores") | lamps
 
-    return explained.rows(results, NAMES, VARIANTS, measured)
+    return explained.rows(results, OF_LAMPS, measured)
 
 
 def verdicts(results: Of, _: object) -> Iterator[Verdict]:
     """Lamps and depth beat the guess and environment light; `auto` spoils nothing."""
-    for setup, variant, of in explained.each(results, VARIANTS):
+    for setup, variant, of in explained.each(results, OF_LAMPS):
         if not of.finished:
             continue
-        case = f"{NAMES[setup]}, {variant.words}"
+        case = f"{ROWS[setup][1]}, {variant.words}"
         if variant.key == NEAR:
             for name in ERRORS:
-                for other in (CONSTANT, HARMONICS):
+                for other in (GUESS.key, HARMONICS):
                     over = ratio(results, setup, name, NEAR, other)
                     if not math.isnan(over):
                         words = BY_KEY[other].words
                         yield Verdict(f"{case}: {name} over that of {words}", over, BETTER)
             off = of.mean("lamps", "cm").mean
             yield Verdict(f"{case}: lamps off by, cm", off, CENTIMETRES)
-        if variant.light == "auto":
-            other = "sh-depth" if variant.depth else HARMONICS
+        if variant.options.get("light") == "auto":
+            other = "sh-depth" if variant.depth == "true" else HARMONICS
             ratios = {name: ratio(results, setup, name, variant.key, other) for name in ERRORS}
             name = max(ratios, key=lambda one: ratios[one])
             if not math.isnan(ratios[name]):
                 what = f"{case}: worst error over that of {BY_KEY[other].words}"
                 yield Verdict(what, ratios[name], SPOILT, name)
-
-
-def csvs(results: Of, _: object) -> dict[str, list[Line]]:
-    """Every number of every room."""
-    return {"scenes.csv": numbers_csv("lamps", results)}
 
 
 def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
@@ -104,32 +84,15 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         "RMSE of the maps, linear values. Lamps: medians over the pictures of a room, means over "
         "rooms; degrees as seen from the middle of the surfaces.",
         [Table.of(found, COLUMNS)],
-        [explained.plot("lamps", found, VARIANTS, ERRORS)] if results.finished else [],
+        [explained.plot("lamps", found, OF_LAMPS, ERRORS)] if results.finished else [],
     )
+    words = {variant.key: variant.words for variant in OF_LAMPS}
     sheets = [
-        Picture(f"maps-{setup}", f"{NAMES[setup]}: the first room.", as_png(drawn))
+        Picture(f"maps-{setup}", f"{ROWS[setup][1]}: the first room.", png)
         for setup in results.options.setups
-        if (drawn := _maps(results.of(setup=setup))) is not None
+        for kept in [explained.panels(results.of(setup=setup), words)]
+        if kept
+        for png in [beside_truth(kept, ERRORS, "picture")]
     ]
     if sheets:
         yield Section("Maps", "White is 1 in roughness and metallic.", figures=sheets)
-
-
-def _maps(results: Of) -> NDArray[np.uint8] | None:
-    """A line a variant below the true maps; None without any."""
-    kept = {
-        case.variant: unpacked(values["panels"])
-        for case, values in results.finished
-        if "panels" in values
-    }
-    if not kept:
-        return None
-    first = next(iter(kept.values()))
-    true = [SheetPanel(name, first[f"true {name}"]) for name in ERRORS]
-    grid: list[SheetRow] = [[*true, SheetPanel("a picture", first["picture"])]]
-    labels = ["truth"]
-    for variant in VARIANTS:
-        if variant.key in kept:
-            grid.append([SheetPanel("", kept[variant.key][name]) for name in ERRORS])
-            labels.append(variant.words)
-    return sheet(grid, labels=labels)

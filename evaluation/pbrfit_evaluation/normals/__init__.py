@@ -10,11 +10,14 @@ from pbrfit.commands.arguments import add_threads
 from pbrfit_evaluation.normals import figures
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, Disturbance
 from pbrfit_evaluation.normals.measure import FIRST_SEED, Case, Name, room_kind, run
-from pbrfit_evaluation.options import count, first_seed, option
+from pbrfit_evaluation.options import count, first_seed, option, several
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 LARGEST = 45.0
 """Degrees of a disturbance, at most."""
+
+PARTS: dict[Name, str] = {"rooms": "room", "exact": "exact"}
+"""What names of functions that show a part begin with."""
 
 EXACT = ("correlated", "biased")
 EXACT_DEGREES = 10.0
@@ -63,34 +66,12 @@ SUITE = Suite(
     "1 if something does not hold.",
     protocol="pbrfit-normals-1, {effort}",
     parts=[
-        Part(
-            "rooms",
-            partial(cases, "rooms"),
-            run,
-            figures.room_rows,
-            verdicts=figures.room_verdicts,
-            sections=figures.room_sections,
-            csvs=partial(figures.csvs, "rooms"),
-        ),
-        Part(
-            "exact",
-            partial(cases, "exact"),
-            run,
-            figures.exact_rows,
-            verdicts=figures.exact_verdicts,
-            sections=figures.exact_sections,
-            csvs=partial(figures.csvs, "exact"),
-        ),
+        Part.shown_by(figures, name, partial(cases, name), run, f"{of}_")
+        for name, of in PARTS.items()
     ],
     options=(
         add_threads,
-        option(
-            "--disturbances",
-            metavar="KIND",
-            nargs="+",
-            choices=DISTURBANCES,
-            help=f"only these (default: all): {', '.join(DISTURBANCES)}",
-        ),
+        several("--disturbances", "KIND", DISTURBANCES),
         option(
             "--degrees",
             metavar="THETA",

@@ -11,7 +11,6 @@ from pbrfit.result.refinement import RefineNormals
 from pbrfit_evaluation.normals.measure import MAPS, REFINE, Case
 from pbrfit_evaluation.suite import (
     Column,
-    Line,
     Mark,
     Panel,
     Plot,
@@ -22,7 +21,6 @@ from pbrfit_evaluation.suite import (
     Table,
     Verdict,
     digits,
-    numbers_csv,
 )
 
 MAPS_AND_RELIGHT = (*MAPS, "relight")
@@ -59,17 +57,6 @@ MOST = 0.5
 """More than this share of the scenes without noise must come back."""
 
 Rooms = Results[Case]
-
-
-def csvs(part: str, results: Rooms, _: object) -> dict[str, list[Line]]:
-    """Every number of every case, and why it was decided so."""
-    why: list[Line] = [
-        {"part": part, "task": case.key, "figure": f"{refine}/decision/why", "value": text}
-        for case, values in results.finished
-        for refine in REFINE
-        if (text := values.get(refine, {}).get("decision", {}).get("why"))
-    ]
-    return {"scenes.csv": [*numbers_csv(part, results), *why]}
 
 
 # ----------------------------------------------------------------------------------------- rooms

@@ -12,8 +12,7 @@ from typing import get_args
 
 from pbrfit.acquire.weights import Device
 from pbrfit_evaluation.options import absolute, count, cycles_cache, option
-from pbrfit_evaluation.peers import marigold, rgbx
-from pbrfit_evaluation.peers.figures import csvs, figures, sections
+from pbrfit_evaluation.peers import figures, marigold, rgbx
 from pbrfit_evaluation.peers.measure import METHODS, Task, no_cycles, why_not, work
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
@@ -61,17 +60,7 @@ SUITE = Suite(
     protocol="pbrfit-peers-2: synthetic rooms; peers see one picture, the most evenly lit, in "
     "8-bit sRGB with its 98th percentile at white, our fit all pictures, with noise of 0.01, and "
     f"normals as an estimator gives them, with which all are relit; {SCORES.partition(': ')[2]}",
-    parts=[
-        Part(
-            "peers",
-            cases,
-            work,
-            figures,
-            sections=sections,
-            csvs=csvs,
-            alone=True,
-        )
-    ],
+    parts=[Part.shown_by(figures, "peers", cases, work, alone=True)],
     options=(
         count("--scenes", "K", "how many"),
         count("--size", "PIXELS", "of the pictures"),

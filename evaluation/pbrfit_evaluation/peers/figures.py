@@ -27,9 +27,9 @@ SHOWN = (
 """Columns of the table."""
 
 
-def figures(results: Results[Task]) -> list[Row]:
+def rows(results: Results[Task]) -> list[Row]:
     """A row for each method, with the reason where it cannot run."""
-    rows = []
+    made = []
     for renderer, where in ROOMS.items():
         for method in METHODS:
             of = results.of(method=method, renderer=renderer)
@@ -41,8 +41,8 @@ def figures(results: Results[Task]) -> list[Row]:
             status = f"not run: {why}" if why else next((r.error or "" for r in of.failed), "ok")
             guess = method == "constant"
             found = len(of.finished)
-            rows.append(Row(where, found, IN_WORDS[method], metrics, status=status, guess=guess))
-    return rows
+            made.append(Row(where, found, IN_WORDS[method], metrics, status=status, guess=guess))
+    return made
 
 
 def csvs(results: Results[Task], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:

@@ -46,17 +46,7 @@ SUITE = Suite(
     "1 if a bar is not reached. Without Blender Cycles (make cycles-env) only our own renders are "
     "judged.",
     protocol="pbrfit-review-1: share of damaged pictures refused, and of honest ones",
-    parts=[
-        Part(
-            "review",
-            cases,
-            work,
-            figures.figures,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        )
-    ],
+    parts=[Part.shown_by(figures, "review", cases, work)],
     options=(
         # Nothing was tuned on seeds from 6000 on.
         first_seed("scene of a source"),

@@ -99,9 +99,9 @@ def _judged(results: Results[Task]) -> Iterator[tuple[str, Rate, Verdict]]:
         yield name, of, Verdict(what, of.share, bar, f"{of} pictures", at_least=not honest)
 
 
-def figures(results: Results[Task]) -> list[Row]:
+def rows(results: Results[Task]) -> list[Row]:
     """A row for all damage, each group of damages, and honest pictures."""
-    rows = []
+    found = []
     for name, of, verdict in _judged(results):
         low, high = of.interval()
         metrics = {
@@ -112,8 +112,8 @@ def figures(results: Results[Task]) -> list[Row]:
             "share_high": high,
             "least" if verdict.at_least else "most": verdict.bar,
         }
-        rows.append(Row(name, len(results.finished), None, metrics, status=verdict.row.status))
-    return rows
+        found.append(Row(name, len(results.finished), None, metrics, status=verdict.row.status))
+    return found
 
 
 def verdicts(results: Results[Task], _: Sequence[Row]) -> list[Verdict]:

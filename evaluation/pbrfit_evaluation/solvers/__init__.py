@@ -32,23 +32,9 @@ SUITE = Suite(
     "solvers.md, scenes.csv and summary.json. Exit code 1 if something does not hold.",
     protocol="pbrfit-solvers-1, {effort}",
     parts=[
-        Part(
-            "exact",
-            _cases("exact"),
-            measure.run_exact,
-            figures.exact_rows,
-            verdicts=figures.exact_verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
-        ),
-        Part(
-            "noise",
-            _cases("noise", measure.LEVELS),
-            measure.run_noise,
-            figures.noise_rows,
-            verdicts=figures.noise_verdicts,
-            sections=figures.sections,
-            csvs=figures.csvs,
+        Part.shown_by(figures, "exact", _cases("exact"), measure.run_exact, "exact_"),
+        Part.shown_by(
+            figures, "noise", _cases("noise", measure.LEVELS), measure.run_noise, "noise_"
         ),
     ],
     options=(

@@ -10,13 +10,11 @@ import numpy as np
 from pbrfit_evaluation.solvers import measure
 from pbrfit_evaluation.solvers.measure import Case
 from pbrfit_evaluation.suite import (
-    Line,
     Results,
     Row,
     Section,
     Table,
     Verdict,
-    numbers_csv,
 )
 
 EXACT_SHARE = 64 / 67
@@ -33,23 +31,7 @@ NOISE_METRICS = ("albedo", "albedo_scaled", "roughness", "metallic", "relight")
 
 NOISE_SHOWN = ("above_mark", "recon", *NOISE_METRICS, "seconds")
 
-TITLES = {"exact": "Exact: pictures without noise", "noise": "Noise"}
-
 Of = Results[Case]
-
-
-def _part(results: Of) -> str:
-    return next((case.part for case, _ in results.pairs), "")
-
-
-def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
-    """Means; what each room has is in scenes.csv."""
-    yield Section(TITLES.get(_part(results), ""), tables=[Table.of(rows)])
-
-
-def csvs(results: Of, _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
-    """Every number of every fit."""
-    return {"scenes.csv": numbers_csv(_part(results), results)}
 
 
 def _means(name: str, of: Of, fits: Iterable[str], metrics: Sequence[str]) -> list[Row]:
@@ -96,6 +78,11 @@ def exact_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
     yield _highest("gauss-newton's residual over lbfgsb's", above, 1.0)
 
 
+def exact_sections(_: Of, rows: Sequence[Row]) -> list[Section]:
+    """Means; what each room has is in scenes.csv."""
+    return [Section("Exact: pictures without noise", tables=[Table.of(rows)])]
+
+
 # ----------------------------------------------------------------------------------------- noise
 
 
@@ -131,3 +118,8 @@ def noise_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
             worst = max(ratios, key=lambda metric: ratios[metric])
             what = f"gauss-newton over lbfgsb, {level}{suffix or ', no priors'}: worst mean error"
             yield Verdict(what, ratios[worst], METRIC_RATIO, worst.replace("_", ", "))
+
+
+def noise_sections(_: Of, rows: Sequence[Row]) -> list[Section]:
+    """Likewise."""
+    return [Section("Noise", tables=[Table.of(rows)])]

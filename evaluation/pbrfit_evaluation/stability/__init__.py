@@ -22,16 +22,7 @@ SUITE = Suite(
     "1 if a bound fails.",
     # Under one name, with the same effort and seed, the same is measured in the same way.
     protocol="pbrfit-stability-1, {effort}",
-    parts=[
-        Part(
-            "stability",
-            cases,
-            run,
-            figures.figures,
-            verdicts=figures.verdicts,
-            sections=figures.sections,
-        )
-    ],
+    parts=[Part.shown_by(figures, "stability", cases, run)],
     options=(
         option("--seed", type=whole_number, default=0, help="of pixels, lights, pictures"),
         add_threads,

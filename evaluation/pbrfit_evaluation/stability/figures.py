@@ -19,22 +19,22 @@ def verdicts(results: Results[Task], _: Sequence[Row] = ()) -> list[Verdict]:
     ]
 
 
-def figures(results: Results[Task]) -> list[Row]:
+def rows(results: Results[Task]) -> list[Row]:
     """A row a section: figures, their bounds, and how many fail."""
-    rows = []
+    found = []
     for task, record in results.pairs:
         of = results.of(section=task.section)
         failed = sum(not verdict.holds for verdict in verdicts(of))
         metrics: dict[str, float | None] = {}
-        found = (record.values or {}).get("figures", {})
+        of_task = (record.values or {}).get("figures", {})
         for key, (_, most) in SECTIONS[task.section].bounds.items():
-            if key in found:
-                metrics[key] = found[key][0]
+            if key in of_task:
+                metrics[key] = of_task[key][0]
                 if most is not None:
                     metrics[f"{key}_bound"] = most
         status = record.error or ("not held" if failed else "ok")
-        rows.append(Row(task.section, 0, None, metrics | {"failed": failed}, status=status))
-    return rows
+        found.append(Row(task.section, 0, None, metrics | {"failed": failed}, status=status))
+    return found
 
 
 def sections(results: Results[Task], _: Sequence[Row]) -> Iterator[Section]:

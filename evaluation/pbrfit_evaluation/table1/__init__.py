@@ -13,11 +13,13 @@ from pbrfit_evaluation.options import (
     model_option,
     models,
     option,
+    several,
 )
 from pbrfit_evaluation.rooms.textures import load_textures
 from pbrfit_evaluation.scores import PROTOCOL
 from pbrfit_evaluation.suite import Options, Part, Suite
-from pbrfit_evaluation.table1.figures import asked_rows, csvs, figures, sections
+from pbrfit_evaluation.table1 import figures
+from pbrfit_evaluation.table1.figures import asked_rows
 from pbrfit_evaluation.table1.measure import FIRST_SEED, Task, predicted_files, why_not, work
 from pbrfit_evaluation.table1.rows import ROWS, Row
 
@@ -85,20 +87,14 @@ SUITE = Suite(
     "and compare with the ground truth, in the setups of the paper's Table 1. Writes report.html, "
     "table1.md, scenes.csv and summary.json.",
     protocol=PROTOCOL,
-    parts=[Part("table1", cases, work, figures, sections=sections, csvs=csvs)],
+    parts=[Part.shown_by(figures, "table1", cases, work)],
     options=(
         model_option("is fitted, and what our renderer renders with"),
         count("--scenes", "K", f"at most {MOST_SCENES}"),
         count("--size", "PIXELS", "of a picture"),
         count("--lights", "N", "pictures a scene; as many are held out", default=16),
         count("--iterations", "K", "of a fit", default=500),
-        option(
-            "--rows",
-            metavar="KEY",
-            nargs="+",
-            choices=KEYS,
-            help=f"only these setups (default: all): {', '.join(KEYS)}",
-        ),
+        several("--rows", "KEY", KEYS),
         option(
             "--textures",
             metavar="DIR",

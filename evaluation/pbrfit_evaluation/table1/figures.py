@@ -68,21 +68,21 @@ def _lines(results: Results[Task]) -> Iterator[tuple[Row, Model, Recipe | None, 
                 yield row, model, recipe, of
 
 
-def figures(results: Results[Task]) -> list[Figures]:
+def rows(results: Results[Task]) -> list[Figures]:
     """A row for each setup, model and recipe."""
-    rows = []
+    found = []
     for row, model, recipe, of in _lines(results):
         name, paper, status = f"{row.name}, {model}", row.paper or None, of.status("scenes")
         if recipe is None:
             if why := why_not(row, results.options):
                 status = f"not run: {why}"
-            rows.append(Figures(name, 0, None, {}, paper, status))
+            found.append(Figures(name, 0, None, {}, paper, status))
         else:
             metrics = of.metrics(METRICS, "recipes", recipe)
             guess = recipe == "constant"
             scenes = len(of.finished)
-            rows.append(Figures(name, scenes, SOLVERS[recipe], metrics, paper, status, guess))
-    return rows
+            found.append(Figures(name, scenes, SOLVERS[recipe], metrics, paper, status, guess))
+    return found
 
 
 def csvs(results: Results[Task], _: Sequence[Figures]) -> Mapping[str, Sequence[Line]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit_evaluation.everyday.disturbances import KINDS
-from pbrfit_evaluation.options import count, first_seed, option
+from pbrfit_evaluation.options import count, first_seed, option, several
 from pbrfit_evaluation.suite import Options, Part, Suite
 from pbrfit_evaluation.uncertainty import figures
 from pbrfit_evaluation.uncertainty.conditions import NAMES, Name
@@ -40,20 +40,8 @@ SUITE = Suite(
     "maps by their verdicts; {size} pixels, model {model}, {effort}",
     parts=[Part.shown_by(figures, "uncertainty", cases, run)],
     options=(
-        option(
-            "--rows",
-            metavar="NAME",
-            nargs="+",
-            choices=NAMES,
-            help=f"only these (default: all, with --quick {', '.join(QUICK)}): {', '.join(NAMES)}",
-        ),
-        option(
-            "--kinds",
-            metavar="KIND",
-            nargs="+",
-            choices=KINDS,
-            help=f"of the scenes, in turn (default: furnished): {', '.join(KINDS)}",
-        ),
+        several("--rows", "NAME", NAMES, QUICK),
+        several("--kinds", "KIND", KINDS, what="of the scenes, in turn", default="furnished"),
         count("--scenes", "K", "of a row"),
         count("--size", "PIXELS", "of the pictures"),
         first_seed("scene of a row", FIRST_SEED),

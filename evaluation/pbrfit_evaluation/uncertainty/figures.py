@@ -19,7 +19,6 @@ from pbrfit.result.verdict import (
 from pbrfit_evaluation.everyday.measure import CHANNELS
 from pbrfit_evaluation.suite import (
     Column,
-    Line,
     Mark,
     Panel,
     Plot,
@@ -31,7 +30,6 @@ from pbrfit_evaluation.suite import (
     Value,
     Verdict,
     digits,
-    numbers_csv,
 )
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition, Group
 from pbrfit_evaluation.uncertainty.measure import (
@@ -397,15 +395,3 @@ def _expected(results: Of) -> Plot:
         f"diagonal. What is below {LEAST_ERROR:g} is drawn there."
     )
     return Plot("verdicts", caption, panels, columns=len(PARAMETERS), size=(3.3, 2.9))
-
-
-def csvs(results: Of, _: Sequence[Row]) -> dict[str, list[Line]]:
-    """Every number of every scene, and what was said of its maps."""
-    said: list[Line] = [
-        {"part": "uncertainty", "task": case.key, "figure": f"maps/{name}/{key}", "value": text}
-        for case, values in results.finished
-        for name, of in values["maps"].items()
-        for key in ("said", "deserved", "cause")
-        if (text := of[key])
-    ]
-    return {"scenes.csv": [*numbers_csv("uncertainty", results), *said]}
