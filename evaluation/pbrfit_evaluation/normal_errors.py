@@ -8,6 +8,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from pbrfit.model.geometry import angles_between
+
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 
@@ -45,6 +47,13 @@ def turned(normals: Floats, omega: Floats) -> Array:
 
     rotation = Rotation.from_rotvec(omega.reshape(-1, 3), degrees=True)
     return np.asarray(rotation.apply(normals.reshape(-1, 3)).reshape(normals.shape))
+
+
+def angle_errors(found: Floats, true: Floats) -> dict[str, float]:
+    """`mean` and `median` angle between normals (..., 3) in degrees, of those that are known."""
+    off = angles_between(found, true)
+    off = off[np.isfinite(off)]
+    return {"mean": float(off.mean()), "median": float(np.median(off))}
 
 
 def facing(normals: Floats, views: Floats) -> Array:

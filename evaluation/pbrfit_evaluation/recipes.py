@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -12,12 +13,14 @@ from pbrfit._core import InputError
 from pbrfit.fit.decompose import decompose
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model
+from pbrfit.model.reflection import Model, chosen_model, render
 from pbrfit.result.options import Priors
 from pbrfit.result.refinement import RefineNormals
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.scores import score
+
+Array = NDArray[np.float64]
 
 Recipe = Literal["plain", "default", "paper", "paper-priors", "constant", "start"]
 RECIPES: tuple[Recipe, ...] = get_args(Recipe)
@@ -46,6 +49,37 @@ def fit(scene: Scene, **options: Any) -> Result:
     `options` are those of `pbrfit.decompose`.
     """
     return decompose(scene, refine_normals="off", **options)
+
+
+def lit_anew(scene: Scene, materials: Materials, lighting: Array, relight_lighting: Array) -> Scene:
+    """A synthetic scene with other materials, and under other lights (N, 16, 3), without noise.
+
+    Its pictures have the usual mean radiance, and lights and held-out pictures that exposure.
+    """
+    assert scene.truth is not None
+    model = chosen_model(None, scene.model)
+    rendered = partial(render, materials, scene.normals, fov=scene.fov, model=model)
+    images = rendered(lighting)
+    exposure = MEAN_RADIANCE / np.nanmean(images)
+    lighting, relight_lighting = exposure * lighting, exposure * relight_lighting
+    truth = replace(
+        scene.truth,
+        materials=materials,
+        lighting=lighting,
+        relight_images=rendered(relight_lighting),
+        relight_lighting=relight_lighting,
+    )
+    return replace(scene, images=exposure * images, truth=truth)
+
+
+def within(maps: Materials, valid: NDArray[np.bool_]) -> Materials:
+    """Maps that were found as the materials of a scene: in [0, 1], NaN outside of `valid`."""
+
+    def kept(plane: NDArray[np.floating[Any]]) -> Array:
+        where = valid if plane.ndim == 2 else valid[..., None]
+        return np.where(where, np.clip(plane.astype(np.float64), 0, 1), np.nan)
+
+    return Materials(kept(maps.albedo), kept(maps.roughness), kept(maps.metallic))
 
 
 def fit_and_score(scene: Scene, threads: int, **options: Any) -> tuple[Result, dict[str, Any]]:
@@ -143,9 +177,7 @@ def constant_guess(scene: Scene) -> Materials:
     return _constant(scene, scene.truth.materials.albedo[scene.valid].mean(axis=0), 0.5, 0.0)
 
 
-def _constant(
-    scene: Scene, albedo: NDArray[np.float64], roughness: float, metallic: float
-) -> Materials:
+def _constant(scene: Scene, albedo: Array, roughness: float, metallic: float) -> Materials:
     return Materials(
         albedo=np.where(scene.valid[..., None], albedo, np.nan),
         roughness=np.where(scene.valid, roughness, np.nan),

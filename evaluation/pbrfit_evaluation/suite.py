@@ -23,6 +23,7 @@ records, `report` writes.
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Generic, Literal, Protocol, TypeVar
@@ -95,6 +96,11 @@ class Results(Generic[C]):
     def mean(self, *path: str) -> Mean:
         """Mean of `numbers`, with its interval."""
         return mean_with_interval(self.numbers(*path))
+
+    def average(self, *path: str) -> float:
+        """Mean of `numbers`; NaN without any."""
+        found = self.numbers(*path)
+        return sum(found) / len(found) if found else math.nan
 
     def over(self, other: Results[C], name: str) -> float:
         """Mean score over that of others, of seeds that both have; NaN without any, or over 0."""
@@ -373,6 +379,38 @@ class Plot:
     share_x: Literal["none", "all", "row", "col"] = "none"
     share_y: Literal["none", "all", "row", "col"] = "none"
     size: tuple[float, float] | None = None
+
+
+def dots(
+    name: str,
+    rows: Sequence[Row],
+    labels: Mapping[str, str],
+    metrics: Sequence[str],
+    caption: str = "With intervals.",
+    least: float = 0.0,
+) -> Plot:
+    """Rows as a plot: a panel a metric, a line a name, a colour a solver, by labels for these.
+
+    The paper's figures are shown beside them; what is below `least` stands at it.
+    """
+    shown, panels = [row for row in rows if row.scenes], []
+    for metric in metrics:
+        series = []
+        for look, (solver, label) in enumerate(labels.items()):
+            of = [row for row in shown if row.solver == solver]
+            mean, low, high = (
+                [max(row.metrics[f"{metric}{end}"] or math.nan, least) for row in of]
+                for end in ("", "_low", "_high")
+            )
+            names = [row.name for row in of]
+            series += [Series(label, mean, names, low=low, high=high, look=look)] if of else []
+        papers = {row.name: row.paper[metric] for row in shown if row.paper and metric in row.paper}
+        if papers:
+            label = "the paper's number (other scenes)"
+            series.append(Series(label, list(papers.values()), list(papers), look=7))
+        panels.append(Panel("dots", series, f"{metric} RMSE", log="x"))
+    size = (2.8, 0.8 + 0.15 * len(labels) * len({row.name for row in shown}))
+    return Plot(name, caption, panels, columns=len(metrics), share_y="all", size=size)
 
 
 @dataclass(frozen=True)

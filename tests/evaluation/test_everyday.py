@@ -38,7 +38,7 @@ from pbrfit_evaluation.everyday.disturbances import (
 from pbrfit_evaluation.everyday.figures import MAPS, MOST, REFERENCE, SLOWEST, TWINS
 from pbrfit_evaluation.everyday.measure import Case
 from pbrfit_evaluation.panels import unpacked
-from pbrfit_evaluation.suite import Results, Row, Verdict
+from pbrfit_evaluation.suite import Results, Verdict
 from scene_files import known, lights_of, truth_of
 
 SIZE, SEED = 16, 7
@@ -137,7 +137,7 @@ def test_files_of_8_bits_clip_the_brightest_half_percent(noise: Disturbed) -> No
 
 @pytest.mark.parametrize("said", ["90-444", "75-420"])
 def test_a_jpeg_has_a_twin_with_noise_of_its_rms(said: Any) -> None:
-    jpeg, white = made(f"jpeg-{said}", 32), made(f"white-{said}", 32)  # type: ignore[arg-type]
+    jpeg, white = made(f"jpeg-{said}", 32), made(f"white-{said}", 32)
     scale = white.expected.max() / jpeg.expected.max()
     held = jpeg.expected < 1
     of_jpeg = scale * (jpeg.scene.images - jpeg.expected)[held]
@@ -217,13 +217,13 @@ def found(error: float, seconds: float = 1.0, **more: Any) -> dict[str, Any]:
     }
 
 
-def results(*of: Pair, before: Any = None) -> Results[Case]:
+def results(*of: Pair) -> Results[Case]:
     """One room a disturbance."""
-    return recorded(*((Case(name, "room", 1, 16), values) for name, values in of), before=before)
+    return recorded(*((Case(name, "room", 1, 16), values) for name, values in of))
 
 
-def judged(*of: Pair, before: Any = None) -> list[Verdict]:
-    all_of = results(*of, before=before)
+def judged(*of: Pair) -> list[Verdict]:
+    all_of = results(*of)
     return list(figures.verdicts(all_of, figures.rows(all_of)))
 
 
@@ -264,7 +264,6 @@ def test_means_are_over_scenes_that_both_have() -> None:
         (case("hot", 2), found(0.4)),
         (case("hot", 3), found(9.9)),
         (case("noise", 3), "MemoryError: too large"),
-        before=None,
     )
     reference, hot = figures.rows(of)
     assert hot.metrics["albedo_multiple"] == pytest.approx(0.3 / 0.2)
@@ -319,36 +318,6 @@ def test_rounding_is_no_error_of_the_scale() -> None:
         assert row.metrics["scale_covered"] == covered
 
 
-def earlier(path: Path, error: float, scenes: int = 1, protocol: str = "pbrfit-everyday-1") -> Path:
-    metrics = dict.fromkeys(figures.ERRORS, error) | {"worst_multiple": 1.0}
-    row = {"name": TITLES["noise"], "scenes": scenes, "metrics": metrics}
-    path.write_text(json.dumps({"protocol": protocol, "rows": [row]}), encoding="utf-8")
-    return path
-
-
-def test_the_reference_is_no_worse_than_before(tmp_path: Path) -> None:
-    for error, scenes, holds in ((0.1019, 1, True), (0.1021, 1, False), (0.1, 2, False)):
-        before = figures.Earlier.read(str(earlier(tmp_path / "summary.json", 0.1, scenes)))
-        found_now = judged(("noise", found(error)), before=before)
-        assert about(found_now, "over that before").holds == holds
-        [table, *_] = next(iter(figures.sections(*shown(("noise", found(error)), before)))).tables
-        assert table.columns[-1] == "worst before"
-        assert table.rows[0][-1] == 1.0
-
-
-def shown(of: Pair, before: Any) -> tuple[Results[Case], list[Row]]:
-    all_of = results(of, before=before)
-    return all_of, figures.rows(all_of)
-
-
-def test_before_must_be_a_summary_of_this_suite(tmp_path: Path) -> None:
-    other = earlier(tmp_path / "other.json", 0.1, protocol="pbrfit-normals-1")
-    (tmp_path / "text").write_text("[1]", encoding="utf-8")
-    for path in (other, tmp_path / "text", tmp_path / "absent"):
-        with pytest.raises(argparse.ArgumentTypeError, match=r"expected summary\.json"):
-            figures.Earlier.read(str(path))
-
-
 def test_cases_bring_what_they_are_compared_with() -> None:
     options = argparse.Namespace(disturbances=["jpeg-90-444"], first_seed=3, scenes=4, size=8)
     made_of = everyday.cases(options)
@@ -386,7 +355,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -
     assert {of.shape for of in panels.values()} == {(12, 12, 3)}
     assert list(panels) == ["undisturbed", "given", *MAPS]
     monkeypatch.setattr(measure, "decompose", None)  # once more, from the records
-    again = [*arguments, "--resume", "--quiet", "--before", str(out / "summary.json")]
+    again = [*arguments, "--resume", "--quiet"]
     assert main(again) == code
     assert MAPS == ("albedo", "roughness", "metallic")
     assert SUITE.timed

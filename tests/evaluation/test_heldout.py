@@ -238,11 +238,11 @@ def test_sets_are_found_below_a_folder(tmp_path: Path) -> None:
     found = sources.find_sources(tmp_path / "data")
     assert [(one.name, one.private) for one in found] == [("closed", True), ("open", False)]
     with pytest.raises(InputError, match="expected different names, found open twice"):
-        sources.check_names([found[1]] * 2)
+        sources.asked_sources([found[1].folder] * 2, {})
     with pytest.raises(FileNotFoundError, match="expected a folder of pictures, found nothing"):
         sources.find_sources(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"FOLDER: expected .* PBRFIT_DATA is not set"):
-        sources.find_data([], {})
+        sources.asked_sources([], {})
     folder = found[1].folder
     (folder / "set.json").write_text('{"directions": [[0, 0, 1]]}', encoding="utf-8")
     with pytest.raises(InputError, match="expected a lamp for each of 8 pictures, found 1"):

@@ -12,6 +12,7 @@ import pytest
 from pbrfit.model.materials import Materials
 from pbrfit_evaluation.peers import measure
 from pbrfit_evaluation.peers.figures import IN_WORDS
+from pbrfit_evaluation.recipes import within
 from scene_files import room, run
 
 
@@ -72,7 +73,7 @@ def test_every_method_is_given_the_same_noisy_scene() -> None:
 def test_maps_of_a_peer_become_materials_of_the_scene() -> None:
     valid = np.array([[True, False]])
     maps = Materials(np.full((1, 2, 3), 1.5), np.full((1, 2), -0.5), np.full((1, 2), 0.5))
-    materials = measure.within(maps, valid)
+    materials = within(maps, valid)
     np.testing.assert_array_equal(materials.albedo[0], [[1, 1, 1], [np.nan] * 3])
     np.testing.assert_array_equal(materials.roughness, [[0, np.nan]])
     np.testing.assert_array_equal(materials.metallic, [[0.5, np.nan]])

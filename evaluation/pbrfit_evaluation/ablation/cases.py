@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import DEFAULT_MODEL, Model, chosen_model, render
+from pbrfit.model.reflection import DEFAULT_MODEL, Model
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit.synthetic.patterns import Pattern, checker, clouds, patches, stripes
+from pbrfit_evaluation.recipes import lit_anew
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
@@ -96,7 +94,14 @@ def case(
     if name == "varying":
         roughness = varied(materials.roughness, scene.segments, pattern_rng)
         materials = replace(materials, roughness=roughness)
-    made = _rendered(scene, materials, noise, noise_rng, grey=name == "grey")
+    assert scene.truth.lighting is not None
+    assert scene.truth.relight_lighting is not None
+    lights = [scene.truth.lighting, scene.truth.relight_lighting]
+    if name == "grey":  # means over channels
+        lights = [np.repeat(of.mean(axis=-1, keepdims=True), 3, axis=-1) for of in lights]
+    made = lit_anew(scene, materials, *lights)
+    images = made.images + noise_rng.normal(scale=noise, size=made.images.shape)
+    made = replace(made, images=images)
     match name:
         case "shifted":
             return replace(made, segments=shifted(scene.segments))
@@ -180,36 +185,3 @@ def _neighbours(segments: Ids, i: int) -> Ids:
     )
     touching = pairs[(pairs == i).any(axis=-1)]
     return np.unique(touching[touching != i])
-
-
-def _rendered(
-    scene: Scene, materials: Materials, noise: float, rng: Generator, *, grey: bool
-) -> Scene:
-    """The scene with other materials, under its lights in an exposure of the usual mean.
-
-    `grey` lights are the mean of theirs over channels.
-    """
-    truth = scene.truth
-    assert truth is not None
-    assert truth.lighting is not None
-    assert truth.relight_lighting is not None
-    lights = [truth.lighting, truth.relight_lighting]
-    if grey:
-        lights = [np.repeat(of.mean(axis=-1, keepdims=True), 3, axis=-1) for of in lights]
-    rendered = partial(
-        render, materials, scene.normals, fov=scene.fov, model=chosen_model(None, scene.model)
-    )
-    images = rendered(lights[0])
-    exposure = MEAN_RADIANCE / images.mean()
-    images *= exposure
-    if noise > 0.0:
-        images += rng.normal(scale=noise, size=images.shape)
-    lighting, relight_lighting = (exposure * of for of in lights)
-    found = replace(
-        truth,
-        materials=materials,
-        lighting=lighting,
-        relight_images=rendered(relight_lighting),
-        relight_lighting=relight_lighting,
-    )
-    return replace(scene, images=images, truth=found)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import base64
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-
-import numpy as np
 
 from pbrfit_evaluation.ablation.cases import CASES, TITLES
 from pbrfit_evaluation.ablation.configurations import DEFAULT, NONE, Configuration, table
@@ -38,12 +35,6 @@ CONDITIONS = {
 Of = Results[RoomTask]
 
 
-def _mean(of: Of, one: Configuration, metric: str) -> float:
-    """RMSE over the rooms that were finished; NaN without any."""
-    errors = of.numbers("scores", one.key, metric)
-    return float(np.mean(errors)) if errors else math.nan
-
-
 def _judged(results: Of, one: Configuration) -> list[Judged]:
     """What a configuration holds; nothing about cases without a finished room."""
     return [
@@ -63,8 +54,8 @@ def rows(results: Of) -> list[Row]:
         for one in of.pairs[0][0].configurations if count else ():
             metrics: dict[str, float | None] = {}
             for name in ("recon", *SHOWN):
-                metrics[name] = mean = _mean(of, one, name)
-                metrics[f"{name}_ratio"] = mean / _mean(of, NONE, name)
+                metrics[name] = mean = of.average("scores", one.key, name)
+                metrics[f"{name}_ratio"] = mean / of.average("scores", NONE.key, name)
             found.append(Row(f"{case}, {one.key}", count, "gauss-newton", metrics, status=status))
         if not count:
             found.append(Row(case, 0, None, {}, status=status))

@@ -10,10 +10,11 @@ from typing import Any
 from pbrfit.model.reflection import Model, chosen_model, render
 from pbrfit.result import metrics
 from pbrfit.result.result import Result
-from pbrfit.result.sheet import Panel, Row, as_png, displayed, outside_grey, sheet
+from pbrfit.result.sheet import displayed
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.ablation.cases import CaseName, case
 from pbrfit_evaluation.ablation.configurations import FEW, Configuration
+from pbrfit_evaluation.panels import in_lines, of_maps
 from pbrfit_evaluation.recipes import fit_and_score
 
 
@@ -58,7 +59,7 @@ def room(task: RoomTask, threads: int) -> dict[str, Any]:
 
 
 def room_sheet(scene: Scene, fitted: Mapping[str, Result]) -> bytes:
-    """PNG: a picture of a scene with ground truth; its maps and those of each result, relit.
+    """PNG: maps of a scene with ground truth and of each result, relit; and a picture of it.
 
     Relit pictures have the first held-out light.
     """
@@ -67,22 +68,11 @@ def room_sheet(scene: Scene, fitted: Mapping[str, Result]) -> bytes:
     assert truth.relight_lighting is not None
     found = {"true": (truth.materials, chosen_model(None, scene.model))}
     found |= {name: (fit.materials, fit.model) for name, fit in fitted.items()}
-    light = truth.relight_lighting[0]
-    relit = {
-        name: render(maps, scene.normals, light, scene.fov, model=model)
-        for name, (maps, model) in found.items()
-    }
-    white = metrics.white_of(relit["true"])
-    rows: list[Row] = [
-        [
-            None,
-            Panel(f"albedo, {name}", displayed(maps.albedo)),
-            Panel(f"roughness, {name}", outside_grey(maps.roughness)),
-            Panel(f"metallic, {name}", outside_grey(maps.metallic)),
-            Panel(f"relit, {name}", displayed(relit[name], white)),
-        ]
-        for name, (maps, _) in found.items()
-    ]
+    lines, white, light = {}, 0.0, truth.relight_lighting[0]
+    for name, (maps, model) in found.items():
+        relit = render(maps, scene.normals, light, scene.fov, model=model)
+        white = white or metrics.white_of(relit)
+        lines[name] = of_maps(maps) | {"relit": displayed(relit, white)}
     picture = scene.images[0]
-    rows[0][0] = Panel("picture, with noise", displayed(picture, metrics.white_of(picture)))
-    return as_png(sheet(rows))
+    lines["true"]["picture, with noise"] = displayed(picture, metrics.white_of(picture))
+    return in_lines(lines)

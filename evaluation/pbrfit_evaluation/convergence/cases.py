@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model, chosen_model, render, sh_basis
+from pbrfit.model.reflection import Model, sh_basis
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
@@ -21,7 +21,7 @@ from pbrfit.synthetic.lights import SHARP, even_directions, zonal
 from pbrfit_evaluation.convergence.measure import held_out_errors, measure
 from pbrfit_evaluation.heldout.measure import split
 from pbrfit_evaluation.heldout.sources import find_sources, opened
-from pbrfit_evaluation.recipes import OTHER
+from pbrfit_evaluation.recipes import OTHER, lit_anew
 from pbrfit_evaluation.suite import Options
 
 Array = NDArray[np.float64]
@@ -130,12 +130,8 @@ def _lit_evenly(scene: Scene, truth: Truth) -> tuple[Truth, Array]:
     """The scene under spread lights, in the same mean radiance."""
     lobes = zonal(SHARP[3]) * sh_basis(even_directions(PICTURES))
     lighting = np.repeat(lobes[..., None], 3, axis=-1)
-    images = render(
-        *(truth.materials, scene.normals, lighting, scene.fov),
-        model=chosen_model(None, scene.model),
-    )
-    exposure = MEAN_RADIANCE / images.mean()
-    return replace(truth, lighting=exposure * lighting), exposure * images
+    lit = lit_anew(scene, truth.materials, lighting, lighting)
+    return replace(truth, lighting=true_lighting(lit)), np.asarray(lit.images)
 
 
 Errors = Callable[[Materials, Array], Mapping[str, float]]

@@ -18,6 +18,7 @@ from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.heldout.light import harmonics, target
 from pbrfit_evaluation.heldout.measure import Split
+from pbrfit_evaluation.recipes import within
 
 Array = NDArray[np.float64]
 
@@ -64,9 +65,7 @@ def measure(
     assert truth.relight_images is not None
     assert truth.relight_lighting is not None
     true = truth.materials
-    found = Materials(
-        *(np.clip(m, 0, 1) for m in (materials.albedo, materials.roughness, materials.metallic))
-    )
+    found = within(materials, scene.valid)
 
     def rendered(lights: Array) -> Array:
         model = chosen_model(None, scene.model)
@@ -91,10 +90,7 @@ def held_out_errors(
 
     In radiance. The light of each is fitted to the materials, so that both mean the same.
     """
-    found = Materials(
-        *(np.clip(m, 0, 1) for m in (materials.albedo, materials.roughness, materials.metallic))
-    )
-
+    found = within(materials, scene.valid)
     valid = scene.valid
     lit = harmonics(found, np.asarray(scene.normals, np.float64), scene.fov, valid, model)
 

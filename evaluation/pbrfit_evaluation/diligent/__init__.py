@@ -8,7 +8,7 @@ from pbrfit.commands.arguments import positive
 from pbrfit_evaluation.diligent import figures
 from pbrfit_evaluation.diligent.figures import WAYS
 from pbrfit_evaluation.heldout.measure import Task, run
-from pbrfit_evaluation.heldout.sources import check_names, find_data, find_sources
+from pbrfit_evaluation.heldout.sources import asked_sources
 from pbrfit_evaluation.options import count, folders, option, several
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -29,9 +29,6 @@ def cases(options: Options) -> list[Task]:
     InputError, FileNotFoundError
         If there are no pictures, or two objects have one name.
     """
-    paths = find_data(options.folders, os.environ)
-    sources = [source for path in paths for source in find_sources(path.absolute())]
-    check_names(sources)
     return [
         Task(
             *(source, way, 0, digest, HELD_OUT, 1, source.pictures, options.max_size),
@@ -39,7 +36,7 @@ def cases(options: Options) -> list[Task]:
             linear=source.linear,
             mapped=keep == numbers[-1],
         )
-        for source in sources
+        for source in asked_sources(options.folders, os.environ)
         for digest in [source.digest()]
         for numbers in [sorted({min(n, source.pictures) for n in options.pictures})]
         for keep in numbers

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pbrfit_evaluation.everyday import figures
 from pbrfit_evaluation.everyday.disturbances import DISTURBANCES, KINDS
 from pbrfit_evaluation.everyday.measure import PICTURED, Case, run
-from pbrfit_evaluation.options import count, first_seed, option, several
+from pbrfit_evaluation.options import count, first_seed, several
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -53,12 +53,6 @@ SUITE = Suite(
         count("--scenes", "K", "in all; the kinds room, furnished and detailed take turns"),
         count("--size", "PIXELS", "of the pictures"),
         first_seed("scene", FIRST_SEED),
-        option(
-            "--before",
-            metavar="FILE",
-            type=figures.Earlier.read,
-            help="summary.json of an earlier run of as many scenes, to compare with",
-        ),
     ),
     effort={"disturbances": (DISTURBANCES, FEW), "scenes": (18, 2), "size": (64, 24)},
     quick="two minutes: two small scenes",

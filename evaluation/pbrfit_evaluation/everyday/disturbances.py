@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.io.color import encode_srgb
-from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import chosen_model, render
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.recipes import lit_anew
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
@@ -32,33 +32,8 @@ Floats = NDArray[np.floating[Any]]
 Kind = Literal["room", "furnished", "detailed"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-Disturbance = Literal[
-    "noise",
-    "clean",
-    "png",
-    "jpeg-90-444",
-    "white-90-444",
-    "jpeg-90-420",
-    "white-90-420",
-    "jpeg-75-444",
-    "white-75-444",
-    "jpeg-75-420",
-    "white-75-420",
-    "hot",
-    "black",
-    "clipped",
-    "brightest",
-    "shifted",
-    "another",
-    "gamma",
-    "vignetting",
-    "grey",
-    "together",
-    "fov-true",
-    "fov-unknown",
-    "fov-wrong",
-]
-DISTURBANCES: tuple[Disturbance, ...] = get_args(Disturbance)
+Disturbance = str
+"""One of `DISTURBANCES`."""
 
 TITLES: dict[Disturbance, str] = {
     "noise": "float32, 1 % noise",
@@ -87,6 +62,8 @@ TITLES: dict[Disturbance, str] = {
     "fov-wrong": "90° wide, 60° given",
 }
 """What tables and plots say."""
+
+DISTURBANCES: tuple[Disturbance, ...] = tuple(TITLES)
 
 PICTURES = 16
 """Of a scene; as many are held out."""
@@ -163,25 +140,25 @@ def disturbed(disturbance: Disturbance, kind: Kind, seed: int, size: int) -> Dis
     NotRunError
         If this version of the package cannot be given such a scene.
     """
-    made = partial(_made, kind, seed, size)
+    of = partial(made, kind, seed, size)
     rng = np.random.default_rng([seed, 3])
     format_, _, rest = disturbance.partition("-")
     match format_:
         case "jpeg":
-            return in_files(made(0.0), jpeg(rest))
+            return in_files(of(), jpeg(rest))
         case "white":
-            return _with_noise_of(made(0.0), jpeg(rest), rng)
+            return _with_noise_of(of(), jpeg(rest), rng)
         case "fov":
-            return _of_another_view(made(NOISE, fov=FOV_TRUE), rest)
+            return _of_another_view(of(NOISE, fov=FOV_TRUE), rest)
         case "clean":
-            return made(0.0)
+            return of()
         case "png":
-            return in_files(made(NOISE), write_png)
+            return in_files(of(NOISE), write_png)
         case "grey":
-            return grey(made(0.0), rng)
+            return grey(of(), rng)
         case "together":
-            return _together(made(NOISE), kind, seed, size, rng)
-    return _spoilt(made(NOISE), disturbance, kind, seed, size, rng)
+            return _together(of(NOISE), kind, seed, size, rng)
+    return _spoilt(of(NOISE), disturbance, kind, seed, size, rng)
 
 
 def _together(given: Disturbed, kind: Kind, seed: int, size: int, rng: Generator) -> Disturbed:
@@ -220,7 +197,7 @@ def _spoilt(
         case "shifted":
             pictures[bad_picture] = shifted(pictures[bad_picture])
         case "another":
-            other = _made(kind, seed + OTHER_SEED, size, NOISE)
+            other = made(kind, seed + OTHER_SEED, size, NOISE)
             pictures[bad_picture] = other.scene.images[bad_picture]
             expected[bad_picture] = np.nan
         case "gamma":
@@ -256,31 +233,22 @@ def vignetted(pictures: Floats) -> Floats:
 # --------------------------------------------------------------------------------------- scenes
 
 
-def _made(kind: Kind, seed: int, size: int, noise: float, *, fov: float = FOV_WRONG) -> Disturbed:
-    scene = make_scene(
-        kind,
-        size=size,
-        lights=PICTURES,
-        held_out=PICTURES,
-        seed=seed,
-        noise=noise,
-        fov=fov,
-    )
-    truth = _truth(scene)
+def made(kind: Kind, seed: int, size: int, noise: float = 0.0, **more: Any) -> Disturbed:
+    """A scene before anything is done to it, in float32; `more` as for `make_scene`."""
+    given = {"lights": PICTURES, "held_out": PICTURES, "fov": FOV_WRONG} | more
+    scene = make_scene(kind, size=size, seed=seed, noise=noise, **given)
+    truth = truth_of(scene)
     assert truth.lighting is not None
-    expected = _rendered(scene, truth.materials, truth.lighting, fov)
-    return Disturbed(replace(scene, images=scene.images.astype(np.float32)), fov, expected)
+    model = chosen_model(None, scene.model)
+    expected = render(truth.materials, scene.normals, truth.lighting, given["fov"], model=model)
+    images = scene.images.astype(np.float32)
+    return Disturbed(replace(scene, images=images), given["fov"], expected)
 
 
-def _truth(scene: Scene) -> Truth:
+def truth_of(scene: Scene) -> Truth:
+    """What is true of a synthetic scene."""
     assert scene.truth is not None
     return scene.truth
-
-
-def _rendered(scene: Scene, materials: Materials, lighting: Array, fov: float) -> Array:
-    """(N, H, W, 3): the view under lights (N, 16, 3), without noise."""
-    model = chosen_model(None, scene.model)
-    return render(materials, scene.normals, lighting, fov, model=model)
 
 
 def _white(scene: Scene) -> float:
@@ -298,21 +266,13 @@ def grey(clean: Disturbed, rng: Generator) -> Disturbed:
         assert values is not None
         return np.repeat(values.mean(axis=-1, keepdims=True, dtype=np.float64), 3, axis=-1)
 
-    scene, colored = clean.scene, _truth(clean.scene)
+    scene, colored = clean.scene, truth_of(clean.scene)
     materials = replace(colored.materials, albedo=mean(colored.materials.albedo))
     lighting, relight_lighting = mean(colored.lighting), mean(colored.relight_lighting)
-    unexposed = _rendered(scene, materials, lighting, clean.fov)
-    exposure = float(np.nanmean(clean.expected) / np.nanmean(unexposed))
-    expected = exposure * unexposed
-    truth = Truth(
-        materials,
-        exposure * lighting,
-        exposure * _rendered(scene, materials, relight_lighting, clean.fov),
-        exposure * relight_lighting,
-    )
-    pictures = expected + mean(NOISE * rng.standard_normal(expected.shape))
-    scene = replace(scene, images=pictures.astype(np.float32), truth=truth)
-    return replace(clean, scene=scene, expected=expected)
+    lit = lit_anew(scene, materials, lighting, relight_lighting)
+    pictures = lit.images + mean(NOISE * rng.standard_normal(lit.images.shape))
+    scene = replace(lit, images=pictures.astype(np.float32))
+    return replace(clean, scene=scene, expected=lit.images)
 
 
 def _of_another_view(given: Disturbed, said: str) -> Disturbed:
@@ -351,7 +311,7 @@ def jpeg(said: str) -> Write:
 def in_files(given: Disturbed, write: Write, *, say_fov: bool = True) -> Disturbed:
     """Exposed, encoded as sRGB of 8 bits, written, and read; held-out pictures stay."""
     white = _white(given.scene)
-    truth = _truth(given.scene)
+    truth = truth_of(given.scene)
     assert truth.lighting is not None
     # Held-out lights and pictures are not those of the files, and need no exposure.
     truth = replace(truth, lighting=truth.lighting / white)

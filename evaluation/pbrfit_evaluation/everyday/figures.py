@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.json_files import UNFIT, table
 from pbrfit_evaluation.everyday.disturbances import DISTURBANCES, TITLES, Disturbance
 from pbrfit_evaluation.everyday.measure import CHANNELS, PICTURED, Case
 from pbrfit_evaluation.jobs import Values
@@ -75,9 +70,6 @@ SLOWEST: dict[Disturbance, float] = dict.fromkeys(
 )
 """Processor seconds likewise."""
 
-SINCE = 1.02
-"""Mean error of the reference's worst map over that of an earlier run (`--before`), at most."""
-
 FOV_ERROR = 2.0
 """Degrees that an unknown field of view may be off in any scene of the kind room."""
 
@@ -100,43 +92,6 @@ UNDISTURBED: tuple[Disturbance, ...] = (
 
 
 # ----------------------------------------------------------------------------------------- rows
-
-
-@dataclass(frozen=True)
-class Earlier:
-    """What an earlier run found: metrics of its rows by name, and of how many scenes they are."""
-
-    path: Path
-    metrics: Mapping[str, Mapping[str, float | None]]
-    scenes: Mapping[str, int]
-
-    def __str__(self) -> str:
-        """As a report names it."""
-        return str(self.path)
-
-    @classmethod
-    def read(cls, text: str) -> Earlier:
-        """From the path of its summary.json.
-
-        Raises
-        ------
-        argparse.ArgumentTypeError
-            If there is none.
-        """
-        path = Path(text)
-        try:
-            content = table(json.loads(path.read_text(encoding="utf-8")))
-            if str(content["protocol"]).startswith("pbrfit-everyday-"):
-                return cls(
-                    path,
-                    {row["name"]: table(row["metrics"]) for row in content["rows"]},
-                    {row["name"]: int(row["scenes"]) for row in content["rows"]},
-                )
-        except (OSError, *UNFIT):
-            pass
-        raise argparse.ArgumentTypeError(
-            f"expected summary.json of `pbrfit evaluate everyday`, found {text}, which is none"
-        )
 
 
 def _measured(results: Of, disturbance: Disturbance) -> dict[tuple[str, int], Values]:
@@ -230,8 +185,6 @@ def verdicts(results: Of, of_rows: Sequence[Row]) -> Iterator[Verdict]:
             yield Verdict(what, _number(value), SLOWEST[disturbance], f"over {twin}")
     yield from _fov_verdicts(results)
     yield from _scale_verdicts(results)
-    if results.options.before is not None:
-        yield _since(by_title.get(TITLES[REFERENCE]), results.options.before)
 
 
 def _number(value: float | None) -> float:
@@ -279,18 +232,6 @@ def _scale_verdicts(results: Of) -> Iterator[Verdict]:
             yield Verdict(what, share, COVERED, where, at_least=True)
 
 
-def _since(row: Row | None, earlier: Earlier) -> Verdict:
-    """The reference beside that of an earlier run, of as many scenes."""
-    title = TITLES[REFERENCE]
-    what = f"{title}: error of the worst map over that before"
-    before = earlier.metrics.get(title, {})
-    if row is None or earlier.scenes.get(title) != row.scenes:
-        return Verdict(what, math.nan, SINCE, "not of as many scenes")
-    worst = {name: _number(row.metrics[name]) / _number(before.get(name)) for name in MAPS}
-    name = max(worst, key=lambda name: worst[name])
-    return Verdict(what, worst[name], SINCE, name)
-
-
 # ----------------------------------------------------------------------------------- what is shown
 
 
@@ -298,13 +239,12 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
     """The table, the plot, and maps."""
     if not any(row.metrics for row in of_rows):
         return
-    earlier: Earlier | None = results.options.before
     yield Section(
         "Multiples",
         "Mean errors over those of the reference; of JPEG over those of float pictures with white "
         "noise of the same RMS, of a view 90° wide over those with the field of view known.",
-        [_multiples(of_rows, earlier)],
-        [_plot(of_rows, earlier)],
+        [_multiples(of_rows)],
+        [_plot(of_rows)],
     )
     yield Section(
         "Errors, seconds and the scale",
@@ -326,10 +266,9 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
         yield Section("Maps", figures=[Picture("everyday-maps", caption, png)])
 
 
-def _multiples(of_rows: Sequence[Row], earlier: Earlier | None) -> Table:
+def _multiples(of_rows: Sequence[Row]) -> Table:
     titles = {TITLES[name]: bar for name, bar in MOST.items()}
     columns = ["", *MAPS, "worst", "at most", "", "relight", "seconds"]
-    columns += [] if earlier is None else ["worst before"]
     lines = []
     for row in of_rows:
         bar, worst = titles.get(row.name), row.metrics.get("worst_multiple")
@@ -338,8 +277,6 @@ def _multiples(of_rows: Sequence[Row], earlier: Earlier | None) -> Table:
             verdict = "holds" if worst <= bar else "missed"
         line = [row.name, *(row.metrics.get(f"{name}_multiple") for name in MAPS), worst, bar]
         line += [verdict, *(row.metrics.get(f"{name}_multiple") for name in ("relight", "seconds"))]
-        if earlier is not None:
-            line.append(earlier.metrics.get(row.name, {}).get("worst_multiple"))
         lines.append(line)
     return Table(columns, lines)
 
@@ -361,7 +298,7 @@ LEAST = 0.5
 """Multiple below which dots are drawn at it."""
 
 
-def _plot(of_rows: Sequence[Row], earlier: Earlier | None) -> Plot:
+def _plot(of_rows: Sequence[Row]) -> Plot:
     """A dot a map, on a logarithmic axis, and a bar as far as it may go."""
     titles = {TITLES[name]: bar for name, bar in MOST.items()}
     shown = [row for row in of_rows if row.name in titles and "worst_multiple" in row.metrics]
@@ -376,9 +313,6 @@ def _plot(of_rows: Sequence[Row], earlier: Earlier | None) -> Plot:
         Series("at most", bars, names, low=[LEAST] * len(bars), high=bars, look=7),
         *(series(name, (row.metrics[f"{name}_multiple"] for row in shown)) for name in MAPS),
     ]
-    if earlier is not None:
-        worst = (earlier.metrics.get(name, {}).get("worst_multiple") for name in names)
-        drawn.append(series("worst map before", worst, empty=True))
     panel = Panel(
         *("dots", drawn, "mean error, multiple of the reference or twin"),
         log="x",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -12,7 +11,7 @@ from pbrfit_evaluation import cycles
 from pbrfit_evaluation.explained import ROWS, Case
 from pbrfit_evaluation.explained.variants import Variant
 from pbrfit_evaluation.panels import unpacked
-from pbrfit_evaluation.suite import Panel, Plot, Results, Row, Series
+from pbrfit_evaluation.suite import Results, Row
 
 Of = Results[Case]
 
@@ -57,26 +56,3 @@ def panels(results: Of, words: Mapping[str, str]) -> Panels:
         case.variant: values["panels"] for case, values in results.finished if "panels" in values
     }
     return {words[key]: unpacked(kept[key]) for key in words if key in kept}
-
-
-def plot(
-    name: str, found: Sequence[Row], variants: Sequence[Variant], errors: Sequence[str]
-) -> Plot:
-    """A panel an error, a line a setup, a colour a variant."""
-    panels = []
-    for error in errors:
-        series = []
-        for look, variant in enumerate(variants):
-            of = [row for row in found if row.solver == variant.words and row.scenes]
-            mean, low, high = (
-                [row.metrics[f"{error}{end}"] or math.nan for row in of]
-                for end in ("", "_low", "_high")
-            )
-            if of:
-                names = [row.name for row in of]
-                series.append(Series(variant.words, mean, names, low=low, high=high, look=look))
-        panels.append(Panel("dots", series, f"{error} RMSE", log="x"))
-    setups = len({row.name for row in found if row.scenes})
-    size = (2.8, 0.8 + 1.2 * setups)
-    caption = "The same as a plot, with intervals."
-    return Plot(name, caption, panels, columns=len(errors), share_y="all", size=size)

@@ -21,7 +21,7 @@ from pbrfit.io.normal_files import write_normals
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
-from pbrfit.result.sheet import displayed, outside_grey
+from pbrfit.result.sheet import displayed
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.blender import rendered_export
@@ -223,9 +223,7 @@ def maps(result: Result, scene: Scene, threads: int) -> dict[str, NDArray[np.flo
     white = metrics.white_of(true)
     albedo = metrics.scaled_per_channel(result.materials.albedo, truth.materials.albedo)
     return {
-        "albedo": displayed(albedo),
-        "roughness": outside_grey(result.materials.roughness),
-        "metallic": outside_grey(result.materials.metallic),
+        **of_maps(replace(result.materials, albedo=albedo)),
         "relit": displayed(metrics.scaled_per_channel(relit, true), white),
         **of_maps(truth.materials, "true "),
         "true relit": displayed(true, white),

@@ -19,7 +19,7 @@ from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.review.damage import REPAINTS, damaged, moved
+from pbrfit_evaluation.review.damage import REPAINTS, bent, damaged, moved
 from pbrfit_evaluation.review.pictures import exposed
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ def stand_ins(of: Room, level: Level, seed: int) -> tuple[Array, list[str]]:
     order = 1 + np.random.default_rng([seed, 5]).permutation(count)
     drifts, repaints = round(DRIFTED * count), round(REPAINTED * count)
     kinds = ["honest"] * len(pictures)
-    height, width = pictures.shape[1:3]
+    width = pictures.shape[2]
     for i in range(1, len(pictures)):
         place = int(np.flatnonzero(order == i)[0])
         rng = np.random.default_rng([seed, 6, i])
@@ -113,7 +113,6 @@ def stand_ins(of: Room, level: Level, seed: int) -> tuple[Array, list[str]]:
             other = make_scene(KIND, size=width, lights=2, held_out=1, seed=seed + OTHER_SEED)
             pictures[i], kinds[i] = exposed(other.images[0].astype(np.float64), rng), "another"
         pictures[i] = toned(pictures[i], np.random.default_rng([seed, 7, i]))
-    assert pictures.shape[1:3] == (height, width)
     return decode_srgb(codes(pictures) / 255), kinds
 
 
@@ -124,15 +123,11 @@ def codes(linear: Array) -> NDArray[np.uint8]:
 
 def drifted(picture: Array, rng: Generator) -> Array:
     """A picture (H, W, 3) moved by `SHIFT` and bent by `WARP`."""
-    from scipy.ndimage import gaussian_filter
-
-    height, width = picture.shape[:2]
+    width = picture.shape[1]
     unit = width / 96
     angle, length = rng.uniform(0, 2 * np.pi), unit * rng.uniform(*SHIFT)
-    field = [gaussian_filter(rng.normal(size=(height, width)), 0.1 * width) for _ in range(2)]
-    most = float(np.hypot(*field).max()) / (unit * WARP)
-    down, right = length * np.sin(angle), length * np.cos(angle)
-    return moved(picture, down + field[0] / most, right + field[1] / most)
+    down, right = bent(picture.shape[:2], 0.1 * width, unit * WARP, rng)
+    return moved(picture, down + length * np.sin(angle), right + length * np.cos(angle))
 
 
 def toned(picture: Array, rng: Generator) -> Array:

@@ -6,7 +6,7 @@ import os
 
 from pbrfit_evaluation.heldout import figures
 from pbrfit_evaluation.heldout.measure import WAYS, Task, Way, run
-from pbrfit_evaluation.heldout.sources import check_names, find_data, find_sources
+from pbrfit_evaluation.heldout.sources import asked_sources
 from pbrfit_evaluation.options import count, folders, several
 from pbrfit_evaluation.suite import Options, Part, Suite
 
@@ -22,13 +22,10 @@ def cases(options: Options) -> list[Task]:
     InputError, FileNotFoundError
         If there are no pictures, or two sources have one name.
     """
-    paths = find_data(options.folders, os.environ)
-    sources = [source for path in paths for source in find_sources(path.absolute())]
-    check_names(sources)
     of = options.held_out, options.folds, options.pictures, options.max_size
     return [
         Task(source, way, fold, digest, *of)
-        for source in sources
+        for source in asked_sources(options.folders, os.environ)
         for digest in [source.digest()]
         for count in [min(source.pictures, options.pictures)]
         for fold in range(max(1, min(options.folds, count // options.held_out)))

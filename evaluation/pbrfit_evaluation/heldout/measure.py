@@ -32,6 +32,7 @@ from pbrfit_evaluation.heldout.light import ambient_terms, explained_by
 from pbrfit_evaluation.heldout.public_sets import Source
 from pbrfit_evaluation.heldout.sources import Opened, evenly, opened
 from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.normal_errors import angle_errors
 from pbrfit_evaluation.panels import packed
 from pbrfit_evaluation.recipes import explain
 
@@ -200,7 +201,9 @@ def run(task: Task, threads: int) -> Values:
         "kept": len(which.kept),
         "own": [asdict(one) for one in own],
         "lamp": None if lamp is None else [asdict(one) for one in lamp],
-        "normals": _angles(normals, found.normals),
+        "normals": None
+        if normals is None or found.normals is None
+        else angle_errors(normals, found.normals),
         "seconds": seconds,
         "processor": processor,
         "chosen": None if result is None else _chosen(result),
@@ -256,14 +259,6 @@ def _chosen(result: Result) -> dict[str, Any]:
         "response": None if result.camera is None else result.camera.response,
         "held_out": None if held_out is None else held_out.as_json(),
     }
-
-
-def _angles(found: Array | None, true: Array | None) -> dict[str, float] | None:
-    if found is None or true is None:
-        return None
-    off = angles_between(found, true)
-    off = off[np.isfinite(off)]
-    return {"mean": float(off.mean()), "median": float(np.median(off))}
 
 
 def _mapped(found: Array | None, true: Array | None) -> dict[str, Any]:

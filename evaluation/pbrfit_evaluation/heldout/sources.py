@@ -70,13 +70,29 @@ class Opened:
 # ------------------------------------------------------------------------------------- finding
 
 
-def find_data(folders: Sequence[Path], environment: Mapping[str, str]) -> list[Path]:
-    """Folders as given, else that of PBRFIT_DATA; InputError if there is neither."""
-    if folders:
-        return list(folders)
-    if environment.get("PBRFIT_DATA"):
-        return [Path(environment["PBRFIT_DATA"])]
-    raise InputError("FOLDER: expected folders of pictures, found none, and PBRFIT_DATA is not set")
+def asked_sources(folders: Sequence[Path], environment: Mapping[str, str]) -> list[Source]:
+    """All in some folders, by default in that of PBRFIT_DATA.
+
+    Raises
+    ------
+    FileNotFoundError, InputError
+        As `find_sources`; if there is no folder, or two sources have one name: records are kept by
+        it.
+    """
+    if not folders and environment.get("PBRFIT_DATA"):
+        folders = [Path(environment["PBRFIT_DATA"])]
+    if not folders:
+        raise InputError(
+            "FOLDER: expected folders of pictures, found none, and PBRFIT_DATA is not set"
+        )
+    sources = [source for path in folders for source in find_sources(path.absolute())]
+    names = [source.name for source in sources]
+    for source in sources:
+        if names.count(source.name) > 1:
+            raise InputError(
+                f"{source.folder}: expected different names, found {source.name} twice"
+            )
+    return sources
 
 
 def find_sources(path: Path) -> list[Source]:
@@ -106,16 +122,6 @@ def find_sources(path: Path) -> list[Source]:
             f"{path}: expected a scene folder or one of {', '.join(SETS)}, found none of them"
         )
     return found
-
-
-def check_names(sources: Sequence[Source]) -> None:
-    """Raise InputError if two sources have one name: records are kept by it."""
-    names = [source.name for source in sources]
-    for source in sources:
-        if names.count(source.name) > 1:
-            raise InputError(
-                f"{source.folder}: expected different names, found {source.name} twice"
-            )
 
 
 def _sources_at(path: Path) -> list[Source]:

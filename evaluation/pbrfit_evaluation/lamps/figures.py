@@ -17,7 +17,9 @@ from pbrfit_evaluation.explained.variants import (
     Variant,
 )
 from pbrfit_evaluation.panels import beside_truth
-from pbrfit_evaluation.suite import Column, Picture, Row, Section, Table, Verdict
+from pbrfit_evaluation.suite import Column, Picture, Row, Section, Table, Verdict, dots
+
+WORDS = {variant.words: variant.words for variant in OF_LAMPS}
 
 ERRORS = ("albedo", "roughness", "metallic")
 METRICS = (*ERRORS, "recon", "seconds")
@@ -84,7 +86,7 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         "RMSE of the maps, linear values. Lamps: medians over the pictures of a room, means over "
         "rooms; degrees as seen from the middle of the surfaces.",
         [Table.of(found, COLUMNS)],
-        [explained.plot("lamps", found, OF_LAMPS, ERRORS)] if results.finished else [],
+        [dots("lamps", found, WORDS, ERRORS)] if results.finished else [],
     )
     words = {variant.key: variant.words for variant in OF_LAMPS}
     sheets = [

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from functools import partial
 from typing import Literal
 
+from pbrfit._core import InputError
 from pbrfit.commands.arguments import add_threads
 from pbrfit_evaluation.normals import figures
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, Disturbance
@@ -24,30 +24,21 @@ EXACT_DEGREES = 10.0
 """Disturbances without noise, and their size."""
 
 
-def theta(text: str) -> float:
-    """Read the size of a disturbance.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it makes no sense.
-    """
-    value = float(text)
-    if not 0 < value <= LARGEST:
-        raise argparse.ArgumentTypeError(
-            f"expected more than 0 and at most {LARGEST:g}, found {value:g}"
-        )
-    return value
-
-
 def cases(part: Name, options: Options) -> list[Case]:
-    """Every scene under every disturbance that is asked for; with noise, at true normals too."""
+    """Every scene under every disturbance that is asked for; with noise, at true normals too.
+
+    Raises InputError if a size makes no sense.
+    """
     kinds = [kind for kind in DISTURBANCES if kind in options.disturbances]
     starts: list[tuple[Disturbance | Literal["true"], float]] = []
     if part == "exact":
         starts += [(kind, EXACT_DEGREES) for kind in kinds if kind in EXACT]
     else:
         sizes = sorted(set(options.degrees))
+        for size in sizes:
+            if not 0 < size <= LARGEST:
+                expected = f"expected more than 0 and at most {LARGEST:g}"
+                raise InputError(f"--degrees: {expected}, found {size:g}")
         starts += [("true", 0.0), *((kind, size) for kind in kinds for size in sizes)]
     return [
         Case(part, room_kind(i), seed, options.size, kind, degrees, options.iterations)
@@ -76,7 +67,7 @@ SUITE = Suite(
             "--degrees",
             metavar="THETA",
             nargs="+",
-            type=theta,
+            type=float,
             help="sizes of the disturbance (default: 1 2 5 10 15 20 25, with --quick 10); true "
             "normals are always there",
         ),

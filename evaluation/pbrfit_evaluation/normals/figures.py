@@ -98,10 +98,6 @@ def won_back(
     return float(share), float(median)
 
 
-def _mean_angle(results: Rooms, *path: str) -> float:
-    return float(np.mean(results.numbers(*path, "mean")))
-
-
 def room_rows(results: Rooms) -> list[Row]:
     """A row a disturbance, θ and fit."""
     rows = []
@@ -115,8 +111,10 @@ def room_rows(results: Rooms) -> list[Row]:
                 for metric in MAPS_AND_RELIGHT:
                     share, _ = won_back(results, kind, degrees, metric, refine)
                     metrics[f"{metric}_won_back"] = share
-                metrics["angle_left"] = _mean_angle(of, refine, "angle") / _mean_angle(of, "given")
-            metrics["share_refined"] = float(np.mean(of.numbers(refine, "decision", "refined")))
+                metrics["angle_left"] = of.average(refine, "angle", "mean") / of.average(
+                    "given", "mean"
+                )
+            metrics["share_refined"] = of.average(refine, "decision", "refined")
             rows.append(Row(name, len(of.finished), LABELS[refine], metrics))
     return rows
 
@@ -134,7 +132,7 @@ def room_verdicts(results: Rooms, _: object) -> Iterator[Verdict]:
             what = f"{case}: share of the {metric} loss won back"
             yield Verdict(what, share, bar, where, at_least=True)
         if degrees in ANGLE_LEFT:
-            before, after = _mean_angle(of, "given"), _mean_angle(of, JUDGED, "angle")
+            before, after = of.average("given", "mean"), of.average(JUDGED, "angle", "mean")
             refined = sum(of.numbers(JUDGED, "decision", "refined"))
             where = f"{before:.1f}° before, {after:.2f}° after, refined in {refined:g} of {count}"
             what = f"{case}: mean angle, after over before"
@@ -153,7 +151,7 @@ def room_verdicts(results: Rooms, _: object) -> Iterator[Verdict]:
     seeds = [str(case.seed) for case, v in of_true.finished if v[JUDGED]["decision"]["refined"]]
     where = f"refined: {', '.join(seeds)}" if seeds else "refined none"
     what = "true normals: mean angle that is introduced, degrees"
-    yield Verdict(what, _mean_angle(of_true, JUDGED, "angle"), INTRODUCED, where)
+    yield Verdict(what, of_true.average(JUDGED, "angle", "mean"), INTRODUCED, where)
 
 
 def room_sections(results: Rooms, rows: Sequence[Row]) -> Iterator[Section]:

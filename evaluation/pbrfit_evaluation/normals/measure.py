@@ -15,7 +15,7 @@ from pbrfit.fit.decompose import decompose
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.normal_errors import Array, Floats
+from pbrfit_evaluation.normal_errors import Array, Floats, angle_errors
 from pbrfit_evaluation.normals.disturbances import Disturbance, disturbed
 from pbrfit_evaluation.scores import score
 
@@ -118,13 +118,8 @@ def off(found: Floats, true: Floats, valid: NDArray[np.bool_]) -> dict[str, floa
     "aligned" is the mean after the turn of all normals together that brings them nearest to the
     true ones. Such a turn is hard to see, because lights can turn along.
     """
-    angles = angles_between(found, true)[valid]
-    aligned = aligned_angles(found[valid], true[valid])
-    return {
-        "mean": float(angles.mean()),
-        "median": float(np.median(angles)),
-        "aligned": float(aligned.mean()),
-    }
+    found, true = found[valid], true[valid]
+    return angle_errors(found, true) | {"aligned": float(aligned_angles(found, true).mean())}
 
 
 def aligned_angles(found: Floats, true: Floats) -> Array:

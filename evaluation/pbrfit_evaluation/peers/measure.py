@@ -21,7 +21,7 @@ from pbrfit.result.sheet import as_png
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.recipes import explain
+from pbrfit_evaluation.recipes import explain, within
 from pbrfit_evaluation.scores import score
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
@@ -117,16 +117,6 @@ def work(task: Task, threads: int) -> dict[str, Any]:
     if task.shown:
         found["sheet"] = base64.b64encode(as_png(preview(result, scene))).decode("ascii")
     return found
-
-
-def within(maps: Materials, valid: NDArray[np.bool_]) -> Materials:
-    """Maps that a peer found as the materials of a scene: in [0, 1], NaN outside of `valid`."""
-
-    def kept(plane: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        where = valid if plane.ndim == 2 else valid[..., None]
-        return np.where(where, np.clip(plane.astype(np.float64), 0, 1), np.nan)
-
-    return Materials(kept(maps.albedo), kept(maps.roughness), kept(maps.metallic))
 
 
 def given(task: Task, threads: int = 0) -> Scene:

@@ -15,8 +15,8 @@ The authors say that the published checkpoint's metallicity differs from that of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -39,33 +39,11 @@ STEPS = 50
 WHAT = "RGB-X"
 
 
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """Parts of the checkpoint, each as its library loads it."""
-
-    tokenizer: Any
-    text_encoder: Any
-    autoencoder: Any
-    unet: Any
-    scheduler: Any
-
-
 class RgbToX:
-    """The networks, loaded.
+    """The networks, loaded: `model`, `device` and errors are as of `marigold.Marigold`.
 
-    Parameters
-    ----------
-    model
-        Name on the Hugging Face Hub, or a local folder.
-    device, dtype
-        As for `pbrfit.acquire.weights.placement`.
-    longer_side
-        Of the picture that the network sees, in pixels.
-
-    Raises
-    ------
-    InputError
-        If packages or weights are missing.
+    `dtype` is as of `pbrfit.acquire.weights.placement`; `longer_side`, in pixels, that of the
+    picture that the network sees.
     """
 
     def __init__(
@@ -136,14 +114,15 @@ class RgbToX:
         return np.ascontiguousarray(shown.permute(1, 2, 0).cpu().numpy())
 
 
-def _load(dtype: Any, model: str, **options: Any) -> _Parts:
+def _load(dtype: Any, model: str, **options: Any) -> SimpleNamespace:
+    """Parts of the checkpoint, each as its library loads it."""
     from diffusers import AutoencoderKL, DDIMScheduler, UNet2DConditionModel
     from transformers import CLIPTextModel, CLIPTokenizer
 
     def part(kind: Any, subfolder: str, **more: Any) -> Any:
         return kind.from_pretrained(model, subfolder=subfolder, **options, **more)
 
-    return _Parts(
+    return SimpleNamespace(
         tokenizer=part(CLIPTokenizer, "tokenizer"),
         text_encoder=part(CLIPTextModel, "text_encoder", dtype=dtype),
         autoencoder=part(AutoencoderKL, "vae", dtype=dtype),

@@ -69,12 +69,9 @@ def damaged(
         found = moved(image, np.sin(angle) * whole, np.cos(angle) * whole)
         return found, {"pixels": length}
     if kind == "warp":
-        from scipy.ndimage import gaussian_filter
-
         width, length = unit * rng.uniform(25, 60), rng.uniform(*WARP)
-        field = [gaussian_filter(rng.normal(size=image.shape[:2]), width) for _ in range(2)]
-        most = np.hypot(*field).max() / (unit * length)
-        return moved(image, field[0] / most, field[1] / most), {"pixels": length, "width": width}
+        field = bent(image.shape[:2], width, unit * length, rng)
+        return moved(image, *field), {"pixels": length, "width": width}
     for _ in range(_TRIES):
         area = _area(kind, segments, rng)
         found = _repainted(image, area, kind, rng)
@@ -87,6 +84,14 @@ def damaged(
 
 def _shown(image: Array) -> Array:
     return encode_srgb(np.clip(image, 0, 1))
+
+
+def bent(shape: tuple[int, ...], width: float, most: float, rng: np.random.Generator) -> Array:
+    """(2, H, W): smooth fields by which pixels move down and right, at most so far."""
+    from scipy.ndimage import gaussian_filter
+
+    field = np.stack([gaussian_filter(rng.normal(size=shape), width) for _ in range(2)])
+    return np.asarray(field * (most / np.hypot(*field).max()))
 
 
 def moved(image: Array, down: Array, right: Array) -> Array:

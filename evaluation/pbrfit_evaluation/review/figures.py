@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from scipy.stats import binomtest
+
 from pbrfit_evaluation.review.damage import REPAINTS, WHAT
 from pbrfit_evaluation.review.measure import Task
 from pbrfit_evaluation.suite import (
@@ -58,10 +60,8 @@ class Rate:
         """Of 95 %, by Wilson's score (1927): what share lies behind so few pictures."""
         if not self.pictures:
             return math.nan, math.nan
-        z, n, p = 1.96, self.pictures, self.share
-        middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-        half = z / (1 + z * z / n) * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
-        return max(0.0, middle - half), min(1.0, middle + half)
+        found = binomtest(self.refused, self.pictures).proportion_ci(method="wilson")
+        return float(found.low), float(found.high)
 
     def __str__(self) -> str:
         """For people."""

@@ -217,7 +217,7 @@ def _load_set(name: str, parent: Path, paths: dict[str, Path]) -> MaterialSet:
     resized = [averaged_channels(layer, (side, side)) for layer in layers.values()]
     levels = [np.concatenate(resized, axis=-1).astype(np.float32)]
     while len(levels[-1]) > 1:
-        levels.append(_block_means(levels[-1], 2))
+        levels.append(averaged_channels(levels[-1], (len(levels[-1]) // 2,) * 2).astype(np.float32))
     return MaterialSet(name=name, levels=tuple(levels), relief="normal" in paths)
 
 
@@ -231,16 +231,7 @@ def _read(path: Path, what: str, channels: int) -> Maps:
 
 def _reduced(layer: NDArray[Any]) -> Maps:
     """Average blocks of a large map, as long as it stays finer than the finest level."""
-    return _block_means(layer, max(1, min(layer.shape[:2]) // _FINEST))
-
-
-def _block_means(layer: NDArray[Any], factor: int) -> Maps:
-    """Mean of each block of factor x factor; what is left over at the far edges is dropped."""
-    height, width = (n // factor for n in layer.shape[:2])
-    rows = np.zeros((height, *layer.shape[1:]), dtype=layer.dtype)
-    for i in range(factor):
-        rows += layer[i : height * factor : factor]
-    total = np.zeros((height, width, layer.shape[2]), dtype=layer.dtype)
-    for j in range(factor):
-        total += rows[:, j : width * factor : factor]
-    return np.asarray(total / factor**2, dtype=np.float32)
+    factor = max(1, min(layer.shape[:2]) // _FINEST)
+    height, width = (side // factor for side in layer.shape[:2])
+    whole = layer[: height * factor, : width * factor]  # less what is left over at the far edges
+    return averaged_channels(whole, (height, width)).astype(np.float32)

@@ -74,13 +74,14 @@ SECTIONS = {
         "many pixels, in which roundings average out.",
         {
             "loss_error": ("loss, relative error", BLOCK_BOUND),
-            "albedo_block_error": (f"gradient by albedo: {_BLOCK}", BLOCK_BOUND),
-            "roughness_block_error": (f"gradient by roughness: {_BLOCK}", BLOCK_BOUND),
-            "metallic_block_error": (f"gradient by metallic: {_BLOCK}", BLOCK_BOUND),
-            "lights_block_error": (f"gradient by lights: {_BLOCK}", BLOCK_BOUND),
-            "albedo_entry_error": (f"gradient by albedo: {_ENTRY}", ENTRY_BOUND),
-            "roughness_entry_error": (f"gradient by roughness: {_ENTRY}", ENTRY_BOUND),
-            "metallic_entry_error": (f"gradient by metallic: {_ENTRY}", ENTRY_BOUND),
+            **{
+                f"{of}_block_error": (f"gradient by {of}: {_BLOCK}", BLOCK_BOUND)
+                for of in ("albedo", "roughness", "metallic", "lights")
+            },
+            **{
+                f"{of}_entry_error": (f"gradient by {of}: {_ENTRY}", ENTRY_BOUND)
+                for of in ("albedo", "roughness", "metallic")
+            },
             "lights_entry_error": (f"gradient by lights: {_ENTRY}", 5e-7),
         },
     ),

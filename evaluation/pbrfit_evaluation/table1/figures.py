@@ -15,15 +15,13 @@ from pbrfit_evaluation.suite import (
     Column,
     Line,
     Options,
-    Panel,
     Picture,
-    Plot,
     Results,
     Section,
-    Series,
     Table,
     Value,
     digits,
+    dots,
 )
 from pbrfit_evaluation.suite import Row as Figures
 from pbrfit_evaluation.table1.measure import Task, why_not
@@ -103,7 +101,10 @@ def sections(results: Results[Task], rows: Sequence[Figures]) -> Iterator[Sectio
         for name in METRICS
         if name not in COLUMNS
     ]
-    plots = [_plot(results, rows)] if results.finished else []
+    labels = {solver: IN_WORDS[recipe] for recipe, solver in SOLVERS.items()}
+    caption = f"With intervals. What is exact stands at {LEAST_SHOWN:g}."
+    plot = dots("table1", rows, labels, COLUMNS, caption, LEAST_SHOWN)
+    plots = [plot] if results.finished else []
     columns = [Column(name, best="low") for name in COLUMNS]
     yield Section("The paper's columns", "RMSE, linear values.", [Table.of(rows, columns)], plots)
     yield Section(
@@ -198,33 +199,3 @@ def _setups(results: Results[Task]) -> Table:
         of = results.of(row=row.key, model=models(results.options)[0])  # the same worlds for all
         lines.append([row.name, row.what, *(of.mean("facts", name).mean for name in FACTS)])
     return Table(["setup", "what it is", *FACTS.values()], lines)
-
-
-def _plot(results: Results[Task], rows: Sequence[Figures]) -> Plot:
-    """A panel a column of the paper, a line a setup, with intervals."""
-    lines = [line for line in zip(_lines(results), rows, strict=True) if line[1].scenes]
-    return Plot(
-        "table1",
-        f"With intervals. What is exact stands at {LEAST_SHOWN:g}.",
-        [Panel("dots", _series(lines, m), f"{m} RMSE", log="x") for m in COLUMNS],
-        columns=len(COLUMNS),
-        share_y="all",
-        size=(2.8, 0.8 + 0.6 * len({figure.name for _, figure in lines})),
-    )
-
-
-def _series(
-    lines: Sequence[tuple[tuple[Row, Model, Recipe | None, object], Figures]], metric: str
-) -> list[Series]:
-    series = []
-    for look, recipe in enumerate(SOLVERS):
-        of = [figure for (_, _, used, _), figure in lines if used == recipe]
-        mean, low, high = (
-            [max(figure.metrics[f"{metric}{end}"] or math.nan, LEAST_SHOWN) for figure in of]
-            for end in ("", "_low", "_high")
-        )
-        names = [figure.name for figure in of]
-        series.append(Series(IN_WORDS[recipe], mean, names, low=low, high=high, look=look))
-    papers = {f.name: f.paper[metric] for _, f in lines if f.paper and metric in f.paper}
-    label = "the paper's number (other scenes)"
-    return [*series, Series(label, list(papers.values()), list(papers), look=7)]

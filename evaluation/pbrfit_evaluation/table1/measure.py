@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from pbrfit._core import InputError
 from pbrfit.io.normal_files import read_normals
-from pbrfit.model.geometry import angles_between
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model
 from pbrfit.scene.arrays import unit_normals
@@ -21,6 +20,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import World, draw, make_scene
 from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import cycles
+from pbrfit_evaluation.normal_errors import angle_errors
 from pbrfit_evaluation.recipes import OTHER, explain
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.scores import METAL, score
@@ -186,8 +186,8 @@ def _as_given(scene: Scene, task: Task, row: Row) -> tuple[Scene, dict[str, floa
 
 def _off(name: str, normals: NDArray[np.float64], scene: Scene) -> dict[str, float]:
     """Angles of some normals to those of a scene, in degrees: mean and median."""
-    off = angles_between(normals, scene.normals)[scene.valid]
-    return {f"{name}_mean": float(off.mean()), f"{name}_median": float(np.median(off))}
+    off = angle_errors(normals[scene.valid], scene.normals[scene.valid])
+    return {f"{name}_{of}": angle for of, angle in off.items()}
 
 
 def predicted_files(folder: Path, seed: int) -> list[Path]:

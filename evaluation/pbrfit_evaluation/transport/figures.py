@@ -10,7 +10,9 @@ from pbrfit_evaluation.explained import figures as explained
 from pbrfit_evaluation.explained.figures import Of, ratio
 from pbrfit_evaluation.explained.variants import GUESS, OF_GEOMETRY, TRUE, WITHOUT, Variant
 from pbrfit_evaluation.panels import in_lines
-from pbrfit_evaluation.suite import Column, Picture, Row, Section, Table, Verdict
+from pbrfit_evaluation.suite import Column, Picture, Row, Section, Table, Verdict, dots
+
+WORDS = {variant.words: variant.words for variant in OF_GEOMETRY}
 
 ERRORS = ("albedo", "roughness", "metallic", "relight")
 METRICS = (*ERRORS, "recon", "seconds")
@@ -66,7 +68,7 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         "Errors",
         "RMSE, linear values.",
         [Table.of(found, [*(Column(name, best="low") for name in ERRORS), "recon", "seconds"])],
-        [explained.plot("transport", found, OF_GEOMETRY, ERRORS)] if results.finished else [],
+        [dots("transport", found, WORDS, ERRORS)] if results.finished else [],
     )
     headings = {
         "depth_off": "depth off by,\nrelative",

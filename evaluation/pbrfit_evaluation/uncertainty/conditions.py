@@ -18,21 +18,20 @@ from numpy.typing import NDArray
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.geometry import positions
 from pbrfit.model.lamps import Lamps
-from pbrfit.model.reflection import Model, chosen_model, render, render_lamps
+from pbrfit.model.reflection import Model, chosen_model, render_lamps
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
-from pbrfit.synthetic import make_scene
 from pbrfit.transport.decision import Transport
 from pbrfit.transport.scenery import Scenery
+from pbrfit_evaluation.everyday import disturbances as scenes
 from pbrfit_evaluation.everyday.disturbances import (
     NOISE,
-    PICTURES,
-    Disturbed,
     Kind,
     grey,
     in_files,
     jpeg,
+    truth_of,
     write_png,
 )
 from pbrfit_evaluation.normal_errors import unit
@@ -44,24 +43,8 @@ Array = NDArray[np.float64]
 Group = Literal["model holds", "wrong input", "other light and files"]
 GROUPS: tuple[Group, ...] = get_args(Group)
 
-Name = Literal[
-    "clean",
-    "noise",
-    "no-priors",
-    "three",
-    "grey",
-    "fov-90",
-    "sh-2",
-    "normals-3",
-    "normals-5",
-    "other-model",
-    "png",
-    "jpeg",
-    "shadows",
-    "bounces",
-    "lamps",
-]
-NAMES: tuple[Name, ...] = get_args(Name)
+Name = str
+"""One of `NAMES`."""
 
 FEW = 3
 """Pictures of a scene that has few."""
@@ -118,6 +101,7 @@ CONDITIONS: Mapping[Name, Condition] = {
     "bounces": Condition("bounced light, no depth given", "other light and files"),
     "lamps": Condition("lamps, fitted as harmonics", "other light and files", {"light": "sh"}),
 }
+NAMES: tuple[Name, ...] = tuple(CONDITIONS)
 
 
 def made(name: Name, kind: Kind, seed: int, size: int, model: Model, threads: int = 0) -> Scene:
@@ -132,60 +116,33 @@ def made(name: Name, kind: Kind, seed: int, size: int, model: Model, threads: in
     model
         That is fitted; the pictures are of it, but for "other-model".
     """
-    drawn = partial(_drawn, kind, seed, size, OTHER[model] if name == "other-model" else model)
+    of = OTHER[model] if name == "other-model" else model
+    drawn = partial(scenes.made, kind, seed, size, model=of, held_out=1)
     rng = np.random.default_rng([seed, 9, NAMES.index(name)])
     match name:
         case "clean" | "sh-2" | "other-model":
-            return drawn()
+            return drawn().scene
         case "noise" | "no-priors":
-            return drawn(noise=NOISE)
+            return drawn(NOISE).scene
         case "three":
-            return drawn(noise=NOISE, lights=FEW)
+            return drawn(NOISE, lights=FEW).scene
         case "grey":
-            return grey(_undisturbed(drawn()), rng).scene
+            return grey(drawn(), rng).scene
         case "fov-90":
-            return replace(drawn(), fov=FOV_TOLD)
+            return replace(drawn().scene, fov=FOV_TOLD)
         case "normals-3" | "normals-5":
-            scene, degrees = drawn(noise=NOISE), float(name[-1])
+            scene, degrees = drawn(NOISE).scene, float(name[-1])
             wrong = disturbed(scene, "correlated", degrees / MEAN_OF_THETA, seed)
             return replace(scene, normals=wrong)
         case "png":
-            return in_files(_undisturbed(drawn(noise=NOISE)), write_png).scene
+            return in_files(drawn(NOISE), write_png).scene
         case "jpeg":
-            return in_files(_undisturbed(drawn()), jpeg("90-420")).scene
+            return in_files(drawn(), jpeg("90-420")).scene
         case "shadows" | "bounces":
-            return _among_surfaces(drawn(), bounces=name == "bounces", rng=rng, threads=threads)
-        case "lamps":
-            return _under_lamps(drawn(), rng, threads)
-
-
-def _drawn(
-    kind: Kind,
-    seed: int,
-    size: int,
-    model: Model,
-    *,
-    noise: float = 0.0,
-    lights: int = PICTURES,
-) -> Scene:
-    scene = make_scene(
-        kind, size=size, lights=lights, held_out=1, seed=seed, noise=noise, model=model
-    )
-    return replace(scene, images=scene.images.astype(np.float32))
-
-
-def _truth(scene: Scene) -> tuple[Truth, Array]:
-    """With the true lights."""
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    return scene.truth, scene.truth.lighting
-
-
-def _undisturbed(scene: Scene) -> Disturbed:
-    truth, lighting = _truth(scene)
-    model = chosen_model(None, scene.model)
-    expected = render(truth.materials, scene.normals, lighting, scene.fov, model=model)
-    return Disturbed(scene, scene.fov, expected)
+            blocked = drawn().scene
+            return _among_surfaces(blocked, bounces=name == "bounces", rng=rng, threads=threads)
+    assert name == "lamps"
+    return _under_lamps(drawn().scene, rng, threads)
 
 
 def _depth(scene: Scene) -> NDArray[np.float32]:
@@ -200,7 +157,9 @@ def _with_little_noise(pictures: Array, rng: Generator) -> NDArray[np.float32]:
 
 def _among_surfaces(scene: Scene, *, bounces: bool, rng: Generator, threads: int) -> Scene:
     """Light that surfaces block, and perhaps reflect to others, at the same mean radiance."""
-    truth, lighting = _truth(scene)
+    truth = truth_of(scene)
+    lighting = truth.lighting
+    assert lighting is not None
     scenery = Scenery(_depth(scene), scene.normals, scene.valid, scene.segments, scene.fov)
     pictures = scenery.render(
         truth.materials,
@@ -217,7 +176,9 @@ def _among_surfaces(scene: Scene, *, bounces: bool, rng: Generator, threads: int
 
 def _under_lamps(scene: Scene, rng: Generator, threads: int) -> Scene:
     """Every picture under one lamp, far ones and near ones in turn, and its light as ambient."""
-    truth, lighting = _truth(scene)
+    truth = truth_of(scene)
+    lighting = truth.lighting
+    assert lighting is not None
     model = chosen_model(None, scene.model)
     depth = _depth(scene)
     rendered = partial(

@@ -92,7 +92,7 @@ def _row(condition: Condition, of: Of) -> Row:
             metrics |= {f"{name}_{key}": value for key, value in _of_map(of, name).items()}
         metrics |= {
             "scale_within_2": _share(_scales_within(of)),
-            "seconds": _mean(of.numbers("seconds", "fit")),
+            "seconds": of.average("seconds", "fit"),
             "after_share": _after_share(of),
         }
     return Row(condition.title, len(of.finished), None, metrics, status=of.status("scenes"))
@@ -106,11 +106,11 @@ def _of_map(of: Of, name: str) -> dict[str, float | None]:
     values = sum(float(np.sum(one["maps"][name]["ratios"])) for _, one in of.finished)
     return {
         **of.metrics(["within_2"], *path),
-        **{key: _mean(of.numbers(*path, key)) for key in METRICS if key != "within_2"},
+        **{key: of.average(*path, key) for key in METRICS if key != "within_2"},
         "rmse": _mean(errors),
         "guess": _mean(guesses),
         "over_guess": _mean(errors) / _mean(guesses) if any(guesses) else math.nan,
-        "expected_error": _mean(of.numbers(*path, "expected_error")),
+        "expected_error": of.average(*path, "expected_error"),
         "on_bound": on_bound / values,
         "on_bound_inside": inside / on_bound if on_bound else math.nan,
     }
