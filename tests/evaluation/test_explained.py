@@ -314,42 +314,31 @@ def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> Non
     assert {key: light[key] for key in expected} == expected
 
 
-def values(error: float, cm: float | None = None) -> dict[str, Any]:
-    scores = dict.fromkeys((*of_lamps.ERRORS, "recon", "seconds"), error)
-    return {"scores": scores, "lamps": {} if cm is None else {"cm": cm, "near": 1.0}}
+def lamps_hold(errors: dict[str, float], cm: float = 3.0) -> list[bool]:
+    """Verdicts on lamps by the error of each variant, and how far lamps are off."""
+    pairs = [of("points-shadows", key, 1, error) for key, error in errors.items()]
+    pairs = [(case, values | {"lamps": {"cm": cm, "near": 1.0}}) for case, values in pairs]
+    found = recorded(*pairs, setups=["points-shadows"], variants=list(errors))
+    return [one.holds for one in of_lamps.verdicts(found, None)]
 
 
-def under_lamps(found: dict[str, dict[str, Any]]) -> Any:
-    cases = [replace(CASE, variant=key, picture=False) for key in found]
-    pairs = zip(cases, found.values(), strict=True)
-    return recorded(*pairs, setups=["points-shadows"], variants=list(found))
-
-
-def test_lamps_have_to_be_worth_something() -> None:
-    good = {GUESS.key: values(0.3), HARMONICS: values(0.4), NEAR: values(0.2, 3.0)}
-    assert all(one.holds for one in of_lamps.verdicts(under_lamps(good), None))
-    for spoilt in (values(0.35, 3.0), values(0.2, 6.0)):
-        assert not all(
-            one.holds for one in of_lamps.verdicts(under_lamps({**good, NEAR: spoilt}), None)
-        )
-
-
-def test_auto_spoils_nothing() -> None:
-    for error, holds in ((0.2, True), (0.21, False)):
-        found = under_lamps({HARMONICS: values(0.2), "auto": values(error)})
-        assert [verdict.holds for verdict in of_lamps.verdicts(found, None)] == [holds]
+def test_lamps_have_to_be_worth_something_and_auto_spoils_nothing() -> None:
+    good = {GUESS.key: 0.3, HARMONICS: 0.4, NEAR: 0.2}
+    assert all(lamps_hold(good))
+    assert not all(lamps_hold({**good, NEAR: 0.35}))
+    assert not all(lamps_hold(good, cm=6.0))
+    assert lamps_hold({HARMONICS: 0.2, "auto": 0.2}) == [True]
+    assert lamps_hold({HARMONICS: 0.2, "auto": 0.21}) == [False]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("stand_ins")
-def test_command_for_lamps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_for_lamps(tmp_path: Path) -> None:
     out = tmp_path / "out"
     few = ("--scenes", 1, "--size", SIZE, "--lights", LIGHTS, "--jobs", 1, "--first-seed", 2003)
     variants = ("--variants", GUESS.key, HARMONICS)
-    code = run("evaluate", "lamps", "--quick", *few, *variants, "--out", out)
-    assert code == 0, capsys.readouterr().err
+    assert run("evaluate", "lamps", "--quick", *few, *variants, "--out", out) == 0
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    assert [row["solver"] for row in rows if row["scenes"]] == [
-        BY_KEY[key].words for key in (GUESS.key, HARMONICS)
-    ]
+    words = [BY_KEY[key].words for key in (GUESS.key, HARMONICS)]
+    assert [row["solver"] for row in rows if row["scenes"]] == words
     assert (out / "maps-points-shadows.png").is_file()

@@ -35,14 +35,11 @@ def rows(results: Of) -> list[Row]:
         found |= {name: of.mean("facts", name).mean for name in FACTS}
         if variant.options:
             chosen = [values["choice"] for _, values in of.finished]
-            found |= {f"chose_{one}": _share(chosen, one) for one in CHOICES}
+            count = len(chosen) or math.nan
+            found |= {f"chose_{one}": chosen.count(one) / count for one in CHOICES}
         return found
 
     return explained.rows(results, OF_GEOMETRY, measured)
-
-
-def _share(chosen: Sequence[str], one: str) -> float:
-    return chosen.count(one) / len(chosen) if chosen else math.nan
 
 
 def verdicts(results: Of, _: object) -> Iterator[Verdict]:
