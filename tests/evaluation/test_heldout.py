@@ -437,10 +437,9 @@ def test_diligent_writes_normals_and_holds_ways_against_each_other(tmp_path: Pat
 
 
 def test_to_be_told_more_must_make_nothing_worse() -> None:
-    source = Source("cat", Path("cat"), "scene", 8, "")
-    angles: dict[Way, float] = {"default": 7.8, "directions": 8.0, "strengths": 8.1}
-    angles |= {"lambert-trimmed": 7.9}
-    pairs = [(task(source, way, keep=8), {"normals": {"mean": of}}) for way, of in angles.items()]
+    source, ways = Source("cat", Path("cat"), "scene", 8, ""), diligent.WAYS
+    angles = dict(zip(ways, (7.8, 8.0, 8.1, 9.0, 7.9), strict=True))
+    pairs = [(task(source, way, keep=8), {"normals": {"mean": angles[way]}}) for way in ways]
     found = diligent.verdicts(recorded(*pairs, effort="full"), None)
     assert [one.holds for one in found] == [True, True, False]
     assert not list(diligent.verdicts(recorded(*pairs, effort="quick"), None))

@@ -119,7 +119,8 @@ def find_sources(path: Path) -> list[Source]:
             ]
     if not found:
         raise InputError(
-            f"{path}: expected a scene folder or one of {', '.join(SETS)}, found none of them"
+            f"{path}: expected a scene folder, one of {', '.join(SETS)}, or pictures beside "
+            f"{', '.join((*DIRECTIONS, *NORMALS))}, found none of them"
         )
     return found
 

@@ -15,7 +15,7 @@ from pbrfit.fit.memory import available, size
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
 from pbrfit.result.metrics import white_of
-from pbrfit.result.relighting import Light, relight, turned
+from pbrfit.result.relighting import Light, relight, specular_enhanced, turned
 from pbrfit.result.relit_files import Radiance, Screen, write_animation, write_exr
 from pbrfit.result.result import Result
 
@@ -51,6 +51,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser,
         no_shadows=cli.switch(
             "light as if there were no surroundings, where the fit decided for some"
+        ),
+        enhance=cli.choice(
+            ("specular",), "surfaces made glossy, whose highlights tell their shape"
         ),
     )
     cli.add_flags(
@@ -90,6 +93,8 @@ def run(options: argparse.Namespace) -> int:
     _check_belonging(options, kind)
     _check_free(options, kind)
     result = cli.read_result(options)
+    if options.enhance:
+        result = specular_enhanced(result)
     _check_memory(options, kind, result)
     light, said = choose_light(options, result)
     exposure, sampled = options.exposure, dict[int, Radiance]()
@@ -116,20 +121,15 @@ def run(options: argparse.Namespace) -> int:
 def _kind(options: argparse.Namespace) -> str:
     """What is written: a suffix, with a turntable also ``folder``."""
     suffix: str = options.out.suffix.lower()
-    if options.turntable is None:
-        if suffix not in (".exr", ".png"):
-            several = suffix in (".gif", ".webp", "")
-            hint = f"; {suffix or 'a folder'} needs --turntable N" if several else ""
-            raise InputError(
-                f"{options.out}: expected a file that ends in .exr (linear) or .png (for a "
-                f"screen), found {suffix or 'no suffix'}{hint}"
-            )
-        return suffix
-    if suffix not in ("", ".gif", ".webp", ".png"):
-        raise InputError(
-            f"{options.out}: expected, with --turntable, a folder (no suffix), .gif, .webp or .png "
-            f"(animated), found {suffix}"
-        )
+    still = options.turntable is None
+    known = (".exr", ".png") if still else ("", ".gif", ".webp", ".png")
+    if suffix not in known:
+        expected, hint = "a file that ends in .exr (linear) or .png (for a screen)", ""
+        if not still:
+            expected = "with --turntable, a folder (no suffix), .gif, .webp or .png (animated)"
+        elif suffix in (".gif", ".webp", ""):
+            hint = f"; {suffix or 'a folder'} needs --turntable N"
+        raise InputError(f"{options.out}: expected {expected}, found {suffix or 'no suffix'}{hint}")
     return suffix or "folder"
 
 

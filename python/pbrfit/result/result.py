@@ -159,11 +159,7 @@ class Result(ResultData):
         return scene.decoded_by(response)
 
     def report(
-        self,
-        path: str | Path,
-        scene: Scene | str | Path | None = None,
-        *,
-        overwrite: bool = False,
+        self, path: str | Path, scene: Scene | str | Path | None = None, *, overwrite: bool = False
     ) -> None:
         """Write a page about it, one .html file; as `pbrfit.write_report`, which see."""
         from pbrfit import write_report  # public: what is above this room is not named here
@@ -340,11 +336,7 @@ def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
         path = Path(os.path.relpath(source.path, folder.resolve())).as_posix()
     except ValueError:  # on another drive, where no relative path leads
         return None
-    return {
-        "path": path,
-        "files": list(source.files),
-        **vars(source.options),
-    }
+    return {"path": path, "files": list(source.files), **vars(source.options)}
 
 
 def _source(content: Mapping[str, Any], folder: Path) -> Source:
