@@ -339,7 +339,7 @@ def score(whole: Path, which: Split, result: Result) -> dict[str, float]:
     height, width = result.mask.shape
     scene = Scene.load(whole, fov=result.fov, max_size=max(height, width))
     scene = judged_at(scene, scene.valid)
-    lamps = None if scene.lamps is None else scene.lamps.places
+    lamps = scene.lamps
     ways: tuple[Baseline, ...] = (
         "nearest",
         "lambert",
