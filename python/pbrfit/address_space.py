@@ -49,29 +49,10 @@ def left() -> int | None:
     return min((most - used for most, used in _limits()), default=None)
 
 
-def in_one_line(failure: BaseException) -> str:
-    """What went wrong; the type too where it is not one that explains itself."""
-    from pbrfit._core import InputError  # here: with it comes numpy
-
-    words = " ".join(str(failure).split())
-    if isinstance(failure, OSError) and failure.strerror and failure.filename:
-        return f"{failure.filename}: {failure.strerror}"
-    if isinstance(failure, FileNotFoundError) and failure.errno:  # of no file: of `os.getcwd`
-        return f"{os.environ.get('PWD', '.')}: expected the working folder, found it removed"
-    if isinstance(failure, BlockingIOError) or "start new thread" in words:
-        return f"threads and processes (ulimit -u): expected more, found {words}"
-    if isinstance(failure, MemoryError) and "memory" not in words:
-        return f"not enough memory: {words}" if words else "not enough memory"
-    if isinstance(failure, (InputError, OSError, MemoryError)) and words:
-        return words
-    name = type(failure).__name__
-    return f"{name}: {words}" if words else name
-
-
 def check_limits() -> None:
     """Have as much stack as is allowed, up to `STACK_BYTES`.
 
-    Raises MemoryError if that is less, or so few files may be open that Python finds no libraries.
+    Raises MemoryError if that is less, OSError if Python may open too few files to find libraries.
     """
     if sys.platform == "win32":
         return
@@ -79,10 +60,10 @@ def check_limits() -> None:
     try:
         import resource
     except ImportError:  # no file is left to look for it with
-        raise MemoryError(f"{expected} too few") from None
+        raise OSError(f"{expected} too few") from None
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if 0 <= files < FILES_MIN:
-        raise MemoryError(f"{expected} {files}")
+        raise OSError(f"{expected} {files}")
     soft, hard = resource.getrlimit(resource.RLIMIT_STACK)
     if soft == resource.RLIM_INFINITY or soft >= STACK_BYTES:
         return
@@ -98,13 +79,14 @@ def check_limits() -> None:
 def check_libraries() -> None:
     """Raise MemoryError if the libraries of a fit have no room; call it before they are loaded.
 
-    Where address space is limited, they are told to make no threads, each of which would take a
-    buffer, and glibc to make no heaps for threads.
+    OpenBLAS is told to make no threads: a fit uses none of them, each takes a buffer, and where one
+    cannot be had it interrupts the process. Where address space is limited, glibc is told to make
+    no heaps for threads.
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     limits = _limits()
     if not limits:
         return
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("MALLOC_ARENA_MAX", "1")  # of workers
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)

@@ -16,6 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
+from pbrfit import address_space
 from pbrfit.commands import SUMMARIES, add_commands
 from pbrfit.commands.arguments import DONE, INTERRUPTED, UNUSABLE, complain, in_one_line
 from pbrfit.commands.messages import in_flags, unread
@@ -41,13 +42,18 @@ def run() -> NoReturn:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     watched = len(sys.argv) > 1 and sys.argv[1] not in PRINTED_AT_ONCE
     if watched:
-        from pbrfit import ending
-
         try:
+            address_space.check_limits()
+            address_space.check_libraries()
+            from pbrfit import ending
+
             ending.watch()
-        except OSError as error:  # no thread can be started
+        except (MemoryError, OSError) as error:  # of `watch`: no thread can be started
             complain(in_one_line(error))
             sys.exit(UNUSABLE)
+        except KeyboardInterrupt:
+            complain("interrupted")
+            sys.exit(INTERRUPTED)
     sys.exit(main(watched=watched))
 
 
@@ -65,15 +71,6 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     path = Path(given[0])
     if path.exists() or path.name != given[0]:  # pictures in place of a command
         given = given if given[0] in SUMMARIES or given[0][:1] == "-" else ["decompose", *given]
-    if given[0] not in PRINTED_AT_ONCE:
-        from pbrfit import address_space
-
-        try:
-            address_space.check_limits()
-            address_space.check_libraries()
-        except MemoryError as error:
-            complain(str(error))
-            return UNUSABLE
     options = _parser().parse_args(given)
     from pbrfit import ending
     from pbrfit._core import InputError, last_word
@@ -93,7 +90,9 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
     except BrokenPipeError:  # whoever read has read enough
         unread()
         return DONE
-    except (InputError, OSError, MemoryError) as error:
+    except (InputError, OSError, MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "start new thread" not in str(error):
+            raise
         end_with(in_one_line(error))
         if isinstance(error, OSError):
             unread()
@@ -108,11 +107,6 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
             f"{Path(place.filename).name}:{place.lineno}; PYTHONDEVMODE=1 shows the way "
             "there"
         )
-        return UNUSABLE
-    except RuntimeError as error:
-        if "start new thread" not in str(error):
-            raise
-        end_with(in_one_line(error))
         return UNUSABLE
     except KeyboardInterrupt as interrupt:
         end_with(str(interrupt) or ending.WORD)

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "python" / "pbrfit"
 EVALUATION = ROOT / "evaluation" / "pbrfit_evaluation"
 
 FLOORS = (
-    ("lazy", "ending", "threads", "steps", "address_space"),
+    ("lazy", "ending", "threads", "steps", "address_space", "errors"),
     ("io",),
     ("display",),
     ("model",),

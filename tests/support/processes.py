@@ -64,12 +64,17 @@ def closed(path: Path) -> Path:
     return path
 
 
+def with_rights(rights: str, *options: str) -> list[str]:
+    """What stands before a command that keeps only some of root's rights; if not root, none."""
+    if not ROOT:
+        return []
+    if shutil.which("setpriv") is None:
+        pytest.skip("no setpriv")
+    return ["setpriv", "--bounding-set", rights, "--inh-caps", rights, *options]
+
+
 def as_nobody_special(arguments: Sequence[object]) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of `pbrfit` for somebody to whom closed files are closed."""
-    command = [sys.executable, "-m", "pbrfit", *map(str, arguments)]
-    if ROOT:  # who may read all, unless that right is given up
-        if shutil.which("setpriv") is None:
-            pytest.skip("no setpriv")
-        command = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", *command]
+    command = [*with_rights("-all"), sys.executable, "-m", "pbrfit", *map(str, arguments)]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     return found.returncode, found.stdout, found.stderr

@@ -15,6 +15,7 @@ from pbrfit import address_space
 from pbrfit.batch import heartbeat
 from pbrfit.batch.cluster import Cluster, threads_of_worker
 from pbrfit.batch.executors import Here, Processes, Workers
+from pbrfit.errors import in_one_line
 
 log = logging.getLogger("pbrfit")
 
@@ -175,7 +176,7 @@ def attempt(
             with one_blas_thread():  # of small matrices: more get into each other's way
                 value = work(task, threads)
         except Exception as failure:  # whatever it is, the other tasks are no worse for it
-            error, raised = address_space.in_one_line(failure), type(failure).__name__
+            error, raised = in_one_line(failure), type(failure).__name__
             log.debug("%s", error, exc_info=True)
     return Attempt(value, error, raised, time.perf_counter() - began, tuple(said))
 
@@ -207,9 +208,7 @@ def _outcome(
         return Attempt(None, f"its process died{why}"), True
     if not isinstance(failure, Exception):
         raise failure
-    return Attempt(
-        None, address_space.in_one_line(failure)
-    ), False  # such as a value that cannot be pickled
+    return Attempt(None, in_one_line(failure)), False  # such as a value that cannot be pickled
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import heartbeat
+from pbrfit.errors import in_one_line
 from pbrfit.io.normal_files import NORMAL_FILES
 from pbrfit.result.held_out import HeldOut
 from pbrfit.result.options import FitOptions
@@ -168,7 +169,7 @@ def decompose_scene(
                 with step("report"):
                     write_report(result, folder / REPORT_FILE, scene)
             except MemoryError as error:  # what was fitted is worth more
-                log.warning("%s: no report: %s", task.output, address_space.in_one_line(error))
+                log.warning("%s: no report: %s", task.output, in_one_line(error))
     if result.status is Status.TIME_LIMIT:
         reason = result.stop_reason
         log.warning("%s: unfinished: %s; the best state so far is written", task.output, reason)

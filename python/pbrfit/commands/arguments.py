@@ -9,10 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from pbrfit.address_space import in_one_line as in_one_line
 from pbrfit.commands.messages import complain as complain
 from pbrfit.commands.messages import unread_is_no_failure as unread_is_no_failure
 from pbrfit.commands.progress import progress_bar as progress_bar
+from pbrfit.errors import in_one_line as in_one_line
 from pbrfit.io.quoting import visible
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ import pytest
 from command_runs import refused
 from pbrfit import InputError, Scene, _core
 from pbrfit.acquire.prompts import read_prompts
-from pbrfit.address_space import in_one_line
 from pbrfit.batch.prediction import picture_size
+from pbrfit.errors import in_one_line
 from pbrfit.io import images
 from pbrfit.io.images import read_stored
 from pbrfit.io.input_files import (
