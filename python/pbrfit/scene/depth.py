@@ -55,9 +55,9 @@ def checked_depth(
 ) -> tuple[Depth | None, list[str]]:
     """Depth as a scene keeps it, and what there is to say about it.
 
-    Returns (H, W) float32, NaN where there is no positive number below `DEPTH_MAX`, and notes in
-    words. Depth is not compared with normals (H, W, 3) that stand for unknown ones. Raises
-    InputError if the map has another size or holds no distances.
+    Returns (H, W) float32, NaN where nothing was hit (`DEPTH_MAX`), and notes in words. Depth is
+    not compared with normals (H, W, 3) that stand for unknown ones. Raises InputError if the map
+    has another size or holds no distances.
     """
     if given is None:
         return None, []
@@ -75,10 +75,8 @@ def checked_depth(
             f"{found.inverse_depth:.0f})"
         )
     if found.depth > DISAGREEMENT_MIN:
-        said = (
-            f"its normals are {found.depth:.0f} degrees from the given ones in the median: depth "
-            "and normals contradict each other"
-        )
+        angle = f"{found.depth:.0f} degrees in the median"
+        said = f"its normals and the given ones contradict each other, by {angle}"
         log.warning("depth: %s", said)
         notes.append(said)
     return depth, notes
@@ -92,9 +90,9 @@ def without_holes(depth: NDArray[Any], *, inverse: bool = False) -> tuple[Depth,
     """
     with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold is infinite then
         kept: Depth = depth.astype(np.float32)
-        hit = (kept > 0) & (kept < DEPTH_MAX)
+        hit = (kept > 1 / DEPTH_MAX) & (kept < DEPTH_MAX)  # products of less are denormal: slow
     if not hit.any():
-        raise InputError("depth: expected distances above 0, found none")
+        raise InputError(f"depth: expected distances above 0, found none below {DEPTH_MAX:g}")
     notes = []
     if holes := int(np.count_nonzero(~hit & ~np.isnan(kept))):
         notes.append(f"{holes} pixels of 0, negative or infinite depth left out")

@@ -230,6 +230,8 @@ def _solved(
     from scipy.sparse.linalg import LinearOperator, cg
 
     count = data.size
+    if count == 1:
+        return given  # of no neighbours
     total = np.bincount(edges.first, weights, count) + np.bincount(edges.second, weights, count)
     held = data
     if not data.any():  # a constant is free: one unknown in the middle is held at 0

@@ -28,9 +28,9 @@ GIB = 2**30
 
 FIT = """
 import sys
-from pathlib import Path
 
 import pbrfit
+from pbrfit.batch.process_memory import forget_peak, peak_kib, resident_kib
 from pbrfit.fit import memory
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.synthetic import make_scene
@@ -42,22 +42,15 @@ def room(size, lights):
     found = make_scene("room", size=size, lights=lights, noise=0.01, held_out=1)
     return pbrfit.Scene(images=found.images, normals=found.normals, fov=found.fov)
 
-
-def resident(name):
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(name):
-            return 1024 * int(line.split()[1])
-
-
 scene = room(256, 16)
 pbrfit.decompose(room(16, 4), iterations=3)  # imports
-Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
-before = resident("VmRSS")
+forget_peak()
+before = resident_kib()
 options = {"solver": solver, "refine_normals": refine, "light": "sh", "iterations": 30}
 pbrfit.decompose(scene, threads=threads, **options)
 layout, refines = ParameterLayout.of(scene), refine == "on"
 said = memory.of_fit(layout, solver, held=0, refine_normals=refines, threads=threads)
-print(resident("VmHWM") - before, said.further)
+print(1024 * (peak_kib() - before), said.further)
 """
 
 
@@ -196,11 +189,11 @@ class TestRefiningNormals:
 
 TABLES = """
 import sys
-from pathlib import Path
 
 import numpy as np
 
 import pbrfit
+from pbrfit.batch.process_memory import forget_peak, peak_kib, resident_kib
 from pbrfit.fit import memory
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
@@ -220,22 +213,15 @@ surrounded = Surrounded(
     scene, Transport(kind), Scenery(depth, normals, scene.valid, None, scene.fov)
 )
 
-
-def resident(name):
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(name):
-            return 1024 * int(line.split()[1])
-
-
 objective = Objective(scene, model=model)
 surrounded.tables(objective, np.arange(100, dtype=np.uint64), rays=8)  # imports
 vars(surrounded).pop("images", None)
-Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
-before = resident("VmRSS")
+forget_peak()
+before = resident_kib()
 objective = objective.among(surrounded.tables(objective, rays=8))
 layout = ParameterLayout.of(scene)
 said = memory.of_fit(layout, "gauss-newton", held=0, transport=kind, model=model)
-print(resident("VmHWM") - before, said.tables)
+print(1024 * (peak_kib() - before), said.tables)
 """
 
 

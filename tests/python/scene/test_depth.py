@@ -57,7 +57,7 @@ def test_a_scene_without_depth_has_none() -> None:
 
 def test_what_is_no_distance_becomes_unknown_and_is_told() -> None:
     depth, normals = tilted(30)
-    for place, value in enumerate((0.0, -1.0, np.inf, 1e10, np.nan)):
+    for place, value in enumerate((1e-38, -1.0, np.inf, 1e10, np.nan)):
         depth[5, 5 * place] = value
     made = scene(depth, normals)
     assert made.depth is not None

@@ -180,6 +180,11 @@ def test_what_cannot_be_integrated_is_refused() -> None:
         depth_from_normals(normals, FOV, depth=0 * depth)
 
 
+def test_one_pixel_is_as_far_as_is_said() -> None:
+    for depth, expected in ((None, 1.0), (np.full((1, 1), 3.0), 3.0)):
+        assert depth_from_normals(np.array([[[0, 0, 1.0]]]), FOV, depth=depth) == expected
+
+
 def test_time_is_about_linear_in_the_pixels() -> None:
     seconds = []
     for size in (128, 256):
