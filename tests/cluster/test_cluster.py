@@ -221,7 +221,7 @@ def test_a_scheduler_that_goes_ends_the_batch_in_one_line(
     scenes: Path, machines: Machines, tmp_path: Path
 ) -> None:
     machines.add_worker()
-    run = batch(scenes, tmp_path / "out", *FEW, "--cluster", machines.address)
+    run = batch(scenes, tmp_path / "out", *FEW, "--quiet", "--cluster", machines.address)
     assert run.stdout is not None
     run.stdout.readline()
     machines.scheduler.kill()
