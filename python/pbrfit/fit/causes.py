@@ -90,16 +90,12 @@ def _causes(
     count = len(scene.images)
     if (normals[scene.valid] == (0.0, 0.0, 1.0)).all():
         yield "all normals face the camera", "normals (pbrfit normals)"
-    sides = None
-    if lighting is not None and count > 1:
-        sides = one_side(main_directions(lighting))
+    sides = None if lighting is None or count < 2 else one_side(main_directions(lighting))
     if sides is not None:
         yield f"light from one side, {sides[0]}, in all pictures", f"pictures lit from {sides[1]}"
     if count < FEW_PICTURES:
         yield f"only {count} picture{'s' * (count > 1)}", "pictures under other lights"
-    clipped = 0.0
-    if scene.limits is not None:
-        clipped = float(np.mean(scene.limits[:, scene.valid] > 0))
+    clipped = 0.0 if scene.limits is None else np.mean(scene.limits[:, scene.valid] > 0)
     if clipped > CLIPPED_SHARE:
         yield f"{100 * clipped:.0f} % of the samples are clipped", "shorter exposures or RAW files"
     if discrepancy is not None and discrepancy.misfit**2 > discrepancy.of_noise:

@@ -123,7 +123,8 @@ def choose(scene: Scene, setup: FitSetup, *, start_given: bool = False) -> Choic
     """
     told = start_given or setup.options.solver != "gauss-newton"
     compared = _Comparison(scene, setup, told=told)
-    return replace(compared.best(), contradiction=contradiction(scene, compared.reduced))
+    contradicted = contradiction(scene, compared.reduced, setup.options.model)
+    return replace(compared.best(), contradiction=contradicted)
 
 
 class _Comparison:
@@ -394,12 +395,8 @@ class _Comparison:
             kind = replace(best.explanation, **plainer)
             plain = next((one for one in results if one.explanation == kind), best)
             best = best if plain.is_worse(best, errors) else plain
-        free = [
-            one
-            for one in results
-            if one.explanation
-            == replace(best.explanation, material=0.0, robust=one.explanation.robust)
-        ]
+        kind = replace(best.explanation, material=0.0)
+        free = [one for one in results if replace(one.explanation, robust=kind.robust) == kind]
         plain = min(free, key=SCORE, default=best)
         everywhere = (best.means < plain.means).all()
         return best if everywhere and plain.is_worse(best, errors) else plain

@@ -17,6 +17,10 @@ of |residuals|, so that highlights and shadows do not govern. Where no normals a
 each pixel are fitted with its albedo. Then lamps that are flipped, or in a ring and turned, leave
 as much as the right ones, but the normals are those of no surface.
 
+**The strength of lights agrees with highlights.** Albedo takes up a common factor of known lights;
+what dielectrics mirror, by an F0 of 0.04, does not (`fit.scale`). So under lights that are brighter
+or darker the best materials leave more of the pictures.
+
 Alternatives and what is given are compared patch by patch.
 """
 
@@ -35,11 +39,13 @@ from pbrfit.fit.lamps.photometric import DARK, ROUNDS, solved
 from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import brightness, grey_samples
 from pbrfit.fit.left_out import patches_of
+from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import fit_all
 from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import facing_away, view_directions
-from pbrfit.model.reflection import DEFAULT_MODEL, sh_basis
+from pbrfit.model.reflection import DEFAULT_MODEL, Model, sh_basis
 from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.scene.depth import DISAGREEMENT_MIN, compared
 from pbrfit.scene.scene import Scene
@@ -72,6 +78,9 @@ FLIPS = {"Y": (1.0, -1.0, 1.0), "X": (-1.0, 1.0, 1.0), "X and Y": (-1.0, -1.0, 1
 not tell it from flipped X."""
 
 
+STRENGTHS = {f"{times:g} times as bright": times for times in (0.5, 0.9, 1.1, 2.0)}
+"""Known lights that are tried, in words: by a tenth no albedo is off by more than 0.1."""
+
 MIRRORED = {"left and right": (1,), "top and bottom": (0,), "both": (0, 1)}
 """Axes of segments (H, W) that are exchanged."""
 
@@ -92,13 +101,42 @@ class Contradiction:
         return f"{self.why}; try {self.remedy}"
 
 
-def contradiction(scene: Scene, averaged: Scene | None = None) -> Contradiction | None:
+def contradiction(
+    scene: Scene, averaged: Scene | None = None, model: Model | None = None
+) -> Contradiction | None:
     """What is contradicted of a scene's normals, lights, depth and segments: one, or nothing.
 
     Lamps are looked at where there is one in each picture; without normals, where there are four or
     more, far away: three fit any normal. `averaged` is such a scene as `without_shape` gives it.
+    Known lights are reflected by `model`, else by that of the pictures.
     """
-    return _of_normals_and_lights(scene, averaged) or _of_depth(scene) or _of_segments(scene)
+    return (
+        _of_normals_and_lights(scene, averaged)
+        or _of_strength(scene, model)
+        or _of_depth(scene)
+        or _of_segments(scene)
+    )
+
+
+def _of_strength(scene: Scene, model: Model | None) -> Contradiction | None:
+    lights = scene.lighting
+    if lights is None or not scene.normals_known:
+        return None
+    few = cut(scene, strided_window(scene.valid, PIXELS))
+    patches = patches_of(few.valid)
+
+    def left(times: float) -> Array:
+        objective = Objective(replace(few, lighting=times * lights), model=model)
+        sum_sq = fit_all(objective, objective.start(), starts=settings.SUBSET_STARTS)
+        assert sum_sq is not None  # nothing stops it
+        return np.asarray(np.bincount(patches, np.sqrt(sum_sq)) / np.bincount(patches).clip(1))
+
+    given, others = left(1.0), {which: left(times) for which, times in STRENGTHS.items()}
+    which = _lowest(given, others)
+    if which is None:
+        return None
+    said = f"the strength of the lights looks wrong: {which}, {_times(given, others[which])}"
+    return Contradiction("lights", said, f"lights {which}")
 
 
 def _of_depth(scene: Scene) -> Contradiction | None:

@@ -29,13 +29,7 @@ from pbrfit.fit.light_prior import LightPrior, as_in_core
 from pbrfit.fit.misfit import variance
 from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import (
-    Pixels,
-    fit_all,
-    place,
-    taken,
-    try_from,
-)
+from pbrfit.fit.pixels import Pixels, fit_all, place, taken, try_from
 from pbrfit.fit.preconditioner import Preconditioner, conjugate_gradients
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.sampling import evenly_spaced_over

@@ -7,14 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.run import Run
-from pbrfit.fit.settings import (
-    DATA_SHARE_OF_ITERATIONS,
-    LBFGS_STAGES,
-    START_ROUGHNESS,
-    TRAP_ROUGHNESS,
-    TRAPPED_MARGIN,
-)
 
 Array = NDArray[np.float64]
 
@@ -24,8 +18,8 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
 
     The last is empty unless the state is one from before the last restart.
     """
-    iterations = (DATA_SHARE_OF_ITERATIONS if run.has_mixture_prior else 1.0) * run.left
-    stages = LBFGS_STAGES[-1:] if start_given else LBFGS_STAGES
+    iterations = (settings.DATA_SHARE_OF_ITERATIONS if run.has_mixture_prior else 1.0) * run.left
+    stages = settings.LBFGS_STAGES[-1:] if start_given else settings.LBFGS_STAGES
     best = loss, x
     trapped = False
     before = run.iteration
@@ -46,7 +40,8 @@ def _restarted(run: Run, x: Array) -> Array:
     """X with the pixels that are trapped at the roughness bound put back to the middle."""
     x = x.copy()
     roughness = x[run.objective.roughness]
-    roughness[roughness <= TRAP_ROUGHNESS + TRAPPED_MARGIN] = START_ROUGHNESS
+    trapped = roughness <= settings.TRAP_ROUGHNESS + settings.TRAPPED_MARGIN
+    roughness[trapped] = settings.START_ROUGHNESS
     return x
 
 

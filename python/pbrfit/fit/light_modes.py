@@ -13,14 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import settings
 from pbrfit.fit.normal_equations import known_materials
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.sampling import evenly_spaced
-from pbrfit.fit.settings import (
-    LIGHT_INFORMATION_MIN,
-    LIGHT_PIXELS_MAX,
-    OMITTED_VARIANCE_SHARE_MAX,
-)
 
 Array = NDArray[np.float64]
 
@@ -43,7 +39,7 @@ def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) ->
     layout = objective.layout
     if objective.lighting is None:
         return np.zeros((0, layout.pictures, layout.coefficients, 1))
-    pixels = evenly_spaced(layout.pixels, LIGHT_PIXELS_MAX)
+    pixels = evenly_spaced(layout.pixels, settings.LIGHT_PIXELS_MAX)
     few, part = objective.restricted(pixels), objective.part_of(x, pixels)
     channels, k = layout.light_channels, layout.coefficients
     alone = known_materials(few, part)
@@ -67,12 +63,12 @@ def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) ->
     unseen = ~seen.ravel()
     scaled[unseen, unseen] = 1.0
     shares, vectors = np.linalg.eigh(scaled)  # λ rises
-    shares = np.clip(shares, LIGHT_INFORMATION_MIN, 1.0)
+    shares = np.clip(shares, settings.LIGHT_INFORMATION_MIN, 1.0)
     # What the other pixels know of the lights is taken to be like what these know.
     more = (of_pixels or layout.pixels) / few.pixels
     remaining = np.cumsum(((1 - shares) / shares)[::-1])[::-1]
     remaining /= more * few.layout.maps.stop
-    used = int(np.count_nonzero(remaining > OMITTED_VARIANCE_SHARE_MAX))
+    used = int(np.count_nonzero(remaining > settings.OMITTED_VARIANCE_SHARE_MAX))
     modes = (vectors / np.sqrt(more * shares))[:, :used].reshape(len(units), k, used)
     modes = (units @ modes).reshape(channels, rank, k, used)
     found = np.einsum("cnj,cjkm->mnkc", basis, modes, optimize=True)

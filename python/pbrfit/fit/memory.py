@@ -12,12 +12,8 @@ from typing import Any
 
 from pbrfit import address_space
 from pbrfit._core import InputError
+from pbrfit.fit import settings
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.settings import (
-    TILES_SUBSET_PIXELS_MAX,
-    TRANSPORT_WHOLE_PIXELS_MAX,
-    WHOLE_PIXELS_MAX,
-)
 from pbrfit.model.reflection import DEFAULT_MODEL, Model
 from pbrfit.result.options import Solver, TransportChoice
 from pbrfit.scene.scene import Scene
@@ -113,7 +109,7 @@ def of_fit(
     in Python and in the core and, for a while, there is what is reflected once more, in the unit of
     x; for that all pictures are there twice.
     """
-    pixels = min(TILES_SUBSET_PIXELS_MAX, layout.pixels) if tiled else layout.pixels
+    pixels = min(settings.TILES_SUBSET_PIXELS_MAX, layout.pixels) if tiled else layout.pixels
     samples = layout.pictures * layout.channels
     in_core = 4 * samples * (1 + layout.weighted)
     unknowns = layout.channels + 1 + (not layout.metallic_known)
@@ -216,8 +212,8 @@ def plan(
 
 def whole_pixels_max(transport: TransportChoice) -> int:
     """Pixels that are fitted at once at most."""
-    limit = WHOLE_PIXELS_MAX
-    return limit if transport == "none" else min(limit, TRANSPORT_WHOLE_PIXELS_MAX)
+    limit = settings.WHOLE_PIXELS_MAX
+    return limit if transport == "none" else min(limit, settings.TRANSPORT_WHOLE_PIXELS_MAX)
 
 
 def available() -> int | None:

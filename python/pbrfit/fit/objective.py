@@ -12,17 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pbrfit import _core
 from pbrfit._core import InputError
+from pbrfit.fit import settings
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
-from pbrfit.fit.settings import (
-    LARGEST_LIGHT,
-    LIGHT_RIDGE,
-    MEAN_RADIANCE,
-    START_ALBEDO_RANGE,
-    START_MEAN_ALBEDO,
-    START_METALLIC,
-    START_ROUGHNESS,
-)
 from pbrfit.io.checks import real_array
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
@@ -185,11 +177,11 @@ class Objective:
         Where normals are free they are the given ones.
         """
         maps = np.empty(self.layout.maps.stop)
-        albedo = START_MEAN_ALBEDO / MEAN_RADIANCE * self._mean_image()
-        maps[self.albedo] = np.clip(albedo, *START_ALBEDO_RANGE).T.ravel()
-        maps[self.roughness] = START_ROUGHNESS
+        albedo = settings.START_MEAN_ALBEDO / settings.MEAN_RADIANCE * self._mean_image()
+        maps[self.albedo] = np.clip(albedo, *settings.START_ALBEDO_RANGE).T.ravel()
+        maps[self.roughness] = settings.START_ROUGHNESS
         if self.metallic is not None:
-            maps[self.metallic] = START_METALLIC
+            maps[self.metallic] = settings.START_METALLIC
         if self.tangent_offsets is not None:
             maps[self.tangent_offsets] = 0.0
         return self.with_best_lights(maps)
@@ -208,7 +200,7 @@ class Objective:
         if self.layout.light_channels < self.channels:
             gram, right = gram.sum(axis=0, keepdims=True), right.sum(axis=0, keepdims=True)
         k = self.coefficients
-        ridge = LIGHT_RIDGE * np.trace(gram, axis1=-2, axis2=-1) / k
+        ridge = settings.LIGHT_RIDGE * np.trace(gram, axis1=-2, axis2=-1) / k
         # A Gram matrix of zeros (nothing reflects) gives lights of 0 instead of an error.
         ridge += np.finfo(np.float64).tiny
         gram += ridge[..., None, None] * np.eye(k)
@@ -682,12 +674,12 @@ class Objective:
     def _reduced(self, known: NDArray[np.float64]) -> NDArray[np.float64]:
         """Known lights as the core takes them: in units of x, with its bands and channels."""
         largest = np.abs(known).max(axis=(1, 2))
-        beyond = largest > LARGEST_LIGHT * self._units
+        beyond = largest > settings.LARGEST_LIGHT * self._units
         if beyond.any():
             first = int(beyond.argmax())
             raise InputError(
                 f"lighting: expected coefficients like the pictures' radiance (mean "
-                f"{self._units[first] * MEAN_RADIANCE:g}), found {largest[first]:g}"
+                f"{self._units[first] * settings.MEAN_RADIANCE:g}), found {largest[first]:g}"
             )
         left_out = np.abs(known[:, self.coefficients :]).max(initial=0.0)
         if left_out > 0:
@@ -750,4 +742,4 @@ def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.floa
         raise InputError(
             f"images: expected a positive mean radiance over the valid pixels, found {mean:g}"
         )
-    return float(mean / MEAN_RADIANCE)
+    return float(mean / settings.MEAN_RADIANCE)

@@ -159,7 +159,7 @@ def _of_lp(path: Path) -> list[LampRow]:
         found = quoted(lines[0]) if lines else "an empty file"
         expected = "a count, then lines of file name, x, y, z"
         raise InputError(f"{path}: expected {expected}, found {found} in place of the count")
-    count = int(lines.pop(0))
+    count = int(lines.pop(0).strip())  # of more than `int` takes for blank
     if count != len(lines):
         raise InputError(f"{path}: expected {count} lamps, as it says, found {len(lines)}")
     rows = []

@@ -12,7 +12,7 @@ import pytest
 
 import pbrfit
 from pbrfit.cli import main
-from pbrfit.fit import memory
+from pbrfit.fit import memory, settings
 from pbrfit.fit.run import Progress
 from pbrfit.fit.settings import TILES_SUBSET_PIXELS_MAX, WHOLE_PIXELS_MAX
 from pbrfit.fit.tiles.fit import ending
@@ -117,7 +117,7 @@ class TestFit:
         """With lights from all of them."""
         in_tiles(monkeypatch, **NINE | {"subset": 72**2})
         in_nine = held(noisy)
-        monkeypatch.setattr(memory, "WHOLE_PIXELS_MAX", 1 << 21)
+        monkeypatch.setattr(settings, "WHOLE_PIXELS_MAX", 1 << 21)
         whole = held(noisy)
         for error in ERRORS:
             assert in_nine.metrics[error] < 1.1 * whole.metrics[error] + 1e-4, error

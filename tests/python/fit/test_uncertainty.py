@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import pbrfit
-from pbrfit.fit import discrepancy, light_modes, uncertainty
+from pbrfit.fit import discrepancy, light_modes, settings, uncertainty
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.population import LOG_ALBEDO_DEVIATION
@@ -122,7 +122,7 @@ def test_sharp_deviations_are_those_of_dense_algebra(
     options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where pixels tell far more than any prior, posteriors are those of all unknowns together."""
-    monkeypatch.setattr(light_modes, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
+    monkeypatch.setattr(settings, "OMITTED_VARIANCE_SHARE_MAX", 0.0)
     _, objective, x = scene_and_x(**options)
     if objective.lighting is not None:
         x = objective.with_best_lights(x)

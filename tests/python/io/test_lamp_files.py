@@ -223,7 +223,7 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "another form": ("lights.xml", LP, r"lights.xml: expected lamps in .lp, .csv, .txt, .json"),
     "no text": ("d.lp", "", "d.lp: expected a count, .* found an empty file in place of the count"),
     "no count": ("d.lp", "a.jpg 0 0 1\n", "found 'a.jpg 0 0 1' in place of the count"),
-    "another count": ("d.lp", "3\na 0 0 1\n", "expected 3 lamps, as it says, found 1"),
+    "another count": ("d.lp", "3\x1f\na 0 0 1\n", "expected 3 lamps, as it says, found 1"),
     "no lamps": ("d.lp", "0\n", "d.lp: expected lamps, found none"),
     "a short line": ("d.lp", "1\n0 0 1\n", "lamp 1: expected file name, x, y, z, found '0 0 1'"),
     "words": ("d.lp", "1\na up 0 1\n", "lamp 1: expected .* 'up'"),

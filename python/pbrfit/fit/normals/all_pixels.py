@@ -15,12 +15,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.levels import Level
 from pbrfit.fit.noise import NoiseModel
-from pbrfit.fit.normals.free import (
-    noise_variance,
-    offset_variances,
-    offsets_of,
-    pixel_sums,
-)
+from pbrfit.fit.normals.free import noise_variance, offset_variances, offsets_of, pixel_sums
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_all

@@ -52,13 +52,7 @@ from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.normal_equations import albedo_solved_for
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.posterior import (
-    Distributions,
-    Grid,
-    Pooling,
-    Posterior,
-    labels_of,
-)
+from pbrfit.fit.priors.posterior import Distributions, Grid, Pooling, Posterior, labels_of
 from pbrfit.fit.sampling import evenly_spaced_over
 
 Array = NDArray[np.float64]
