@@ -25,6 +25,9 @@ from pbrfit.io.quoting import visible
 PRINTED_AT_ONCE = ("-h", "--help", "--version")
 """What needs neither a command nor the core, whose start takes longer than all the rest."""
 
+OF_THE_SYSTEM = "start new thread|Symlink loop"
+"""Words of a RuntimeError that is no bug: of `Thread.start`, and of `Path.resolve` up to 3.12."""
+
 START = """pbrfit PHOTOS               a folder of pictures of one view under different lights
 pbrfit demo out             the same with a scene that is made up
 pbrfit decompose --help     what can be set; pbrfit --help lists all commands"""
@@ -91,7 +94,7 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         unread()
         return DONE
     except (InputError, OSError, MemoryError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and "start new thread" not in str(error):
+        if isinstance(error, RuntimeError) and not re.search(OF_THE_SYSTEM, str(error)):
             raise
         end_with(in_one_line(error))
         if isinstance(error, OSError):

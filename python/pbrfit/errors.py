@@ -1,6 +1,7 @@
 """Errors as lines for users."""
 
 import os
+import re
 
 
 def in_one_line(failure: BaseException) -> str:
@@ -10,6 +11,8 @@ def in_one_line(failure: BaseException) -> str:
         return f"{failure.filename}: {failure.strerror}"
     if isinstance(failure, FileNotFoundError) and failure.errno:  # of no file: of `os.getcwd`
         return f"{os.environ.get('PWD', '.')}: expected the working folder, found it removed"
+    if loop := re.fullmatch("Symlink loop from '(.*)'", words):
+        return f"{loop[1]}: expected a file or folder, found a link to itself"
     if isinstance(failure, BlockingIOError) or "start new thread" in words:
         return f"threads and processes (ulimit -u): expected more, found {words}"
     if isinstance(failure, MemoryError) and "memory" not in words:

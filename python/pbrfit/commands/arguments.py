@@ -154,20 +154,17 @@ def add_threads(parser: Any) -> None:
     add_flags(parser, threads=value("T", whole_number, said, default=0))
 
 
-def whole_number(text: str) -> int:
+def whole_number(text: str, least: int = 0) -> int:
     """Read a number for `argparse` that fits everywhere."""
-    value = int(text)
-    if not 0 <= value < 2**31:
-        raise argparse.ArgumentTypeError(f"expected 0 or more, found {text}")
-    return value
+    with suppress(ValueError):
+        if least <= (value := int(text)) < 2**31:
+            return value
+    raise argparse.ArgumentTypeError(f"expected {least} or more, found {text}")
 
 
 def positive(text: str) -> int:
     """Read a whole number above 0 for `argparse`."""
-    value = whole_number(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
-    return value
+    return whole_number(text, 1)
 
 
 def number(text: str) -> float:

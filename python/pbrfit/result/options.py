@@ -300,7 +300,7 @@ FLAGS: dict[str, Flag] = {
     "transport": Flag(values=TRANSPORTS),
     "light": Flag(values=LIGHTS),
     "same_lamp": Flag(kind=bool),
-    "white": Flag(kind=lambda text: _reference(text.split(",")), metavar="X,Y[,ALBEDO]"),
+    "white": Flag(kind=lambda text: text.split(","), metavar="X,Y[,ALBEDO]"),
     "model": Flag(values=MODELS),
 }
 """Options that have a flag, by the names of the fields; priors have flags of their own."""

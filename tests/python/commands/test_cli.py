@@ -448,6 +448,9 @@ def test_wrong_usage_is_one_line(arguments: str, message: str) -> None:
         ((), "scene: expected pictures under different lights, found 3 equal ones"),
         (("--fov", "nan"), "fov: expected 0 or degrees"),
         (("--iterations", -1), "iterations: expected a whole number, 0 or more, found -1"),
+        (("--jobs", -3), "argument --jobs: expected 1 or more, found -3"),
+        (("--patience", "nan"), "argument --patience: expected 0 or more, found nan"),
+        (("--white", "1,1,0"), "white: expected a pixel x,y, 0 or more, and perhaps an albedo"),
         (("--threads", -1), "threads: expected 0"),
         (
             ("--same-lamp", "--light", "sh"),
@@ -523,6 +526,7 @@ def test_whoever_reads_no_more_is_no_failure(tmp_path: Path) -> None:
         ("-s 128", "stack (ulimit -s): expected 4096 KiB of memory or more, found 128 KiB\n"),
         ("-n 15", "open files (ulimit -n): expected 16 or more, found 15\n"),
         ("-u 1", "threads and processes (ulimit -u): expected more, found Resource temporarily"),
+        ("-c 0; ln -s out out", "{}/out: expected a file or folder, found a link to itself\n"),
         ("-c 0; mkdir x; cd x; rmdir ../x", "{}/x: expected the working folder, found it removed"),
     ],
 )
