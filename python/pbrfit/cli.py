@@ -44,20 +44,20 @@ def run() -> NoReturn:
         if getattr(sys, name) is None:  # it was closed; a file would take its number
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     watched = len(sys.argv) > 1 and sys.argv[1] not in PRINTED_AT_ONCE
-    if watched:
-        try:
+    try:
+        if watched:
             address_space.check_limits()
             address_space.check_libraries()
             from pbrfit import ending
 
             ending.watch()
-        except (MemoryError, OSError) as error:  # of `watch`: no thread can be started
-            complain(in_one_line(error))
-            sys.exit(UNUSABLE)
-        except KeyboardInterrupt:
-            complain("interrupted")
-            sys.exit(INTERRUPTED)
-    sys.exit(main(watched=watched))
+        sys.exit(main(watched=watched))
+    except (MemoryError, OSError) as error:  # of `watch`: no thread can be started
+        complain(in_one_line(error))
+        sys.exit(UNUSABLE)
+    except KeyboardInterrupt:  # while modules load
+        complain("interrupted")
+        sys.exit(INTERRUPTED)
 
 
 def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> int:

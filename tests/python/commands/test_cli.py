@@ -560,6 +560,13 @@ def test_too_few_threads_are_one_line(
     assert capsys.readouterr().err == f"{expected} none\n"
 
 
+def test_an_interruption_while_modules_load_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    loading = mock.patch("pbrfit.cli._parser", side_effect=KeyboardInterrupt)
+    with loading, mock.patch("sys.argv", ["pbrfit", "--help"]), pytest.raises(SystemExit) as ended:
+        cli.run()
+    assert (ended.value.code, capsys.readouterr().err) == (130, "pbrfit: interrupted\n")
+
+
 @needs_shell
 @pytest.mark.slow
 def test_a_small_soft_limit_of_the_stack_is_raised(tmp_path: Path) -> None:

@@ -7,16 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from shared_system import (
-    PIXELS,
-    REACH,
-    Dense,
-    Seen,
-    System,
-    accuracy,
-    close,
-    dense,
-)
+from shared_system import PIXELS, REACH, Dense, Seen, System, accuracy, close, dense
 
 KINDS = {
     "plain": System(),
