@@ -25,9 +25,6 @@ from pbrfit.io.quoting import visible
 PRINTED_AT_ONCE = ("-h", "--help", "--version")
 """What needs neither a command nor the core, whose start takes longer than all the rest."""
 
-OF_THE_SYSTEM = "start new thread|Symlink loop"
-"""Words of a RuntimeError that is no bug: of `Thread.start`, and of `Path.resolve` up to 3.12."""
-
 START = """pbrfit PHOTOS               a folder of pictures of one view under different lights
 pbrfit demo out             the same with a scene that is made up
 pbrfit decompose --help     what can be set; pbrfit --help lists all commands"""
@@ -94,9 +91,10 @@ def main(arguments: Sequence[str] | None = None, *, watched: bool = False) -> in
         unread()
         return DONE
     except (InputError, OSError, MemoryError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and not re.search(OF_THE_SYSTEM, str(error)):
-            raise
-        end_with(in_one_line(error))
+        line = in_one_line(error)
+        if isinstance(error, RuntimeError) and line.startswith(type(error).__name__):
+            raise  # nothing of the system's
+        end_with(line)
         if isinstance(error, OSError):
             unread()
         return UNUSABLE

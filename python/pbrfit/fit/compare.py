@@ -366,9 +366,7 @@ class _Comparison:
             return (options.light,)
         if scene.lighting is not None or options.mono_light or len(scene.images) < 3:
             return ("sh",)
-        if scene.lamps is not None:
-            return ("lamps",)
-        return ("lamps", "sh")
+        return ("lamps", "sh") if scene.lamps is None else ("lamps",)
 
     def _responses(self) -> list[Curve | None]:
         scene = self._scene

@@ -179,7 +179,6 @@ def decompose(
             found = replace(found, height=height_of(found.normals, scene))
             scene = replace(scene, normals=found.normals, normals_known=True)
         return _result(scene, setup, found, options, chosen)
-    by_pictures = start_shape is not None
     if start_shape is not None:
         normals = settled_normals(scene, setup, start_shape)
         scene = replace(scene, normals=normals, normals_known=True)
@@ -203,17 +202,13 @@ def decompose(
         surrounded = Surrounded(scene, chosen.transport, chosen.scenery)
         setup = replace(setup, surrounded=surrounded)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, begin)
-    if by_pictures:
+    if start_shape is not None:
         found = replace(found, refinement=found.refinement.of_normals_from_pictures())
     return _result(scene, setup, found, options, chosen)
 
 
 def _result(
-    scene: Scene,
-    setup: FitSetup,
-    found: FitOutput,
-    options: FitOptions,
-    chosen: Choice,
+    scene: Scene, setup: FitSetup, found: FitOutput, options: FitOptions, chosen: Choice
 ) -> Result:
     """What a fit hands over, with final errors and what is to be said."""
     camera = replace(found.camera, response=scene.response)
@@ -307,9 +302,8 @@ def _read(scene: Scene | str | Path) -> Scene:
     if isinstance(scene, (str, Path)):
         return Scene.load(scene)
     if not isinstance(scene, Scene):
-        raise InputError(
-            f"scene: expected a Scene or the path of a scene folder, found {type(scene).__name__}"
-        )
+        found = type(scene).__name__
+        raise InputError(f"scene: expected a Scene or the path of a scene folder, found {found}")
     return scene
 
 

@@ -18,8 +18,7 @@ each pixel are fitted with its albedo. Then lamps that are flipped, or in a ring
 as much as the right ones, but the normals are those of no surface.
 
 **The strength of lights agrees with highlights.** Albedo takes up a common factor of known lights;
-what dielectrics mirror, by an F0 of 0.04, does not (`fit.scale`). So under lights that are brighter
-or darker the best materials leave more of the pictures.
+what dielectrics mirror does not (`fit.scale`), and the best materials leave more of the pictures.
 
 Alternatives and what is given are compared patch by patch.
 """
@@ -45,6 +44,7 @@ from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
 from pbrfit.model.geometry import facing_away, view_directions
+from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, sh_basis
 from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.scene.depth import DISAGREEMENT_MIN, compared
@@ -215,15 +215,39 @@ def _of_lights_and_normals(matt: _Matt, flipped: str | None) -> Contradiction | 
     given, _ = matt.left()
     others = {axes: matt.left(signs=signs)[0] for axes, signs in FLIPS.items()}
     others |= {which: matt.left(order)[0] for which, order in matt.otherwise.items()}
+    turned = _turned_lamps(matt.lamps)
+    for which, lamps in turned.items():
+        others[which] = _Matt(replace(matt.scene, lamps=lamps)).left()[0]
     best = _lowest(given, others)
     if best is None:
         return None
     why, what = _times(given, others[best]), "lights" if matt.lamps is None else "lamps"
+    if best in turned:
+        said = f"the directions of the lamps look wrong: {best}, {why}"
+        return Contradiction(what, said, f"lamps {best}")
     if best not in FLIPS:
         return _of_others(best, why, what)
     if flipped is not None:
         return _turned(best, f"{OF_A_SURFACE}, and {why}", "normals")
     return _turned(best, why, what)
+
+
+def _turned_lamps(lamps: Lamps | None) -> dict[str, Lamps]:
+    """Far lamps that are turned about an axis, or more or less slanted; none of near ones."""
+    from scipy.spatial.transform import Rotation
+
+    if lamps is None or lamps.near.any():
+        return {}
+    turns = {
+        f"turned by {angle} degrees about {axis}": Rotation.from_euler(axis, angle, degrees=True)
+        for axis in "XYZ"
+        for angle in (-15, 15)  # off by less, lamps rarely bring albedos off by 0.1
+    }
+    places = {which: turn.apply(lamps.places) for which, turn in turns.items()}
+    for slant in (0.7, 1.5):
+        places[f"{slant} times as slanted"] = lamps.places * (slant, slant, 1.0)
+    lengths = {which: np.linalg.norm(of, axis=-1, keepdims=True) for which, of in places.items()}
+    return {which: replace(lamps, places=of / lengths[which]) for which, of in places.items()}
 
 
 def _of_lamps(matt: _Matt) -> Contradiction | None:

@@ -110,11 +110,7 @@ def independent_share(objective: Objective, x: Array) -> float:
 
 
 def design_effect(
-    level: Level,
-    x: Array,
-    sum_sq: Array,
-    inverse: Inverse,
-    prior: GaussianPrior | None = None,
+    level: Level, x: Array, sum_sq: Array, inverse: Inverse, prior: GaussianPrior | None = None
 ) -> float:
     """κ; `inverse` gives S⁻¹ v for v (M,), and `prior` is that of the pixels."""
     objective, layout = level.objective, level.objective.layout

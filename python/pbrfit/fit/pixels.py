@@ -113,13 +113,7 @@ def fit_all(
             return None
         rows = None if prior is None else prior.rows(chunk)
         found, sum_sq[chunk] = descended(
-            objective,
-            x,
-            chunk,
-            steps=steps,
-            starts=starts,
-            prior=rows,
-            held_normals=held_normals,
+            objective, x, chunk, steps=steps, starts=starts, prior=rows, held_normals=held_normals
         )
         place(objective, x, chunk, found)
     return sum_sq

@@ -53,10 +53,7 @@ def contiguous(example: Among) -> tuple[Array, Array, Array]:
 def split(example: Among, gradient: Array) -> dict[str, Array]:
     """Gradient of the loss by unknowns of pixels (P, D), and of the lights."""
     maps = example.kind.unknowns * example.pixels
-    return {
-        "materials": gradient[:maps].reshape(-1, example.pixels).T,
-        "lights": gradient[maps:],
-    }
+    return {"materials": gradient[:maps].reshape(-1, example.pixels).T, "lights": gradient[maps:]}
 
 
 def gradient_of_the_slow_model(example: Among) -> tuple[float, Array, Array]:
@@ -79,19 +76,10 @@ def test_the_slow_model_is_that_of_the_open_sky_where_nothing_is(model: str, cha
     example = Among(Surroundings(model=model, channels=channels, bounce=False), PIXELS)
     core = _core.Surroundings(np.empty((0, 3, 3), np.float32), np.empty(0, np.uint8))
     example.rows = core.transfer(
-        np.zeros((PIXELS, 3)),
-        example.given,
-        example.views,
-        example.everything,
-        rays=1,
-        model=model,
+        np.zeros((PIXELS, 3)), example.given, example.views, example.everything, rays=1, model=model
     )[0]
-    weights = _core.shade(
-        example.given,
-        example.views,
-        *contiguous(example),
-        model=model,
-    )[:, :channels]
+    weights = _core.shade(example.given, example.views, *contiguous(example), model=model)
+    weights = weights[:, :channels]
     np.testing.assert_allclose(example.slopes()[1], weights, rtol=0, atol=1e-6)
 
 

@@ -18,11 +18,7 @@ from scene_files import truth_of
 
 Array = NDArray[np.float64]
 
-OPTIONS: list[dict[str, Any]] = [
-    {},
-    {"metallic": 0.0},
-    {"sh_order": 2, "mono_light": True},
-]
+OPTIONS: list[dict[str, Any]] = [{}, {"metallic": 0.0}, {"sh_order": 2, "mono_light": True}]
 
 
 def room(**options: Any) -> pbrfit.Scene:

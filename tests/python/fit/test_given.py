@@ -120,6 +120,21 @@ def test_near_lamps_that_are_flipped_are_named() -> None:
     assert said(turned(scene, given.FLIPS["Y"])) == ("lamps", "the other sign of Y")
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_far_lamps_that_are_turned_or_slanted_otherwise_are_named(seed: int) -> None:
+    scene, angle = drawn(seed, known=True), np.radians(20)
+    assert scene.lamps is not None
+    about_z = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0]])
+    for turn, remedy in (
+        (np.vstack([about_z, (0, 0, 1)]), "lamps turned by -15 degrees about Z"),
+        (np.diag([1.7, 1.7, 1.0]), "lamps 0.7 times as slanted"),
+    ):
+        places = scene.lamps.places @ turn
+        places /= np.linalg.norm(places, axis=-1, keepdims=True)
+        wrong = replace(scene, lamps=replace(scene.lamps, places=places))
+        assert said(wrong) == ("lamps", remedy)
+
+
 @pytest.mark.parametrize("kind", ["room", "furnished"])
 @pytest.mark.parametrize("pictures", [2, 5])
 def test_known_light_is_that_of_its_picture(kind: str, pictures: int) -> None:

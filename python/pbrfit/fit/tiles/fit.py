@@ -161,9 +161,7 @@ def _fit_subset(
         run.discrepancy = discrepancy_of(run, run.objective, x)
         run.unmeasured += time.perf_counter() - began
     shared_state = SharedState(
-        material=run.fitted_prior,
-        noise=run.noise,
-        discrepancy=run.discrepancy,
+        material=run.fitted_prior, noise=run.noise, discrepancy=run.discrepancy
     )
     nearest = _Nearest(window, scene.valid, materials, np.asarray(run.scene.normals))
     return _Subset(run, found.status, found.reason, refinement, lighting, shared_state, nearest)
