@@ -304,7 +304,9 @@ class LampFit:
         few = LampPixels.of(seen, self.normals, self.model, self.setup.threads, places)
         if known is not None and known.colored:
             lamps = replace(known, colors=known.colors / few.scale)
-            return few, [("known lamps and colours", lamps, albedo_under(few, lamps))]
+            albedo = albedo_under(few, lamps)
+            usual = of_usual_scale(lamps, np.maximum(lamps.colors, 1e-9), albedo)
+            return few, [("known lamps and colours", *usual)]
         if self.begin is not None:
             lamps = replace(self.begin.lamps, colors=self.begin.lamps.colors / few.scale)
             return few, [("lamps as compared", lamps, albedo_under(few, lamps))]
@@ -362,7 +364,6 @@ class LampFit:
         fit.state, fit.cost = fit.fitted(fit.state, 10)
         if not self.trace.rows:
             self._record(fit)
-        told = known is not None and known.colored
         first = 0 if self.begin is None else HELD_ROUNDS
         for number in range(first, self.rounds):
             if self.trace.left <= 0 or (number > first and self.trace.out_of_time()):
@@ -376,15 +377,14 @@ class LampFit:
                     around = np.clip(self.fov + np.array([*degrees, 0.0]), 0, FOV_MAX)
                     fields = tuple(np.unique(around).tolist())
                 scales = tuple(sorted({1.0, *factors, *(1 / one for one in factors if one <= 2)}))
-                self._look(fit, (1.0,) if told else scales, fields, number)
+                self._look(fit, scales, fields, number)
                 if freedom.normals and number < LOOK_LAST:
                     self._turn(fit)
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
             # is what pulls them away where a metal is not known yet.
             if number == HELD_ROUNDS and not near:
-                unknown = known is None
-                shape = fit.relief is not None
-                fit.freedom = replace(fit.freedom, places=unknown, colors=not told, shape=shape)
+                free = {"places": known is None, "shape": fit.relief is not None}
+                fit.freedom = replace(fit.freedom, colors=True, **free)
             if (
                 number == self.rounds - FREE_SCALE_ROUNDS
                 and self._relative_left(fit) < NOTHING_LEFT
