@@ -31,7 +31,7 @@ from pbrfit.fit import settings
 from pbrfit.fit.coarse import Lights
 from pbrfit.fit.estimator import fit_materials, lights_and_noise
 from pbrfit.fit.given import Contradiction, contradiction
-from pbrfit.fit.lamps.estimator import Found, LampFit
+from pbrfit.fit.lamps.estimator import Found, LampFit, settled
 from pbrfit.fit.lamps.picture_light import light_of_picture
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import first_shape
@@ -150,7 +150,7 @@ class _Comparison:
             self._few = replace(self._few, mask=valid)
         if told or setup.options.iterations == 0 or few:
             self._folds = []
-        self._shapes: dict[tuple[Curve | None, int], tuple[Scene, LampFit]] = {}
+        self._shapes: dict[tuple[Curve | None, int], tuple[Scene, FirstShape]] = {}
         self._tried: dict[Explanation, list[LeftOut]] = {}
         self._lit: dict[tuple[Explanation, int], tuple[Run, Lights]] = {}
         self._surrounded: Surrounded | None = None
@@ -482,9 +482,9 @@ class _Comparison:
     def _of_fold(self, kind: Explanation, fold: int) -> LeftOut:
         kept, out = self._folds[fold]
         scene = self._few if kind.response is None else self._few.decoded_by(kind.response)
-        few, shaped = self._pixels(scene, kept, kind.response, fold)
+        few, shape = self._pixels(scene, kept, kind.response, fold)
         if kind.light == "lamps":
-            fit = self._under_lamps(few.of_pictures(kept), shaped)
+            fit = self._under_lamps(few.of_pictures(kept), shape)
         else:
             fit = self._under_harmonics(kind, fold, few.of_pictures(kept), self._among(kind, kept))
         errors, values, rounding, lamps = [], [], [], []
@@ -548,8 +548,8 @@ class _Comparison:
 
     def _pixels(
         self, scene: Scene, kept: Sequence[int], response: Curve | None, number: int
-    ) -> tuple[Scene, LampFit | None]:
-        """The pixels that are compared, of all pictures, and the fit that tells their shape."""
+    ) -> tuple[Scene, FirstShape | None]:
+        """The pixels that are compared, of all pictures, and the shape that some tell."""
         if self._scene.normals_known:
             return scene, None
         if (response, number) not in self._shapes:
@@ -560,8 +560,8 @@ class _Comparison:
             window = strided_window(known.valid, settings.COMPARE_PIXELS)
             few, normals, albedo = cut(known, window), window.of(facing), window.of(shape.albedo)
             shape = replace(shape, normals=normals, albedo=albedo)
-            lamps = self._lamp_fit(few.of_pictures(kept), shape)
-            self._shapes[response, number] = replace(few, normals=lamps.settled), lamps
+            shape = settled(few.of_pictures(kept), self._setup_with(), shape)
+            self._shapes[response, number] = replace(few, normals=shape.normals), shape
         return self._shapes[response, number]
 
     def _setup_with(self, **options: Any) -> FitSetup:
@@ -627,11 +627,8 @@ class _Comparison:
         shared = copy(lights.shared)
         return run, replace(lights, x=lights.x.copy(), shared=shared)
 
-    def _lamp_fit(self, scene: Scene, shape: FirstShape | None = None) -> LampFit:
-        return LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
-
-    def _under_lamps(self, scene: Scene, fit: LampFit | None) -> _Fitted:
-        fit = self._lamp_fit(scene) if fit is None else fit
+    def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
+        fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
         pixels, state, found = fit.of_all_pixels()
         return _Fitted(
             (state.albedo, state.roughness, state.metallic),

@@ -122,7 +122,7 @@ def decompose(
     importlib.import_module("scipy.optimize")
     address_space.reserve_blas()
     from pbrfit.fit import compare
-    from pbrfit.fit.lamps.estimator import check_light, fit_lamps, settled_normals
+    from pbrfit.fit.lamps.estimator import check_light, fit_lamps, settled
     from pbrfit.fit.lamps.shape import first_shape, height_of
 
     began = time.perf_counter()
@@ -180,8 +180,8 @@ def decompose(
             scene = replace(scene, normals=found.normals, normals_known=True)
         return _result(scene, setup, found, options, chosen)
     if start_shape is not None:
-        normals = settled_normals(scene, setup, start_shape)
-        scene = replace(scene, normals=normals, normals_known=True)
+        start_shape = settled(scene, setup, start_shape)
+        scene = replace(scene, normals=start_shape.normals, normals_known=True)
     layout, blocking = setup.layout(scene), chosen.transport.kind
     way = memory.plan(
         layout,

@@ -228,8 +228,7 @@ class LampFit:
         assert setup.options.model is not None
         self.model = setup.options.model
         self.start = start
-        told = scene.normals_known and start is None
-        self.free_normals = not told or self.options.refine_normals == "on"
+        self.free_normals = not scene.normals_known or self.options.refine_normals == "on"
         self.fov = (scene.fov if scene.fov_known else FOV_MEAN) if begin is None else begin.fov
         self._matrix = np.eye(3)
         self._shared_covariance: Array | None = None
@@ -263,7 +262,8 @@ class LampFit:
 
     def of_all_pixels(self) -> tuple[LampPixels, LampState, Found]:
         """All pixels of a small scene, fitted together and then each by itself."""
-        scene, fit = self.scene, self.of_few
+        scene = self.scene
+        fit = self.joint(some_places(scene))
         [band] = self._surfaces(fit, scene.valid)
         pixels = LampPixels.of(
             scene.through(self.fov), self.normals, self.model, self.setup.threads, like=fit.pixels
@@ -275,25 +275,12 @@ class LampFit:
         }
         return pixels, band.state, Found(lamps, roughness, self.fov)
 
-    @lazy
-    def of_few(self) -> JointLamps:
-        """The joint fit of as many pixels as find lamps where explanations are compared."""
-        places = self.scene.places
-        return self.joint(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
-
     @property
     def normals(self) -> Array:
         """(H, W, 3): that pixels' own are offset from."""
         if self.start is None:
             return np.asarray(self.scene.normals, np.float64)
         return turned(np.asarray(self.start.normals, np.float64), self._matrix)
-
-    @property
-    def settled(self) -> Array:
-        """(H, W, 3): with the bas-relief that a joint fit of few pixels has found."""
-        if self.scene.lamps is None:
-            _ = self.of_few
-        return self.normals
 
     def _starts(
         self, places: NDArray[np.intp]
@@ -823,10 +810,24 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
         raise InputError("lamps: expected depth for near lamps, found none")
 
 
+def some_places(scene: Scene) -> NDArray[np.intp]:
+    """As many of a scene's places as find lamps where explanations are compared."""
+    places = scene.places
+    return np.asarray(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
+
+
 @one_blas_thread()
-def settled_normals(scene: Scene, setup: FitSetup, start: FirstShape) -> Array:
-    """(H, W, 3): the start's, with the bas-relief that few pixels tell under lamps."""
-    return LampFit(scene, replace(setup, progress=None), start, rounds=COMPARE_LAMP_ROUNDS).settled
+def settled(scene: Scene, setup: FitSetup, start: FirstShape) -> FirstShape:
+    """The start, with the bas-relief that a joint fit of few pixels finds, if one is open."""
+    if start.relief is None:
+        return start
+    setup = replace(setup, progress=None)
+    unknown = replace(scene, normals_known=False)
+    fit = LampFit(unknown, setup, start, rounds=COMPARE_LAMP_ROUNDS)
+    lamps = fit.joint(some_places(scene)).state.lamps
+    return replace(
+        start, normals=fit.normals, directions=lamps.places, strengths=lamps.colors, relief=None
+    )
 
 
 @one_blas_thread()
