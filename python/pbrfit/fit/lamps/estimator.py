@@ -290,10 +290,11 @@ class LampFit:
         seen = self.scene.through(self.fov)
         few = LampPixels.of(seen, self.normals, self.model, self.setup.threads, places)
         if known is not None and known.colored:
-            lamps = replace(known, colors=known.colors / few.scale)
+            usual = MEAN_RADIANCE / ALBEDO_MEAN / max(float(known.colors.mean()), 1e-12)
+            lamps = replace(known, colors=known.colors * usual)
             albedo = albedo_under(few, lamps)
-            usual = of_usual_scale(lamps, np.maximum(lamps.colors, 1e-9), albedo)
-            return few, [("known lamps and colours", *usual)]
+            balanced_so = of_usual_scale(lamps, np.maximum(lamps.colors, 1e-9), albedo)
+            return few, [("known lamps and colours", *balanced_so)]
         if self.begin is not None:
             lamps = replace(self.begin.lamps, colors=self.begin.lamps.colors / few.scale)
             return few, [("lamps as compared", lamps, albedo_under(few, lamps))]

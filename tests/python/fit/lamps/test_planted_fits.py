@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from pbrfit import InputError, decompose
-from pbrfit.fit.lamps.estimator import LampFit, fit_lamps
+from pbrfit.fit.lamps.estimator import LampFit, fit_lamps, settled
 from pbrfit.fit.lamps.shape import first_shape, height_of
 from pbrfit.fit.lamps.surfaces import neighbour_means
 from pbrfit.fit.whole_picture import FitOutput
@@ -95,6 +95,34 @@ def test_known_lamps_tell_normals() -> None:
     height = height_of(found.normals, truth.scene)
     rise = height[16, 16] - np.nanmin(height)
     assert abs(rise - radius * (1 - np.sqrt(0.2))) < 0.1 * radius
+
+
+def test_an_assumed_field_of_view_tells_no_shape() -> None:
+    scene = planted(LAMPS, normals_known=False, size=24).scene
+    shapes = [first_shape(replace(scene, fov=fov, fov_known=False)) for fov in (20.0, 60.0)]
+    np.testing.assert_array_equal(shapes[0].normals, shapes[1].normals)
+
+
+def test_highlights_tell_how_deep_a_surface_is() -> None:
+    """This one ends where its normals are no ball's, so that its outline tells another depth."""
+    truth = planted(far(12), normals_known=False, size=32)
+    start = first_shape(truth.scene)
+    few = settled(truth.scene, setup(), start)
+    found = fit_lamps(truth.scene, setup(), start)
+    off = [truth.normals_off(one.normals).mean() for one in (start, few, found)]
+    assert off[0] > 4
+    assert off[1] < 0.8 * off[0]
+    assert off[2] < 0.5 * off[0]
+    assert settled(truth.scene, setup(), few) is few
+
+
+def test_told_strengths_are_relative() -> None:
+    brighter = replace(LAMPS, colors=3 * LAMPS.colors)
+    one, other = (
+        fit_lamps(planted(LAMPS, known=known, size=16).scene, setup())
+        for known in (LAMPS, brighter)
+    )
+    np.testing.assert_allclose(one.materials.albedo, other.materials.albedo, rtol=1e-6)
 
 
 @pytest.mark.slow

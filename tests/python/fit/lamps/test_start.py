@@ -7,6 +7,7 @@ import pytest
 
 from lamp_scenes import LampScene, around, ball, relief
 from pbrfit import InputError
+from pbrfit.fit.lamps.ambiguity import BAS_RELIEF
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
@@ -63,6 +64,16 @@ def test_a_ball_of_several_albedos_under_unknown_lamps() -> None:
     assert scene.error(start.normals) < 1.0
     assert scene.lamp_error(start.directions) < 1.0
     assert start.undetermined == ()
+
+
+def test_cues_have_the_slopes_of_their_sum_by_bas_reliefs() -> None:
+    relief = found(ball(around(9, 40, 10), size=40)).relief
+    assert relief is not None
+    at, step = np.array([[0.9, 0, 0.1], [0, 0.9, -0.05], [0, 0, 1.0]]), 1e-5
+    for k, one in enumerate(BAS_RELIEF):
+        up, down = (relief(at + sign * step * one @ at)[0] for sign in (1, -1))
+        np.testing.assert_allclose(relief(at)[1][k], (up - down) / (4 * step), rtol=1e-4)
+    assert (np.linalg.eigvalsh(relief.curvature(at)) >= -1e-9).all()
 
 
 @pytest.mark.slow
