@@ -17,14 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.photometric import (
-    DARK,
-    SCALE_MIN,
-    refined,
-    scale_of,
-    solved,
-    weights_of,
-)
+from pbrfit.fit.lamps.photometric import DARK, SCALE_MIN, refined, scale_of, solved, weights_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -36,7 +36,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_erosion, gaussian_filter
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -51,19 +51,13 @@ ROUNDS = 5
 
 @dataclass(frozen=True, eq=False)
 class Integrability:
-    """Equations of integrability, summed.
-
-    Attributes
-    ----------
-    squares, noise
-        (9, 9) Q and N; C is taken column by column.
-    blocks
-        Blocks of the picture that they lie in.
-    """
+    """Equations of integrability, summed."""
 
     squares: Array
     noise: Array
+    """(9, 9) Q and N; C is taken column by column."""
     blocks: int
+    """Blocks of the picture that they lie in."""
 
     def null_vector(self) -> Array:
         """c₁ and c₂ (2, 3) of the least ratio with c₃ = 0."""
@@ -73,11 +67,7 @@ class Integrability:
 
 
 def equations(
-    vectors: Array,
-    covariances: Array,
-    mask: Mask,
-    views: Array,
-    blocks: NDArray[np.intp],
+    vectors: Array, covariances: Array, mask: Mask, views: Array, blocks: NDArray[np.intp]
 ) -> Integrability:
     """Equations of integrability at the pixels of a mask (H, W).
 
@@ -87,15 +77,8 @@ def equations(
     """
     weight = gaussian_filter(mask.astype(np.float64), SMOOTHING)
     weight = np.maximum(weight, np.finfo(np.float64).tiny)
-    smooth = np.stack(
-        [gaussian_filter(np.where(mask, vectors[..., i], 0.0), SMOOTHING) for i in range(3)], -1
-    )
-    smooth /= weight[..., None]
-    inside = np.zeros_like(mask)
-    inside[1:-1, 1:-1] = (
-        mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
-    )
-    row, column = np.nonzero(inside)
+    smooth = gaussian_filter(vectors, (SMOOTHING, SMOOTHING, 0)) / weight[..., None]
+    row, column = np.nonzero(binary_erosion(mask))
     b = smooth[row, column]
     along_x = (smooth[row, column + 1] - smooth[row, column - 1]) / 2
     along_y = (smooth[row - 1, column] - smooth[row + 1, column]) / 2

@@ -38,19 +38,13 @@ LEVELS = 12
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Pixels just inside the outline.
-
-    Attributes
-    ----------
-    rows, columns
-        (E,) where they are.
-    normals
-        (E, 3) of the ball there.
-    """
+    """Pixels just inside the outline."""
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
+    """(E,) each: where they are."""
     normals: Array
+    """(E, 3) of the ball there."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -84,10 +78,7 @@ def outline(mask: Mask, views: Array) -> Outline:
 def local_radius(distance: Array) -> Array:
     """Radius of the largest disc inside the mask that covers each pixel, in pixels, (H, W).
 
-    Parameters
-    ----------
-    distance
-        (H, W) in pixels to the mask's outside; not above 0 there.
+    `distance` (H, W) is in pixels to the mask's outside; not above 0 there.
     """
     largest = float(distance.max())
     found = np.maximum(distance, 0.5)

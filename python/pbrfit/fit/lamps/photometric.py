@@ -60,21 +60,14 @@ nothing of b. Interreflections bring a few per cent into shadows."""
 
 @dataclass(frozen=True, eq=False)
 class PseudoNormals:
-    """What the samples of P pixels say under N lamps.
-
-    Attributes
-    ----------
-    vectors
-        (P, 3) b. In directions that a pixel's samples say nothing of it is 0.
-    weights
-        (P, N) in [0, 1]: how much each sample counts; 0 in shadow.
-    precision
-        (P, 3, 3) Σ_n w s sᵀ/σ²: inverse of b's covariance.
-    """
+    """What the samples of P pixels say under N lamps."""
 
     vectors: Array
+    """(P, 3) b. In directions that a pixel's samples say nothing of it is 0."""
     weights: Array
+    """(P, N) in [0, 1]: how much each sample counts; 0 in shadow."""
     precision: Array
+    """(P, 3, 3) Σ_n w s sᵀ/σ²: inverse of b's covariance."""
 
 
 def pseudo_normals(relative: Array, usable: Mask, lamps: Array, threads: int = 0) -> PseudoNormals:

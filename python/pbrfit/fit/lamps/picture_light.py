@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.lamps.problem import (
-    LampPixels,
-    LampState,
-    radiance,
-    slopes,
-    tangents,
-)
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps

@@ -74,7 +74,6 @@ MISFIT_MIN = 0.01
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
 
-
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
 
@@ -111,10 +110,7 @@ def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slic
 
 
 def neighbour_means(
-    values: Array,
-    places: NDArray[np.intp],
-    width: int,
-    labels: NDArray[np.intp] | None = None,
+    values: Array, places: NDArray[np.intp], width: int, labels: NDArray[np.intp] | None = None
 ) -> Array:
     """(P, ...): means over the 3 × 3 pixels around each: of those that are there, of its label."""
     found, counts = np.zeros_like(values), np.zeros(len(values))
@@ -137,9 +133,7 @@ def by_pieces(
     """What `work` makes of pixels that know nothing of each other, on all processors."""
     alone = replace(pixels, threads=1)
     parts = in_pieces(
-        pixels.threads,
-        lambda rows: work(alone.of_rows(rows), rows),
-        slices(len(pixels), at_once),
+        pixels.threads, lambda rows: work(alone.of_rows(rows), rows), slices(len(pixels), at_once)
     )
     return tuple(np.concatenate(of) for of in zip(*parts, strict=True))
 
@@ -381,7 +375,7 @@ def _with_metals(
     odds -= 0.5 * (log_determinant(metal_information) - log_determinant(information))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
-    chance = 1 / (1 + np.exp(-np.clip(odds + np.log(share / (1 - share)), -50, 50)))
+    chance = probability(odds + np.log(share / (1 - share)))
     chance = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))
     state = replace(better_of(state, chance, metal, 1 - chance)[0], metallic=chance)
     between = np.flatnonzero((chance > 0) & (chance < 1))
