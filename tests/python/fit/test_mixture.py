@@ -114,7 +114,7 @@ def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> N
     # What is fitted to has all its likelihood at one node, what is asked for at another.
     objective = Objective(room)
     grid = posterior.Grid(objective, objective.start(), 1e-4)
-    nodes = np.eye(len(grid.roughness), dtype=np.float32)
+    nodes = np.eye(len(grid.nodes), dtype=np.float32)
 
     def sharp(at: list[int]) -> posterior.Likelihood:
         none = np.zeros(len(at), np.float32)
@@ -122,7 +122,7 @@ def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> N
 
     fitted = posterior.Distributions.of(sharp([3] * 50), np.ones(50, np.intp), grid)
     found = fitted.posterior(sharp([200, 3]), np.ones(2, np.intp))
-    true = [[grid.roughness[i], grid.metallic[i]] for i in (200, 3)]
+    true = grid.nodes[[200, 3]]
     np.testing.assert_allclose(found.mean, true, rtol=1e-6)
     assert np.isfinite(found.variance).all()
 

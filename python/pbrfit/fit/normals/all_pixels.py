@@ -18,7 +18,7 @@ from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.normals.free import noise_variance, offset_variances, offsets_of, pixel_sums
 from pbrfit.fit.normals.offset_prior import TangentOffsetPrior
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_all
+from pbrfit.fit.pixels import fit_all, place, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
@@ -59,8 +59,7 @@ def start_from_level(objective: Objective, x: Array, level: Level, part: Array) 
     layout, of_level = objective.layout, level.objective.layout
     places = np.argwhere(layout.valid)
     _, nearest = KDTree(places[level.pixels.astype(np.intp)]).query(places)
-    maps = part[of_level.maps].reshape(-1, level.objective.pixels)
-    x[layout.maps] = maps[:, nearest].ravel()
+    place(objective, x, slice(None), taken(level.objective, part, np.asarray(nearest, np.uint64)))
     x[layout.maps.stop :] = part[of_level.maps.stop :]
 
 
@@ -73,10 +72,9 @@ def start_from_offsets(objective: Objective, x: Array, offsets: Array) -> None:
     before = objective.put_best_albedo(x, objective.everything)
     other = x.copy()
     other[objective.tangent_offsets] = offsets.T.ravel()
-    better = objective.put_best_albedo(other, objective.everything) < before
-    maps = slice(0, objective.layout.maps.stop)
-    planes = x[maps].reshape(-1, objective.pixels)
-    planes[:, better] = other[maps].reshape(-1, objective.pixels)[:, better]
+    after = objective.put_best_albedo(other, objective.everything)
+    better = np.flatnonzero(after < before).astype(np.uint64)
+    place(objective, x, better, taken(objective, other, better))
 
 
 def refine_all(

@@ -18,7 +18,7 @@ where V_p is the covariance of δ_p that is left.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,19 +77,15 @@ class TangentOffsetPrior:
     neighbourhood: Neighbourhood
     sigma: float = settings.NORMALS_OFFSET_SIGMA_START
     """σ, in radians."""
-    robust_weights: Array | None = None
-    """(E,): u; None = 1."""
-
-    @property
-    def _weights(self) -> Array:
-        of_pairs = self.neighbourhood.weights / self.sigma**2
-        return of_pairs if self.robust_weights is None else of_pairs * self.robust_weights
+    robust_weights: Array = field(default_factory=lambda: np.ones(1))
+    """(E,): u, or (1,) where all are alike."""
 
     def conditional(self, offsets: Array, variance: float) -> tuple[Array, Array]:
         """Mean (P, 2) and precision (P, 2) of each pixel's offset while the others stay."""
-        of_pairs = self.neighbourhood.sums(np.ones((len(offsets), 1)), self._weights)
+        weights = self.neighbourhood.weights / self.sigma**2 * self.robust_weights
+        of_pairs = self.neighbourhood.sums(np.ones((len(offsets), 1)), weights)
         own = of_pairs + 1 / settings.NORMALS_OFFSET_SIGMA_ALONE**2
-        mean = self.neighbourhood.sums(offsets, self._weights) / own
+        mean = self.neighbourhood.sums(offsets, weights) / own
         return mean, np.repeat(variance * own, 2, axis=1)
 
     def fitted(self, offsets: Array, variances: Array) -> TangentOffsetPrior:

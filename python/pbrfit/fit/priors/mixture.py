@@ -9,15 +9,12 @@ pixel's prior then is a Gaussian with mean and variance of its posterior. This i
 empirical Bayes (H. Robbins, "An empirical Bayes approach to statistics", 1956; EM for the discrete
 mixture as in N. Laird, J. Am. Stat. Assoc. 73, 1978).
 
-With noise s², lights known and nodes k,
+With noise s², and c and V mean and variance of the posterior (`pbrfit.fit.priors.posterior`),
 
-    l_ik = min over albedo of Σ ω (I − T)² / 2s²          A_ik = exp(−η_i (l_ik − min_k l_ik))
-    p_k ← p_k mean_i [A_ik / Σ_j A_ij p_j]                 posterior_ik ∝ A_ik p_k
     prior of pixel i: s² a_i (v_i − c_i − δ)²             a_i = 1 / (σ_min² + V_i)
 
-with c and V mean and variance of the posterior. η = σ²/(σ² + spacing²) widens likelihoods that are
-too sharp for the grid. Of A to the power 1/η, what the pictures say, A is in the posterior; the
-share 1 − η is left for the fit that follows. So that data count once, a pixel minimises
+Of what the pictures say, the share 1 − η is not in the posterior, but left for the fit that
+follows. So that data count once, a pixel minimises
 
     (1 − η_i) Σ ω (I − T)² + s² a_i (v_i − c_i)²
 

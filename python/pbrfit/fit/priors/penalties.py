@@ -38,7 +38,7 @@ def penalties(layout: ParameterLayout, priors: Priors) -> list[Penalty]:
     made: dict[str, Callable[[ParameterLayout, float], Penalty]] = {
         "cohesion": cohesion,
         "smoothness": smoothness,
-        "sparsity": Sparsity,
+        "sparsity": sparsity,
         "monochrome": Monochrome,
     }
     idle = idle_penalties(layout, priors)
@@ -65,21 +65,21 @@ def idle_penalties(layout: ParameterLayout, priors: Priors) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _OnMaps:
-    """A multiple of a sum of squares, over roughness and metallic."""
+    """A multiple of a sum over roughness and metallic."""
 
     name: str
     factor: float
     blocks: tuple[slice, ...]
-    squares: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
+    sum_of: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
     """Of one map, (P,): the sum, and half of its gradient."""
 
     def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         """See `Penalty`."""
         total = 0.0
         for block in self.blocks:
-            squares, half_slope = self.squares(x[block])
+            of_map, half_slope = self.sum_of(x[block])
             gradient[block] += 2 * self.factor * half_slope
-            total += self.factor * squares
+            total += self.factor * of_map
         return total
 
 
@@ -140,20 +140,16 @@ def smoothness(layout: ParameterLayout, weight: float) -> Penalty:
     return _OnMaps("smoothness", factor, layout.roughness_metallic, squares)
 
 
-class Sparsity:
+def sparsity(layout: ParameterLayout, weight: float) -> Penalty:
     """Little metal: w/P Σ_i |m_i|, which is linear because metallic is never negative."""
-
-    name = "sparsity"
-
-    def __init__(self, layout: ParameterLayout, weight: float) -> None:
-        assert layout.metallic is not None
-        self._factor = weight / layout.pixels
-        self._block = layout.metallic
-
-    def value_and_grad(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
-        """See `Penalty`."""
-        gradient[self._block] += self._factor
-        return self._factor * float(x[self._block].sum())
+    assert layout.metallic is not None
+    half_slope = np.full(layout.pixels, 0.5)
+    return _OnMaps(
+        "sparsity",
+        weight / layout.pixels,
+        (layout.metallic,),
+        lambda metallic: (float(metallic.sum()), half_slope),
+    )
 
 
 class Monochrome:

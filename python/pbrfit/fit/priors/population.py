@@ -35,13 +35,8 @@ def population(
     """Probabilities of nodes (K,) of a grid with these values; their sum is 1."""
     inside = np.clip(roughness, 0.02, 0.98)
     density = (inside * (1 - inside)) ** ROUGHNESS_EXPONENT
-    pure = {0.0: 1 - METAL_SHARE - MIXED_SHARE, 1.0: METAL_SHARE}
-    share = np.zeros(len(metallic))
-    between = np.ones(len(metallic), bool)
-    for value, of_value in pure.items():
-        share[metallic == value] = of_value
-        between &= metallic != value
-    if between.any():
-        share[between] = MIXED_SHARE / len(np.unique(metallic[between]))
-    found = density * share
+    levels = np.unique(metallic[(metallic != 0) & (metallic != 1)])
+    of_pure = [1 - METAL_SHARE - MIXED_SHARE, METAL_SHARE]
+    of_level = MIXED_SHARE / max(len(levels), 1)
+    found = density * np.select([metallic == 0, metallic == 1], of_pure, of_level)
     return np.asarray(found / found.sum(), np.float32)

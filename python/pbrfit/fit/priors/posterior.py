@@ -90,7 +90,7 @@ class Grid:
             metallic = METALLIC_NODES if objective.transfer is None else PURE_NODES
         self._metallic = metallic if known is None else np.array([known])
         nodes = np.meshgrid(ROUGHNESS_NODES, self._metallic, indexing="ij")
-        self.roughness, self.metallic = (of_nodes.ravel() for of_nodes in nodes)
+        self.nodes = np.stack(nodes, axis=-1).reshape(-1, 2)
 
     def likelihood(self, pixels: Pixels) -> Likelihood:
         """Of some pixels."""
@@ -191,7 +191,7 @@ class Distributions:
         likelihood, threads = found.values, grid.objective.threads
         base = np.full(likelihood.shape[1], 1 / likelihood.shape[1], np.float32)
         if pooling is not None:
-            base = population(grid.roughness, grid.metallic)
+            base = population(*grid.nodes.T)
         more = 0.0 if pooling is None else pooling.prior_pixels(len(likelihood))
         whole = mixture_of(likelihood, base, more, threads)
         order = np.argsort(labels, kind="stable")
@@ -217,14 +217,12 @@ class Distributions:
             axis=1, keepdims=True
         )
         groups = np.stack([label(of_row.reshape(shape))[0].ravel() for of_row in high])
-        nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
-        return cls(probabilities, groups.astype(np.intp), row, nodes)
+        return cls(probabilities, groups.astype(np.intp), row, grid.nodes.astype(np.float32))
 
     @classmethod
     def flat(cls, grid: Grid) -> Distributions:
         """All nodes alike: no prior."""
-        count = len(grid.roughness)
-        nodes = np.stack([grid.roughness, grid.metallic], axis=-1).astype(np.float32)
+        count, nodes = len(grid.nodes), grid.nodes.astype(np.float32)
         probabilities = np.full((1, count), 1 / count, np.float32)
         return cls(probabilities, np.ones((1, count), np.intp), np.zeros(1, np.intp), nodes)
 
