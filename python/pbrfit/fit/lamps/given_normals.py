@@ -93,7 +93,6 @@ def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
 
 def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     """A near lamp for each picture, and albedos (P, 3)."""
-    assert pixels.points is not None
     few = pixels.of_rows(evenly_spaced(len(pixels), NEAR_PIXELS).astype(np.intp))
     points = few.points
     assert points is not None
@@ -243,8 +242,7 @@ def colored_by(
         for _ in range(2):
             residual = logs - of_pixels[:, None] - of_lamps
             counted = usable / (1 + (residual / scale) ** 2)
-            sums = counted.sum(axis=1)
-            of_pixels = (counted * (logs - of_lamps)).sum(axis=1) / (sums + TINY)
+            of_pixels = (counted * (logs - of_lamps)).sum(axis=1) / (counted.sum(axis=1) + TINY)
             residual = logs - of_pixels[:, None] - of_lamps
             counted = usable / (1 + (residual / scale) ** 2)
             step = (counted * residual).sum(axis=0) / (counted.sum(axis=0) + TINY)

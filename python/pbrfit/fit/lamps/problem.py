@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pbrfit import _core
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.io.limits import AT_LEAST, AT_MOST
-from pbrfit.model.geometry import positions, view_directions
+from pbrfit.model.geometry import positions, views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
@@ -86,9 +86,7 @@ class LampPixels:
             scale = scene.mean_brightness() / MEAN_RADIANCE
             scale = scale if scale > 0 else 1.0
             largest = 1.0 if scene.weights is None else float(scene.weights.max())
-        first, last = int(places.min()) // scene.width, int(places.max()) // scene.width
-        rows = slice(first, last + 1)
-        views = view_directions(scene.height, scene.width, scene.fov, rows)
+        rows, columns = np.divmod(places, scene.width)
         flat = np.zeros(scene.valid.size, np.intp)
         if scene.labels is not None:
             flat[valid] = scene.labels[0]
@@ -100,7 +98,7 @@ class LampPixels:
             samples / scale,
             weights / largest,
             limits,
-            views.reshape(-1, 3)[places - first * scene.width],
+            views_at((scene.height, scene.width), scene.fov, columns, rows),
             points,
             np.asarray(normals, np.float64).reshape(-1, 3)[places],
             flat[places],

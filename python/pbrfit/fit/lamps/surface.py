@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from pbrfit.fit.lamps.ambiguity import KNOWN_MIN, unit_and_length
 from pbrfit.fit.lamps.photometric import PseudoNormals
 from pbrfit.fit.lamps.samples import FirstShape, Samples, some_of
+from pbrfit.model.materials import nearest_inside
 
 Array = NDArray[np.float64]
 
@@ -55,10 +55,8 @@ def finished(
     if not known.all():
         certain = known if known.any() else np.ones_like(known)
         if rough is None:
-            _, nearest = distance_transform_edt(
-                data.plane(~certain, 1.0).astype(bool), return_indices=True
-            )
-            rough = data.plane(unit, 0.0)[tuple(nearest)]
+            nearest = nearest_inside(data.plane(certain, 0.0).astype(bool))
+            rough = data.plane(unit, 0.0)[nearest]
         expected = float(np.median(length[certain])) * rough[data.where]
         right = np.einsum("pij,pj->pi", precision, vectors) + lean * expected
         leaning = np.linalg.solve(precision + lean * np.eye(3), right[..., None])[..., 0]

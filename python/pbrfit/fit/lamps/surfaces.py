@@ -456,12 +456,9 @@ def deviations(
         held = np.einsum("puu->pu", inverse)
         return held, held + more.reshape(held.shape)
 
-    variance, marginal = np.zeros((count, 7)), np.zeros((count, 7))
-    variance[:, :UNKNOWNS], marginal[:, :UNKNOWNS] = by_pieces(
-        pixels, of, at_once=max(PIXELS_AT_ONCE // pixels.pictures, 1)
-    )
-    for found in (variance, marginal):
-        found[~(found > 0)] = np.inf  # singular but for rounding: the samples tell nothing
-    chance = state.metallic
-    variance[:, 6] = marginal[:, 6] = chance * (1 - chance)
-    return variance, marginal
+    at_once = max(PIXELS_AT_ONCE // pixels.pictures, 1)
+    variances = np.zeros((2, count, 7))
+    variances[..., :UNKNOWNS] = by_pieces(pixels, of, at_once=at_once)
+    variances[~(variances > 0)] = np.inf  # singular but for rounding: the samples tell nothing
+    variances[..., 6] = state.metallic * (1 - state.metallic)
+    return variances[0], variances[1]

@@ -117,7 +117,6 @@ def _find_normals(
         chosen = level.pixels.astype(np.intp)
         given, sigma = _given(run.scene)
         sigma = None if sigma is None else sigma[chosen]
-        lights = slice(free.layout.maps.stop, None)
         nuisances = None
         if run.camera.how == "fitted":
             nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
@@ -126,7 +125,7 @@ def _find_normals(
             part = free.part_of(x, level.pixels)
             watch = Watch(run, x, level)
             found = rounds(run, level, part, watch, of_level, at_most=at_most, nuisances=nuisances)
-            x[lights] = part[level.objective.layout.maps.stop :]
+            x[free.layout.maps.stop :] = part[level.objective.layout.maps.stop :]
             if found.cut_short:
                 break
         start_from_level(free, x, level, part)

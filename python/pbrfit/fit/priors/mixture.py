@@ -37,7 +37,6 @@ likelihood of a pixel, larger than the residuals' variance where these are no no
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,11 +48,10 @@ from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.normal_equations import albedo_solved_for
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.posterior import Distributions, Grid, Pooling, Posterior, labels_of
+from pbrfit.fit.priors.posterior import Distributions, Grid, Pooling, Posterior, Stop, labels_of
 from pbrfit.fit.sampling import evenly_spaced_over
 
 Array = NDArray[np.float64]
-Stop = Callable[[], bool]
 
 
 @dataclass(frozen=True, eq=False)

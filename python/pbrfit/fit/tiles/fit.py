@@ -26,7 +26,7 @@ from pbrfit.fit.whole_picture import (
     output_of,
     uncertainty_of,
 )
-from pbrfit.model.materials import Materials
+from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.options import FitOptions
@@ -82,8 +82,7 @@ def fit_tiles(
     clock.evaluations += round(passes)
     mean = loss / weight
     rmse = clock.objective.residual_rmse(mean)
-    truth = scene.truth
-    errors = {} if truth is None else material_errors(maps.materials, truth.materials)
+    errors = {} if scene.truth is None else material_errors(maps.materials, scene.truth.materials)
     elapsed, passes_done = clock.elapsed, clock.evaluations
     clock.rows.append(HistoryRow(elapsed, clock.iteration, passes_done, mean, rmse, **errors))
     return output_of(
@@ -237,15 +236,9 @@ class _Nearest:
     def __init__(
         self, subset: Window, valid: NDArray[np.bool_], materials: Materials, normals: Array
     ) -> None:
-        from scipy.ndimage import distance_transform_edt
-
         self._subset = subset
         maps = [materials.albedo, materials.roughness[..., None], materials.metallic[..., None]]
-        self._maps = np.concatenate([*maps, normals], axis=-1)
-        missing = ~subset.of(valid)
-        if missing.any():
-            nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
-            self._maps = self._maps[tuple(nearest)]
+        self._maps = np.concatenate([*maps, normals], axis=-1)[nearest_inside(subset.of(valid))]
 
     def at(self, window: Window) -> tuple[Materials, Array]:
         """Materials and normals (h, w, ...) of the pixels of a window."""
