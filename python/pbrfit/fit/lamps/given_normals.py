@@ -71,10 +71,8 @@ def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
         for i in range(pixels.pictures):
             w = weights[:, i] * ((pixels.normals @ vectors[i] > 0) | (not vectors[i].any()))
             matrix = regressors.T @ (w[:, None] * regressors)
-            ridge = 1e-9 * np.trace(matrix) + TINY
-            vectors[i] = np.linalg.solve(
-                matrix + ridge * np.eye(3), regressors.T @ (w * grey[:, i])
-            )
+            matrix += (1e-9 * np.trace(matrix) + TINY) * np.eye(3)
+            vectors[i] = np.linalg.solve(matrix, regressors.T @ (w * grey[:, i]))
         shading = np.maximum(pixels.normals @ vectors.T, 0)
         residual = grey - albedo[:, None] * shading
         spread = 1.4826 * np.median(np.abs(residual[usable])) + TINY
@@ -86,9 +84,8 @@ def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     directions = np.where(strength[:, None] > 2 * TINY, vectors / strength[:, None], [0.0, 0, 1])
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     shading = np.maximum(pixels.normals @ directions.T, 0)
-    return colored_by(
-        pixels, Lamps(np.arange(pixels.pictures), directions), shading, weights * (shading > 0)
-    )
+    lamps = Lamps(np.arange(pixels.pictures), directions)
+    return colored_by(pixels, lamps, shading, weights * (shading > 0))
 
 
 def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:

@@ -107,10 +107,8 @@ def rough_shape(mask: Mask, views: Array) -> Array:
     slope = np.stack([-right, down], axis=-1)
     length = np.linalg.norm(slope, axis=-1, keepdims=True)
     slope /= np.maximum(length, 1e-3)
-    facing = np.sqrt(1 - (1 - share) ** 2)
-    normals = np.concatenate(
-        [slope * np.sqrt(1 - facing**2)[..., None], facing[..., None]], axis=-1
-    )
+    facing = np.sqrt(1 - (1 - share) ** 2)[..., None]
+    normals = np.concatenate([slope * np.sqrt(1 - facing**2), facing], axis=-1)
     normals[..., :2] += views[..., :2]
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     return np.asarray(normals / np.maximum(length, 1e-12))

@@ -46,20 +46,10 @@ def light_of_picture(
 ) -> tuple[Lamps, Array, Array]:
     """The light of a picture of pixels whose surfaces are known.
 
-    Parameters
-    ----------
-    samples, weights
-        (P, 3) linear Rec.709, and how much each counts; 0 = not at all.
-    normals, views
-        (P, 3) unit vectors, the latter to the camera.
-    materials
-        Albedo (P, 3), roughness (P,), metallic (P,).
-    terms
-        Coefficients of ambient light: 0, 1, 4 or 9.
-
-    Returns
-    -------
-    One lamp, SH light (16, 3), and their radiance (P, 3).
+    That is one lamp, SH light (16, 3), and their radiance (P, 3). `samples` (P, 3) are linear
+    Rec.709, and `weights` (P, 3) how much each counts, 0 = not at all; `normals` and `views` (P, 3)
+    are unit vectors, the latter to the camera; `materials` albedo (P, 3), roughness (P,) and
+    metallic (P,). Ambient light has so many `terms`: 0, 1, 4 or 9 coefficients.
     """
     scale = max(float(samples.mean()) / MEAN_RADIANCE, 1e-12)
     places = np.arange(len(samples))
@@ -140,18 +130,13 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
         while damping < 1e6:
             damped = matrix + np.diag(damping * np.diag(matrix) + 1e-12 * np.trace(matrix))
             change = -np.linalg.solve(damped, gradient)
-            place = state.lamps.places[0] + np.clip(change[:2], -0.3, 0.3) @ frame
+            place = state.lamps.places + np.clip(change[:2], -0.3, 0.3) @ frame
+            place /= np.linalg.norm(place)
+            colors = np.maximum(state.lamps.colors + change[2:5], 0.0)
             ambient = state.ambient.copy()
             ambient[0, :terms] += change[5:].reshape(terms, 3)
-            trial = replace(
-                state,
-                lamps=replace(
-                    state.lamps,
-                    places=(place / np.linalg.norm(place))[None],
-                    colors=np.maximum(state.lamps.colors + change[2:5], 0.0),
-                ),
-                ambient=ambient,
-            )
+            lamps = replace(state.lamps, places=place, colors=colors)
+            trial = replace(state, lamps=lamps, ambient=ambient)
             new = cost_of(trial)
             if new < cost:
                 break

@@ -98,9 +98,8 @@ class Band:
 
 def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slice]:
     """Ranges of the valid pixels that make up whole rows."""
-    counts = valid.sum(axis=1)
     size, start = 0, 0
-    for count in counts.tolist():
+    for count in valid.sum(axis=1).tolist():
         if size and size + count > at_most:
             yield slice(start, start + size)
             start, size = start + size, 0
@@ -140,12 +139,11 @@ def by_pieces(
 
 def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior) -> Array:
     """(P,): −ln of the posterior of each pixel's surface, up to a constant."""
-    (told,) = by_pieces(
-        pixels,
-        lambda some, rows: (
-            noise.log_likelihoods(Left.of(some, state.of_rows(rows))).sum(axis=-1),
-        ),
-    )
+
+    def likelihood(some: LampPixels, rows: slice) -> tuple[Array]:
+        return (noise.log_likelihoods(Left.of(some, state.of_rows(rows))).sum(axis=-1),)
+
+    (told,) = by_pieces(pixels, likelihood)
     at = np.concatenate(
         [offsets(pixels.normals, state.normals), state.albedo, state.roughness[:, None]], axis=-1
     )

@@ -50,9 +50,8 @@ class Neighbourhood:
         """
         first, second = pairs = np.concatenate(pairs_apart(index), axis=1)
         difference = normals[first] - normals[second]
-        weights = np.exp(
-            -np.einsum("ed,ed->e", difference, difference) / settings.NORMALS_EDGE_SCALE
-        )
+        squared = np.einsum("ed,ed->e", difference, difference)
+        weights = np.exp(-squared / settings.NORMALS_EDGE_SCALE)
         if normal_sigma is not None and normal_sigma.any():
             mean = normal_sigma.mean()
             of_pairs = 0.5 * (normal_sigma[first] + normal_sigma[second])
@@ -91,17 +90,14 @@ class TangentOffsetPrior:
     def fitted(self, offsets: Array, variances: Array) -> TangentOffsetPrior:
         """With σ and u from offsets (P, 2) and the variance that is left of each, tr V (P,)."""
         first, second = self.neighbourhood.pairs.T
-        if not len(first):
-            return self
         difference = offsets[second] - offsets[first]
         squared = np.einsum("ed,ed->e", difference, difference)
         squared = squared + variances[first] + variances[second]
-        robust_weights = 1 / (
-            1 + squared / (2 * settings.NORMALS_HALF_WEIGHT_STEP**2 * self.sigma**2)
-        )
+        of_half_weight = 2 * settings.NORMALS_HALF_WEIGHT_STEP**2 * self.sigma**2
+        robust_weights = 1 / (1 + squared / of_half_weight)
         weights = self.neighbourhood.weights * robust_weights
         total = float(weights.sum())
-        if not total > 0:
+        if not total > 0:  # there are no pairs, or none that could be alike
             return self
         sigma = np.sqrt(float(weights @ squared) / (2 * total))
         sigma = float(np.clip(sigma, *settings.NORMALS_OFFSET_SIGMA_RANGE))

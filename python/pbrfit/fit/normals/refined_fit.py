@@ -1,8 +1,6 @@
 """A fit whose normals are refined: in which order, and what is kept of it.
 
-Whether they are is decided by left-out pictures (`pbrfit.fit.compare`), or asked for. Some pixels
-find lights, materials and normals together; then all pixels refine theirs, and materials are fitted
-to these with all priors.
+Whether they are is decided by left-out pictures (`pbrfit.fit.compare`), or asked for.
 """
 
 from __future__ import annotations

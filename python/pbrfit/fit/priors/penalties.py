@@ -14,8 +14,7 @@ from pbrfit.fit.sampling import pairs_apart, pixel_index
 from pbrfit.result.options import Priors
 
 SMOOTHNESS_STEP = 0.01
-"""Differences of neighbours are measured over this share of the picture's side; see `smoothness`.
-"""
+"""Share of the picture's side over which differences of neighbours are taken; see `smoothness`."""
 
 
 class Penalty(Protocol):

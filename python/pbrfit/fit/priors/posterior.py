@@ -82,7 +82,6 @@ class Grid:
     def __init__(
         self, objective: Objective, x: Array, variance: float, metallic: Array | None = None
     ) -> None:
-        self._planes = len(objective.layout.roughness_metallic)
         self._problem, self._x = objective.problem, objective.for_core(x)
         self.objective, self._variance = objective, variance
         known = objective.known_metallic
@@ -109,10 +108,8 @@ class Grid:
         profile = _least(excess.reshape(len(pixels), len(ROUGHNESS_NODES), -1))
         best = np.clip(profile.argmin(axis=1), 1, len(ROUGHNESS_NODES) - 2)[:, None]
         below, at, above = (np.take_along_axis(profile, best + i, axis=1) for i in (-1, 0, 1))
-        curvature = (
-            np.maximum(below - 2 * at + above, settings.LIKELIHOOD_CURVATURE_MIN) / NODE_DISTANCE**2
-        )
-        sharpness = settings.PRIOR_NODE_SPACING**2 * curvature  # spacing²/σ²
+        bend = np.maximum(below - 2 * at + above, settings.LIKELIHOOD_CURVATURE_MIN)
+        sharpness = settings.PRIOR_NODE_SPACING**2 * (bend / NODE_DISTANCE**2)  # spacing²/σ²
         share = 1 / (1 + sharpness)  # η
         excess *= -share
         np.maximum(excess, LOG_LIKELIHOOD_MIN, out=excess)
@@ -213,9 +210,8 @@ class Distributions:
         row[[labels[pixels[0]] for pixels in large]] = np.arange(1, len(rows))
         probabilities = np.stack(rows)
         shape = (len(ROUGHNESS_NODES), -1)
-        high = probabilities > settings.GROUP_PROBABILITY_SHARE * probabilities.max(
-            axis=1, keepdims=True
-        )
+        largest = probabilities.max(axis=1, keepdims=True)
+        high = probabilities > settings.GROUP_PROBABILITY_SHARE * largest
         groups = np.stack([label(of_row.reshape(shape))[0].ravel() for of_row in high])
         return cls(probabilities, groups.astype(np.intp), row, grid.nodes.astype(np.float32))
 
@@ -246,9 +242,8 @@ class Distributions:
                 return None
             return self.posterior(grid.of_piece(everything[chunk]), labels[chunk])
 
-        parts = in_pieces(
-            grid.objective.threads, of_piece, slices(len(labels), settings.PIXELS_AT_ONCE)
-        )
+        pieces = slices(len(labels), settings.PIXELS_AT_ONCE)
+        parts = in_pieces(grid.objective.threads, of_piece, pieces)
         found = [part for part in parts if part is not None]
         if len(found) < len(parts):
             return None
