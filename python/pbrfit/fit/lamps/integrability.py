@@ -85,9 +85,8 @@ def equations(
     view = views[row, column]
     x, y = (-view[:, :2] / view[:, 2:]).T
     across_x, across_y = np.cross(b, along_x), np.cross(b, along_y)
-    rows = np.concatenate(
-        [across_x, across_y, x[:, None] * across_x + y[:, None] * across_y], axis=1
-    )
+    across_rays = x[:, None] * across_x + y[:, None] * across_y
+    rows = np.concatenate([across_x, across_y, across_rays], axis=1)
     # Equations count by the square of the direction of b alone, not by brightness.
     size = np.maximum(np.einsum("pi,pi->p", b, b), np.finfo(np.float64).tiny)
     rows /= size[:, None]

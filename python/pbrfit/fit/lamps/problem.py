@@ -119,14 +119,9 @@ class LampPixels:
 
     def of_rows(self, rows: NDArray[np.intp] | slice) -> LampPixels:
         """Some of the pixels."""
-        return replace(
-            self,
-            **{
-                name: getattr(self, name)[rows]
-                for name in ("samples", "weights", "limits", "views", "normals", "labels", "places")
-            },
-            points=None if self.points is None else self.points[rows],
-        )
+        names = ("samples", "weights", "limits", "views", "normals", "labels", "places")
+        of_rows = {name: getattr(self, name)[rows] for name in names}
+        return replace(self, points=None if self.points is None else self.points[rows], **of_rows)
 
     @property
     def told(self) -> NDArray[np.bool_]:
@@ -239,9 +234,8 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
     normals, albedo, roughness, metallic = surface_of(state)
     args = pixels.views, albedo, roughness, metallic
     # Pixels last: planes (K, 3, P), which numpy goes through fast.
-    of_lamps = np.ascontiguousarray(
-        _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model).T
-    ).swapaxes(1, 2)
+    of_core = _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model)
+    of_lamps = np.ascontiguousarray(of_core.T).swapaxes(1, 2)
     value = of_lamps[0]
     frames = tangents(normals).transpose(1, 2, 0)
     lit = strengths.T[:, None] * lamps.colors[..., None]
@@ -265,9 +259,8 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
         along = -np.einsum("pkx,kx->pk", directions[:, near], lamps.axes[near])[..., None]
         gathered = lamps.exponents[near, None] / np.maximum(along, np.finfo(np.float64).tiny)
         # d/dq of 1/d² (axis·(p−q)/d)^e, over itself.
-        by_strength = -2 * directions[:, near] - gathered * (
-            lamps.axes[near] + along * directions[:, near]
-        )
+        across = lamps.axes[near] + along * directions[:, near]
+        by_strength = -2 * directions[:, near] - gathered * across
         shown = (lit * value).transpose(2, 0, 1)[:, near, :, None]
         by_place[:, near] += shown * by_strength[:, :, None, :]
         by_place[:, near] /= distance[..., None]

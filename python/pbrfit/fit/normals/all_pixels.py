@@ -105,8 +105,6 @@ def refine_all(
         starts, steps = (0, 0) if number else (1, settings.DESCENT_STEPS)
         if fit_all(objective, x, starts=starts, steps=steps, prior=pixel_prior, stop=stop) is None:
             return False
-        prior = prior.fitted(
-            offsets_of(objective, x),
-            offset_variances(objective, x, pixel_prior.precision, variance),
-        )
+        left = offset_variances(objective, x, pixel_prior.precision, variance)
+        prior = prior.fitted(offsets_of(objective, x), left)
     return True

@@ -53,9 +53,8 @@ class FreeNormals:
 
     def is_settled(self, number: int) -> bool:
         """Whether the priors of that round and all later ones are alike."""
-        return number + 1 >= settings.NORMALS_DIELECTRIC_ROUNDS + len(
-            settings.NORMALS_MATERIAL_SIGMAS_MIN
-        )
+        sigmas = settings.NORMALS_MATERIAL_SIGMAS_MIN
+        return number + 1 >= settings.NORMALS_DIELECTRIC_ROUNDS + len(sigmas)
 
     def prior(self, objective: Objective, x: Array, number: int) -> GaussianPrior:
         """On roughness, metallic and tangent offset of each pixel, in a round."""

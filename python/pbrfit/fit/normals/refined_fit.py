@@ -115,9 +115,7 @@ def _find_normals(
         chosen = level.pixels.astype(np.intp)
         given, sigma = _given(run.scene)
         sigma = None if sigma is None else sigma[chosen]
-        nuisances = None
-        if run.camera.how == "fitted":
-            nuisances = Nuisances(run.scene, [FIELD_OF_VIEW])
+        nuisances = Nuisances(run.scene, [FIELD_OF_VIEW]) if run.camera.how == "fitted" else None
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
             of_level = FreeNormals.of(level, given[chosen], sigma)
             part = free.part_of(x, level.pixels)

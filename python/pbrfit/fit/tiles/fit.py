@@ -105,10 +105,8 @@ def ending(
     late = of_tiles.count(Status.TIME_LIMIT)
     cut_short = of_tiles.count(Status.ITERATION_LIMIT)
     if late:
-        return Status.TIME_LIMIT, (
-            f"time limit of {options.time_limit:g} s reached: {late} of {len(of_tiles)} tiles "
-            "are unfinished"
-        )
+        unfinished = f"{late} of {len(of_tiles)} tiles are unfinished"
+        return Status.TIME_LIMIT, f"time limit of {options.time_limit:g} s reached: {unfinished}"
     if status is Status.TIME_LIMIT:
         half = f"half of the time limit of {options.time_limit:g} s"
         return status, f"{half} was not enough for lights"
@@ -216,10 +214,9 @@ class _Maps:
         tile.inner.of(self.normals)[...] = tile.inside.of(part.normals)
         if self.spread is None:
             return
-        assert shared_state.discrepancy is not None
-        spread = uncertainty.spread(
-            objective, found.x, shared_state.discrepancy, found.run.posterior
-        )
+        discrepancy = shared_state.discrepancy
+        assert discrepancy is not None
+        spread = uncertainty.spread(objective, found.x, discrepancy, found.run.posterior)
         inside = np.zeros(part.valid.shape, bool)
         tile.inside.of(inside)[...] = True
         numbers = tile.inner.of(self._number)[tile.inner.of(self._valid)]

@@ -97,10 +97,8 @@ class PartialScene(Scene):
     @property
     def views(self) -> NDArray[np.float64]:
         """(h, w, 3) unit vectors from the surface to the camera."""
-        whole, window = self.whole, self.window
-        return geometry.view_directions(
-            whole.height, whole.width, self.fov, window.rows, window.columns
-        )
+        size, window = (self.whole.height, self.whole.width), self.window
+        return geometry.view_directions(*size, self.fov, window.rows, window.columns)
 
     @lazy
     def grey(self) -> bool:
