@@ -25,7 +25,6 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,7 +202,7 @@ class Nuisances:
         """d_j, (P, N, C) each; those of a correction at what the model shows."""
         of_correction: list[Array] = []
         if self.scene.correction is not None:
-            of_correction = objective.correction_directions(x, self.scene.correction)[0]
+            of_correction = objective.correction_directions(x, self.scene.correction)
         return [
             self._by_camera(objective, x, j)
             if one.correction is None
@@ -249,9 +248,7 @@ def _eliminated(
     columns = np.stack([residuals.astype(np.float64), *directions], axis=-1)
     weighted = columns * weights[..., None]
     jacobian = by_unknowns(by_material, layout).reshape(count, -1, layout.maps.stop // count)
-    of_core: dict[str, Any] = {}
-    if fit is not None:
-        of_core = fit.options(objective, x, everything, everything)
+    of_core = {} if fit is None else fit.options(objective, x, everything, everything)
     slopes = jacobian.transpose(0, 2, 1) @ weighted.reshape(count, -1, columns.shape[-1])
     matrices = products(jacobian.reshape(*weights.shape, -1), weights)
     c = layout.channels
@@ -261,9 +258,8 @@ def _eliminated(
     held = np.zeros(matrices.shape[:2], bool)
     materials = x[layout.materials].reshape(-1, count).T
     bounded = slopes[:, : materials.shape[1], 0]
-    held[:, : materials.shape[1]] = ((materials <= 0) & (bounded > 0)) | (
-        (materials >= 1) & (bounded < 0)
-    )
+    below, above = (materials <= 0) & (bounded > 0), (materials >= 1) & (bounded < 0)
+    held[:, : materials.shape[1]] = below | above
     whiten = whitening(matrices, held)
     solved = whiten @ slopes
     gram: Array = np.einsum("pnci,pncj->ij", columns, weighted)

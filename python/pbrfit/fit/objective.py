@@ -25,6 +25,8 @@ from pbrfit.scene.exposure import relative_exposures
 from pbrfit.scene.scene import Scene
 from pbrfit.transport.scenery import PixelTransfer
 
+Array = NDArray[np.float64]
+
 SH_ORDERS = (2, 3)
 """Highest bands that the lights may have."""
 
@@ -35,7 +37,7 @@ class Normalization:
 
     scale: float
     """The scene scale, in picture units."""
-    exposures: NDArray[np.float64] | None
+    exposures: Array | None
     """(N,), beside it; None = nothing."""
     largest_weight: float
     """Of a valid sample; 1 where all are the same."""
@@ -164,14 +166,14 @@ class Objective:
         return np.arange(self.pixels, dtype=np.uint64)
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> Array:
         """(size, 2): [0, 1] for materials, infinite for the rest. Made anew: it is large."""
         bounds = np.empty((self.size, 2))
         bounds[self.layout.materials] = (0.0, 1.0)
         bounds[self.layout.materials.stop :] = (-np.inf, np.inf)
         return bounds
 
-    def start(self) -> NDArray[np.float64]:
+    def start(self) -> Array:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them.
 
         Where normals are free they are the given ones.
@@ -186,7 +188,7 @@ class Objective:
             maps[self.tangent_offsets] = 0.0
         return self.with_best_lights(maps)
 
-    def with_best_lights(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
+    def with_best_lights(self, maps: Array) -> Array:
         """X with the maps of `maps`, which is x or its first part, and the lights that fit best.
 
         Radiance is linear in the light, so this is a linear least-squares problem a channel (one
@@ -210,9 +212,7 @@ class Objective:
             lights = np.linalg.solve(gram, right[..., None])[..., 0].transpose(1, 2, 0)
         return np.concatenate([maps, lights.ravel()])
 
-    def put_best_albedo(
-        self, x: NDArray[np.float64], pixels: NDArray[np.uint64]
-    ) -> NDArray[np.float64]:
+    def put_best_albedo(self, x: Array, pixels: NDArray[np.uint64]) -> Array:
         """Put the albedo of some pixels to what fits best to the rest of x, which changes.
 
         Returned is the weighted sum of squared residuals that each of these pixels, given by
@@ -223,9 +223,7 @@ class Objective:
         x[self.albedo].reshape(self.channels, -1)[:, pixels] = albedo.T
         return squares
 
-    def value_and_grad(
-        self, x: ArrayLike, out: NDArray[np.float64] | None = None
-    ) -> tuple[float, NDArray[np.float64]]:
+    def value_and_grad(self, x: ArrayLike, out: Array | None = None) -> tuple[float, Array]:
         """Loss at x and its gradient: (float, (size,) float64).
 
         Parameters
@@ -272,9 +270,7 @@ class Objective:
 
         return Loss.apply  # type: ignore[no-any-return,unused-ignore]
 
-    def data_value_and_grad(
-        self, x: ArrayLike, out: NDArray[np.float64] | None = None
-    ) -> tuple[float, NDArray[np.float64]]:
+    def data_value_and_grad(self, x: ArrayLike, out: Array | None = None) -> tuple[float, Array]:
         """As `value_and_grad`, without the penalties."""
         if self.layout.light_channels == self.channels:
             return self.problem.value_and_grad(self.for_core(x), out)
@@ -292,11 +288,11 @@ class Objective:
         out[:] = gradient
         return loss, out
 
-    def add_penalties(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
+    def add_penalties(self, x: Array, gradient: Array) -> float:
         """Sum of the penalties at x; their gradient is added to `gradient`."""
         return sum((p.value_and_grad(x, gradient) for p in self.penalties), 0.0)
 
-    def for_core(self, x: ArrayLike) -> NDArray[np.float64]:
+    def for_core(self, x: ArrayLike) -> Array:
         """X as `_core.Problem` takes it: with lights of every channel."""
         if self.layout.light_channels == self.channels:
             return real_array("x", x)
@@ -367,13 +363,13 @@ class Objective:
         rows = limits.reshape(len(limits), -1, limits.shape[-1])
         return rows[:, self._all_places()[pixels], : self.channels]
 
-    def pictures(self, pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
+    def pictures(self, pixels: NDArray[np.uint64]) -> Array:
         """(N, Q, C): some pixels' samples in the unit of x."""
         places = self._all_places()[pixels]
         samples = [self._scene.samples(i, places) for i in range(self.layout.pictures)]
         return np.stack(samples)[..., : self.channels] / self._by_picture
 
-    def file_variances(self, pixels: NDArray[np.uint64]) -> NDArray[np.float64] | None:
+    def file_variances(self, pixels: NDArray[np.uint64]) -> Array | None:
         """(N, Q, C): the variances that files' encoding left, in units of x; None if none did."""
         places, found = self._all_places()[pixels], None
         for i, unit in enumerate(self._units):
@@ -392,10 +388,8 @@ class Objective:
 
     def is_sample(self, pixels: NDArray[np.uint64]) -> NDArray[np.bool_]:
         """(N, Q, C): which samples of some pixels have weight, limits or not."""
-        shape = self.layout.pictures, len(pixels), self.channels
-        if self.weights is None:
-            return np.ones(shape, bool)
-        return np.broadcast_to(self.weights[:, pixels] > 0, shape).copy()
+        found = np.True_ if self.weights is None else self.weights[:, pixels] > 0
+        return np.broadcast_to(found, (self.layout.pictures, len(pixels), self.channels))
 
     def places_in(self, whole: Scene, pixels: NDArray[np.uint64] | None = None) -> NDArray[np.intp]:
         """Where some pixels, or all, are in the picture that this one is, or is a window of."""
@@ -426,20 +420,15 @@ class Objective:
         del self.problem  # before there is another one, which is as large
         self.problem = self._problem(self.sample_weights)
 
-    def correction_directions(
-        self, x: NDArray[np.float64], correction: Correction
-    ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
+    def correction_directions(self, x: Array, correction: Correction) -> list[Array]:
         """As `Correction.directions` at what the model shows, (P, N, C), in units of x."""
         shown = self.problem.residuals(self.for_core(x), self.everything).astype(np.float64)
         for i in range(self.layout.pictures):
             shown[i] = (shown[i] + self._image(i)) * self._units[i]
-        found, slope = correction.directions(shown)
-        units = self._by_picture
-        return [(one / units).transpose(1, 0, 2) for one in found], slope.transpose(1, 0, 2)
+        found, _ = correction.directions(shown)
+        return [(one / self._by_picture).transpose(1, 0, 2) for one in found]
 
-    def restricted(
-        self, pixels: NDArray[np.uint64], shares: NDArray[np.float64] | None = None
-    ) -> Objective:
+    def restricted(self, pixels: NDArray[np.uint64], shares: Array | None = None) -> Objective:
         """The objective of some pixels alone, in the same units; squares, without penalties.
 
         With `shares` (Q,), at most 1, samples of a pixel weigh as much less.
@@ -472,21 +461,19 @@ class Objective:
         found.problem = found._problem(found.sample_weights)
         return found
 
-    def part_of(self, x: NDArray[np.float64], pixels: NDArray[np.uint64]) -> NDArray[np.float64]:
+    def part_of(self, x: Array, pixels: NDArray[np.uint64]) -> Array:
         """X of `restricted(pixels)` from an x of this objective."""
         maps = x[self.layout.maps].reshape(-1, self.pixels)[:, pixels]
         return np.concatenate([maps.ravel(), x[self.layout.maps.stop :]])
 
-    def put_part(
-        self, x: NDArray[np.float64], pixels: NDArray[np.uint64], part: NDArray[np.float64]
-    ) -> None:
+    def put_part(self, x: Array, pixels: NDArray[np.uint64], part: Array) -> None:
         """Undo `part_of`: give x the maps of these pixels, and the lights, of `part`."""
         maps = x[self.layout.maps].reshape(-1, self.pixels)
         of_pixels, lights = np.split(part, [len(maps) * len(pixels)])
         maps[:, pixels] = of_pixels.reshape(len(maps), -1)
         x[self.layout.maps.stop :] = lights
 
-    def light_basis(self, x: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def light_basis(self, x: Array) -> Array | None:
         """Q, (light channels, N, K): an orthonormal basis of the lights of x over the pictures.
 
         All that materials do to a channel's pictures is in its span. None where surroundings bring
@@ -500,9 +487,7 @@ class Objective:
         shape = layout.pictures, layout.coefficients, layout.light_channels
         return np.linalg.qr(x[layout.lighting].reshape(shape).transpose(2, 0, 1))[0]
 
-    def combined(
-        self, x: NDArray[np.float64], basis: NDArray[np.float64]
-    ) -> tuple[_core.Problem, NDArray[np.float64]]:
+    def combined(self, x: Array, basis: Array) -> tuple[_core.Problem, Array]:
         """Sums of the pictures with shares (light channels, N, J), and x for the core as they are.
 
         Samples have their mean weights over the pictures.
@@ -533,7 +518,7 @@ class Objective:
         roughness: NDArray[Any],
         metallic: NDArray[Any],
         lighting: NDArray[Any] | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> Array:
         """X from maps (H, W, ...) and lights (N, 16, 3) in picture units.
 
         Without `lighting` the lights that fit the maps best are taken. What x does not have is
@@ -559,7 +544,7 @@ class Objective:
         lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
         return np.concatenate([x, (lighting / self._by_picture).ravel()])
 
-    def unpack(self, x: NDArray[np.float64]) -> tuple[Materials, NDArray[np.float64]]:
+    def unpack(self, x: Array) -> tuple[Materials, Array]:
         """Maps (NaN outside the mask) and lights (N, 16, 3) in picture units.
 
         Whatever x holds, there are three channels and 16 coefficients: one channel comes three
@@ -586,7 +571,7 @@ class Objective:
             raise InputError("x: expected lights that float64 can hold in picture units")
         return materials, lighting
 
-    def lights(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def lights(self, x: Array) -> Array:
         """(N, K, C): those of x, or the known ones, in units of x."""
         if self.lighting is None:
             assert self._scene.lighting is not None
@@ -594,28 +579,25 @@ class Objective:
         shape = self.layout.pictures, self.coefficients, self.layout.light_channels
         return np.broadcast_to(x[self.lighting].reshape(shape), (*shape[:2], self.channels))
 
-    def normals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def normals(self, x: Array) -> Array:
         """(P, 3): the unit normals of x, in camera space; the given ones where they are known."""
         if self.tangent_offsets is None:
             return self._rows(self._scene.normals)
         return self.problem.normals(x[self.layout.maps])
 
-    def _image(self, i: int) -> NDArray[np.float64]:
+    def _image(self, i: int) -> Array:
         """(P, C): a picture in the unit of x."""
         samples = self._scene.samples(i, self._places)[:, : self.channels].astype(np.float64)
         samples /= self._units[i]
         return samples
 
-    def _mean_image(self) -> NDArray[np.float64]:
+    def _mean_image(self) -> Array:
         """(P, C): the mean over pictures, of what float32 holds of them."""
-        weights = self.weights
+        alike = np.ones((self.layout.pictures, 1, 1), np.float32)
+        weights = alike if self.weights is None else self.weights
         mean = np.zeros((self.pixels, self.channels))
         for i in range(self.layout.pictures):
-            image = self._image(i).astype(np.float32)
-            mean += image if weights is None else np.multiply(image, weights[i], dtype=np.float64)
-        if weights is None:
-            mean /= self.layout.pictures
-            return mean
+            mean += np.multiply(self._image(i).astype(np.float32), weights[i], dtype=np.float64)
         total = weights.sum(axis=0, dtype=np.float64)
         # Weights that are tiny beside the largest can vanish in float32.
         np.divide(mean, total, out=mean, where=total > 0)
@@ -629,7 +611,7 @@ class Objective:
             return any((samples != samples.astype(np.float32)).any() for samples in pictures)
 
     def _problem(
-        self, weights: NDArray[np.float32] | None, sums: NDArray[np.float64] | None = None
+        self, weights: NDArray[np.float32] | None, sums: Array | None = None
     ) -> _core.Problem:
         """Of the pictures, or of sums (J, P, C) of them."""
         scene = self._scene
@@ -658,7 +640,7 @@ class Objective:
             bounced=None if self.transfer is None else self.transfer.scaled(self._units),
         )
 
-    def _rows(self, vectors: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def _rows(self, vectors: NDArray[np.floating[Any]]) -> Array:
         """Rows (P, 3) of (H, W, 3), no copy if all are valid: memory peaks here."""
         if self._places is not None:
             rows = vectors[np.divmod(self._places, self._scene.width)]
@@ -667,11 +649,11 @@ class Objective:
         return rows.astype(np.float64, copy=False)
 
     @property
-    def _by_picture(self) -> NDArray[np.float64]:
+    def _by_picture(self) -> Array:
         """Units of the pictures, beside lights (N, K, C)."""
         return self._units[:, None, None]
 
-    def _reduced(self, known: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _reduced(self, known: Array) -> Array:
         """Known lights as the core takes them: in units of x, with its bands and channels."""
         largest = np.abs(known).max(axis=(1, 2))
         beyond = largest > settings.LARGEST_LIGHT * self._units
@@ -699,7 +681,7 @@ class _OneByOne:
     """Pictures that are made when their turn comes, so that they never all lie there twice."""
 
     count: int
-    image: Callable[[int], NDArray[np.float64]]
+    image: Callable[[int], Array]
     dtype: np.dtype[Any]
 
     def __len__(self) -> int:
@@ -710,12 +692,12 @@ class _OneByOne:
             yield self.image(i).astype(self.dtype, copy=False)
 
 
-def _channels(values: NDArray[np.float64], channels: int) -> NDArray[np.float64]:
+def _channels(values: Array, channels: int) -> Array:
     """From three channels on the last axis to 3 or 1."""
     return values if channels == 3 else values.mean(axis=-1, keepdims=True)
 
 
-def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> Array:
     """(P, ...) of the valid pixels of a map (H, W, ...) that is "albedo", or has one channel."""
     shape = valid.shape + ((3,) if name == "albedo" else ())
     values = real_array(name, values, shape)[valid]
@@ -724,7 +706,7 @@ def valid_values(name: str, values: NDArray[Any], valid: NDArray[np.bool_]) -> N
     return values
 
 
-def _scene_scale(scene: Scene, largest_weight: float, exposures: NDArray[np.float64]) -> float:
+def _scene_scale(scene: Scene, largest_weight: float, exposures: Array) -> float:
     total = count = 0.0
     given = scene.weights if scene.weighted else None
     for i in range(len(scene.images)):
