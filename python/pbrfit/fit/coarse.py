@@ -25,7 +25,7 @@ from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
+from pbrfit.fit.pixels import fit_level, retry_outliers
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
@@ -146,20 +146,6 @@ def rounds(
     return Lights(x, left, exact, shared, watch.stopped or run.out_of_time(), noise, deviance)
 
 
-def fit_level(
-    objective: Objective,
-    x: Array,
-    prior: GaussianPrior | None = None,
-    *,
-    held_normals: bool = False,
-) -> Array:
-    """Give a level's pixels their best materials, from nodes too; their sums of squares (P,)."""
-    starts = settings.SUBSET_STARTS
-    sum_sq = fit_all(objective, x, starts=starts, prior=prior, held_normals=held_normals)
-    assert sum_sq is not None  # nothing stops it
-    return sum_sq
-
-
 def dielectric_prior(objective: Objective, sum_sq: Array) -> GaussianPrior:
     """Around a dielectric of middle roughness, as strong as what is left of the pixels allows."""
     used = slice(len(objective.layout.roughness_metallic))
@@ -276,8 +262,8 @@ class Watch:
         self._steps_of_few += 1
 
         def state() -> tuple[Materials, Array]:
-            x = put(run.objective, self._x, level.pixels, taken(level.objective, part, slice(None)))
-            x[run.objective.layout.maps.stop :] = part[level.objective.layout.maps.stop :]
+            x = self._x.copy()
+            run.objective.put_part(x, level.pixels, part)
             return run.objective.unpack(x)
 
         mean = float(sum_sq.sum()) / level.objective.total_weight

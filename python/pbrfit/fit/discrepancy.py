@@ -31,13 +31,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import settings
+from pbrfit.fit import misfit, settings
 from pbrfit.fit.independent_lights import Shown
 from pbrfit.fit.light_modes import light_modes
 from pbrfit.fit.normal_equations import inverted
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.pixels import Pixels, fit_all
+from pbrfit.fit.pixels import Pixels, fit_level
 from pbrfit.fit.priors.population import METALLIC_DEVIATION, ROUGHNESS_DEVIATION
 from pbrfit.fit.priors.posterior import Pooling
 from pbrfit.fit.sampling import evenly_spaced, pairs_apart, pixel_index
@@ -114,22 +114,13 @@ def find(
     normals have been found by these pictures.
     """
     pairs = neighbours(objective.layout)
-    pixels = (
-        np.unique(pairs)
-        if pairs.size
-        else evenly_spaced(objective.pixels, settings.LIGHT_PIXELS_MAX)
-    )
-    pixels = pixels.astype(np.uint64)
+    pixels = np.unique(pairs)
+    if not pairs.size:
+        pixels = evenly_spaced(objective.pixels, settings.LIGHT_PIXELS_MAX)
     few, part = objective.restricted(pixels), objective.part_of(x, pixels)
-    sum_sq = fit_all(few, part, starts=settings.SUBSET_STARTS)
-    assert sum_sq is not None  # nothing stops it
-    least = settings.DEGREES_OF_FREEDOM_SHARE_MIN * few.samples
-    unknowns = few.layout.maps.stop
-    if objective.lighting is not None:
-        unknowns += (objective.size - objective.layout.maps.stop) * len(pixels) / objective.pixels
-    freedom = max(few.samples - unknowns, least)
-    variance = max(float(sum_sq.sum()) / freedom, settings.NOISE_VARIANCE_MIN)
     maps = objective.layout.maps.stop
+    unknowns = few.layout.maps.stop + (objective.size - maps) * few.pixels / objective.pixels
+    variance = misfit.variance(few, fit_level(few, part), unknowns)
     shown = Shown.by(
         few.pictures(few.everything),
         variance,

@@ -39,7 +39,7 @@ from pbrfit.fit.lamps.problem import LampPixels
 from pbrfit.fit.lamps.samples import brightness, grey_samples
 from pbrfit.fit.left_out import patches_of
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_all
+from pbrfit.fit.pixels import fit_level
 from pbrfit.fit.scale import IRRADIANCE
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.io.resampling import averaged, averaged_channels, reduced_size
@@ -76,7 +76,6 @@ OF_A_SURFACE = "they are those of a surface"
 FLIPS = {"Y": (1.0, -1.0, 1.0), "X": (-1.0, 1.0, 1.0), "X and Y": (-1.0, -1.0, 1.0)}
 """Signs of the axes where some are flipped. Flipped Y, which is DirectX's, is named where slopes do
 not tell it from flipped X."""
-
 
 STRENGTHS = {f"{times:g} times as bright": times for times in (0.5, 0.9, 1.1, 2.0)}
 """Known lights that are tried, in words: by a tenth no albedo is off by more than 0.1."""
@@ -127,9 +126,8 @@ def _of_strength(scene: Scene, model: Model | None) -> Contradiction | None:
 
     def left(times: float) -> Array:
         objective = Objective(replace(few, lighting=times * lights), model=model)
-        sum_sq = fit_all(objective, objective.start(), starts=settings.SUBSET_STARTS)
-        assert sum_sq is not None  # nothing stops it
-        return np.asarray(np.bincount(patches, np.sqrt(sum_sq)) / np.bincount(patches).clip(1))
+        sum_sq = fit_level(objective, objective.start())
+        return np.asarray(np.bincount(patches, np.sqrt(sum_sq)) / np.bincount(patches))
 
     given, others = left(1.0), {which: left(times) for which, times in STRENGTHS.items()}
     which = _lowest(given, others)
@@ -161,8 +159,8 @@ def _of_segments(scene: Scene) -> Contradiction | None:
         labels, count = consecutive_labels(segments[scene.valid])
         sizes = np.bincount(labels, minlength=count + 1).clip(1)
         rests = [of - (np.bincount(labels, of, count + 1) / sizes)[labels] for of in colors.T]
-        sums = np.bincount(patches, np.abs(rests).mean(axis=0))
-        return np.asarray(sums / np.bincount(patches).clip(1))
+        rest = np.abs(rests).mean(axis=0)
+        return np.asarray(np.bincount(patches, rest) / np.bincount(patches))
 
     given = left(scene.segments)
     others = {which: left(np.flip(scene.segments, axes)) for which, axes in MIRRORED.items()}

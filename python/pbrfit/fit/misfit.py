@@ -70,19 +70,19 @@ class Misfit:
         return self.of_camera / self.independent_share
 
 
-def variance(objective: Objective, sum_sq: Array) -> float:
-    """s², from the sums of squared residuals (P,)."""
-    return max(float(sum_sq.sum()) / degrees_of_freedom(objective), settings.NOISE_VARIANCE_MIN)
+def variance(objective: Objective, sum_sq: Array, unknowns: float | None = None) -> float:
+    """s², from the sums of squared residuals (P,) and the freedom that unknowns leave.
 
-
-def degrees_of_freedom(objective: Objective) -> float:
-    """Of what all pixels and the lights leave."""
+    Without `unknowns` they are those of all pixels and the lights.
+    """
     least = settings.DEGREES_OF_FREEDOM_SHARE_MIN * objective.samples
-    return max(objective.samples - objective.size, least)
+    unknowns = objective.size if unknowns is None else unknowns
+    freedom = max(objective.samples - unknowns, least)
+    return max(float(sum_sq.sum()) / freedom, settings.NOISE_VARIANCE_MIN)
 
 
-def residuals(objective: Objective, x: Array) -> Array:
-    """(P, samples), times the square roots of their weights."""
+def independent_share(objective: Objective, x: Array) -> float:
+    """τ."""
     count = objective.pixels
     found = objective.problem.residuals(objective.for_core(x), objective.everything)
     of_pixels = found.transpose(1, 0, 2).reshape(count, -1).astype(np.float64)
@@ -90,12 +90,6 @@ def residuals(objective: Objective, x: Array) -> Array:
     if weights is not None:
         shares = np.sqrt(np.broadcast_to(weights, found.shape)).transpose(1, 0, 2)
         of_pixels *= shares.reshape(count, -1)
-    return of_pixels
-
-
-def independent_share(objective: Objective, x: Array) -> float:
-    """τ."""
-    of_pixels, count = residuals(objective, x), objective.pixels
     samples = of_pixels.shape[1]
     size = np.sqrt(np.square(of_pixels).mean(axis=1))
     of_pixels /= np.maximum(size, np.finfo(np.float64).tiny)[:, None]

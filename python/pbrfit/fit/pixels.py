@@ -38,13 +38,6 @@ def taken(objective: Objective, x: Array, pixels: Pixels | slice) -> Array:
     return x[objective.layout.maps].reshape(-1, objective.pixels)[:, pixels].T
 
 
-def put(objective: Objective, x: Array, pixels: Pixels | slice, materials: Array) -> Array:
-    """A copy of x with these materials (Q, D) of some pixels."""
-    x = x.copy()
-    place(objective, x, pixels, materials)
-    return x
-
-
 def place(objective: Objective, x: Array, pixels: Pixels | slice, materials: Array) -> None:
     """Give some pixels of x these materials (Q, D)."""
     x[objective.layout.maps].reshape(-1, objective.pixels)[:, pixels] = materials.T
@@ -116,6 +109,20 @@ def fit_all(
             objective, x, chunk, steps=steps, starts=starts, prior=rows, held_normals=held_normals
         )
         place(objective, x, chunk, found)
+    return sum_sq
+
+
+def fit_level(
+    objective: Objective,
+    x: Array,
+    prior: GaussianPrior | None = None,
+    *,
+    held_normals: bool = False,
+) -> Array:
+    """Give a level's pixels their best materials, from nodes too; their sums of squares (P,)."""
+    starts = settings.SUBSET_STARTS
+    sum_sq = fit_all(objective, x, starts=starts, prior=prior, held_normals=held_normals)
+    assert sum_sq is not None  # nothing stops it
     return sum_sq
 
 

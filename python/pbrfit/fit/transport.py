@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.coarse import fit_level
 from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.objective import Objective
+from pbrfit.fit.pixels import fit_level
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene

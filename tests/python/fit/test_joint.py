@@ -15,7 +15,7 @@ from pbrfit.fit import pixels, settings
 from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.normal_equations import as_in_x, solver_of
-from pbrfit.fit.pixels import fit_all, put, retry_outliers, taken
+from pbrfit.fit.pixels import fit_all, place, retry_outliers, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.synthetic import make_scene
 from scene_kinds import FREE_LIGHTS, all_pixels, at_truth, objective_of, sum_sq_at
@@ -236,7 +236,7 @@ def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
     caught = np.random.default_rng(4).permutation(objective.pixels)[:30].astype(np.uint64)
     wrong = taken(objective, x, caught)
     wrong[:, 3:] = 1 - np.round(wrong[:, 3:])  # rough for smooth, metal for none
-    x = put(objective, x, caught, wrong)
+    place(objective, x, caught, wrong)
     sum_sq = fit_all(objective, x, starts=0)
     assert sum_sq is not None
     still = caught[sum_sq[caught] > EXACT**2 * 36]
