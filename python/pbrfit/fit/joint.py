@@ -19,13 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.light_prior import LightPrior, as_in_core
+from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import variance
 from pbrfit.fit.normal_equations import as_in_x
 from pbrfit.fit.objective import Objective
@@ -36,7 +37,6 @@ from pbrfit.fit.sampling import evenly_spaced_over
 
 Array = NDArray[np.float64]
 Stop = Callable[[], bool]
-
 Visit = Callable[[Array, Array], bool]
 
 
@@ -54,7 +54,7 @@ class SharedFit:
     """Whether it is to be made anew."""
 
     def solved(self, objective: Objective, v: Array) -> Array:
-        """About S⁻¹ v of an objective's pixels, for v of the lights alone."""
+        """About S⁻¹ v of an objective's pixels, for v of all that is shared or of the lights."""
         assert self.inverse is not None
         size = len(v)
         padded = np.concatenate([v, np.zeros(self.size - size)])
@@ -119,7 +119,7 @@ class JointFit:
         return settings.OFFSET_PRECISION_SHARE * self.prior.cluster_precision
 
     def _lights(self, x: Array) -> Array:
-        return as_in_core(x[self.objective.layout.lighting], self.objective).ravel()
+        return self.objective.lights_in_core(x).ravel()
 
     def options(
         self, objective: Objective, x: Array, pixels: Pixels, of_all: Pixels
@@ -152,13 +152,8 @@ class JointFit:
         self.shared.size = self.lights.mean.size + len(others)
         self.shared.stale = False
 
-    def solved(self, v: Array) -> Array:
-        """S⁻¹ v by the preconditioner."""
-        assert self.shared.inverse is not None
-        return self.shared.inverse(v) / self.objective.pixels
-
     def _system(self) -> tuple[Array, Callable[[Array], Array]]:
-        """The gradient s, in order, and S v."""
+        """The gradient s, in order, and S v; the preconditioner is renewed where it is stale."""
         end, every = self.lights.mean.size, self.objective.everything
         options = self.options(self.objective, self.x, every, every)
         kept = self.objective.problem.kept_system(self.objective.for_core(self.x), every, **options)
@@ -174,6 +169,8 @@ class JointFit:
                 found[end:] += self._offset_precision.ravel() * v[end:]
             return np.asarray(found)
 
+        if self.shared.stale:
+            self.renew_preconditioner()
         return gradient, product
 
     def shared_moves(self, enough: float) -> tuple[Array, float]:
@@ -183,32 +180,23 @@ class JointFit:
         `enough`, no product is made.
         """
         gradient, product = self._system()
-        if self.shared.stale:
-            self.renew_preconditioner()
-        moves = self._conjugate_gradients(-gradient, product, enough)
+        moves = self._conjugate_gradients(-gradient, product, enough, settings.CG_ERROR_RATIO)
         return moves, -float(gradient @ moves)
 
     def inverse(self) -> tuple[Array, Callable[[Array], Array]]:
         """The gradient s of all pixels, and S⁻¹ v."""
         gradient, product = self._system()
-        if self.shared.stale:
-            self.renew_preconditioner()
         ratio = settings.NUISANCE_ERROR_RATIO
         return gradient, lambda v: self._conjugate_gradients(v, product, 0.0, ratio)
 
     def _conjugate_gradients(
-        self,
-        right: Array,
-        product: Callable[[Array], Array],
-        enough: float,
-        ratio: float | None = None,
+        self, right: Array, product: Callable[[Array], Array], enough: float, ratio: float
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
-        ratio = settings.CG_ERROR_RATIO if ratio is None else ratio
         moves, number = conjugate_gradients(
             right,
             product,
-            self.solved,
+            partial(self.shared.solved, self.objective),
             ratio=ratio,
             iterations=settings.CG_ITERATIONS_MAX,
             enough=enough,

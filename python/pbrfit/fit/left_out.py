@@ -159,7 +159,7 @@ class LeftOut:
     @property
     def is_hot(self) -> NDArray[np.bool_]:
         """(M, P): far beyond what normal errors of that median can be."""
-        most = (settings.COMPARE_HOT_DEVIATIONS / 0.6745) ** 2
+        most = (settings.OUTLIER_WIDTHS[0] / 0.6745) ** 2
         return np.asarray(self.squares > most * np.nanmedian(self.squares, axis=1, keepdims=True))
 
     def without(self, hot: NDArray[np.bool_]) -> LeftOut:

@@ -79,7 +79,7 @@ class LightPrior:
     @classmethod
     def around(cls, objective: Objective, x: Array) -> LightPrior:
         """With the constant coefficients of the lights of x."""
-        lights = as_in_core(x[objective.layout.lighting], objective)
+        lights = objective.lights_in_core(x)
         constant = np.abs(lights[:, :, 0])
         constant = np.maximum(constant, DIM_SHARE * constant.mean() or MEAN_RADIANCE)
         mean = np.zeros_like(lights)
@@ -144,10 +144,3 @@ class LightPrior:
     def _off_grey(self, v: Array) -> Array:
         of_channels = v.reshape(self.channels, -1)
         return np.asarray(of_channels - of_channels.mean(axis=0)).ravel()
-
-
-def as_in_core(lights: Array, objective: Objective) -> Array:
-    """(light channel, N, K) of lights in the order of x."""
-    layout = objective.layout
-    shape = layout.pictures, layout.coefficients, layout.light_channels
-    return lights.reshape(shape).transpose(2, 0, 1)

@@ -210,7 +210,7 @@ def estimated(objective: Objective, x: Array, *, outliers: bool = False) -> Nois
     squares = np.square(samples.residuals[used])
     kept = 1 - _leverages(objective, x)[used]
     in_pictures = np.maximum(np.bincount(picture, kept, len(used)), 1.0)
-    least = max(settings.NOISE_VARIANCE_MIN, float(np.finfo(np.float32).eps) ** 2)
+    least = float(np.finfo(np.float32).eps) ** 2
 
     shares = np.zeros(features.shape[1])
     shares[0] = 1.0

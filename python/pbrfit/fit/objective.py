@@ -484,8 +484,7 @@ class Objective:
         brings = self.transfer is not None and self.transfer.bounced is not None
         if layout.pictures <= 2 * layout.coefficients or brings:
             return None
-        shape = layout.pictures, layout.coefficients, layout.light_channels
-        return np.linalg.qr(x[layout.lighting].reshape(shape).transpose(2, 0, 1))[0]
+        return np.linalg.qr(self.lights_in_core(x))[0]
 
     def combined(self, x: Array, basis: Array) -> tuple[_core.Problem, Array]:
         """Sums of the pictures with shares (light channels, N, J), and x for the core as they are.
@@ -530,7 +529,7 @@ class Objective:
         for name, values in given.items():
             values = valid_values(name, values, self.layout.valid)
             if name == "albedo":
-                values = _channels(values, self.channels).T.ravel()
+                values = in_channels(values, self.channels).T.ravel()
             if name != "metallic" or self.metallic is not None:
                 maps.append(values)
         if self.tangent_offsets is not None:
@@ -541,7 +540,7 @@ class Objective:
         lighting = real_array("lighting", lighting, (self.layout.pictures, 16, 3))
         if not np.isfinite(lighting).all():
             raise InputError("lighting: expected finite coefficients, found NaN or infinity")
-        lighting = _channels(lighting[:, : self.coefficients], self.layout.light_channels)
+        lighting = in_channels(lighting[:, : self.coefficients], self.layout.light_channels)
         return np.concatenate([x, (lighting / self._by_picture).ravel()])
 
     def unpack(self, x: Array) -> tuple[Materials, Array]:
@@ -578,6 +577,10 @@ class Objective:
             return self._reduced(self._scene.lighting)
         shape = self.layout.pictures, self.coefficients, self.layout.light_channels
         return np.broadcast_to(x[self.lighting].reshape(shape), (*shape[:2], self.channels))
+
+    def lights_in_core(self, x: Array) -> Array:
+        """(light channel, N, K): those of x, where they are unknown, in the core's order."""
+        return self.lights(x)[..., : self.layout.light_channels].transpose(2, 0, 1)
 
     def normals(self, x: Array) -> Array:
         """(P, 3): the unit normals of x, in camera space; the given ones where they are known."""
@@ -692,7 +695,7 @@ class _OneByOne:
             yield self.image(i).astype(self.dtype, copy=False)
 
 
-def _channels(values: Array, channels: int) -> Array:
+def in_channels(values: Array, channels: int) -> Array:
     """From three channels on the last axis to 3 or 1."""
     return values if channels == 3 else values.mean(axis=-1, keepdims=True)
 

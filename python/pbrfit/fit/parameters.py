@@ -86,8 +86,6 @@ class ParameterLayout:
     def whole(self, values: NDArray[np.floating[Any]], fill: float = np.nan) -> NDArray[np.float64]:
         """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
         shape = self.valid.shape + values.shape[1:]
-        if len(values) == self.valid.size:
-            return values.reshape(shape).astype(np.float64)
         found = np.full(shape, fill)
         found[self.valid] = values
         return found

@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.fit import misfit, settings
 from pbrfit.fit.joint import JointFit, SharedFit
-from pbrfit.fit.light_prior import LightPrior, as_in_core
+from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.normal_equations import as_in_x
-from pbrfit.fit.objective import Objective
+from pbrfit.fit.objective import Objective, in_channels
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import Pixels, fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
@@ -70,9 +70,8 @@ def judge(
     fit, variance, pixels = _at_end(objective, x, prior, settings.SCALE_PIXELS)
     curve = _Curve.of(fit, variance * picture_effect)
     variances = curve.variances(groupings(objective.layout, pixels))
-    said = "by the highlights of dielectrics"
-    said += ", with the material prior" if prior is not None else ", without priors"
-    return Scale(np.sqrt(variances), said)
+    beside = "without priors" if prior is None else "with the material prior"
+    return Scale(np.sqrt(variances), f"by the highlights of dielectrics, {beside}")
 
 
 def refer(
@@ -82,18 +81,16 @@ def refer(
     x, (column, row, value) = x.copy(), white
     region = reference_region(objective.layout.valid, column, row)
     held = None if prior is None else GaussianPrior(prior.prior_mean(x), prior.precision)
-    means, moved = np.empty(0), np.zeros(objective.layout.light_channels)
+    moved = np.zeros(objective.layout.light_channels)
     for _ in range(settings.WHITE_STEPS_MAX):
         albedo = x[objective.albedo].reshape(objective.channels, -1)[:, region]
         means = albedo.mean(axis=1)
         wanted = np.log(np.maximum(means, settings.WHITE_ALBEDO_MIN) / value)
-        if objective.layout.light_channels < objective.channels:
-            wanted = wanted.mean(keepdims=True)
+        wanted = in_channels(wanted, objective.layout.light_channels)
         if np.abs(wanted).max() < settings.WHITE_ERROR:
             break
         fit, variance, _ = _at_end(objective, x, held, settings.COARSE_PIXELS)
-        largest = settings.SCALE_STEP_MAX
-        step = np.clip(wanted, -largest, largest)
+        step = np.clip(wanted, -settings.SCALE_STEP_MAX, settings.SCALE_STEP_MAX)
         directions = _Curve.of(fit, variance).directions
         x[objective.layout.lighting] += as_in_x(step @ directions, objective.layout)
         moved += step
@@ -104,8 +101,7 @@ def refer(
     own = np.einsum("pcc->pc", matrices[region, : objective.channels, : objective.channels])
     of_pixels = noise / np.maximum(own, np.finfo(np.float64).tiny).sum(axis=0)
     variances = of_pixels / value**2 + settings.WHITE_TOLERANCE**2
-    if objective.layout.light_channels < objective.channels:
-        variances = variances.mean(keepdims=True)
+    variances = in_channels(variances, objective.layout.light_channels)
     said = reference_in_words(white, len(region), moved)
     return x, Scale(np.sqrt(variances), said, referred=True)
 
@@ -196,7 +192,8 @@ class _Curve:
         fit.renew_preconditioner()
         a = measures(fit.objective, fit.x)
         a = np.pad(a, ((0, 0), (0, fit.shared.size - a.shape[1])))
-        return cls(fit, a, np.stack([fit.solved(one) for one in a]), variance)
+        solved = [fit.shared.solved(fit.objective, one) for one in a]
+        return cls(fit, a, np.stack(solved), variance)
 
     @property
     def covariance(self) -> Array:
@@ -244,7 +241,7 @@ class _Curve:
 
 def measures(objective: Objective, x: Array) -> Array:
     """(light channels, M), a: the change of each channel's scale by the lights of x."""
-    lights = as_in_core(x[objective.layout.lighting], objective)
+    lights = objective.lights_in_core(x)
     weighed = IRRADIANCE[: lights.shape[2]] ** 2 * lights
     sizes = (weighed * lights).sum(axis=(1, 2))
     found = np.zeros((len(lights), *lights.shape))

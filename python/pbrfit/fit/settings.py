@@ -42,7 +42,6 @@ WHOLE_PIXELS_MAX = 1 << 21
 """Valid pixels up to which the solver gauss-newton fits all of them at once; larger pictures are
 fitted in tiles."""
 
-
 # --- Noise ------------------------------------------------------------------------------------
 
 DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
@@ -56,10 +55,8 @@ NOISE_VARIANCE_MIN = 1e-20
 """Smallest variance of the noise in units of x squared: quotients stay finite where pictures are
 explained perfectly."""
 
-
 DAMPING_START = 1e-3
 """First damping of joint steps, as a share of the diagonal of each pixel's matrix (Marquardt)."""
-
 
 # --- Levels, and what they leave --------------------------------------------------------------
 
@@ -99,7 +96,6 @@ PATCH_SIDE = 8
 PATCHES_MIN = 4
 """Rows and columns of a level's pixels in a patch, and how many patches tell a design effect."""
 
-
 # --- Noise of samples -------------------------------------------------------------------------
 
 NOISE_ESTIMATION_STEPS = 8
@@ -112,7 +108,8 @@ unless another is likelier by more than a number costs; and where the steps begi
 
 OUTLIER_WIDTHS = (10.0, 30.0, 100.0, 300.0)
 """Standard deviations of outliers that are tried, in those of ordinary samples: from a highlight
-that the model does not have, to hot pixels in pictures of 8 bits and of floats."""
+that the model does not have, to hot pixels in pictures of 8 bits and of floats. Beyond the first of
+them a left-out pixel tells nothing where no explanation comes nearer: it is hot."""
 
 OUTLIER_SHARE_START, OUTLIER_SHARE_MAX = 0.01, 0.2
 OUTLIER_STEPS = 4
@@ -139,6 +136,7 @@ LEVERAGE_MAX = 0.9
 EVEN_WEIGHTS_LOSS_MAX = 0.02
 """Share of the information (L. Kish: Σw²n/(Σw)² − 1) that equal weights may lose for being equal:
 one per cent of a standard deviation."""
+
 # --- The camera -------------------------------------------------------------------------------
 
 LOG_FOCAL_LENGTH_SIGMA = 0.45
@@ -167,7 +165,6 @@ which that is rounding of float32 derivatives."""
 
 NUISANCE_ERROR_RATIO = 0.02
 """As `CG_ERROR_RATIO`, where what the lights take is subtracted, and some tenths are left."""
-
 
 # --- Gauss-Newton: all pixels -----------------------------------------------------------------
 
@@ -241,7 +238,6 @@ CG_RENEW = 10
 CG_GAIN_SHARE = 0.1
 """Share of the gain that makes a step worth while (`GAIN_MIN`) at which they stop too."""
 
-
 # --- Comparison of explanations ---------------------------------------------------------------
 
 COMPARE_PIXELS = 500
@@ -280,10 +276,6 @@ COMPARE_SHARED_MAX = 0.2
 """Share of the mean square of left-out errors that pixels and channels have in common up to which
 the rest counts as noise: no other explanation could leave less by more than that."""
 
-COMPARE_HOT_DEVIATIONS = 10.0
-"""Standard deviations, by the median, beyond which a left-out pixel tells nothing where no
-explanation comes nearer: it is hot. `OUTLIER_WIDTHS` begin there."""
-
 COMPARE_LAMP_LEFT_MIN = 0.02
 """Relative error that pixels and channels have in common up to which harmonics leave no lamp. Of
 the clamped cosine the bands above 2 have 0.9 % of the energy (R. Ramamoorthi and P. Hanrahan, JOSA
@@ -303,13 +295,11 @@ COMPARE_DARKEST = 1e-3
 COMPARE_LAMP_ROUNDS = 4
 """Rounds of a compared fit under lamps; that of all pixels goes on after them."""
 
-
 # --- Lamps ------------------------------------------------------------------------------------
 
 LAMP_PIXELS = 1500
 """Number of pixels that lamps are found by: some 20 unknowns a lamp have 100 times as many samples
 each."""
-
 
 # --- L-BFGS-B ---------------------------------------------------------------------------------
 
@@ -330,7 +320,6 @@ TRAPPED_MARGIN = 0.005
 LBFGS_STAGES = ((TRAP_ROUGHNESS, 0.3), (TRAP_ROUGHNESS, 0.6), (0.0, 1.0))
 """(Lowest roughness, share of the iterations after which the stage ends). Between stages, pixels
 that ended at the bound start again from the middle. The last alone is where a start is given."""
-
 
 # --- Mixture prior on materials ---------------------------------------------------------------
 
@@ -381,7 +370,6 @@ LIKELIHOOD_CURVATURE_MIN = 1e-6
 OFFSET_PRECISION_SHARE = 1e-3
 """Precision of a cluster's offset around 0, as a share of the summed precision of its pixels."""
 
-
 # --- Scale ------------------------------------------------------------------------------------
 
 SCALE_PIXELS = 4096
@@ -412,7 +400,6 @@ WHITE_STEPS_MAX = 40
 
 WHITE_ALBEDO_MIN = 1e-3
 """Albedo below which a reference's pixels count as that: they were taken for something else."""
-
 
 # --- Normals ----------------------------------------------------------------------------------
 
@@ -492,7 +479,6 @@ NORMALS_PRIOR_UPDATES = 3
 """Times that all pixels refine their normals, each time with a prior around where their neighbours
 were the time before."""
 
-
 # --- Tiles ------------------------------------------------------------------------------------
 
 TILES_SUBSET_PIXELS_MAX = 1 << 18
@@ -505,7 +491,6 @@ TILE_SIDE = 512
 TILE_MARGIN = 32
 """Pixels around a tile that are fitted with it and left to its neighbours, where normals are
 refined."""
-
 
 # --- Uncertainty ------------------------------------------------------------------------------
 

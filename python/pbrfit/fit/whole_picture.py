@@ -168,6 +168,10 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
             found_spread = spread(run.objective, x, run.discrepancy, run.posterior)
             uncertainty = uncertainty_of(run, found_spread, run.objective.layout)
     materials, lighting = run.objective.unpack(x)
+    recon_rmse = None
+    if setup.surrounded is not None:  # of samples as they weigh in the scene
+        given = run.objective.weighed(None)
+        recon_rmse = given.residual_rmse(given.data_value_and_grad(x)[0])
     return output_of(
         run,
         setup,
@@ -177,7 +181,7 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
         lighting=lighting,
         normals=np.asarray(run.scene.normals, dtype=np.float64),
         uncertainty=uncertainty,
-        recon_rmse=None if setup.surrounded is None else recon_among(run, x),
+        recon_rmse=recon_rmse,
     )
 
 
@@ -194,11 +198,7 @@ def output_of(
     recon_rmse: float | None,
 ) -> FitOutput:
     """What a run found, with these arrays of the whole picture."""
-    if run.scale is not None:
-        scale_in_words = run.scale.assumed
-    else:
-        known = run.objective.lighting is None
-        scale_in_words = "by the known lights" if known else "by the start"
+    by_default = "by the known lights" if run.objective.lighting is None else "by the start"
     return FitOutput(
         materials=materials,
         lighting=lighting,
@@ -216,7 +216,7 @@ def output_of(
         refinement=refinement,
         camera=run.camera,
         exposures=run.objective.exposures,
-        scale=scale_in_words,
+        scale=by_default if run.scale is None else run.scale.assumed,
         measured_lighting=run.measured_lighting,
         noise=run.noise,
         surrounded=setup.surrounded,
@@ -224,21 +224,12 @@ def output_of(
     )
 
 
-def recon_among(run: Run, x: Array) -> float:
-    """Root mean square residual in picture units, of samples as they weigh in the scene."""
-    given = run.objective.weighed(None)
-    return given.residual_rmse(given.data_value_and_grad(x)[0])
-
-
 def uncertainty_of(run: Run, found: Spread, layout: ParameterLayout) -> Uncertainty:
     """Of pixels of a layout, with what the run knows of the common scale."""
     assert run.discrepancy is not None
-    if run.objective.lighting is None:
-        deviation = np.zeros(1)
-    elif run.scale is None:
-        deviation = scale_deviation(None, run.discrepancy, referred=False)
-    else:
-        own, referred = run.scale.deviation, run.scale.referred
+    deviation, known = np.zeros(1), run.scale
+    if run.objective.lighting is not None:
+        own, referred = (None, False) if known is None else (known.deviation, known.referred)
         deviation = scale_deviation(own, run.discrepancy, referred=referred)
     return of_spread(found, layout, run.discrepancy, deviation, run.objective)
 
@@ -273,8 +264,7 @@ def _with_scale(found: refined_fit.PixelFit, options: FitOptions) -> refined_fit
     run, x = found.run, found.x
     if run.objective.lighting is None or not run.iteration:
         return found
-    of_material = [one for one in run.objective.penalties if isinstance(one, GaussianPrior)]
-    prior = of_material[0] if of_material else None
+    prior = next((one for one in run.objective.penalties if isinstance(one, GaussianPrior)), None)
     if options.white is not None:
         with run.stage("albedo scale by the reference"):
             x, run.scale = scale.refer(run.objective, x, prior, options.white)
