@@ -143,12 +143,9 @@ class JointFit:
 
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
-        few = _Sample.of(self, settings.PRECONDITIONER_PIXELS)
+        few, part, times, options = _sample(self, settings.PRECONDITIONER_PIXELS)
         others = np.empty(0) if self.offsets is None else self._offset_precision.ravel()
-        part, options = few.at(self)
-        self.shared.inverse = Preconditioner.of(
-            few.objective, part, few.times, self.lights, others, options
-        )
+        self.shared.inverse = Preconditioner.of(few, part, times, self.lights, others, options)
         self.shared.size = self.lights.mean.size + len(others)
         self.shared.stale = False
 
@@ -193,14 +190,9 @@ class JointFit:
         self, right: Array, product: Callable[[Array], Array], enough: float, ratio: float
     ) -> Array:
         """S⁻¹ `right`, or 0 if nothing like `enough` is to be gained."""
+        solved = partial(self.shared.solved, self.objective)
         moves, number = conjugate_gradients(
-            right,
-            product,
-            partial(self.shared.solved, self.objective),
-            ratio=ratio,
-            iterations=settings.CG_ITERATIONS_MAX,
-            enough=enough,
-            stop=self.stop,
+            right, product, solved, ratio=ratio, enough=enough, stop=self.stop
         )
         self.shared.stale = number >= settings.CG_RENEW
         return moves
@@ -248,40 +240,29 @@ class JointFit:
         try_from(self.objective, trial, left, worse, own, steps=steps, starts=1, prior=rows)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sample:
-    """Pixels whose system stands for that of all, some of each cluster."""
+def _sample(fit: JointFit, at_most: int) -> tuple[Objective, Array, float, dict[str, Any]]:
+    """At most so many pixels, some of each cluster, whose system stands for that of all.
 
-    pixels: Pixels
-    objective: Objective
-    shares: Array | None
-    """(Q,): how many pixels each stands for, over the most; None where they are all."""
-    times: float
-    """That most."""
-
-    @classmethod
-    def of(cls, fit: JointFit, at_most: int) -> _Sample:
-        """At most so many of a fit's pixels."""
-        objective = fit.objective
-        if objective.pixels <= at_most:
-            return cls(objective.everything, objective, None, 1.0)
-        cluster = np.zeros(objective.pixels, np.intp)
-        if fit.prior is not None and fit.prior.cluster is not None:
-            cluster = fit.prior.cluster
-        pixels = evenly_spaced_over(cluster, at_most)
-        counts, of_few = np.bincount(cluster), np.bincount(cluster[pixels])
-        standing_for = counts[cluster[pixels]] / of_few[cluster[pixels]]
-        times = float(standing_for.max())
-        shares = standing_for / times
-        return cls(pixels, objective.restricted(pixels, shares), shares, times)
-
-    def at(self, fit: JointFit) -> tuple[Array, dict[str, Any]]:
-        """Their x, and the options for the core."""
-        part = fit.x if self.shares is None else fit.objective.part_of(fit.x, self.pixels)
-        options = fit.options(self.objective, part, self.objective.everything, self.pixels)
-        if self.shares is not None and "precision" in options:
-            options["precision"] = options["precision"] * self.shares[:, None]
-        return part, options
+    Their objective, in which samples weigh by how many pixels theirs stands for, over the most;
+    their x; that most; and the options for the core.
+    """
+    whole = fit.objective
+    if whole.pixels <= at_most:
+        every = whole.everything
+        return whole, fit.x, 1.0, fit.options(whole, fit.x, every, every)
+    cluster = np.zeros(whole.pixels, np.intp)
+    if fit.prior is not None and fit.prior.cluster is not None:
+        cluster = fit.prior.cluster
+    pixels = evenly_spaced_over(cluster, at_most)
+    counts, of_few = np.bincount(cluster), np.bincount(cluster[pixels])
+    standing_for = counts[cluster[pixels]] / of_few[cluster[pixels]]
+    times = float(standing_for.max())
+    shares = standing_for / times
+    few, part = whole.restricted(pixels, shares), whole.part_of(fit.x, pixels)
+    options = fit.options(few, part, few.everything, pixels)
+    if "precision" in options:
+        options["precision"] = options["precision"] * shares[:, None]
+    return few, part, times, options
 
 
 def minimize(fit: JointFit, steps: int, gain: float, visit: Visit | None = None) -> int:

@@ -27,22 +27,16 @@ def staged(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array
         left = round(share * iterations) - (run.iteration - before)
         if left <= 0 or run.out_of_time():
             continue
-        if trapped:
-            x = _restarted(run, x)
+        if trapped:  # pixels at the roughness bound go back to the middle
+            x = x.copy()
+            roughness = x[run.objective.roughness]
+            at_bound = roughness <= settings.TRAP_ROUGHNESS + settings.TRAPPED_MARGIN
+            roughness[at_bound] = settings.START_ROUGHNESS
         loss, x = by_scipy(run, x, left, lowest_roughness)
         trapped = lowest_roughness > 0
         # A restart raises the loss at first, and time may run out before it pays.
         best = min(best, (loss, x), key=lambda pair: pair[0])
     return best[1], "; kept the better state before the last restart" if best[0] < loss else ""
-
-
-def _restarted(run: Run, x: Array) -> Array:
-    """X with the pixels that are trapped at the roughness bound put back to the middle."""
-    x = x.copy()
-    roughness = x[run.objective.roughness]
-    trapped = roughness <= settings.TRAP_ROUGHNESS + settings.TRAPPED_MARGIN
-    roughness[trapped] = settings.START_ROUGHNESS
-    return x
 
 
 def by_scipy(
