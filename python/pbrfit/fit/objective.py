@@ -524,14 +524,12 @@ class Objective:
         dropped: known metallic, known lights, band 3; where x has one channel for three, their mean
         is taken. Free normals are the given ones.
         """
-        given = {"albedo": albedo, "roughness": roughness, "metallic": metallic}
-        maps = []
-        for name, values in given.items():
-            values = valid_values(name, values, self.layout.valid)
-            if name == "albedo":
-                values = in_channels(values, self.channels).T.ravel()
-            if name != "metallic" or self.metallic is not None:
-                maps.append(values)
+        valid = self.layout.valid
+        colors = in_channels(valid_values("albedo", albedo, valid), self.channels)
+        maps = [colors.T.ravel(), valid_values("roughness", roughness, valid)]
+        metallic = valid_values("metallic", metallic, valid)
+        if self.metallic is not None:
+            maps.append(metallic)
         if self.tangent_offsets is not None:
             maps.append(np.zeros(2 * self.pixels))
         x = np.concatenate(maps)

@@ -14,10 +14,10 @@ from pbrfit.fit.settings import GREY_WEIGHT, NEAR_GREY
 from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.scene import Scene
 
+Array = NDArray[np.float64]
 
-def chosen_priors(
-    layout: ParameterLayout, priors: Priors, lighting: NDArray[np.float64] | None = None
-) -> Priors:
+
+def chosen_priors(layout: ParameterLayout, priors: Priors, lighting: Array | None = None) -> Priors:
     """Weights, 0 where a prior has nothing to act on.
 
     An automatic weight of `monochrome` is chosen by `lighting` (N, ..., 3), that of a fit without
@@ -30,7 +30,7 @@ def chosen_priors(
     return chosen
 
 
-def color_deviation(lighting: NDArray[np.float64]) -> float:
+def color_deviation(lighting: Array) -> float:
     """How far lights (..., 3) are from grey: √(Σ (L − L̄)² / Σ L²), L̄ the mean over channels.
 
     0 where all channels are equal, 0.82 where there is light in one channel only.
@@ -43,9 +43,7 @@ def color_deviation(lighting: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.square(deviation).sum() / np.square(lighting).sum()))
 
 
-def _idle(
-    layout: ParameterLayout, priors: Priors, lighting: NDArray[np.float64] | None
-) -> dict[str, str]:
+def _idle(layout: ParameterLayout, priors: Priors, lighting: Array | None) -> dict[str, str]:
     """Names of priors that are asked for but cannot or must not act, with the reason."""
     idle = idle_penalties(layout, priors)
     if priors.monochrome is None and lighting is not None and "monochrome" not in idle:
@@ -61,7 +59,7 @@ def left_out(
     priors: Priors,
     *,
     uncertainty: bool = True,
-    lighting: NDArray[np.float64] | None = None,
+    lighting: Array | None = None,
 ) -> Iterator[str]:
     """What the scene did not need or the options ruled out, in words; `lighting` as above."""
     masked = 0 if scene.mask is None else int(np.count_nonzero(~scene.mask))
