@@ -179,11 +179,11 @@ def in_tiles() -> AbstractContextManager[object]:
     from contextlib import ExitStack
 
     from pbrfit.fit import decompose as decompose_module
-    from pbrfit.fit import memory
+    from pbrfit.fit import settings
     from pbrfit.fit.tiles import fit_tiles
 
     stack = ExitStack()
-    stack.enter_context(mock.patch.object(memory, "WHOLE_PIXELS_MAX", 0))
+    stack.enter_context(mock.patch.object(settings, "WHOLE_PIXELS_MAX", 0))
     stack.enter_context(
         mock.patch.object(
             decompose_module, "fit_tiles", partial(fit_tiles, subset_pixels=1296, side=30)
