@@ -56,8 +56,7 @@ class Explanation:
 
     def in_words(self) -> str:
         """In a few words, for people."""
-        light = "environment light" if self.light == "sh" else "a lamp in each picture"
-        words = [light]
+        words = ["environment light" if self.light == "sh" else "a lamp in each picture"]
         if self.surroundings != "none":
             bring = ", and bring some" if self.surroundings == "bounce" else ""
             words.append(f"surroundings block light{bring}")
@@ -164,9 +163,7 @@ class LeftOut:
 
     def without(self, hot: NDArray[np.bool_]) -> LeftOut:
         """As if some pixels (M, P) told nothing."""
-        told: dict[str, Any] = {
-            name: np.where(hot, np.nan, getattr(self, name)) for name in OF_PIXELS
-        }
+        told: Any = {name: np.where(hot, np.nan, getattr(self, name)) for name in OF_PIXELS}
         return replace(self, **told)
 
     def is_worse(self, best: LeftOut, errors: float) -> bool:

@@ -87,9 +87,8 @@ class LightPrior:
         diagonal = np.broadcast_to((BAND_SIGMA * constant[:, :, None]) ** -2, lights.shape).ravel()
         mean = mean.ravel()
         along = diagonal * mean
-        return cls(
-            mean, diagonal, along / np.sqrt(SCALE_SIGMA**-2 + along @ mean), *lights.shape[::2]
-        )
+        rank_one = along / np.sqrt(SCALE_SIGMA**-2 + along @ mean)
+        return cls(mean, diagonal, rank_one, *lights.shape[::2])
 
     def of_pixels(self, count: int) -> LightPrior:
         """Beside the squared residuals of so many pixels."""

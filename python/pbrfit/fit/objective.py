@@ -393,9 +393,7 @@ class Objective:
 
     def places_in(self, whole: Scene, pixels: NDArray[np.uint64] | None = None) -> NDArray[np.intp]:
         """Where some pixels, or all, are in the picture that this one is, or is a window of."""
-        places = self._all_places()
-        if pixels is not None:
-            places = places[pixels]
+        places = self._all_places()[slice(None) if pixels is None else pixels]
         window = getattr(self._scene, "window", None)
         if window is None:
             return places
@@ -422,9 +420,8 @@ class Objective:
 
     def correction_directions(self, x: Array, correction: Correction) -> list[Array]:
         """As `Correction.directions` at what the model shows, (P, N, C), in units of x."""
-        shown = self.problem.residuals(self.for_core(x), self.everything).astype(np.float64)
-        for i in range(self.layout.pictures):
-            shown[i] = (shown[i] + self._image(i)) * self._units[i]
+        residuals = self.problem.residuals(self.for_core(x), self.everything)
+        shown = (residuals + self.pictures(self.everything)) * self._by_picture
         found, _ = correction.directions(shown)
         return [(one / self._by_picture).transpose(1, 0, 2) for one in found]
 

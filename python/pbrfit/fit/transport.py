@@ -170,18 +170,14 @@ class _Search:
         other = objective.part_of(self._x, self._left_out)
         if few.lighting is not None:
             rounds = settings.TRANSPORT_ROUNDS if near is None else settings.TRANSPORT_NEAR_ROUNDS
-            self._find_lights(few, x, rounds)
+            shared = SharedFit(LightPrior.around(few, x))
+            for _ in range(rounds):
+                sum_sq = fit_level(few, x)
+                variance = misfit.variance(few, sum_sq)
+                shared.lights = shared.lights.weighing(variance, variance, few.pixels)
+                fit = shared.joint_fit(few, x, sum_sq, stop=self._out_of_time)
+                minimize(fit, settings.COARSE_STEPS, 1.0)
             other[left_out.layout.maps.stop :] = x[few.layout.maps.stop :]
         shown = self._size > 0
         left = fit_level(left_out, other)[shown] / self._size[shown]
         return _Trial(kind, scenery, x, np.log(np.maximum(left, settings.NOISE_VARIANCE_MIN)))
-
-    def _find_lights(self, few: Objective, x: Array, rounds: int) -> None:
-        """Rounds of joint steps on pixels, whose x changes."""
-        shared = SharedFit(LightPrior.around(few, x))
-        for _ in range(rounds):
-            sum_sq = fit_level(few, x)
-            variance = misfit.variance(few, sum_sq)
-            shared.lights = shared.lights.weighing(variance, variance, few.pixels)
-            fit = shared.joint_fit(few, x, sum_sq, stop=self._out_of_time)
-            minimize(fit, settings.COARSE_STEPS, 1.0)
