@@ -105,7 +105,7 @@ class JointFit:
 
     def total(self, x: Array, sum_sq: Array, offsets: Array | None) -> float:
         """What is lowered, priors included."""
-        total = float(sum_sq.sum()) + self.lights.cost(self._lights(x))
+        total = float(sum_sq.sum()) + self.lights.cost(self.objective.lights_in_core(x).ravel())
         prior = self.pixel_prior(offsets)
         if prior is not None:
             total += prior.cost(taken(self.objective, x, slice(None))[:, self.objective.channels :])
@@ -117,9 +117,6 @@ class JointFit:
     def _offset_precision(self) -> Array:
         assert self.prior is not None
         return settings.OFFSET_PRECISION_SHARE * self.prior.cluster_precision
-
-    def _lights(self, x: Array) -> Array:
-        return self.objective.lights_in_core(x).ravel()
 
     def options(
         self, objective: Objective, x: Array, pixels: Pixels, of_all: Pixels
@@ -155,7 +152,7 @@ class JointFit:
         options = self.options(self.objective, self.x, every, every)
         kept = self.objective.problem.kept_system(self.objective.for_core(self.x), every, **options)
         gradient = kept.gradient
-        gradient[:end] += self.lights.half_gradient(self._lights(self.x))
+        gradient[:end] += self.lights.half_gradient(self.objective.lights_in_core(self.x).ravel())
         if self.offsets is not None:
             gradient[end:] += (self._offset_precision * self.offsets).ravel()
 

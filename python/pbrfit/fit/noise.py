@@ -156,16 +156,18 @@ class _Samples:
     of_file: Array | None
     """Variances that the encoding left."""
     used: NDArray[np.bool_]
+    """Which have weight, limits or not."""
     limits: NDArray[np.uint8] | None
 
     @classmethod
     def of(cls, objective: Objective, pixels: Pixels, residuals: Array) -> _Samples:
-        pictures = objective.pictures(pixels)
+        pictures, weights = objective.pictures(pixels), objective.weights
+        used = np.True_ if weights is None else weights[:, pixels] > 0
         return cls(
             residuals,
             (pictures + residuals).clip(0),
             objective.file_variances(pixels),
-            objective.is_sample(pixels),
+            np.broadcast_to(used, residuals.shape),
             objective.limits(pixels),
         )
 

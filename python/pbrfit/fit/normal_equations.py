@@ -82,8 +82,7 @@ def by_unknowns(by_material: Array, layout: ParameterLayout) -> Array:
     others = [1] if layout.metallic_known else [1, 2]
     others += [3, 4] if layout.free_normals else []
     jacobian = np.zeros((*by_material.shape[:3], c + len(others)))
-    for channel in range(c):
-        jacobian[:, :, channel, channel] = by_material[:, :, channel, 0]
+    np.einsum("pncc->pnc", jacobian[..., :c])[:] = by_material[..., 0]
     jacobian[..., c:] = by_material[..., others]
     return jacobian
 

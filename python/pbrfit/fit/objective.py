@@ -386,11 +386,6 @@ class Objective:
         """As of the scene."""
         return self._scene.file_correlation
 
-    def is_sample(self, pixels: NDArray[np.uint64]) -> NDArray[np.bool_]:
-        """(N, Q, C): which samples of some pixels have weight, limits or not."""
-        found = np.True_ if self.weights is None else self.weights[:, pixels] > 0
-        return np.broadcast_to(found, (self.layout.pictures, len(pixels), self.channels))
-
     def places_in(self, whole: Scene, pixels: NDArray[np.uint64] | None = None) -> NDArray[np.intp]:
         """Where some pixels, or all, are in the picture that this one is, or is a window of."""
         places = self._all_places()[slice(None) if pixels is None else pixels]
