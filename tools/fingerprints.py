@@ -73,13 +73,6 @@ def weighted() -> Scene:
     return replace(scene, weights=weights, truth=None)
 
 
-def shadowed() -> Scene:
-    """A fifth of the samples at half their radiance."""
-    scene = room(noise=0.005)
-    dark = np.random.default_rng(1).random(scene.images.shape[:3]) < 0.2
-    return replace(scene, images=np.where(dark[..., None], 0.5, 1.0) * scene.images, truth=None)
-
-
 def float32() -> Scene:
     """Pictures as files have them."""
     scene = room(noise=0.01)
@@ -128,7 +121,6 @@ CASES = {
     "paper masked": Case(masked),
     "paper weighted": Case(weighted),
     "paper equal exposures": Case(partial(room, noise=0.01), {"equal_exposures": True}),
-    "paper cauchy": Case(shadowed, {"robust": "cauchy", "iterations": 60}),
     "paper without priors": Case(partial(room, noise=0.01), {"priors": Priors.none()}),
     "paper cohesion": Case(
         partial(room, noise=0.01), {"solver": "lbfgsb", "priors": Priors(0.0, cohesion=0.01)}
@@ -159,9 +151,6 @@ CASES = {
         partial(room, model="principled", noise=0.01), {"solver": "lbfgsb", "iterations": 40}
     ),
     "principled order 2": Case(partial(room, model="principled", noise=0.01), {"sh_order": 2}),
-    "principled cauchy": Case(
-        lambda: replace(shadowed(), model="principled"), {"robust": "cauchy", "iterations": 40}
-    ),
     "principled normals refined": Case(
         lambda: replace(wrong_normals(), model="principled"),
         {"refine_normals": "on", "iterations": 30},

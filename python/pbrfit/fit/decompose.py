@@ -162,6 +162,8 @@ def decompose(
     if not scene.normals_known:
         with trace.stage("photometric stereo"):
             start_shape = first_shape(scene, threads)
+            if how.light == "sh":
+                start_shape = settled(scene, setup, start_shape)
         for said in start_shape.undetermined:
             log.warning("normals: %s", said)
     priors = replace(setup.options.priors, material=how.material)
@@ -180,7 +182,6 @@ def decompose(
             scene = replace(scene, normals=found.normals, normals_known=True)
         return _result(scene, setup, found, options, chosen)
     if start_shape is not None:
-        start_shape = settled(scene, setup, start_shape)
         scene = replace(scene, normals=start_shape.normals, normals_known=True)
     layout, blocking = setup.layout(scene), chosen.transport.kind
     way = memory.plan(

@@ -262,8 +262,9 @@ class SceneArrays:
         if of_depth:
             assumed["depth"] = "; ".join(filter(None, [assumed.get("depth"), *of_depth]))
         normal_sigma = _sigma(self.normal_sigma, valid)
-        if normals_known:
+        if normals_known and self.fov_known:  # an assumed one would put what is seen wrong
             _warn_if_facing_away(normals[valid], fov, valid)
+        if normals_known:
             _warn_if_flat(normals[valid])
         vars(self).update(
             normals=normals,
@@ -718,8 +719,7 @@ def _check_truth(truth: Truth, pictures: int, height: int, width: int) -> None:
 def _warn_if_facing_away(
     normals: NDArray[np.float64], fov: float, valid: NDArray[np.bool_]
 ) -> None:
-    height, width = valid.shape
-    views = geometry.view_directions(height, width, fov)[valid]
+    views = geometry.view_directions(valid.shape[0], valid.shape[1], fov)[valid]
     share = float(np.mean(geometry.facing_away(normals, views)))
     if share > MAX_FACING_AWAY:
         cause = geometry.likely_convention_error(normals, views)

@@ -107,6 +107,10 @@ LOOK_PIXELS = 400
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
 
+INDEPENDENT_SHARE = 1 / 8
+"""Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
+too."""
+
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
@@ -124,10 +128,6 @@ these: 5 degrees, what they are off on glossy surfaces."""
 GIVEN_DEGREES = 5.0
 """Of given normals whose deviation nobody told, where they are refined."""
 
-
-INDEPENDENT_SHARE = 1 / 8
-"""Share of the pixels looked at that counts: what a picture shows wrong it shows wrong around it,
-too."""
 
 UNIFORM_VARIANCE = 1 / 12
 """Largest variance of albedo and roughness: that of a uniform distribution in [0, 1]."""
@@ -293,8 +293,8 @@ class LampFit:
             usual = MEAN_RADIANCE / ALBEDO_MEAN / max(float(known.colors.mean()), 1e-12)
             lamps = replace(known, colors=known.colors * usual)
             albedo = albedo_under(few, lamps)
-            balanced_so = of_usual_scale(lamps, np.maximum(lamps.colors, 1e-9), albedo)
-            return few, [("known lamps and colours", *balanced_so)]
+            start = of_usual_scale(lamps, np.maximum(lamps.colors, 1e-9), albedo)
+            return few, [("known lamps and colours", *start)]
         if self.begin is not None:
             lamps = replace(self.begin.lamps, colors=self.begin.lamps.colors / few.scale)
             return few, [("lamps as compared", lamps, albedo_under(few, lamps))]

@@ -15,6 +15,10 @@ by D, a step solves
 
 where C has the slopes of what is held, such as the scale that lamps and albedo share. S takes the
 square, and its solution the cube, of the number of unknowns.
+
+Where an outline tells of it, the bas-relief is shared, too: 1 + Σ g_i G_i turns all normals n that
+the pixels' own are offset from. So it moves offsets o by −D g, where D has t·G_i n for tangents t.
+With their precision Q the prior is (o − D g)ᵀ Q (o − D g), beside the cues' likelihood (`Relief`).
 """
 
 from __future__ import annotations
@@ -319,11 +323,7 @@ class JointLamps:
         return shared, gradient, own, mixed, gradients
 
     def _of_matrix(self) -> tuple[Array, Array, Array]:
-        """Matrix (9, 9), gradient (9,) and B (P, 6, 9) of the matrix 1 + G that turns normals.
-
-        It moves a normal n by G n, so the offsets o of the pixel's own from it by −D g, where D has
-        t_i n_j for the tangents t. With their precision Q the prior is (o − D g)ᵀ Q (o − D g).
-        """
+        """Matrix (3, 3), gradient (3,) and B (P, 6, 3) of the bas-relief: of g, G = Σ g_i G_i."""
         base, precision = self.pixels.normals, self.prior.precision[:, :2, None]
         moves = np.einsum("pti,gij,pj->ptg", tangents(base), BAS_RELIEF, base)
         away = offsets(base, self.state.normals)[..., None]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+
+if TYPE_CHECKING:
+    from pbrfit.fit.lamps.ambiguity import Relief
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -91,8 +94,9 @@ class FirstShape:
     """(N, 3) each: unit vectors to the lamps, and their colours up to that factor."""
     undetermined: tuple[str, ...]
     """What the pictures leave open, each in words."""
-    relief: Any = None
-    """`ambiguity.Relief`: what the cues say of other bas-reliefs; None where lamps are known."""
+    relief: Relief | None = None
+    """What the cues say of other bas-reliefs; None where lamps are known, or there is no outline
+    without which misfit would outvote all cues."""
     note: str = ""
     """How they were found, and what the pictures leave open."""
 

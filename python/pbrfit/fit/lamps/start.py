@@ -107,7 +107,6 @@ def start_of_unknown_lamps(
     found = minima(places, rough)
     best, undetermined = _decided(found, places, len(edge) > 0)
     shape = finished(data, normals, best.normals, lamps @ best.lamps, undetermined)
-    # Without an outline nothing tells how deep a surface is that misfit would not outvote.
     return replace(shape, relief=Relief(best.lamps, places)) if len(edge) else shape
 
 

@@ -71,7 +71,7 @@ def test_a_step_solves_the_whole_system(held: bool) -> None:
     assert (np.abs(slopes @ found[0]) < 1e-8).all()
 
 
-def test_nothing_moves_without_directions() -> None:
+def test_nothing_moves_without_directions_and_a_singular_system_is_told() -> None:
     given = system(np.random.default_rng(2))
     found = step_of(*given, *NOWHERE, 0.0)
     assert found is not None
@@ -79,8 +79,5 @@ def test_nothing_moves_without_directions() -> None:
     np.testing.assert_allclose(
         found[1], -np.linalg.solve(given[2], given[4][..., None])[..., 0], rtol=1e-9
     )
-
-
-def test_a_singular_system_is_told() -> None:
-    shared, gradient, own, mixed, gradients = system(np.random.default_rng(3))
+    shared, gradient, own, mixed, gradients = given
     assert step_of(shared, gradient, 0 * own, mixed, gradients, *NOWHERE, 0.0) is None
