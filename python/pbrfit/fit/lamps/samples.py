@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-
-if TYPE_CHECKING:
-    from pbrfit.fit.lamps.ambiguity import Relief
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -94,9 +91,9 @@ class FirstShape:
     """(N, 3) each: unit vectors to the lamps, and their colours up to that factor."""
     undetermined: tuple[str, ...]
     """What the pictures leave open, each in words."""
-    relief: Relief | None = None
-    """What the cues say of other bas-reliefs; None where lamps are known, or there is no outline
-    without which misfit would outvote all cues."""
+    relief: Any = None
+    """`ambiguity.Relief`, what the cues say of other bas-reliefs; None where lamps are known, or
+    no outline is there, without which misfit would outvote all cues."""
     note: str = ""
     """How they were found, and what the pictures leave open."""
 
