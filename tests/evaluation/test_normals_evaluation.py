@@ -28,6 +28,7 @@ from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import normals
+from pbrfit_evaluation.generated.ways import WAYS
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE, turned, unit
 from pbrfit_evaluation.normals import SUITE, figures, measure
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
@@ -283,5 +284,6 @@ def test_every_suite_says_whether_normals_are_refined() -> None:
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "decompose"
     ]
     assert calls
+    assert all("refine_normals" in way.options for way in WAYS if way.options)  # passed on by **
     for path, call in calls:
-        assert "refine_normals" in {keyword.arg for keyword in call.keywords}, path
+        assert {"refine_normals", None} & {keyword.arg for keyword in call.keywords}, path

@@ -29,7 +29,7 @@ from scipy.special import expit
 from pbrfit.fit.lamps.integrability import Integrability, equations
 from pbrfit.fit.lamps.outline import Outline
 from pbrfit.fit.lamps.photometric import PseudoNormals
-from pbrfit.fit.lamps.samples import Samples, blocks_of, some_of
+from pbrfit.fit.lamps.samples import BAS_RELIEF, Samples, blocks_of, some_of
 
 Array = NDArray[np.float64]
 
@@ -76,13 +76,8 @@ they cost as much as a deviation from a cue's own spread."""
 SLANTS = (0.25, 0.5, 1.0, 2.0)
 """Tangents of the lamps' root mean square angle to the camera's axis that c₃ starts from."""
 
-BAS_RELIEF = np.zeros((3, 3, 3))
-BAS_RELIEF[0, [0, 1], [0, 1]] = BAS_RELIEF[1, 0, 2] = BAS_RELIEF[2, 1, 2] = 1.0
-"""By what M of the generalised bas-relief transformation differs from 1: how deep the surface is,
-and the two planes that are added to it."""
-
 STEP = 0.02
-"""Of these, for second derivatives."""
+"""Of bas-reliefs, for second derivatives."""
 
 SLOPE_MAX = 0.1
 """Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a

@@ -25,17 +25,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from pbrfit import _core
-from pbrfit.fit.lamps.ambiguity import BAS_RELIEF, Relief
 from pbrfit.fit.lamps.problem import LampPixels, LampState, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
+from pbrfit.fit.lamps.samples import BAS_RELIEF
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
+
+if TYPE_CHECKING:
+    from pbrfit.fit.lamps.ambiguity import Relief
 
 Array = NDArray[np.float64]
 
@@ -312,6 +315,8 @@ class JointLamps:
 
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
+        from scipy.linalg import block_diag
+
         linear = self._linear()
         shared, gradient = self._of_shared(linear)
         own, mixed, gradients = self._of_pixels(linear)
@@ -476,6 +481,8 @@ class JointLamps:
 
     def directions(self) -> tuple[Array, Array]:
         """In which what is shared may move, (M, columns), and slopes of what is held, (rows, M)."""
+        from scipy.linalg import block_diag
+
         lamps, count = self.state.lamps, len(self.state.lamps)
         places = colors = np.zeros((3 * count, 0))
         held = np.zeros((0, self._size()))

@@ -18,6 +18,12 @@ BLOCKS = 8
 shadows put in error together is about an eighth of an object."""
 
 
+BAS_RELIEF = np.zeros((3, 3, 3))
+BAS_RELIEF[0, [0, 1], [0, 1]] = BAS_RELIEF[1, 0, 2] = BAS_RELIEF[2, 1, 2] = 1.0
+"""By what M of the generalised bas-relief transformation differs from 1: how deep the surface is,
+and the two planes that are added to it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Pixels of the mask: (P, N) grey samples, what of them is usable, and their colours."""

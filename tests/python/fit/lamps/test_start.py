@@ -7,8 +7,7 @@ import pytest
 
 from lamp_scenes import LampScene, around, ball, relief
 from pbrfit import InputError
-from pbrfit.fit.lamps.ambiguity import BAS_RELIEF
-from pbrfit.fit.lamps.samples import FirstShape
+from pbrfit.fit.lamps.samples import BAS_RELIEF, FirstShape
 from pbrfit.fit.lamps.start import start_of_known_lamps, start_of_unknown_lamps
 
 
