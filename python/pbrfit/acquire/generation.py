@@ -120,7 +120,7 @@ def generate(
     check_place(out, photo, settings, resume=resume, overwrite=overwrite)
     requests = _requests(generator, catalogue, count, seed, with_photo)
     view, assumed = _field_of_view(photo, fov)
-    depth_source = _depth_source(depth, normals, view)
+    relief_from = depth_source(depth, normals, view)
     told = progress or (lambda *_: None)
     with place(out) as made:
         generator.check()
@@ -134,7 +134,7 @@ def generate(
         told("segments, normals and depth", 0, len(requests))
         parts = _segments(photo, segments, device)
         surface = _normals(photo, normals, view, device)
-        relief = _depth(photo, depth_source, view, surface, parts, device)
+        relief = _depth(photo, relief_from, view, surface, parts, device)
         journal.begin()
         with _kept(journal, out):
             rounds = Rounds(photo, generator, journal, reviewer, regenerate, told)
@@ -226,7 +226,7 @@ def _normals(photo: Photo, source: str, fov: float, device: str) -> Normals:
         return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
 
 
-def _depth_source(asked: str | None, normals: str, fov: float) -> str:
+def depth_source(asked: str | None, normals: str, fov: float | None) -> str:
     """Where depth comes from; raises InputError for depth that is asked for without normals."""
     if asked is None:
         if normals.startswith(DEPTH):

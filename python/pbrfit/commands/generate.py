@@ -11,10 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit.acquire.generation import NETWORKS, generate
+from pbrfit.acquire.generation import NETWORKS, depth_source, generate
 from pbrfit.acquire.generation_report import GenerationReport
 from pbrfit.acquire.generators import create
-from pbrfit.acquire.normals import kind_of
 from pbrfit.acquire.prompts import listing, read_prompts, shipped_text
 from pbrfit.acquire.rounds import REGENERATE, Progress
 from pbrfit.acquire.weights import Device, Offload, Precision
@@ -206,7 +205,7 @@ def _check_belonging(options: argparse.Namespace) -> None:
         (name, chosen in ones, f"--generator {' or '.join(ones)}, found {chosen}")
         for name, ones in BELONGS.items()
     ]
-    depth = options.depth or ("depth-anything" if kind_of(options.normals) == "file" else None)
+    depth = depth_source(options.depth, options.normals, options.fov)
     networks = {"flux2-klein", *NETWORKS}
     used = {chosen, options.normals, options.segments, depth} & networks
     checks += [

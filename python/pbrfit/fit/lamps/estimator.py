@@ -228,7 +228,10 @@ class LampFit:
         assert setup.options.model is not None
         self.model = setup.options.model
         self.start = start
-        self.free_normals = not scene.normals_known or self.options.refine_normals == "on"
+        self.relief = None if start is None else start.relief
+        """The cues on bas-reliefs, where one is open; normals are free then."""
+        told = scene.normals_known and self.relief is None
+        self.free_normals = not told or self.options.refine_normals == "on"
         self.fov = (scene.fov if scene.fov_known else FOV_MEAN) if begin is None else begin.fov
         self._matrix = np.eye(3)
         self._shared_covariance: Array | None = None
@@ -346,8 +349,8 @@ class LampFit:
                 prior.mean[few.labels == label, 5] = value
         near = bool(lamps.near.any())
         noise = Noise.first(few, proportional=near)
-        relief = None if self.start is None else self.start.relief
-        fit = JointLamps(few, state, noise, prior, freedom, lit=self.lit_at(few), relief=relief)
+        lit = self.lit_at(few)
+        fit = JointLamps(few, state, noise, prior, freedom, lit=lit, relief=self.relief)
         fit.reweigh(renew=False)
         fit.state, fit.cost = fit.fitted(fit.state, 10)
         if not self.trace.rows:
@@ -371,8 +374,8 @@ class LampFit:
             # Near lamps begin within centimetres; what weighs most here, the surfaces beside them,
             # is what pulls them away where a metal is not known yet.
             if number == HELD_ROUNDS and not near:
-                free = {"places": known is None, "shape": fit.relief is not None}
-                fit.freedom = replace(fit.freedom, colors=True, **free)
+                shape = self.relief is not None
+                fit.freedom = replace(fit.freedom, places=known is None, colors=True, shape=shape)
             if (
                 number == self.rounds - FREE_SCALE_ROUNDS
                 and self._relative_left(fit) < NOTHING_LEFT
@@ -822,9 +825,7 @@ def settled(scene: Scene, setup: FitSetup, start: FirstShape) -> FirstShape:
     """The start, with the bas-relief that a joint fit of few pixels finds, if one is open."""
     if start.relief is None:
         return start
-    setup = replace(setup, progress=None)
-    unknown = replace(scene, normals_known=False)
-    fit = LampFit(unknown, setup, start, rounds=COMPARE_LAMP_ROUNDS)
+    fit = LampFit(scene, replace(setup, progress=None), start, rounds=COMPARE_LAMP_ROUNDS)
     lamps = fit.joint(some_places(scene)).state.lamps
     return replace(
         start, normals=fit.normals, directions=lamps.places, strengths=lamps.colors, relief=None

@@ -243,16 +243,10 @@ class JointLamps:
         slope = by_log[:, None] / np.maximum(lamps.colors, 1e-12) / len(lamps)
         return np.asarray(slope.reshape(4, -1))
 
-    def fitted(
-        self,
-        state: LampState,
-        iterations: int,
-        pixels: LampPixels | None = None,
-        matrix: Array | None = None,
-    ) -> tuple[LampState, float]:
+    def fitted(self, state: LampState, iterations: int) -> tuple[LampState, float]:
         """A state with surfaces that took so many steps, and the cost of all."""
         state, costs, _ = fit_surfaces(
-            self.pixels if pixels is None else pixels,
+            self.pixels,
             state,
             self.weights,
             self.prior,
@@ -262,7 +256,7 @@ class JointLamps:
         scale, ambient = self.scale_of(state.lamps), state.ambient / (AMBIENT_SHARE * MEAN_RADIANCE)
         cost = float(costs.sum() + (scale**2).sum() + (ambient**2).sum())
         if self.relief is not None:
-            cost += self.relief(self.matrix if matrix is None else matrix)[0] / self.share
+            cost += self.relief(self.matrix)[0] / self.share
         return state, cost
 
     def step(self) -> float:
@@ -272,17 +266,18 @@ class JointLamps:
             trial = self._moved(system)
             before = self.cost
             if trial is not None:
-                moved, matrix = trial
-                pixels = self.pixels
+                moved, turn = trial
+                shape = self.pixels, self.matrix
                 if self.freedom.shape:
-                    pixels = replace(pixels, normals=turned(pixels.normals, matrix))
-                matrix = matrix @ self.matrix
-                state, cost = self.fitted(moved, 3, pixels, matrix)
+                    normals = turned(self.pixels.normals, turn)
+                    self.pixels = replace(self.pixels, normals=normals)
+                    self.matrix = turn @ self.matrix
+                state, cost = self.fitted(moved, 3)
                 if cost < before:
-                    self.state, self.cost, self.pixels = state, cost, pixels
-                    self.matrix = matrix
+                    self.state, self.cost = state, cost
                     self.damping = max(self.damping * 0.2, 1e-7)
                     return (before - cost) / max(before, 1e-300)
+                self.pixels, self.matrix = shape
             self.damping = min(self.damping * 8, 1e6)
         return 0.0
 
