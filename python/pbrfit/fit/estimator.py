@@ -256,7 +256,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")
             return before
-        if prior is None:
+        if lights.exact:
             retry_outliers(objective, x, sum_sq, run.out_of_time)
         watch.visit(x, sum_sq)
     return x
@@ -288,11 +288,11 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
         sum_sq = fit_all(few, part, starts=starts, prior=rows, stop=run.out_of_time)
         if sum_sq is None:
             break
-        if prior is None:
+        if lights.exact:
             retry_outliers(few, part, sum_sq, run.out_of_time)
-            if number == 0 and not lights.exact:
-                found = left_of(level, part, sum_sq, shared, lights.noise)
-                gain *= max(found.design_effect, 1.0)
+        elif number == 0 and prior is None:
+            found = left_of(level, part, sum_sq, shared, lights.noise)
+            gain *= max(found.design_effect, 1.0)
         total = float(sum_sq.sum())
         if visit(part, sum_sq):
             break
