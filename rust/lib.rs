@@ -41,3 +41,10 @@ pub mod schur;
 pub mod transport;
 
 pub use self::runtime::{Error, Result};
+
+// The tests are a part of the crate, which is compiled once for all of them.
+#[cfg(test)]
+extern crate self as pbrfit;
+#[cfg(test)]
+#[path = "../tests/rust/mod.rs"]
+mod tests;

@@ -364,12 +364,8 @@ mod tests {
     #[test]
     fn the_gradient_is_half_of_the_slope_of_the_cost() {
         let unit = |x: f64, y: f64| DVec3::new(x, y, 1.0).normalize();
-        let directions = [
-            unit(0.5, 0.1),
-            unit(-0.3, 0.6),
-            unit(0.2, -0.8),
-            unit(-0.9, 0.2),
-        ];
+        let directions =
+            [(0.5, 0.1), (-0.3, 0.6), (0.2, -0.8), (-0.9, 0.2)].map(|(x, y)| unit(x, y));
         let intensities = [[1.0, 0.8, 0.6], [0.5; 3], [0.0, 0.0, 2.0], [0.9, 1.1, 1.3]];
         let ambient = [[0.0; 3], [0.6, 0.3, 0.2], [0.0; 3], [0.3, 0.2, 0.1]];
         let lights = Lights::new(&[0, 0, 1, 2], &ambient);

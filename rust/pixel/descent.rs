@@ -450,8 +450,7 @@ mod tests {
         };
         point.sums.matrix[0][0] = Plane([4.0; BLOCK]);
         point.sums.gradient[0] = Plane([1.0; BLOCK]);
-        let mut trial = Materials::default();
-        let mut predicted = Doubles::default();
+        let (mut trial, mut predicted) = (Materials::default(), Doubles::default());
         Instructions::best().run(Step {
             point: &point,
             metallic_known: false,

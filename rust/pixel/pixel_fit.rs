@@ -481,9 +481,7 @@ mod tests {
             .iter()
             .map(|&v| Plane([v; BLOCK]))
             .collect();
-        let found: Vec<_> = (0..5)
-            .map(|rank| local_minimum(&nodes, 4, 3, rank))
-            .collect();
+        let found = [0, 1, 2, 3, 4].map(|rank| local_minimum(&nodes, 4, 3, rank));
         assert_eq!(found, [Some(12), Some(1), Some(15), None, None]);
         let lowest = Instructions::best().run(Lowest { nodes: &nodes });
         assert_eq!(lowest.0, [12.0; BLOCK]);

@@ -6,6 +6,7 @@ import ast
 import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
@@ -35,6 +36,23 @@ FLOORS = (
 
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 
+CORE = ROOT / "rust"
+
+CORE_ROOMS = {
+    "runtime": "",
+    "reflectance": "runtime",
+    "block": "runtime reflectance",
+    "transport": "runtime reflectance block",
+    "problem": "runtime reflectance block transport",
+    "pixel": "runtime reflectance block problem",
+    "schur": "runtime reflectance block problem pixel",
+    "lamps": "runtime reflectance problem pixel",
+    "environment": "runtime reflectance problem",
+    "image_file": "runtime",
+}
+"""Rooms of the core, each with those that it may use."""
+CORE_ROOMS["python"] = " ".join(CORE_ROOMS)
+
 PRIVATE_WORDS = re.compile(
     r"\b(Asked|Taught|Lesson|Lit|Towards|HeldPull|MaterialPull|Pull|Needs|Units|Tame|judges|taught"
     r"|lesson|learns|learnt_by|pulled_steps|follow_lights)\b"
@@ -51,9 +69,15 @@ def modules(package: Path) -> dict[str, Path]:
     return found
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    """A file's code, which several tests read."""
+    return ast.parse(path.read_text("utf-8"))
+
+
 def imports(path: Path, known: dict[str, Path]) -> Iterator[tuple[int, str]]:
     """Line and module of each import of a known module, in functions and for types too."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.ImportFrom) and node.module:
             for one in node.names:
                 full = f"{node.module}.{one.name}"
@@ -102,6 +126,23 @@ def test_every_room_has_a_floor() -> None:
 def test_few_files_lie_loose() -> None:
     loose = [path.name for path in PACKAGE.glob("*.py") if not path.name.startswith("__")]
     assert len(loose) <= 8, loose
+
+
+def core_rooms_used(text: str) -> set[str]:
+    """Rooms that a file of the core names, without its comments and the tests at its end."""
+    code = re.sub("//.*", "", text.partition("\n#[cfg(test)]\n")[0])
+    assert "crate::{" not in code, "expected one path a line"
+    return set(re.findall(r"crate::(\w+)", code)) & CORE_ROOMS.keys()
+
+
+def test_rooms_of_the_core_use_lower_ones_only() -> None:
+    text = "use crate::lamps::b; // crate::block\n#[cfg(test)]\nuse crate::schur;"
+    assert core_rooms_used(text) == {"lamps"}
+    for path in CORE.glob("*/**/*.rs"):
+        room = path.relative_to(CORE).parts[0]
+        allowed = {room, *CORE_ROOMS[room].split()}
+        assert core_rooms_used(path.read_text("utf-8")) <= allowed, path
+    assert sum(path.is_file() for path in CORE.iterdir()) <= 8
 
 
 def lines(folder: Path, *suffixes: str) -> int:
@@ -159,7 +200,7 @@ def test_names_are_the_fields_words() -> None:
     private = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
         for path in modules(PACKAGE).values()
-        for line, name in names(ast.parse(path.read_text("utf-8")))
+        for line, name in names(parsed(path))
         if PRIVATE_WORDS.fullmatch(name)
     ]
     assert not private, "\n".join(private)
@@ -169,7 +210,7 @@ def test_constants_state_their_quantity() -> None:
     vague = [
         f"{path.relative_to(ROOT)}:{line}: {text}"
         for path in modules(PACKAGE).values()
-        for line, text in constants(ast.parse(path.read_text("utf-8")).body)
+        for line, text in constants(parsed(path).body)
         if re.match(r"Of (a|an|the|all)\b", text)
     ]
     assert not vague, "\n".join(vague)

@@ -1,57 +1,13 @@
-//! Light of lamps: slopes against values alone, physics, and planted pixels.
+//! Light of lamps: slopes against values alone, and physics.
 
+use super::Numbers;
 use glam::{DQuat, DVec3};
-use pbrfit::lamps::descent::Free;
-use pbrfit::lamps::pixel_fit::{LampFit, LampFitted, LampPictures, NUMBERS, fit_under_lamps};
-use pbrfit::lamps::render::{Lamplit, lamp_radiance};
 use pbrfit::lamps::surface::{Reflected, Surface};
 use pbrfit::reflectance::ggx::MIN_COSINE;
 use pbrfit::reflectance::model::Model;
 use pbrfit::reflectance::planes::Material;
 
 const MODELS: [Model; 2] = [Model::Paper, Model::Principled];
-
-/// Numbers in \[0, 1\) that look random.
-struct Numbers(u64);
-
-impl Numbers {
-    fn next(&mut self) -> f64 {
-        // splitmix64 (Steele, Lea, Flood 2014)
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.next()
-    }
-
-    fn direction(&mut self) -> DVec3 {
-        let (z, angle) = (self.between(-1.0, 1.0), std::f64::consts::TAU * self.next());
-        let rho = (1.0 - z * z).sqrt();
-        DVec3::new(rho * angle.cos(), rho * angle.sin(), z)
-    }
-
-    /// On the side of a normal, with a cosine of `least` or more.
-    fn direction_over(&mut self, normal: DVec3, least: f64) -> DVec3 {
-        loop {
-            let direction = self.direction();
-            if direction.dot(normal) >= least {
-                return direction;
-            }
-        }
-    }
-
-    fn material(&mut self) -> Material {
-        Material {
-            albedo: [self.next(), self.next(), self.next()],
-            roughness: self.between(0.05, 1.0),
-            metallic: self.next(),
-        }
-    }
-}
 
 /// df/dt at 0 by Ridders' method: central quotients extrapolated to step 0, for each entry the
 /// extrapolation that changes least.
@@ -283,44 +239,6 @@ fn slopes_hold_at_the_borders_of_the_formulas() {
     }
 }
 
-/// f_r = I/(π n·l) is the same with light and camera exchanged, and so are its slopes by the normal.
-/// The principled model's ground and its scattering depend on n·v alone, so it holds of the paper's.
-#[test]
-fn reciprocity() {
-    let mut numbers = Numbers(4);
-    for _ in 0..100 {
-        let normal = numbers.direction();
-        let [view, light] = [0; 2].map(|_| numbers.direction_over(normal, 0.05));
-        let material = numbers.material();
-        let [there, back] = [(view, light), (light, view)].map(|(view, light)| {
-            let sight = Sight {
-                model: Model::Paper,
-                normal,
-                view,
-                light,
-                material,
-            };
-            let (slopes, y) = (sight.slopes(), normal.dot(light));
-            let across = light - y * normal;
-            [0, 1, 2].map(|c| {
-                let value = slopes.radiance[c] / y;
-                (
-                    value,
-                    (DVec3::from(slopes.by_normal()[c]) - value * across) / y,
-                )
-            })
-        });
-        for c in 0..3 {
-            let ((value, slope), (other, other_slope)) = (there[c], back[c]);
-            assert!((value - other).abs() <= 1e-12 * value);
-            assert!(
-                slope.distance(other_slope)
-                    <= 1e-10 * (value + slope.length()) / material.roughness.powi(2)
-            );
-        }
-    }
-}
-
 #[test]
 fn turning_surface_and_lamp_about_the_view_changes_nothing() {
     let mut numbers = Numbers(5);
@@ -400,125 +318,5 @@ fn slopes_are_finite_everywhere() {
                 }
             }
         }
-    }
-}
-
-/// Pixels, each under lamps of its own.
-struct Example {
-    normals: Vec<DVec3>,
-    views: Vec<DVec3>,
-    materials: Vec<Material>,
-    directions: Vec<DVec3>,
-}
-
-const LAMPS: usize = 12;
-
-impl Example {
-    fn new(pixels: usize, seed: u64) -> Self {
-        let mut numbers = Numbers(seed);
-        let normals: Vec<_> = (0..pixels)
-            .map(|_| numbers.direction_over(DVec3::Z, 0.7))
-            .collect();
-        Self {
-            views: (0..pixels)
-                .map(|_| numbers.direction_over(DVec3::Z, 0.95))
-                .collect(),
-            materials: (0..pixels)
-                .map(|_| Material {
-                    albedo: [0; 3].map(|_| numbers.between(0.1, 0.9)),
-                    roughness: numbers.between(0.25, 0.8),
-                    metallic: numbers.between(0.1, 0.9),
-                })
-                .collect(),
-            directions: (0..pixels * LAMPS)
-                .map(|_| numbers.direction_over(DVec3::Z, 0.3))
-                .collect(),
-            normals,
-        }
-    }
-
-    fn lamplit(&self, model: Model) -> Lamplit<'_> {
-        Lamplit {
-            normals: &self.normals,
-            views: &self.views,
-            materials: &self.materials,
-            directions: &self.directions,
-            extents: &[],
-            model,
-        }
-    }
-}
-
-/// Fits an example from beside what is planted.
-fn fitted(example: &Example, model: Model, threads: usize) -> LampFitted {
-    let pixels = example.normals.len();
-    let radiance = lamp_radiance(example.lamplit(model), 0).unwrap();
-    let mut numbers = Numbers(8);
-    let starts: Vec<_> = (example.normals.iter())
-        .map(|&normal| (normal + 0.05 * numbers.direction()).normalize())
-        .collect();
-    let materials: Vec<_> = (example.materials.iter())
-        .map(|material| Material {
-            albedo: material.albedo.map(|rho| rho + numbers.between(-0.1, 0.1)),
-            roughness: material.roughness * numbers.between(0.8, 1.2),
-            metallic: material.metallic + numbers.between(-0.1, 0.1),
-        })
-        .collect();
-    let intensities = vec![[1.0; 3]; pixels * LAMPS];
-    let picture_of: Vec<_> = (0..LAMPS).collect();
-    let no_prior = vec![[0.0; NUMBERS]; pixels];
-    let given = LampPictures {
-        pictures: radiance.as_chunks().0,
-        weights: &intensities,
-        limits: None,
-        views: &example.views,
-        directions: &example.directions,
-        intensities: &intensities,
-        picture_of: &picture_of,
-        ambient: &[[0.0; 3]; LAMPS],
-        base_normals: &starts,
-        prior_mean: &no_prior,
-        prior_precision: &no_prior,
-    };
-    let how = LampFit {
-        free: Free {
-            normals: true,
-            metallic: true,
-            roughness: true,
-        },
-        iterations: 60,
-        model,
-        threads,
-    };
-    fit_under_lamps(given, &starts, &materials, how).unwrap()
-}
-
-#[test]
-fn planted_pixels_are_recovered() {
-    let example = Example::new(200, 7);
-    for model in MODELS {
-        let found = fitted(&example, model, 0);
-        let mut recovered = 0;
-        for p in 0..200 {
-            let (found_material, material) = (found.materials[p], example.materials[p]);
-            let near = found.normals[p].distance(example.normals[p]) < 1e-6
-                && (found_material.roughness - material.roughness).abs() < 1e-6
-                && (found_material.metallic - material.metallic).abs() < 1e-6
-                && (0..3).all(|c| (found_material.albedo[c] - material.albedo[c]).abs() < 1e-6);
-            recovered += usize::from(near);
-        }
-        assert!(recovered >= 196, "{model:?}: {recovered} of 200");
-    }
-}
-
-#[test]
-fn fitted_pixels_do_not_depend_on_threads() {
-    let example = Example::new(300, 9);
-    for model in MODELS {
-        let [one, two] = [1, 2].map(|threads| fitted(&example, model, threads));
-        assert_eq!(one.normals, two.normals);
-        assert_eq!(one.materials, two.materials);
-        assert_eq!(one.costs, two.costs);
-        assert_eq!(one.information, two.information);
     }
 }

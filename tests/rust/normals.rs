@@ -1,37 +1,10 @@
-//! Derivatives by the normal against central differences, and the two numbers that turn a normal.
+//! Slopes of the basis and of masking, and the two numbers that turn a normal.
 
+use super::Numbers;
 use glam::DVec3;
 use pbrfit::reflectance::ggx::{self, MIN_COSINE};
-use pbrfit::reflectance::paper::Paper;
-use pbrfit::reflectance::planes::Material;
-use pbrfit::reflectance::reflection::Weights;
 use pbrfit::reflectance::sh;
-use pbrfit::reflectance::shade::{Frame, shade, shade_vjp};
 use pbrfit::reflectance::tangent_offset;
-
-/// Numbers in \[0, 1) that look random.
-struct Numbers(u64);
-
-impl Numbers {
-    fn next(&mut self) -> f64 {
-        // splitmix64 (Steele, Lea, Flood 2014)
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn direction(&mut self) -> DVec3 {
-        let (z, angle) = (2.0 * self.next() - 1.0, std::f64::consts::TAU * self.next());
-        let rho = (1.0 - z * z).sqrt();
-        DVec3::new(rho * angle.cos(), rho * angle.sin(), z)
-    }
-
-    fn cotangent(&mut self) -> Weights {
-        std::array::from_fn(|_| std::array::from_fn(|_| 2.0 * self.next() - 1.0))
-    }
-}
 
 /// df/dt at 0 to fourth order.
 fn slope(step: f64, f: impl Fn(f64) -> f64) -> f64 {
@@ -155,110 +128,4 @@ fn derivatives_of_the_normal_by_its_tilt() {
             }
         }
     }
-}
-
-/// View directions seen from a normal at a cosine.
-fn seen_at(numbers: &mut Numbers, cosine: f64) -> (DVec3, DVec3) {
-    let normal = numbers.direction();
-    let [t1, t2] = tangent_offset::tangents(normal);
-    let angle = std::f64::consts::TAU * numbers.next();
-    let sine = (1.0 - cosine * cosine).sqrt();
-    (
-        normal,
-        cosine * normal + sine * (angle.cos() * t1 + angle.sin() * t2),
-    )
-}
-
-fn assert_slope_by_normal(
-    normal: DVec3,
-    view: DVec3,
-    material: &Material,
-    numbers: &mut Numbers,
-    step: f64,
-) {
-    let cotangent = numbers.cotangent();
-    let (_, by_normal) = shade_vjp::<Paper, 3>(normal, view, material, &cotangent);
-
-    let scalar = |normal: DVec3| {
-        let weights = shade(&Frame::<Paper>::new(normal, view), material);
-        let pairs = weights.as_flattened().iter().zip(cotangent.as_flattened());
-        pairs.map(|(w, g)| w * g).sum::<f64>()
-    };
-    // No larger than the sum of the sizes of what is added up, which are cotangents up to 1.
-    let scale = 1.0_f64.max(by_normal.length());
-    assert_close("along n", by_normal.dot(normal), 0.0, 1e-13 * scale);
-    for tangent in tangent_offset::tangents(normal) {
-        let expected = slope(step, |t| scalar((normal + t * tangent).normalize()));
-        assert_close(
-            &format!("{material:?} at n·v = {:e}", normal.dot(view)),
-            by_normal.dot(tangent),
-            expected,
-            1e-6 * scale,
-        );
-    }
-}
-
-fn materials(numbers: &mut Numbers) -> Vec<Material> {
-    let mut materials = Vec::new();
-    for roughness in [0.0, 0.05, 0.3, 1.0, numbers.next()] {
-        for metallic in [0.0, 1.0, numbers.next()] {
-            materials.push(Material {
-                albedo: std::array::from_fn(|_| numbers.next()),
-                roughness,
-                metallic,
-            });
-        }
-    }
-    materials
-}
-
-#[test]
-fn weights_by_the_normal_for_random_pixels() {
-    let mut numbers = Numbers(2);
-    for _ in 0..50 {
-        for material in materials(&mut numbers) {
-            let cosine = 0.01 + 0.99 * numbers.next();
-            let (normal, view) = seen_at(&mut numbers, cosine);
-            assert_slope_by_normal(normal, view, &material, &mut numbers, 1e-5);
-        }
-    }
-}
-
-#[test]
-fn weights_by_the_normal_of_grazing_pixels_and_on_both_sides_of_the_clamp() {
-    let mut numbers = Numbers(3);
-    for cosine in [
-        1e-2, 1e-3, 2e-4, 1.1e-4, 0.9e-4, 0.0, -1e-4, -0.01, -0.5, -1.0, 1.0,
-    ] {
-        for material in materials(&mut numbers) {
-            let (normal, view) = seen_at(&mut numbers, cosine);
-            assert_slope_by_normal(normal, view, &material, &mut numbers, 1e-6);
-        }
-    }
-}
-
-#[test]
-fn at_the_clamp_itself_fresnel_and_masking_stand_still() {
-    let mut numbers = Numbers(4);
-    let material = Material {
-        albedo: [0.3, 0.5, 0.7],
-        roughness: 0.4,
-        metallic: 0.5,
-    };
-    let (normal, view) = (DVec3::Z, DVec3::new((1.0 - 1e-8_f64).sqrt(), 0.0, 1e-4));
-    assert_eq!(normal.dot(view), MIN_COSINE);
-    let cotangent = numbers.cotangent();
-    let scalar = |t: f64| {
-        let normal = DVec3::new(t, 0.0, 1.0).normalize();
-        let weights = shade(&Frame::<Paper>::new(normal, view), &material);
-        let pairs = weights.as_flattened().iter().zip(cotangent.as_flattened());
-        pairs.map(|(w, g)| w * g).sum::<f64>()
-    };
-    let (_, found) = shade_vjp::<Paper, 3>(normal, view, &material, &cotangent);
-    // n·v grows with t: from below, where it is raised to the same, and from above.
-    let step = 1e-7;
-    let below = (scalar(0.0) - scalar(-step)) / step;
-    let above = (scalar(step) - scalar(0.0)) / step;
-    assert_close("from below", found.x, below, 1e-5);
-    assert!((above - below).abs() > 1.0, "{above} is like {below}");
 }

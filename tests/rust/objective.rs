@@ -1,8 +1,6 @@
-//! The fast objective against the model in float64, in every version and instruction set, and
-//! against itself at other thread counts.
+//! The fast objective against the model in float64, in every version and instruction set.
 
 use glam::DVec3;
-use pbrfit::problem::render::render;
 use pbrfit::problem::targets::Targets;
 use pbrfit::problem::{Options, Pictures, Problem};
 use pbrfit::reflectance::band_table::TABLE;
@@ -263,28 +261,6 @@ fn norm(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 #[test]
-fn agrees_with_the_definition_at_any_size() {
-    for (pixels, pictures) in [
-        (1, 1),
-        (15, 2),
-        (127, 3),
-        (128, 4),
-        (129, 5),
-        (300, 16),
-        (513, 17),
-        (200, 35),
-        (4_500, 9),
-    ] {
-        for free_normals in [false, true] {
-            let mut example = Example::new(pixels, pictures);
-            example.free_normals = free_normals;
-            let what = format!("{pixels} pixels, {pictures} pictures, normals free {free_normals}");
-            example.check(Instructions::best(), &what);
-        }
-    }
-}
-
-#[test]
 fn every_version_agrees_with_the_definition() {
     for instructions in Instructions::all() {
         for bits in 0..128 {
@@ -312,89 +288,6 @@ fn every_version_agrees_with_the_definition() {
                 example.weights.as_ref().map(Vec::len),
             );
             example.check(instructions, &what);
-        }
-    }
-}
-
-#[test]
-fn residuals_are_those_of_the_loss() {
-    for bits in 0..16 {
-        let bit = |i: usize| bits >> i & 1 == 1;
-        let (channels, order) = (if bit(0) { 1 } else { 3 }, if bit(1) { 2 } else { 3 });
-        let mut example = Example::with(700, 5, channels, order);
-        example.known_lights = bit(2);
-        example.free_normals = bit(3);
-        let (x, problem) = (example.x(), example.problem(2));
-        let all: Vec<usize> = (0..700).collect();
-        let of_all = problem.residuals(&x, &all).unwrap();
-        let sum_sq_residuals: f64 = of_all.iter().map(|&e| f64::from(e).powi(2)).sum();
-        let (loss, _) = example.reference();
-        let mean = sum_sq_residuals / of_all.len() as f64;
-        assert!((mean / loss - 1.0).abs() < 1e-6, "{mean} is not {loss}");
-
-        // More pixels than a piece of work has, in any order, some twice.
-        let some: Vec<usize> = (0..300).map(|i| (i * 389) % 700).chain([7, 7]).collect();
-        let of_some = problem.residuals(&x, &some).unwrap();
-        for i in 0..5 {
-            for (j, &p) in some.iter().enumerate() {
-                for c in 0..channels {
-                    assert_eq!(
-                        of_some[(i * some.len() + j) * channels + c],
-                        of_all[(i * 700 + p) * channels + c]
-                    );
-                }
-            }
-        }
-        assert!(problem.residuals(&x, &[]).unwrap().is_empty());
-    }
-}
-
-#[test]
-fn rendering_agrees_with_shade() {
-    for (pixels, lights) in [(1, 1), (128, 2), (77, 5), (3_000, 3)] {
-        let example = Example::new(pixels, lights);
-        let materials: Vec<Material> = (0..pixels).map(|p| example.material(p)).collect();
-        let Example {
-            normals,
-            views,
-            lighting,
-            ..
-        } = &example;
-        let images = render(
-            normals,
-            views,
-            &materials,
-            lighting,
-            (Model::Paper, None),
-            1,
-        )
-        .unwrap();
-        assert_eq!(
-            images,
-            render(
-                normals,
-                views,
-                &materials,
-                lighting,
-                (Model::Paper, None),
-                3
-            )
-            .unwrap()
-        );
-        for (p, material) in materials.iter().enumerate() {
-            let w = shade(&Frame::<Paper>::new(normals[p], views[p]), material);
-            for i in 0..lights {
-                for c in 0..3 {
-                    let expected: f64 = (0..16)
-                        .map(|k| w[c][k] * lighting[(i * 16 + k) * 3 + c])
-                        .sum();
-                    let found = images[(i * pixels + p) * 3 + c];
-                    assert!(
-                        (found - expected).abs() <= 1e-13,
-                        "{found} is not {expected}"
-                    );
-                }
-            }
         }
     }
 }

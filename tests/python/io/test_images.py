@@ -662,7 +662,9 @@ def test_ids_are_the_stored_integers(tmp_path: Path) -> None:
 
 def test_openexr_reads_what_is_written(tmp_path: Path) -> None:
     channels: dict[str, NDArray[Any]] = {f"albedo.{c}": FLOAT[..., k] for k, c in enumerate("RGB")}
-    channels |= {"roughness.Y": FLOAT[::-1, :, 0], "mask.Y": FLOAT[..., 0] > 0}
+    odd = FLOAT[..., 0].copy()
+    odd[0, :4] = np.nan, np.inf, 1e-40, 0.1
+    channels |= {"roughness.Y": odd, "mask.Y": FLOAT[..., 0] > 0}
     for half, dtype in ((False, np.float32), (True, np.float16)):
         path = tmp_path / "Überblick 測定.exr"
         images.write_exr(path, channels, half=half)
@@ -684,6 +686,8 @@ def test_openexr_reads_what_is_written(tmp_path: Path) -> None:
         )
         again = images.read_channels(path)
         np.testing.assert_array_equal(again["mask.Y"], FLOAT[..., 0] > 0)
+        images.write_exr(copy, dict(reversed(channels.items())), half=half)
+        assert copy.read_bytes() == path.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["copy.exr", "Überblick 測定.exr"]
 
 
@@ -714,6 +718,7 @@ def test_pillow_reads_what_is_written(tmp_path: Path) -> None:
         ({"a": FLOAT[..., 0], "b": FLOAT[:5, :, 0]}, "expected .* as in a, found .5, 9. in b"),
         ({"a": FLOAT}, r"expected \(H, W\) .* found \(6, 9, 3\) in a"),
         ({}, "expected at least one channel"),
+        ({"": FLOAT[..., 0]}, "expected"),
     ],
 )
 def test_unwritable_channels_leave_no_file(tmp_path: Path, channels: Any, message: str) -> None:
@@ -739,6 +744,15 @@ def test_unwritable_pictures_leave_no_file(
     with pytest.raises(FileNotFoundError):
         images.write_png(tmp_path / "none" / "a.png", RGB8, tag="srgb")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_in_the_place_of_a_folder_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(OSError, match="taken"):
+        images.write_png(tmp_path / "taken", RGB8, tag="srgb")
+    with pytest.raises(OSError, match="taken"):
+        images.write_exr(tmp_path / "taken", {"Y": FLOAT[..., 0]})
+    assert [path.name for path in tmp_path.rglob("*")] == ["taken"]
 
 
 # Files that cannot be read

@@ -260,7 +260,7 @@ def test_view_directions_of_an_orthographic_camera() -> None:
 @pytest.mark.parametrize("fov", [0.0, 60.0])
 def test_render(fov: float) -> None:
     rng = np.random.default_rng(8)
-    height, width = 6, 9
+    height, width = 20, 30  # blocks of 128 pixels, and a part of one
     materials = pbrfit.Materials(
         rng.random((height, width, 3)), rng.random((height, width)), rng.random((height, width))
     )
@@ -274,6 +274,7 @@ def test_render(fov: float) -> None:
     several = render(materials, normals, lighting, fov)
     assert several.shape == (4, height, width, 3)
     assert_close(several, expected, 1e-13, "render")
+    np.testing.assert_array_equal(render(materials, normals, lighting, fov, threads=3), several)
     one = render(materials, normals, lighting[2], fov)
     assert one.shape == (height, width, 3)
     np.testing.assert_array_equal(one, several[2])
