@@ -1,4 +1,4 @@
-"""Where the shared test data lies."""
+"""Fixtures of all tests: where shared data lies, and fits without a comparison."""
 
 from __future__ import annotations
 
@@ -17,3 +17,12 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no shared data: set PBRFIT_DATA")
     return folder
+
+
+@pytest.fixture
+def uncompared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits compare no explanations, which takes most of the time of a small one.
+
+    For tests of what follows the choice of an explanation; fit/test_compare.py tests the choice.
+    """
+    monkeypatch.setattr("pbrfit.fit.settings.COMPARE_KEPT_MIN", 1 << 20)

@@ -17,6 +17,8 @@ from scene_files import truth_of
 from scene_kinds import all_pixels, known_lights
 from tiled import in_tiles
 
+pytestmark = pytest.mark.usefixtures("uncompared")
+
 MAPS = ("albedo_rmse", "roughness_rmse", "metallic_rmse")
 
 both_models = pytest.mark.parametrize("model", MODELS)

@@ -252,6 +252,7 @@ def test_weights_keep_bad_samples_out_of_the_maps(solver: Solver) -> None:
         assert within.metrics[name] <= 0.7 * without.metrics[name], name
 
 
+@pytest.mark.usefixtures("uncompared")
 def test_a_channel_without_weight_leaves_the_others_their_say() -> None:
     """Of an orange surface: the red of each pixel is clipped in the half that is brighter."""
     scene = make_scene("textured", size=SIZE, lights=8, held_out=2)

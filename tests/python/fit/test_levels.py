@@ -157,6 +157,7 @@ def test_the_objective_of_some_pixels_is_a_part_of_the_whole_one(
     np.testing.assert_array_equal(taken(objective, again, chosen), taken(objective, x, chosen))
 
 
+@pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_lights_of_a_level_serve_all_pixels(noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Planted scenes stay exact, and of noisy ones hardly more is left than by those of all."""

@@ -99,6 +99,7 @@ def test_em_finds_a_planted_mixture() -> None:
     assert found[np.abs(nodes - 0.7) < 0.08].sum() > 0.55
 
 
+@pytest.mark.usefixtures("uncompared")
 def test_segments_that_are_a_pixel_off_bend_no_lights() -> None:
     """Pixels of none of their segment's materials take no part: with them albedo is off by 0.29."""
     scene = make_scene("room", size=48, lights=12, noise=0.01, seed=3102, held_out=1)
@@ -258,6 +259,7 @@ def fitted(scene: Scene, solver: Solver, **options: Any) -> Result:
     )
 
 
+@pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize("solver", ["gauss-newton", pytest.param("lbfgsb", marks=pytest.mark.slow)])
 def test_the_prior_halves_the_error_of_roughness(solver: Solver) -> None:
     scene = make_scene("room", size=32, lights=12, noise=0.01, seed=2002, held_out=4)

@@ -159,6 +159,7 @@ def test_black_picture_does_not_have_all_the_weight() -> None:
     assert model.variances.min() >= 0.99 * settings.NOISE_VARIANCE_RATIO_MIN * middle
 
 
+@pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize(
     ("kind", "size"),
     [

@@ -83,6 +83,7 @@ def fitted(fov: float, seed: int, told: bool) -> Result:
     return decompose(scene if told else unknown(scene), **FAST)
 
 
+@pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize(
     ("fov", "seed"),
     [VIEWS[0], *(pytest.param(*view, marks=pytest.mark.slow) for view in VIEWS[1:])],
@@ -99,6 +100,7 @@ def test_a_field_of_view_that_nobody_told_is_found(fov: float, seed: int) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize("name", ["albedo", "roughness", "metallic", "relight"])
 def test_a_field_of_view_that_nobody_told_costs_little(name: str) -> None:
     found, told = (

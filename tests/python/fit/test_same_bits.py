@@ -122,7 +122,7 @@ def of_blas() -> list[int]:
 
 
 def test_of_fits_at_the_same_time_after_which_blas_has_its_threads_again() -> None:
-    scene = make_scene("room", size=16, lights=4, held_out=1, seed=3, noise=0.01)
+    scene = make_scene("room", size=16, lights=3, held_out=1, seed=3, noise=0.01)
     with threadpool_limits(2, user_api="blas"):
         alone = decompose(scene).albedo
         with ThreadPoolExecutor(4) as pool:

@@ -41,8 +41,8 @@ def test_a_noise_free_room_is_recovered_and_no_pixel_is_left_in_the_trap() -> No
     assert trapped <= 0.002 * result.roughness.size
 
 
-@every_solver
-@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.usefixtures("uncompared")
+@pytest.mark.parametrize(("solver", "noise"), [("lbfgsb", 0.01), ("gauss-newton", 0.0)])
 def test_the_last_row_of_the_history_is_the_result(solver: Solver, noise: float) -> None:
     scene = room(24, lights=8, noise=noise)
     result = pbrfit.decompose(scene, solver=solver, iterations=150, **PLAIN)
@@ -57,7 +57,7 @@ def test_the_last_row_of_the_history_is_the_result(solver: Solver, noise: float)
 @every_solver
 @pytest.mark.parametrize("kind", ["room", "spheres", "textured"])
 def test_the_truth_stays_where_it_is(kind: Any, solver: Solver) -> None:
-    scene = make_scene(kind, size=32)
+    scene = make_scene(kind, size=24, lights=6)
     known = truth_of(scene)
     start = known.materials, lights_of(scene)
     result = pbrfit.decompose(scene, solver=solver, start=start, iterations=20, priors=None)
@@ -66,6 +66,7 @@ def test_the_truth_stays_where_it_is(kind: Any, solver: Solver) -> None:
         assert result.metrics[name] <= 1e-6, name
 
 
+@pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize(("solver", "noise"), [("lbfgsb", 0.0), ("gauss-newton", 0.01)])
 def test_known_lights_are_kept_and_make_better_maps(solver: Solver, noise: float) -> None:
     scene = room(32, lights=6, noise=noise)
@@ -93,7 +94,7 @@ def test_roughness_zero_is_a_stationary_point() -> None:
 @every_solver
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.4])
 def test_time_limit_keeps_the_best_so_far(solver: Solver, seconds: float) -> None:
-    scene = room(48, noise=0.01)
+    scene = room(32, noise=0.01)
     options: dict[str, Any] = {"solver": solver, "iterations": 100_000, "priors": None}
     result = pbrfit.decompose(scene, time_limit=seconds, **options)
     if result.status == pbrfit.Status.CONVERGED:  # a machine that is faster than any so far
@@ -106,7 +107,7 @@ def test_time_limit_keeps_the_best_so_far(solver: Solver, seconds: float) -> Non
 
 
 @every_solver
-@pytest.mark.parametrize("iterations", [0, 1, 3, 12])
+@pytest.mark.parametrize("iterations", [0, 1, 12])
 @pytest.mark.parametrize("priors", [None, pbrfit.Priors()], ids=["alone", "priors"])
 def test_no_more_iterations_than_asked_for(
     solver: Solver, iterations: int, priors: pbrfit.Priors | None

@@ -91,6 +91,7 @@ class TestCutting:
 
 @pytest.mark.usefixtures("nine_tiles")
 class TestFit:
+    @pytest.mark.usefixtures("uncompared")
     def test_without_noise_tiles_are_exact(self, exact: pbrfit.Scene) -> None:
         result = held(exact)
         assert result.status is Status.CONVERGED
@@ -167,12 +168,14 @@ class TestFit:
         assert np.isfinite(result.uncertainty.deviation.roughness[mask]).all()
         assert result.uncertainty.noise == pytest.approx(0.01, rel=0.2)
 
+    @pytest.mark.usefixtures("uncompared")
     def test_known_lights_are_held(self, noisy: pbrfit.Scene) -> None:
         scene = replace(noisy, lighting=truth_of(noisy).lighting)
         result = held(scene)
         np.testing.assert_array_equal(result.lighting, truth_of(noisy).lighting)
         assert result.metrics["recon_rmse"] < 0.0105
 
+    @pytest.mark.usefixtures("uncompared")
     def test_grey_pictures_stay_grey(self, noisy: pbrfit.Scene) -> None:
         images = np.repeat(noisy.images[..., 1:2], 3, axis=-1)
         result = held(replace(noisy, images=images, truth=None))
@@ -228,6 +231,7 @@ class TestFit:
         assert found[0] is Status(status)
         assert found[1].startswith(reason)
 
+    @pytest.mark.usefixtures("uncompared")
     def test_progress_counts_tiles(self, noisy: pbrfit.Scene) -> None:
         told: list[Progress] = []
         result = held(noisy, progress=told.append, uncertainty=False)
@@ -239,6 +243,7 @@ class TestFit:
         materials, _ = told[-1].state()
         np.testing.assert_array_equal(materials.roughness, result.roughness)
 
+    @pytest.mark.usefixtures("uncompared")
     @pytest.mark.parametrize("options", [{"iterations": 0}, {"iterations": 1}, {"time_limit": 0}])
     def test_limits_leave_a_whole_result(
         self, noisy: pbrfit.Scene, options: dict[str, Any]

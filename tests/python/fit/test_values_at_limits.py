@@ -36,9 +36,9 @@ ONE_WAY: dict[str, Any] = {
     "robust": "none",
     "priors": None,
 }
-"""Options by which little is compared."""
 
 
+@pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize(
     ("size", "seeds", "options"),
     [(16, (3,), ONE_WAY), pytest.param(24, (3, 4), {}, marks=pytest.mark.slow)],

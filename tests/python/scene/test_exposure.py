@@ -18,6 +18,8 @@ from pbrfit.scene.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance,
 from pbrfit.synthetic import make_scene
 from scene_files import lights_of, truth_of
 
+pytestmark = pytest.mark.usefixtures("uncompared")
+
 SIZE, N = 12, 5
 
 
@@ -121,7 +123,6 @@ def test_gradient(known: bool) -> None:
 # --- The fit ---
 
 ONE_WAY: dict[str, Any] = {"priors": None, "robust": "none", "light": "sh"}
-"""Options by which little is compared."""
 
 
 def difference(a: NDArray[Any], b: NDArray[Any]) -> float:
