@@ -224,7 +224,7 @@ class View:
         )
         wait_until(
             self.page,
-            "!document.querySelector('.relight-message').textContent.startsWith('Reading')",
+            "!/^(Reading|$)/.test(document.querySelector('.relight-message').textContent)",
         )
         return self.message()
 
