@@ -314,8 +314,7 @@ def write_kept(whole: Path, which: Split, folder: Path) -> None:
     for path in pictures:
         if path.stem.lower() not in names:
             path.unlink()
-    lamps = find_lamps(folder)
-    if lamps is not None:
+    for lamps in find_lamps(folder)[:1]:
         lines = lamps.read_text(encoding="utf-8").splitlines()[1:]
         kept = [line for line in lines if Path(line.split()[0]).stem.lower() in names]
         lamps.write_text("\n".join([str(len(kept)), *kept, ""]), encoding="utf-8")
