@@ -11,11 +11,13 @@ import ctypes
 import os
 import sys
 import threading
+import time
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+from pbrfit.io.quoting import quoted
 from pbrfit.threads import AT_ONCE_MAX, processors
 
 LIBRARIES_BYTES = 512 * 2**20
@@ -79,10 +81,18 @@ def check_limits() -> None:
 def check_libraries() -> None:
     """Raise MemoryError if the libraries of a fit have no room; call it before they are loaded.
 
+    Raises OSError if SOURCE_DATE_EPOCH, which they read, is no time.
     OpenBLAS is told to make no threads: a fit uses none of them, each takes a buffer, and where one
     cannot be had it interrupts the process. Where address space is limited, glibc is told to make
     no heaps for threads.
     """
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
+    try:
+        time.gmtime(int(epoch))  # as numpy does
+    except (ValueError, OverflowError, OSError):
+        raise OSError(
+            f"SOURCE_DATE_EPOCH: expected whole seconds since 1970, found {quoted(epoch)}"
+        ) from None
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     limits = _limits()
     if not limits:

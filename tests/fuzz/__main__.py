@@ -18,7 +18,7 @@ from fuzz import watch
 from fuzz.cases import Plan, digest, place, plan
 from fuzz.readers import READERS
 from fuzz.seeds import Seed
-from fuzz.worker import Tally
+from fuzz.worker import Tally, fast_folder
 
 ALIKE = 3
 """Failed cases kept of those whose problem reads the same."""
@@ -27,8 +27,11 @@ ALIKE = 3
 def main() -> int:
     """Exit code: 0 if no case failed, 1 if some did."""
     options = _options()
-    if options.replay is not None:
-        return _replay(options.replay)
+    with fast_folder():
+        return _fuzz(options) if options.replay is None else _replay(options.replay)
+
+
+def _fuzz(options: argparse.Namespace) -> int:
     began = time.monotonic()
     names = options.readers or [reader.name for reader in READERS]
     chosen = [reader for reader in READERS if reader.name in names]

@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -62,9 +63,16 @@ class Outcome:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code: 0 if nothing failed."""
+    from fuzz.worker import fast_folder
+
     options = _options(arguments)
-    if options.target is not None:
-        return _begin(options.target, options.files, options.rest)
+    with fast_folder():
+        if options.target is None:
+            return _fuzz(options)
+        return subprocess.run([*_command(options.target), *options.files], check=False).returncode
+
+
+def _fuzz(options: argparse.Namespace) -> int:
     names = options.only or [*PYTHON, *RUST]
     if find_spec("atheris") is None:
         print("no atheris: going on without the Python targets")
@@ -87,9 +95,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="for what fails")
     parser.add_argument("--target", choices=[*PYTHON, *RUST], help="read FILE again")
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE")
-    known, rest = parser.parse_known_args(arguments)
-    known.rest = rest
-    return known
+    return parser.parse_args(arguments)
 
 
 def _run(name: str, options: argparse.Namespace) -> Outcome:
@@ -127,7 +133,7 @@ def _run(name: str, options: argparse.Namespace) -> Outcome:
 
 def _command(name: str) -> list[str]:
     if name in PYTHON:
-        return [sys.executable, "-m", "fuzz.guided", "--target", name]
+        return [sys.executable, "-c", f"from fuzz.guided import begin; begin({name!r})"]
     found = sorted(PROGRAMS.glob(f"*/release/{name}"))
     if not found:
         raise SystemExit(f"{PROGRAMS}: expected the program {name}; make test-fuzz builds it")
@@ -162,28 +168,25 @@ def _words(options: argparse.Namespace) -> Path:
     return path
 
 
-def _begin(name: str, files: list[Path], rest: list[str]) -> int:
-    """Be the process of a target."""
-    if name not in PYTHON:
-        return subprocess.run([*_command(name), *map(str, files)], check=False).returncode
+def begin(name: str) -> None:
+    """Be the process of a target under atheris, which ends it without a word to Python."""
     import atheris
 
     with atheris.instrument_imports(include=["pbrfit", "tomllib"]):
         one = _one(*PYTHON[name])
-    atheris.Setup([sys.argv[0], *rest, *map(str, files)], one)
+    atheris.Setup(sys.argv, one)
     atheris.Fuzz()
-    return 0
 
 
 def _one(reader_name: str, target: str) -> Callable[[bytes], None]:
     """What is called with each input; raises if it comes to something wrong."""
     from fuzz.cases import place
     from fuzz.readers import READERS
-    from fuzz.worker import Room, outcome
+    from fuzz.worker import outcome
 
     [reader] = [reader for reader in READERS if reader.name == reader_name]
     base = next(seed for seed in reader.seeds() if seed.target == target)
-    folder = Room.fast_folder()
+    folder = Path(tempfile.mkdtemp())
     file = place(base, folder)
 
     def one(data: bytes) -> None:

@@ -17,16 +17,19 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from fuzz import declared
 from fuzz.cases import Plan, place
 from fuzz.readers import READERS
 from fuzz.seeds import Seed
+from pbrfit import ending
 from pbrfit._core import InputError
 from pbrfit.batch import process_memory
 
@@ -81,15 +84,28 @@ def main(connection: Connection, at: Any, plans: Mapping[str, Plan]) -> None:
             connection.send(("done", tally))
     except Exception:  # a fault in here, and not in what is tested
         connection.send(("broken", traceback.format_exc()))
-    finally:
-        room.close()
+
+
+@contextmanager
+def fast_folder() -> Iterator[None]:
+    """Have processes that are started meanwhile put temporary files into a new folder.
+
+    It is in memory where that is known how, and is removed here: they may be killed.
+    """
+    memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    with (
+        ending.unwinding_when_told(watched=False),
+        tempfile.TemporaryDirectory(prefix="fuzz-", dir=memory) as folder,
+        mock.patch.dict(os.environ, TMPDIR=folder),
+    ):
+        yield
 
 
 class Room:
     """Where cases run: limits are set, output is caught, files lie in a folder of their own."""
 
     def __init__(self) -> None:
-        self.folder = self.fast_folder()
+        self.folder = Path(tempfile.mkdtemp())
         self._readers = {reader.name: reader for reader in READERS}
         self._placed: Mapping[str, bytes] = {}
         self._output = (self.folder / "output").open("w+b")
@@ -100,16 +116,6 @@ class Room:
         logging.getLogger("pbrfit").addHandler(self._log)
         logging.getLogger("pbrfit").propagate = False
         _limit_address_space()
-
-    @staticmethod
-    def fast_folder() -> Path:
-        """A new folder, in memory where that is known how."""
-        memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-        return Path(tempfile.mkdtemp(prefix="fuzz-", dir=memory))
-
-    def close(self) -> None:
-        """Remove the folder."""
-        shutil.rmtree(self.folder, ignore_errors=True)
 
     def problem(self, reader: str, case: Seed, tally: Tally) -> str | None:
         """Run a case; what is wrong with what came of it, or None."""

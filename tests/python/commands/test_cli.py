@@ -526,6 +526,7 @@ def test_whoever_reads_no_more_is_no_failure(tmp_path: Path) -> None:
         ("-s 128", "stack (ulimit -s): expected 4096 KiB of memory or more, found 128 KiB\n"),
         ("-n 15", "open files (ulimit -n): expected 16 or more, found 15\n"),
         ("-u 1", "threads and processes (ulimit -u): expected more, found Resource temporarily"),
+        ("-c 0; export SOURCE_DATE_EPOCH=x", "SOURCE_DATE_EPOCH: expected whole seconds since "),
         ("-c 0; ln -s out out", "{}/out: expected a file or folder, found a link to itself\n"),
         ("-c 0; mkdir x; cd x; rmdir ../x", "{}/x: expected the working folder, found it removed"),
     ],
