@@ -107,12 +107,14 @@ def batch(scenes: Path, out: Path, *arguments: object) -> subprocess.Popen[str]:
         *("pbrfit", "decompose", scenes, "--out", out, *arguments, "--json"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        # A shell gives processes in the background SIGINT ignored, which would be inherited.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
 def finished(run: subprocess.Popen[str], code: int = 0) -> tuple[str, str]:
     """What a batch says on stdout and on stderr until it ends."""
-    told, errors = run.communicate(timeout=300)
+    told, errors = run.communicate(timeout=900)
     assert run.returncode == code, errors
     return told, errors
 
@@ -208,13 +210,12 @@ def test_workers_give_up_what_nobody_waits_for(
         assert run.returncode == 130
         assert "interrupted after 0 of 6 scenes" in errors
         assert not out.exists()
-        until(lambda: not any(_executing(client)))
+        until(
+            lambda: (
+                not any(client.run(lambda dask_worker: len(dask_worker.state.executing)).values())
+            )
+        )
     assert not out.exists()
-
-
-def _executing(client: Any) -> Iterator[bool]:
-    for state in client.run(lambda dask_worker: len(dask_worker.state.executing)).values():
-        yield state > 0
 
 
 def test_a_scheduler_that_goes_ends_the_batch_in_one_line(
@@ -333,7 +334,7 @@ def test_a_suite_on_a_cluster_finds_what_it_finds_alone(tmp_path: Path) -> None:
     for name, where in (("alone", ("--jobs", "1")), ("far", ("--cluster", "local", "--jobs", "2"))):
         out = str(tmp_path / name)
         run = started("pbrfit", "evaluate", "table1", "--out", out, *quick, *where)
-        assert run.wait(timeout=300) == 0
+        assert run.wait(timeout=900) == 0
         rows = json.loads((tmp_path / name / "summary.json").read_text("utf-8"))["rows"]
         figures[name] = [
             {key: value for key, value in row["metrics"].items() if "seconds" not in key}

@@ -46,9 +46,10 @@ def _fuzz(options: argparse.Namespace) -> int:
     with tqdm(total=total, unit=" cases", disable=None, smoothing=0) as bar:
 
         def failed(reader: str, number: int, problem: str) -> None:
+            kind = problem.split(": ")[0]  # its first words, or the place in the code
             failures[reader] += 1
-            kept[_kind(problem)] += 1
-            if kept[_kind(problem)] <= ALIKE:
+            kept[kind] += 1
+            if kept[kind] <= ALIKE:
                 folder = _keep(options.out, plans[reader], number, problem)
                 tqdm.write(f"{folder}: {problem[:300]}", file=sys.stderr)
 
@@ -94,11 +95,6 @@ def _replay(folder: Path) -> int:
     watch.run(plans, 1, lambda *answer: found.append(answer[2]), lambda _: None)
     print("\n".join(found) if found else "passes")
     return 1 if found else 0
-
-
-def _kind(problem: str) -> str:
-    """Problems that are likely the same: their first words, or the place in the code."""
-    return problem.split(": ")[0]
 
 
 def _tell(tallies: dict[str, Tally], failures: Counter[str], total: int, seconds: float) -> None:

@@ -88,10 +88,7 @@ def main(connection: Connection, at: Any, plans: Mapping[str, Plan]) -> None:
 
 @contextmanager
 def fast_folder() -> Iterator[None]:
-    """Have processes that are started meanwhile put temporary files into a new folder.
-
-    It is in memory where that is known how, and is removed here: they may be killed.
-    """
+    """Have processes, which may be killed, put files into a folder, in memory where known how."""
     memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with (
         ending.unwinding_when_told(watched=False),

@@ -39,8 +39,7 @@ SLOPE = 10e3
 """Bytes a scene."""
 
 FILES_SLACK = 2
-THREADS_SLACK = 0
-"""Of a watched process at its end beside after the warm-up."""
+"""Open files of a watched process at its end, more than after the warm-up; threads may be none."""
 
 
 @dataclass(frozen=True)
@@ -88,16 +87,10 @@ def do(task: Task, threads: int) -> dict[str, Any]:
     return asdict(state(task.number))
 
 
-def slope(states: Sequence[State]) -> float:
-    """Bytes a scene of this process, by least squares."""
-    count = np.arange(len(states))
-    return float(np.polyfit(count, [s.resident for s in states], 1)[0])
-
-
 def faults(states: Sequence[State]) -> list[str]:
     """What one process gathered, after its warm-up."""
     later = states[min(WARM_UP, len(states) // 2) :]
-    grown = slope(later)
+    grown = np.polyfit(np.arange(len(later)), [s.resident for s in later], 1)[0]
     first, last = later[0], later[-1]
     print(
         f"process {last.process}: {len(states)} scenes, memory {first.resident / 2**20:.1f} MiB "
@@ -108,7 +101,7 @@ def faults(states: Sequence[State]) -> list[str]:
     found = [] if grown <= SLOPE else [f"memory grows by {grown:.0f} bytes a scene"]
     if last.files > first.files + FILES_SLACK:
         found.append(f"open files grow from {first.files} to {last.files}")
-    if last.threads > first.threads + THREADS_SLACK:
+    if last.threads > first.threads:
         found.append(f"threads grow from {first.threads} to {last.threads}")
     return found
 
@@ -153,8 +146,7 @@ def main() -> int:
         left = temporaries() - before
         ours = {path.name for path in folder.rglob(".pbrfit*")}
         found += [f"left behind: {name}" for name in sorted(left | ours)]
-        children = multiprocessing.active_children()
-        found += [f"process {child.pid} is still there" for child in children]
+        found += [f"still there: {child}" for child in multiprocessing.active_children()]
     print("; ".join(found) or "nothing gathered, nothing left behind")
     return bool(found)
 

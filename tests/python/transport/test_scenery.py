@@ -129,8 +129,7 @@ def test_a_scene_that_turns_with_its_light_looks_the_same(model: Model) -> None:
 
 @both_models
 def test_tables_are_within_one_per_cent_of_those_of_ten_times_the_rays(model: Model) -> None:
-    """Radiance of all materials, beside that under the open sky; not rows, which stand for each
-    other."""
+    """Radiance of all materials, beside that under the open sky; rows stand for each other."""
     seen = two_boxes()
     scenery = scenery_of(seen, FOV["boxes"])
     places = np.flatnonzero(seen.mask)[::3]
@@ -269,8 +268,7 @@ def test_known_lights_give_exact_materials_as_in_the_open(model: Model) -> None:
 @pytest.mark.slow
 @both_models
 def test_lights_and_materials_are_found_among_surroundings(model: Model) -> None:
-    """As near as what no picture shows is found: it is searched by fewer rays, whose noise hides
-    where the floor ends."""
+    """As near as what no picture shows is found, by fewer rays, whose noise hides the floor."""
     scene, materials, _ = planted(model, "occlusion", 24)
     error = wrong(replace(scene, lighting=None), materials, transport="occlusion")
     assert np.median(error) < 0.01
