@@ -58,8 +58,7 @@ _MODULES = {
     "scene.arrays": ("Truth",),
     "scene.scene": ("Scene",),
 }
-"""Where the public names are. Each is imported when it is first asked for, so that the command line
-starts without the fit."""
+"""Where the public names are; each is imported when first asked for: the fit is slow to import."""
 
 
 if not TYPE_CHECKING:  # or type checkers took any name for one

@@ -17,7 +17,6 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-from pbrfit.io.quoting import quoted
 from pbrfit.threads import AT_ONCE_MAX, processors
 
 LIBRARIES_BYTES = 512 * 2**20
@@ -90,9 +89,8 @@ def check_libraries() -> None:
     try:
         time.gmtime(int(epoch))  # as numpy does
     except (ValueError, OverflowError, OSError):
-        raise OSError(
-            f"SOURCE_DATE_EPOCH: expected whole seconds since 1970, found {quoted(epoch)}"
-        ) from None
+        said = f"SOURCE_DATE_EPOCH: expected whole seconds since 1970, found {epoch[:60]!r}"
+        raise OSError(said) from None
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     limits = _limits()
     if not limits:

@@ -89,15 +89,13 @@ class SceneOutcome:
     held_out: HeldOut | None = None
     """How well left-out pictures are explained; None where none were."""
     peak_bytes: int | None = None
-    """Memory of the process at its highest meanwhile; None where the system does not tell, and of
-    results that were kept."""
+    """Memory of the process at its highest meanwhile; None where unknown, and of kept results."""
     table: str = ""
     """The result in words and figures, lines for people, without held-out error and verdicts."""
     details: tuple[str, ...] = ()
     """Stages and decisions, in lines; none of a result that was kept."""
     steps: tuple[str, ...] = ()
-    """What would make it better, as `result.advice` says; of a result that was kept what its
-    verdicts say."""
+    """What would make it better, as `result.advice` says; of a kept result by its verdicts."""
 
 
 def decompose_scene(

@@ -19,8 +19,7 @@ AT_MOST = 2
 """Steps that are named: the first that help most, not all that might."""
 
 FOV_DOUBTED = 5.0
-"""Standard deviation of a fitted field of view, in degrees, above which the true one is asked
-for."""
+"""Standard deviation of a fitted field of view, in degrees, above which the true one is asked."""
 
 BLACK_ALBEDO = 0.02
 """Albedo up to which a pixel is black in pictures under any light: velvet has about 0.01."""

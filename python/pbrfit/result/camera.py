@@ -22,8 +22,7 @@ class Camera:
     fov_degrees: float
     """Horizontal, 0 = orthographic."""
     how: How
-    """"given" to the fit; "fitted" with all else, because nobody told it; or "assumed", because
-    there was no time to fit it."""
+    """"given"; "fitted" with all else, as nobody told it; or "assumed", as there was no time."""
     fov_sigma: float | None = None
     """Standard deviation of what was fitted, in degrees; else None."""
     contradicted: bool = False
@@ -31,8 +30,7 @@ class Camera:
     correction: Correction | None = None
     """The tone curve that was undone in the pictures; None = nothing."""
     response: Curve | None = None
-    """The curve that the files' values were decoded by, where the fit decided; None = as the scene
-    said."""
+    """The curve that files were decoded by, where the fit decided; None = as the scene said."""
     figures: Mapping[str, float] = field(default_factory=dict)
     """Where the given field of view is contradicted, `other_fov_degrees` and `other_fov_sigma`.
     Infinite and NaN ones are null in a file."""

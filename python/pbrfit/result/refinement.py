@@ -21,8 +21,7 @@ RefineNormals = Literal["off", "auto", "on"]
 CHOICES: tuple[RefineNormals, ...] = get_args(RefineNormals)
 
 PICTURES_MIN = 3
-"""Pictures from which on normals can be refined; with fewer almost any normal can be explained by
-its material."""
+"""Pictures from which on normals can be refined; of fewer, materials explain almost any normal."""
 
 FROM_PICTURES = "found from the pictures"
 """How the reason begins where no normals were given."""

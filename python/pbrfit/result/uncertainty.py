@@ -26,8 +26,7 @@ class Uncertainty:
     """
 
     deviation: Materials
-    """Standard deviations in place of values, at most 1; 0 for a known metallic; NaN outside the
-    mask."""
+    """Standard deviations in place of values, at most 1; 0 if metallic is known; NaN elsewhere."""
     low: Materials
     high: Materials
     """Quantiles in place of values: the truth is between them with a probability of 0.95. Within

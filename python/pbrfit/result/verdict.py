@@ -31,8 +31,7 @@ MARGIN = 1.2
 were disturbed in eleven ways a tenth was off by more."""
 
 USABLE_ERROR: Mapping[str, float] = dict.fromkeys(PARAMETERS, 0.1)
-"""Error up to which a map is usable: a tenth of its range. Of a middle grey of albedo 0.2 it is
-half a stop."""
+"""Error up to which a map is usable: a tenth of its range, half a stop of albedo 0.2."""
 
 GUESS_DEVIATION: Mapping[str, float] = {"albedo": 0.22, "roughness": 0.25, "metallic": 0.3}
 """Standard deviation of a guess that knows only what materials there are: of dielectric albedos
