@@ -14,8 +14,7 @@ from pbrfit.fit.priors.penalties import Penalty
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-4
-"""Relative error up to which a derivative passes. The objective is evaluated in float32 inside, so
-differences carry noise of 1e-5."""
+"""Relative error up to which a derivative passes: differences carry float32's noise of 1e-5."""
 
 DIRECTIONS = 3
 """Random directions for each kind of unknown."""
@@ -23,8 +22,7 @@ DIRECTIONS = 3
 FIRST_STEP = 0.1
 SHRINK = 1.4
 STEPS = 8
-"""Steps of Ridders' differences, in units of the unknowns' size: the first, the quotient of one and
-the next, and how many."""
+"""Steps of Ridders' differences, by the unknowns' size: first, quotient of neighbours, number."""
 
 
 @dataclass(frozen=True)

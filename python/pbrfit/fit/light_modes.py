@@ -21,8 +21,7 @@ from pbrfit.fit.sampling import evenly_spaced
 Array = NDArray[np.float64]
 
 DARK_SHARE = 1e-12
-"""Share of the largest eigenvalue of G up to which a direction of the light counts as seen by no
-pixel: it moves no material and is left out."""
+"""Share of the largest eigenvalue of G up to which no pixel sees a direction of the light."""
 
 
 def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) -> Array:

@@ -39,8 +39,7 @@ SCALE_SIGMA = 0.5
 """Relative standard deviation of the common scale: half of the albedo's range around its start."""
 
 DIM_SHARE = 0.05
-"""Constant coefficients count as at least this share of their mean size: a dark picture's bands are
-not known to be dark as well."""
+"""Least size of constant coefficients, by their mean: a dark picture's bands may be bright."""
 
 
 @dataclass(frozen=True, eq=False)

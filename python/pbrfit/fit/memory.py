@@ -25,26 +25,23 @@ FIXED_BYTES = 20 << 20
 PIECE_BYTES = 30 << 20
 PIECE_PIXEL_BYTES = 208
 UNKNOWN_BYTES: dict[Solver, int] = {"gauss-newton": 76, "lbfgsb": 420}
-"""Bytes of any fit; of a piece of work, of which there are as many at once as threads, and a pixel
-of each; and an unknown. Rooms of 256² and 512² with 16 pictures took 136 and 320 MiB with two
-threads, 222 and 485 with four; by lbfgsb 256² took 239 with two."""
+"""Bytes of any fit; of a piece of work, as many at once as threads, and a pixel of each; and an
+unknown. A room of 256² with 16 pictures took 124 MiB by two threads."""
 
 LAMP_BYTES = 3 << 20
 """Bytes a picture of joint steps with a lamp in each, on some of the pixels."""
 
 REFINING_BYTES = 60 << 20
 REFINING_PIXEL_BYTES = 450
-"""Bytes while normals are refined, beside pieces of work, and a pixel of these beside cores. 256²
-with 16 pictures took 295 to 311 MiB in all with two threads and 437 with four, 512² took 666 with
-two."""
+"""Bytes while normals are refined, beside pieces of work, and a pixel of these: with 16
+pictures 256² took 295 to 311 MiB in all by two threads and 437 by four, 512² took 666 by two."""
 
 TABLE_ROWS: dict[Model, int] = {"paper": 5, "principled": 11}
 TABLE_COLUMNS = 16
 """Rows of a pixel's table of surroundings, by model, and SH functions that each has a value of."""
 
 MAPS_BYTES = 470
-"""Bytes a pixel: the maps that a fit in tiles finds, and what is made of them when they are
-written."""
+"""Bytes a pixel: the maps that a fit in tiles finds, and what they become when written."""
 
 WORTH_SAYING = 2**30
 """Bytes above which a fit says how much memory it needs."""

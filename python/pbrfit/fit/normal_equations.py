@@ -17,8 +17,7 @@ RIDGE = 1e-12
 """Added to matrices of unit diagonal before they are inverted; far below what data can tell."""
 
 SCHUR_RIDGE = 1e-13
-"""Share of the largest diagonal entry that is added to the diagonal of the lights' system: they may
-have directions that no pixel sees."""
+"""Added to the diagonal of the lights' system, by its largest entry, for directions nobody sees."""
 
 
 def inverted(matrices: Array, precision: Array) -> Array:

@@ -24,36 +24,31 @@ START_ALBEDO_RANGE = (0.02, 0.98)
 """The start keeps clear of the bounds 0 and 1, where the gradient by albedo may vanish."""
 
 LARGEST_LIGHT = 1e15
-"""Multiple of the scene scale above which known lights are refused: float32 has to hold the squares
-of residuals."""
+"""Multiple of the scene scale above which known lights are refused: float32 holds squares."""
 
 LIGHT_RIDGE = 1e-6
 """Share of the mean eigenvalue that is added to the lights' normal equations at the start: keeps
 the lights finite where the normals show only part of a sphere."""
 
 NEAR_GREY = 0.05
-"""Relative deviation of the lights from grey (`color_deviation`) up to which the monochrome prior
-acts by itself (docs/fit.md)."""
+"""Relative deviation of lights from grey (`color_deviation`) up to which `monochrome` acts."""
 
 GREY_WEIGHT = 1e-3
 """Weight of the monochrome prior on lights that are near grey."""
 
 WHOLE_PIXELS_MAX = 1 << 21
-"""Valid pixels up to which the solver gauss-newton fits all of them at once; larger pictures are
-fitted in tiles."""
+"""Valid pixels up to which gauss-newton fits all at once; larger pictures are fitted in tiles."""
 
 # --- Noise ------------------------------------------------------------------------------------
 
 DEGREES_OF_FREEDOM_SHARE_MIN = 0.1
-"""Smallest share of the samples that the noise's degrees of freedom count as, where the unknowns
-leave fewer."""
+"""Smallest share of the samples that the noise's degrees of freedom count as."""
 
 MEAN_RADIANCE_MIN = 1e-4 * MEAN_RADIANCE
 """Smallest mean radiance of samples that variances are relative to: of black pictures it is 0."""
 
 NOISE_VARIANCE_MIN = 1e-20
-"""Smallest variance of the noise in units of x squared: quotients stay finite where pictures are
-explained perfectly."""
+"""Smallest variance of the noise in units of x squared, for where nothing is left unexplained."""
 
 DAMPING_START = 1e-3
 """First damping of joint steps, as a share of the diagonal of each pixel's matrix (Marquardt)."""
@@ -89,8 +84,7 @@ deviation of one direction of the lights, 0.1 a third of one."""
 
 COARSE_ROUND_GAIN_MIN = 0.02
 COARSE_WEIGHT_FALL = 0.1
-"""A round that lowers the sum by a smaller share, and leaves more than this share of the light
-prior's weight, is the last."""
+"""Shares of the sum lowered, at most, and of the light prior's weight left that end the rounds."""
 
 PATCH_SIDE = 8
 PATCHES_MIN = 4
@@ -113,16 +107,14 @@ them a left-out pixel tells nothing where no explanation comes nearer: it is hot
 
 OUTLIER_SHARE_START, OUTLIER_SHARE_MAX = 0.01, 0.2
 OUTLIER_STEPS = 4
-"""Share of outliers that expectation and maximisation begin with, and the largest, above which no
-samples are ordinary; how many steps."""
+"""Share of outliers that EM begins with, the largest beside ordinary samples, and its steps."""
 
 NOISE_VARIANCE_RATIO_MIN = 1 / 256
 """Smallest variance of a picture beside the median of all, one sixteenth of the deviation: a black
 picture is explained to the last digit and says nothing."""
 
 NOISE_READ_SHARE_MIN = 1e-3
-"""Smallest share of the variance that does not depend on radiance: 3 % of the deviation, so that no
-black sample has all the weight."""
+"""Smallest share of variance without radiance, so that no black sample has all the weight."""
 
 PICTURE_DEVIATION_NAMED = 2.0
 """Ratio of a picture's deviation to the median from which the result names it."""
@@ -134,8 +126,7 @@ LEVERAGE_MAX = 0.9
 """Largest share of a sample's noise that the fit is said to take up."""
 
 EVEN_WEIGHTS_LOSS_MAX = 0.02
-"""Share of the information (L. Kish: Σw²n/(Σw)² − 1) that equal weights may lose for being equal:
-one per cent of a standard deviation."""
+"""Share of information (L. Kish: Σw²n/(Σw)² − 1) that equal weights may lose: 1 % in deviation."""
 
 # --- The camera -------------------------------------------------------------------------------
 
@@ -181,8 +172,7 @@ end a few per cent above the loss of `DESCENT_STEPS`."""
 
 DESCENT_EXACT_STEPS = 1
 DESCENT_EXACT_STEPS_FREE_NORMALS = 4
-"""Steps on residuals after these, for the last digits; in these alone normals turn where they are
-free."""
+"""Steps on residuals after these, for the last digits; in these alone free normals turn."""
 
 DESCENT_STEPS_AFTER_JOINT = 4
 """Steps of each pixel by itself after a joint step."""
@@ -265,12 +255,10 @@ COMPARE_PATCHES = 8
 64 tell a variance to a fifth, and are larger than most shadows, highlights and blocks of JPEG."""
 
 COMPARE_ERRORS_MIN = 2.0
-"""Standard errors of a difference of scores, or between surroundings of left-out pixels, from which
-on it counts: two, as is usual."""
+"""Standard errors from which on a difference of scores, or between surroundings, counts."""
 
 COMPARE_DROPPED_ERRORS = 4.0
-"""The same for an explanation that is dropped after some of the left-out pictures: others may
-differ from these."""
+"""The same for one that is dropped after some of the left-out pictures: others may differ."""
 
 COMPARE_SHARED_MAX = 0.2
 """Share of the mean square of left-out errors that pixels and channels have in common up to which
@@ -282,9 +270,8 @@ the clamped cosine the bands above 2 have 0.9 % of the energy (R. Ramamoorthi an
 A 18, 2001), a tenth of the radiance; surfaces that face few ways show a fifth of that."""
 
 COMPARE_FOV_GAIN_MIN = math.log(2)
-"""By how much lower the score of a fitted field of view has to be for the given one to be
-contradicted: half of the mean square error goes. Of one that is 30 degrees off a twentieth stays,
-with normals 10 degrees off nine tenths."""
+"""By how much lower the score of a fitted field of view has to be to contradict the given one: half
+of the mean square error. Of one 30° off a twentieth stays, with normals 10° off nine tenths."""
 
 COMPARE_LIGHT_STEPS = 3
 """Gauss-Newton steps of a left-out picture's light, in the files' values."""
@@ -298,8 +285,7 @@ COMPARE_LAMP_ROUNDS = 4
 # --- Lamps ------------------------------------------------------------------------------------
 
 LAMP_PIXELS = 1500
-"""Number of pixels that lamps are found by: some 20 unknowns a lamp have 100 times as many samples
-each."""
+"""Number of pixels that lamps are found by: some 20 unknowns a lamp have 100 samples each."""
 
 # --- L-BFGS-B ---------------------------------------------------------------------------------
 
@@ -338,17 +324,16 @@ PRIOR_ROUNDS = ((0.05, 1024, 8), (0.02, 1024, 8), (PRIOR_SIGMA_MIN, 2048, 4), (0
 wrong; pixels; and joint steps at most. Where the deviation is 0 pixels have that of their group."""
 
 SPREAD_MIN = 0.002
-"""Smallest standard deviation of roughness and metallic in a group of pixels of one material: below
-what a thousand dielectric pixels tell together, 0.1/√1000."""
+"""Smallest standard deviation in a group of one material: below that of 1,000 pixels, 0.1/√1000."""
 
 PRIOR_FIT_PIXELS = 16384
 """Pixels that the final distributions are fitted to."""
 
 PIXELS_AT_ONCE = 8192
-"""Pixels whose likelihoods, or samples, are held at a time by each processor; changes no result."""
+"""Pixels whose samples are held at a time by each processor; changes no result."""
 
-EM_ITERATIONS, EM_PIXELS_AT_ONCE = 100, 512
-"""Iterations of EM for a distribution; pixels whose likelihoods a processor's cache holds."""
+EM_ITERATIONS, EM_PIXELS_AT_ONCE, GRID_PIXELS_AT_ONCE = 100, 512, 2048
+"""Iterations of EM; pixels whose likelihoods a processor's cache holds, and each holds at once."""
 
 SEGMENT_PIXELS_MIN = 16
 """Pixels from which a segment has a distribution of its own; below, it has that of the picture."""
@@ -357,9 +342,8 @@ PICTURE_PSEUDO_PIXELS = 10.0
 """Number of pixels that the distribution of the whole picture counts for in that of a segment."""
 
 NODE_PROBABILITY_MIN = 1e-18
-"""Smallest probability and likelihood of a node: one that no pixel fitted is still of what others
-may be, and products are no smaller than float32's 1e-38, below which arithmetic is many times
-slower."""
+"""Smallest probability and likelihood of a node: one without pixels may be of others, and products
+stay above float32's 1e-38, below which arithmetic is many times slower."""
 
 GROUP_PROBABILITY_SHARE = 0.02
 """Share of the largest probability: neighbouring nodes above it are one group."""
@@ -395,8 +379,7 @@ WHITE_TOLERANCE = 0.02
 
 WHITE_ERROR = 1e-4
 WHITE_STEPS_MAX = 40
-"""Relative error of a reference's albedo at which lights are left, and steps towards it, of
-`SCALE_STEP_MAX` at most: a factor of 50."""
+"""Relative error of a reference's albedo that is left, and steps of `SCALE_STEP_MAX` at most."""
 
 WHITE_ALBEDO_MIN = 1e-3
 """Albedo below which a reference's pixels count as that: they were taken for something else."""
@@ -427,13 +410,11 @@ TRANSPORT_WHOLE_PIXELS_MAX = 1 << 19
 4 kB a pixel with 16 colour pictures and the model paper, and 8 kB with principled: 4 GB."""
 
 TRANSPORT_PIXELS = 400
-"""Pixels that lights are fitted to while surroundings are compared, and as many that are left
-out."""
+"""Pixels that lights are fitted to while surroundings are compared, and pixels left out."""
 
 TRANSPORT_SEARCH_RAYS = 512
 TRANSPORT_RAYS = 2048
-"""Rays of a pixel, about, while surroundings are compared, and for the fit: tables are then within
-2 and 1 % of those of ten times as many."""
+"""Rays of a pixel, about, while surroundings are compared and after: tables to within 2 and 1 %."""
 
 TRANSPORT_ROUNDS = 4
 TRANSPORT_NEAR_ROUNDS = 1
@@ -446,8 +427,7 @@ NORMALS_DIELECTRIC_SIGMA = 0.2
 """Standard deviation of that prior on metallic."""
 
 NORMALS_MATERIAL_SIGMAS_MIN = (0.1, 0.04, 0.02)
-"""Smallest standard deviation of the fitted prior on roughness and metallic in the rounds after
-those; the last value holds from then on."""
+"""Smallest standard deviation of the fitted prior in the rounds after those; the last one stays."""
 
 NORMALS_METALLIC_NODES = (0.0, 1.0)
 """Metallic of the nodes that the prior is fitted on: there is hardly anything between dielectrics
@@ -458,8 +438,7 @@ NORMALS_OFFSET_SIGMA_ALONE = math.radians(60.0)
 pixel it holds back a turn that all normals have in common."""
 
 NORMALS_OFFSET_SIGMA_START = math.radians(6.0)
-"""Standard deviation of the difference between neighbours' tangent offsets, in radians, before it
-is found from the pictures."""
+"""Standard deviation of neighbours' tangent offsets, in radians, before the pictures tell it."""
 
 NORMALS_OFFSET_SIGMA_RANGE = (math.radians(0.05), math.radians(12.0))
 """Smallest and largest standard deviation, in radians, that is found for it."""
@@ -476,21 +455,18 @@ NORMALS_GIVEN_SIGMA_MIN = 0.1
 """Smallest uncertainty of a given normal, as a share of the mean one: nothing is known for sure."""
 
 NORMALS_PRIOR_UPDATES = 3
-"""Times that all pixels refine their normals, each time with a prior around where their neighbours
-were the time before."""
+"""Times that all pixels refine their normals, with a prior around their neighbours' last ones."""
 
 # --- Tiles ------------------------------------------------------------------------------------
 
 TILES_SUBSET_PIXELS_MAX = 1 << 18
-"""Pixels that find the lights of a large picture, about 512²: the lights then make 1 % of the error
-that a pixel's own noise makes."""
+"""Pixels that find the lights of a large picture: these then make 1 % of a pixel's own error."""
 
 TILE_SIDE = 512
 """Rows and columns of a tile, at most: memory grows with its square."""
 
 TILE_MARGIN = 32
-"""Pixels around a tile that are fitted with it and left to its neighbours, where normals are
-refined."""
+"""Pixels around a tile that are fitted with it, not kept, where normals are refined."""
 
 # --- Uncertainty ------------------------------------------------------------------------------
 
@@ -506,9 +482,8 @@ its lights, its prior and itself; once more for normals that were refined. At 1,
 grey pictures tell 0.6 lies within two deviations, at 3 0.99 (rooms of seeds 5000 to 5003)."""
 
 POPULATION_PIXELS = 3.0
-"""Number of pixels that tell nothing of their own, for which the prior of a material counts. With
-10 the roughness of simple rooms is found 1.5 times worse, without any three pictures tell metallic
-hardly better than a guess."""
+"""Strength of a material's prior, in pseudo-observations. With 10 the roughness of simple rooms is
+1.5 times worse, without any three pictures tell metallic hardly better than a guess."""
 
 MISFIT_AMPLIFICATION = 120.0
 """G: by how much more of an error of the model lights and materials take up than what neighbours
@@ -519,8 +494,7 @@ MISFIT_SHARE_MAX = 0.5
 say that the pictures show next to nothing of the scene."""
 
 MISFIT_STEPS = 16
-"""Distance of pixels that show what the model lacks, as a part of the longer side: beyond the blur
-of a camera, within the size of a shadow."""
+"""Distance of pixels that show what the model lacks, by the longer side: beyond a camera's blur."""
 
 MISFIT_PAIRS = 2048
 """Pairs of such pixels, in each direction: what they share is known to a hundredth of s²."""
@@ -543,5 +517,4 @@ OMITTED_VARIANCE_SHARE_MAX = 1e-3
 """Share of the pixels' variances, in the mean, that the lights' modes left out may add together."""
 
 LIGHT_INFORMATION_MIN = 1e-10
-"""Share of its information that a direction of the light keeps when materials are fitted too, below
-which it is rounding."""
+"""Least share of its information that a direction of the light keeps beside fitted materials."""

@@ -147,8 +147,7 @@ class FitOutput:
     """What independent lights show of a pixel; None where nobody asked."""
     surrounded: Surrounded | None = None
     recon_rmse: float | None = None
-    """With surroundings or lamps, and the error with them: of all samples by their weights, each
-    picture's divided by its exposure."""
+    """With surroundings or lamps, and the error with them, weighted, of samples over exposures."""
     lamps: Lamps | None = None
     """Of the pictures, in picture units; None where light is spherical harmonics alone."""
     height: NDArray[np.float32] | None = None

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 METAL_SHARE, MIXED_SHARE = 0.2, 0.08
-"""Share of surfaces of bare metal, and between dielectric and metal: rust, dust, edges of both
-within a pixel."""
+"""Share of surfaces of bare metal, and between it and dielectric: rust, dust, edges in a pixel."""
 
 ROUGHNESS_DEVIATION, METALLIC_DEVIATION = 0.22, 0.41
 """Standard deviations of this prior."""

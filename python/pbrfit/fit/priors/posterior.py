@@ -56,8 +56,7 @@ class Pooling:
     """How much pixels of one material tell together."""
 
     light_share: float = 0.0
-    """φ: variance of a pixel's roughness and metallic by that of the lights, over that by its own
-    samples."""
+    """φ: variance of a pixel's roughness and metallic by the lights, over that by its samples."""
     tempering: float = 1.0
     """Variance in a pixel's likelihood over that of its residuals, 1 or more."""
     channels: int = 3
@@ -93,7 +92,7 @@ class Grid:
 
     def likelihood(self, pixels: Pixels) -> Likelihood:
         """Of some pixels."""
-        pieces = slices(len(pixels), settings.PIXELS_AT_ONCE)
+        pieces = slices(len(pixels), settings.GRID_PIXELS_AT_ONCE)
         threads = self.objective.threads
         parts = in_pieces(threads, lambda piece: self.of_piece(pixels[piece]), pieces)
         return Likelihood(*map(np.concatenate, zip(*parts, strict=True)))
@@ -242,7 +241,7 @@ class Distributions:
                 return None
             return self.posterior(grid.of_piece(everything[chunk]), labels[chunk])
 
-        pieces = slices(len(labels), settings.PIXELS_AT_ONCE)
+        pieces = slices(len(labels), settings.GRID_PIXELS_AT_ONCE)
         parts = in_pieces(grid.objective.threads, of_piece, pieces)
         found = [part for part in parts if part is not None]
         if len(found) < len(parts):
