@@ -15,7 +15,8 @@ the picture votes by Σ ab / Σ ½(a² + b²), and by the same of normals and ou
 near ones over d², or the irradiance of harmonics at n. Albedos and strengths are fitted by the sum
 of |residuals|, so that highlights and shadows do not govern. Where no normals are given, those of
 each pixel are fitted with its albedo. Then lamps that are flipped, or in a ring and turned, leave
-as much as the right ones, but the normals are those of no surface.
+as much as the right ones, but the normals are those of no surface. Other turns, and other slants,
+change how likely the surface is and how alike albedos within a colour (`fit.lamps.ambiguity`).
 
 **The strength of lights agrees with highlights.** Albedo takes up a common factor of known lights;
 what dielectrics mirror does not (`fit.scale`), and the best materials leave more of the pictures.
@@ -34,9 +35,9 @@ from numpy.typing import ArrayLike, NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.lamps.given_normals import TINY
 from pbrfit.fit.lamps.outline import outline
-from pbrfit.fit.lamps.photometric import DARK, ROUNDS, solved
+from pbrfit.fit.lamps.photometric import DARK, ROUNDS, pseudo_normals, solved
 from pbrfit.fit.lamps.problem import LampPixels
-from pbrfit.fit.lamps.samples import brightness, grey_samples
+from pbrfit.fit.lamps.samples import Samples, brightness, grey_samples
 from pbrfit.fit.left_out import patches_of
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import fit_level
@@ -53,9 +54,9 @@ from pbrfit.scene.scene import Scene
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ERRORS_MIN = 3.0
-"""Standard errors by which an alternative has to be better. Six are tried: where what is given
-tells nothing, one of them is in one scene of 120, by chance."""
+ERRORS_MIN, CHANCE_MAX = 3.0, 0.001
+"""Standard errors by which an alternative has to be better: where six tell nothing, one of them is
+in one scene of 120. Bound on the probability that by chance some turn of lamps is likelier."""
 
 GAIN_MIN = 0.05
 """Share by which an alternative has to lower what lamps leave: fits end within a hundredth."""
@@ -64,18 +65,15 @@ PIXELS = 4000
 """At which lamps beside given normals are looked at: 60 in each patch."""
 
 SIDE = 128
-"""Longer side in pixels that given normals are averaged down to: noise, and the steps of 8 bits, go
-from their slopes."""
+"""Longer side in pixels that given normals are averaged down to, which evens out 8 bits' steps."""
 
 AWAY_MAX = 0.5
-"""Share of normals that face away from the camera, from which on they are contradicted: single ones
-do at the edges of things, by noise."""
+"""Share of normals facing away from the camera that contradicts them: at edges some do by noise."""
 
 OF_A_SURFACE = "they are those of a surface"
 
 FLIPS = {"Y": (1.0, -1.0, 1.0), "X": (-1.0, 1.0, 1.0), "X and Y": (-1.0, -1.0, 1.0)}
-"""Signs of the axes where some are flipped. Flipped Y, which is DirectX's, is named where slopes do
-not tell it from flipped X."""
+"""Signs of flipped axes: first Y, DirectX's, for where slopes do not tell it from flipped X."""
 
 STRENGTHS = {f"{times:g} times as bright": times for times in (0.5, 0.9, 1.1, 2.0)}
 """Known lights that are tried, in words: by a tenth no albedo is off by more than 0.1."""
@@ -230,20 +228,24 @@ def _of_lights_and_normals(matt: _Matt, flipped: str | None) -> Contradiction | 
     return _turned(best, why, what)
 
 
-def _turned_lamps(lamps: Lamps | None) -> dict[str, Lamps]:
-    """Far lamps that are turned about an axis, or more or less slanted; none of near ones."""
+def _turns() -> dict[str, Array]:
+    """(3, 3) each: what lamps that are turned, or slanted otherwise, are multiplied by."""
     from scipy.spatial.transform import Rotation
 
-    if lamps is None or lamps.near.any():
-        return {}
-    turns = {
+    found = {
         f"turned by {angle} degrees about {axis}": Rotation.from_euler(axis, angle, degrees=True)
         for axis in "XYZ"
         for angle in (-15, 15)  # off by less, lamps rarely bring albedos off by 0.1
     }
-    places = {which: turn.apply(lamps.places) for which, turn in turns.items()}
-    for slant in (0.7, 1.5):
-        places[f"{slant} times as slanted"] = lamps.places * (slant, slant, 1.0)
+    slants = {f"{times} times as slanted": np.diag([times, times, 1.0]) for times in (0.7, 1.5)}
+    return {which: turn.as_matrix() for which, turn in found.items()} | slants
+
+
+def _turned_lamps(lamps: Lamps | None) -> dict[str, Lamps]:
+    """Far lamps with these turns; none of near ones."""
+    if lamps is None or lamps.near.any():
+        return {}
+    places = {which: lamps.places @ turn.T for which, turn in _turns().items()}
     lengths = {which: np.linalg.norm(of, axis=-1, keepdims=True) for which, of in places.items()}
     return {which: replace(lamps, places=of / lengths[which]) for which, of in places.items()}
 
@@ -261,8 +263,41 @@ def _of_lamps(matt: _Matt) -> Contradiction | None:
             others[which] = surface.votes(of_these)
     best = _surely_best(surface.votes(normals), others)
     if best is None:
-        return None
+        return _of_turns(matt)
     return (_turned if best in FLIPS else _of_others)(best, "they tell normals of a surface")
+
+
+def _of_turns(matt: _Matt) -> Contradiction | None:
+    """Of far lamps alone: by how likely surface and albedos are under lamps that are turned."""
+    from pbrfit.fit.lamps.ambiguity import Places, albedo_cost, integrability_cost  # scipy.optimize
+    from pbrfit.fit.lamps.factorization import factors
+    from pbrfit.fit.lamps.start import PLACES_MIN
+    from pbrfit.fit.lamps.surface import strengths_along
+
+    scene, data, views = matt.scene, matt.data, matt.scene.views
+    assert scene.lamps is not None
+    product = factors(data.relative, data.usable)
+    strengths = strengths_along(product.lamps, scene.lamps.places) if product.rank == 3 else None
+    if strengths is None:
+        return None
+    lamps = scene.lamps.places * strengths[:, None]
+    normals = pseudo_normals(data.relative, data.usable, lamps, 1)
+    wide = scene.fov_known and scene.fov > 0
+    rays = views if wide else np.broadcast_to((0.0, 0.0, 1.0), views.shape)
+    places = Places.of(data, rays, views, normals, lamps, outline(scene.valid, views))
+    if len(places.chosen) < PLACES_MIN:
+        return None
+
+    def cost(turn: Array) -> float:
+        albedo = np.linalg.norm(places.vectors @ np.linalg.inv(turn), axis=-1)
+        return albedo_cost(albedo, places)[0] + integrability_cost(turn.T, places)[0]
+
+    costs = {which: cost(turn) for which, turn in _turns().items()}
+    which = min(costs, key=lambda one: costs[one])
+    if cost(np.eye(3)) - costs[which] < np.log(len(costs) / CHANCE_MAX):
+        return None
+    said = f"the directions of the lamps look wrong: {which}, shape and albedos are likelier"
+    return Contradiction("lamps", said, f"lamps {which}")
 
 
 def _times(given: Array, other: Array) -> str:
@@ -276,8 +311,10 @@ class _Matt:
         self.scene, self.lamps = scene, scene.lamps if scene.lighting is None else None
         given = np.asarray(scene.normals, np.float64)
         self.pixels = LampPixels.of(scene, given, DEFAULT_MODEL, 1)
-        grey, self._usable = grey_samples(self.pixels.samples, self.pixels.told)
-        self._relative = grey / brightness(grey, self._usable)[:, None]
+        samples, told = self.pixels.samples, self.pixels.told
+        grey, usable = grey_samples(samples, told)
+        bright, where = brightness(grey, usable), np.nonzero(scene.valid)
+        self.data = Samples(samples, told, grey, usable, bright, where, scene.valid, 1)
         self._patches = patches_of(scene.valid)
         self._in_order = np.arange(len(scene.images))
         self.otherwise = {
@@ -306,9 +343,9 @@ class _Matt:
         With lights in another order, or with other signs of their axes.
         """
         order = self._in_order if order is None else order
-        relative, known = self._relative, self.scene.normals_known
+        relative, usable, known = self.data.relative, self.data.usable, self.scene.normals_known
         # A sample of a lamp behind the surface says nothing of its normal.
-        counted = self._usable & (known | (relative > DARK))
+        counted = usable & (known | (relative > DARK))
         weights, strengths = counted.astype(np.float64), np.ones(len(order))
         vectors = self.pixels.normals
         if known:
@@ -328,11 +365,11 @@ class _Matt:
             strengths = (weights * relative * shown).sum(axis=0)
             strengths /= (weights * shown**2).sum(axis=0) + TINY
             residuals = np.abs(relative - shown * strengths)
-            middle = np.median(residuals[self._usable]) + TINY
+            middle = np.median(residuals[usable]) + TINY
             weights = counted / np.hypot(1.0, residuals / middle)
         # Of a highlight no more than the pixel's brightness counts.
-        sums = np.bincount(self._patches, (self._usable * np.minimum(residuals, 1.0)).sum(axis=1))
-        counts = np.bincount(self._patches, self._usable.sum(axis=1))
+        sums = np.bincount(self._patches, (usable * np.minimum(residuals, 1.0)).sum(axis=1))
+        counts = np.bincount(self._patches, usable.sum(axis=1))
         normals = np.full((*self.scene.valid.shape, 3), np.nan)
         lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
         normals[self.scene.valid] = vectors / np.maximum(lengths, TINY)
@@ -407,8 +444,9 @@ def _lowest(given: Array, others: dict[str, Array]) -> str | None:
 
 
 def _is_lower(left: Array, other: Array) -> bool:
-    """Whether something leaves surely less than another."""
-    return bool(left.mean() < (1 - GAIN_MIN) * other.mean()) and _is_surely_positive(other - left)
+    """Whether something leaves surely less than another, by its factor in each patch."""
+    factors = np.log((other + TINY) / (left + TINY))
+    return bool(left.mean() < (1 - GAIN_MIN) * other.mean()) and _is_surely_positive(factors)
 
 
 def _is_surely_positive(differences: Array) -> bool:
