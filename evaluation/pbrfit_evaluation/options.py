@@ -35,12 +35,13 @@ def several(
     *,
     what: str = "only these",
     default: str = "all",
+    **settings: Any,
 ) -> Add:
     """Some of several names, `default` in words; `few` are those of `--quick`."""
     names = tuple(choices)
     default += f", with --quick {', '.join(few)}" if few else ""
     told = f"{what} (default: {default}): {', '.join(names)}"
-    return option(flag, metavar=metavar, nargs="+", choices=names, help=told)
+    return option(flag, metavar=metavar, nargs="+", choices=names, help=told, **settings)
 
 
 def first_seed(of: str, untuned: int | None = None) -> Add:

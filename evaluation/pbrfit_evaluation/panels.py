@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.model.materials import Materials
+from pbrfit.result import metrics
+from pbrfit.result.relighting import relight
+from pbrfit.result.result import Result
 from pbrfit.result.sheet import Panel, Row, as_png, displayed, outside_grey, sheet
+from pbrfit.scene.scene import Scene
 
 
 def of_maps(of: Materials, before: str = "") -> dict[str, NDArray[np.floating[Any]]]:
@@ -22,6 +27,33 @@ def of_maps(of: Materials, before: str = "") -> dict[str, NDArray[np.floating[An
         f"{before}roughness": outside_grey(of.roughness),
         f"{before}metallic": outside_grey(of.metallic),
     }
+
+
+def of_result(
+    result: Result, scene: Scene, threads: int, *, scaled: bool = False
+) -> dict[str, NDArray[np.floating[Any]]]:
+    """Maps that were found and true ones, and the first held-out picture, relit and as it is.
+
+    Beside them the first of the given pictures. `scaled`: albedo and light after the best factor a
+    channel, as exposures of the pictures are not known.
+    """
+    truth = scene.truth
+    assert truth is not None
+    valid = scene.valid[..., None]
+    materials = result.materials
+    if scaled:
+        albedo = metrics.scaled_per_channel(materials.albedo, truth.materials.albedo)
+        materials = replace(materials, albedo=albedo)
+    first = np.where(valid, scene.images[0], np.nan)
+    panels = {"picture": displayed(first, metrics.white_of(first))}
+    panels |= of_maps(materials) | of_maps(truth.materials, "true ")
+    if truth.relight_images is not None and truth.relight_lighting is not None:
+        true = np.where(valid, truth.relight_images[0], np.nan)
+        relit = np.where(valid, relight(result, truth.relight_lighting[:1], threads)[0], np.nan)
+        relit = metrics.scaled_per_channel(relit, true) if scaled else relit
+        white = metrics.white_of(true)
+        panels |= {"relit": displayed(relit, white), "true relit": displayed(true, white)}
+    return panels
 
 
 def packed(panels: Mapping[str, NDArray[np.floating[Any]]]) -> dict[str, Any]:

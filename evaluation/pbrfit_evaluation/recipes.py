@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.decompose import decompose
+from pbrfit.fit.decompose import Start, decompose
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, render
 from pbrfit.result.options import Priors
-from pbrfit.result.refinement import RefineNormals
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.scores import score
 
 Array = NDArray[np.float64]
-
-Recipe = Literal["plain", "default", "paper", "paper-priors", "constant", "start"]
-RECIPES: tuple[Recipe, ...] = get_args(Recipe)
-
-IN_WORDS: dict[Recipe, str] = {
-    "plain": "ours without priors",
-    "default": "our default",
-    "paper": "paper's recipe",
-    "paper-priors": "paper's recipe, its priors",
-    "constant": "constant guess",
-    "start": "our start",
-}
 
 OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
 """By a model the one that it is not."""
@@ -41,14 +28,6 @@ PAPER_PRIORS = Priors(material=0.0, cohesion=0.1, smoothness=0.03, sparsity=1e-5
 """The four priors of the paper, which gives no weights. Each alone, these lowered the errors of
 noisy rooms of seeds 2000 and 2001 with true segments; ten times the sparsity raises that of albedo.
 """
-
-
-def fit(scene: Scene, **options: Any) -> Result:
-    """`pbrfit.decompose` with the normals as they are: what comparisons of solvers and priors do.
-
-    `options` are those of `pbrfit.decompose`.
-    """
-    return decompose(scene, refine_normals="off", **options)
 
 
 def lit_anew(scene: Scene, materials: Materials, lighting: Array, relight_lighting: Array) -> Scene:
@@ -82,60 +61,34 @@ def within(maps: Materials, valid: NDArray[np.bool_]) -> Materials:
     return Materials(kept(maps.albedo), kept(maps.roughness), kept(maps.metallic))
 
 
-def fit_and_score(scene: Scene, threads: int, **options: Any) -> tuple[Result, dict[str, Any]]:
-    """`fit`, and the errors of what it finds, with its seconds: what a record keeps."""
-    result = fit(scene, threads=threads, **options)
-    return result, score(result, scene, threads).as_json()
+@dataclass(frozen=True)
+class Way:
+    """A way to explain a scene: `pbrfit.decompose`, by some options, from some start.
 
-
-def explain(
-    scene: Scene,
-    recipe: Recipe,
-    *,
-    iterations: int = 500,
-    sh_order: int = 3,
-    refine_normals: RefineNormals = "off",
-    model: Model | None = None,
-    threads: int = 0,
-) -> Result:
-    """Explain a scene by one of the recipes.
-
-    Parameters
+    Attributes
     ----------
-    scene
-        With ground truth for `"constant"`.
-    recipe
-        `"default"`: `pbrfit.decompose` as it is. `"plain"`: the same without priors. `"paper"`: one
-        run of L-BFGS-B from `paper_start`, without priors. `"paper-priors"`: the same with
-        `PAPER_PRIORS`. `"constant"`: `constant_guess` with the lights that fit it best. `"start"`:
-        where the default starts, lights fitted.
-    iterations
-        Of all but the last two.
-    sh_order, threads
-        As for `pbrfit.decompose`.
-    refine_normals
-        Likewise, but for `"default"` and `"plain"` alone: the paper and guesses take normals as
-        they are. "off", other than there, so that recipes compare.
-    model
-        As for `pbrfit.decompose`; the paper's recipe too is run with any model.
+    words
+        In tables; empty where there is but one way.
+    options
+        Of `pbrfit.decompose`.
+    start
+        Of a scene, where the fit starts, perhaps with lights; None = where it starts by itself.
+    guess
+        Whether nothing is fitted but the lights.
     """
-    common = partial(decompose, scene, sh_order=sh_order, model=model, threads=threads)
-    ours = partial(common, iterations=iterations, refine_normals=refine_normals)
-    fixed = partial(common, refine_normals="off", light="sh", uncertainty=False)
-    by_lbfgsb = partial(fixed, solver="lbfgsb", iterations=iterations)
-    match recipe:
-        case "default":
-            return ours()
-        case "plain":
-            return ours(priors=None)
-        case "paper":
-            return by_lbfgsb(start=paper_start(scene), priors=None)
-        case "paper-priors":
-            return by_lbfgsb(start=paper_start(scene), priors=PAPER_PRIORS)
-        case "constant":
-            return fixed(iterations=0, start=constant_guess(scene), priors=None)
-        case "start":
-            return fixed(iterations=0, priors=None)
+
+    words: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    start: Callable[[Scene], Start] | None = None
+    guess: bool = False
+
+    def explain(self, scene: Scene, **common: Any) -> Result:
+        """Fit a scene by the options, which take precedence over those that ways have in common.
+
+        Normals are as they are unless options say otherwise, so that ways compare.
+        """
+        start = None if self.start is None else self.start(scene)
+        return decompose(scene, start=start, **{"refine_normals": "off", **common, **self.options})
 
 
 def paper_start(scene: Scene) -> Materials:
@@ -183,3 +136,19 @@ def _constant(scene: Scene, albedo: Array, roughness: float, metallic: float) ->
         roughness=np.where(scene.valid, roughness, np.nan),
         metallic=np.where(scene.valid, metallic, np.nan),
     )
+
+
+_BARE: Mapping[str, Any] = {
+    "priors": None,
+    "refine_normals": "off",
+    "light": "sh",
+    "uncertainty": False,
+}
+_LBFGSB: Mapping[str, Any] = {**_BARE, "solver": "lbfgsb"}
+
+DEFAULT = Way("our default")
+PAPER = Way("paper's recipe", _LBFGSB, paper_start)
+PAPER_REGULARIZED = Way(
+    "paper's recipe, its priors", {**_LBFGSB, "priors": PAPER_PRIORS}, paper_start
+)
+GUESS = Way("constant guess", {**_BARE, "iterations": 0}, constant_guess, guess=True)

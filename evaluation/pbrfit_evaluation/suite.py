@@ -444,14 +444,15 @@ def numbers_csv(part: str, results: Results[Any]) -> list[Line]:
     return [
         {"part": part, "task": case.key, "figure": name, "value": value}
         for case, values in results.finished
-        for name, value in _flat(values)
+        for name, value in flat(values)
     ]
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, float | str]]:
+def flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, float | str]]:
+    """Numbers and words by their path; not lists, nor pictures (`panels.packed`)."""
     for name, value in values.items():
         if isinstance(value, Mapping) and "png" not in value:
-            yield from _flat(value, f"{before}{name}/")
+            yield from flat(value, f"{before}{name}/")
         elif isinstance(value, str):
             yield f"{before}{name}", value
         elif isinstance(value, (int, float)):
@@ -485,8 +486,6 @@ class Part(Generic[C]):
     alone
         Whether its cases run one at a time in this process, after those of other parts: for times,
         and for networks that fill a GPU.
-    then
-        More cases, which depend on what the first found; None if there are none.
     """
 
     name: str
@@ -498,7 +497,6 @@ class Part(Generic[C]):
     sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
     csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line] | bytes]] | None = None
     alone: bool = False
-    then: Callable[[Results[C]], Sequence[C]] | None = None
 
     @classmethod
     def shown_by(
@@ -560,10 +558,6 @@ class Suite:
         Default of `--jobs`; None = one for each processor.
     timed
         Whether figures are times on this machine, so that no cluster can be used.
-    verdict_rows
-        Whether summary.json has a row for each verdict.
-    binding
-        Whether the exit code is 1 where a verdict does not hold.
     """
 
     name: str
@@ -578,8 +572,6 @@ class Suite:
     about: Sequence[str] = ()
     jobs: int | None = None
     timed: bool = False
-    verdict_rows: bool = False
-    binding: bool = True
 
     def protocol_of(self, options: Options) -> str:
         """The protocol with the options' values in it."""

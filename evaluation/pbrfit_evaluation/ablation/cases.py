@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -20,21 +20,16 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 Ids = NDArray[np.integer[Any]]
 
-CaseName = Literal["constant", "varying", "shifted", "merged", "none", "grey", "shadowed"]
-CASES: tuple[CaseName, ...] = get_args(CaseName)
-
-TITLES: dict[CaseName, str] = {
+TITLES = {
     "constant": "constant in true segments",
     "varying": "varying inside segments",
     "shifted": "segments shifted by a pixel",
     "merged": "a third of the segments merged",
     "none": "no segments",
-    "grey": "constant, grey lights",
-    "shadowed": "constant, shadows the model does not know",
 }
 """What tables and plots say."""
 
-VARIED_IN: tuple[CaseName, ...] = ("constant", "varying", "merged")
+VARIED_IN = ("constant", "varying", "merged")
 """Cases in which the weights of priors are varied: those that differ in segments and materials."""
 
 PICTURES = 16
@@ -55,13 +50,9 @@ segment, or a tile could hold all of it."""
 MERGED = 1 / 3
 """Share of the segments that take another's id."""
 
-SHADOW_DIAMETER, SHADOW_LIGHT = 0.25, 0.3
-"""Each picture has a disc so wide, in widths, where so much of the light is left: up to 5 % of its
-area."""
-
 
 def case(
-    name: CaseName,
+    name: str,
     seed: int,
     *,
     size: int = 64,
@@ -70,11 +61,10 @@ def case(
 ) -> Scene:
     """Make a scene of a case, with its ground truth and held-out lights.
 
-    All but the last two and "varying" have the same pictures for the same seed: those of
+    All but "varying" have the same pictures for the same seed: those of
     `make_scene`, with roughness and metallic the median of their segment wherever the kind lets
     them vary ("room" does not). In "varying" a pattern is added to that roughness, `SPREAD` strong,
-    and the pictures are rendered anew under the same lights; in "grey" they are rendered under
-    lights without colour; in "shadowed" each has a dark disc. The segments are the true ones, but
+    and the pictures are rendered anew under the same lights. The segments are the true ones, but
     for "shifted" by one pixel to the right and one down; "merged", where `MERGED` of them take the
     id of another, in turn of a neighbour and of any other; and "none".
 
@@ -87,8 +77,8 @@ def case(
     assert scene.truth is not None
     assert scene.segments is not None
     # The first four are make_scene's own, and the fourth is its noise.
-    streams = np.random.SeedSequence(seed).spawn(7)
-    noise_rng, pattern_rng, merging_rng, shadow_rng = map(np.random.default_rng, streams[3:])
+    streams = np.random.SeedSequence(seed).spawn(6)
+    noise_rng, pattern_rng, merging_rng = map(np.random.default_rng, streams[3:])
 
     materials = scene.truth.materials
     if name == "varying":
@@ -96,10 +86,7 @@ def case(
         materials = replace(materials, roughness=roughness)
     assert scene.truth.lighting is not None
     assert scene.truth.relight_lighting is not None
-    lights = [scene.truth.lighting, scene.truth.relight_lighting]
-    if name == "grey":  # means over channels
-        lights = [np.repeat(of.mean(axis=-1, keepdims=True), 3, axis=-1) for of in lights]
-    made = lit_anew(scene, materials, *lights)
+    made = lit_anew(scene, materials, scene.truth.lighting, scene.truth.relight_lighting)
     images = made.images + noise_rng.normal(scale=noise, size=made.images.shape)
     made = replace(made, images=images)
     match name:
@@ -109,8 +96,6 @@ def case(
             return replace(made, segments=merged(scene.segments, merging_rng))
         case "none":
             return replace(made, segments=None)
-        case "shadowed":
-            return replace(made, images=shadowed(made.images, shadow_rng))
     return made
 
 
@@ -156,18 +141,6 @@ def merged(segments: Ids, rng: Generator) -> Ids:
         near = np.intersect1d(givers, _neighbours(segments, i))
         found[segments == i] = rng.choice(near if order % 2 == 0 and len(near) else givers)
     return found
-
-
-def shadowed(images: Floats, rng: Generator) -> Array:
-    """Darken a disc of `SHADOW_DIAMETER` in each of the pictures (N, H, W, 3), somewhere."""
-    height, width = images.shape[1:3]
-    y, x = (np.mgrid[:height, :width] + 0.5) / width
-    light = np.ones(images.shape[:3])
-    for of_picture in light:
-        middle = rng.uniform((0, 0), (1, height / width))
-        inside = np.hypot(x - middle[0], y - middle[1]) <= SHADOW_DIAMETER / 2
-        of_picture[inside] = SHADOW_LIGHT
-    return np.asarray(light[..., None] * images)
 
 
 def _maker(order: int) -> Callable[[Generator, float], Pattern]:

@@ -1,78 +1,69 @@
-"""A room of a case, fitted with every set of priors, and a sheet of what they do to its maps."""
+"""A room of a case, fitted with one set of priors."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
-from pbrfit.model.reflection import Model, chosen_model, render
-from pbrfit.result import metrics
-from pbrfit.result.result import Result
-from pbrfit.result.sheet import displayed
-from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.ablation.cases import CaseName, case
-from pbrfit_evaluation.ablation.configurations import FEW, Configuration
-from pbrfit_evaluation.panels import in_lines, of_maps
-from pbrfit_evaluation.recipes import fit_and_score
+from pbrfit.result.options import Priors, prior_names
+from pbrfit_evaluation.ablation.cases import TITLES, VARIED_IN, case
+from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.recipes import PAPER_PRIORS, Way
+
+WEIGHTS = (0.01, 0.1, 1.0, 10.0)
+"""At which a prior is tried alone."""
+
+VARIED = ("material", "cohesion")
+"""Priors whose weight is varied, each alone."""
 
 
-@dataclass(frozen=True)
-class RoomTask:
-    """A room of a case, fitted in all configurations. `picture`: whether to draw a sheet."""
-
-    case: CaseName
-    seed: int
-    size: int
-    iterations: int
-    configurations: tuple[Configuration, ...]
-    picture: bool
-    model: Model
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return f"{self.case}_{self.seed}"
+def _with(title: str, priors: Priors) -> Way:
+    """By the default solver where it knows the priors."""
+    penalties = priors.cohesion or priors.smoothness or priors.sparsity
+    return Way(title, {"priors": priors, "solver": "lbfgsb" if penalties else "gauss-newton"})
 
 
-def room(task: RoomTask, threads: int) -> dict[str, Any]:
-    """Scores of every configuration, and perhaps a sheet of maps."""
-    scene = case(task.case, task.seed, size=task.size, model=task.model)
-    scores, shown = {}, {}
-    for one in task.configurations:
-        result, scores[one.key] = fit_and_score(
-            scene,
-            threads,
-            iterations=task.iterations,
-            solver=one.solver,
-            priors=one.priors,
+def _alone(name: str, weight: float) -> Way:
+    priors = replace(Priors.none(), **{name: weight})
+    return _with(f"{name} {weight:g} alone", priors)
+
+
+TABLE: Mapping[str, Way] = {
+    "none": Way("no priors", {"priors": None}),
+    "default": Way("default"),
+    "material=1": _alone("material", 1.0),
+    "paper": _with("the paper's four", PAPER_PRIORS),
+    **{
+        f"paper-no-{name}": _with(
+            f"the paper's four without {name}", replace(PAPER_PRIORS, **{name: 0.0})
         )
-        if one in FEW:
-            shown[one.title] = result
-    if not task.picture:
-        return {"scores": scores}
-    return {
-        "scores": scores,
-        "sheet": base64.b64encode(room_sheet(scene, shown)).decode("ascii"),
-    }
+        for name in prior_names()
+        if getattr(PAPER_PRIORS, name) != 0
+    },
+}
+"""Priors that are tried in every case; all are compared with the first."""
+
+CURVES: Mapping[str, Way] = {
+    f"{name}={weight:g}": _alone(name, weight) for name in VARIED for weight in WEIGHTS
+}
+
+FEW = ("none", "default", "cohesion=0.1")
+"""For a quick look; and what pictures show."""
+
+WAYS = {**TABLE, **CURVES}
+
+GRID = Grid(
+    TITLES,
+    WAYS,
+    of_condition={name: (*TABLE, FEW[-1]) for name in TITLES if name not in VARIED_IN},
+    kinds=("room",),
+    pictured=FEW,
+)
 
 
-def room_sheet(scene: Scene, fitted: Mapping[str, Result]) -> bytes:
-    """PNG: maps of a scene with ground truth and of each result, relit; and a picture of it.
-
-    Relit pictures have the first held-out light.
-    """
-    truth = scene.truth
-    assert truth is not None
-    assert truth.relight_lighting is not None
-    found = {"true": (truth.materials, chosen_model(None, scene.model))}
-    found |= {name: (fit.materials, fit.model) for name, fit in fitted.items()}
-    lines, white, light = {}, 0.0, truth.relight_lighting[0]
-    for name, (maps, model) in found.items():
-        relit = render(maps, scene.normals, light, scene.fov, model=model)
-        white = white or metrics.white_of(relit)
-        lines[name] = of_maps(maps) | {"relit": displayed(relit, white)}
-    picture = scene.images[0]
-    lines["true"]["picture, with noise"] = displayed(picture, metrics.white_of(picture))
-    return in_lines(lines)
+def run(of: Case, threads: int) -> dict[str, Any]:
+    """Scores, and perhaps maps."""
+    assert of.model is not None
+    scene = case(of.condition, of.seed, size=of.size, model=of.model)
+    return measured(of, WAYS[of.way], scene, threads)[1]

@@ -123,5 +123,4 @@ SUITE = Suite(
     ),
     jobs=1,  # times mean something only if nothing else runs
     timed=True,
-    verdict_rows=True,
 )

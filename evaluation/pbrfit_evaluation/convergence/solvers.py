@@ -11,14 +11,14 @@ from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
-from pbrfit.fit.decompose import Progress
+from pbrfit.fit.decompose import Progress, decompose
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.convergence import torch_peer
 from pbrfit_evaluation.convergence.cases import Case
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
-from pbrfit_evaluation.recipes import fit, paper_start
+from pbrfit_evaluation.recipes import paper_start
 
 Run = Callable[[Scene, Budget, Tracker, int], str]
 """Fits a scene with so many threads, shows the tracker its states, returns why it ended."""
@@ -61,8 +61,9 @@ def fit_with_ours(
 
     begin = None if start is None else start(scene)
     tracker.start()
-    result = fit(
+    result = decompose(
         scene,
+        refine_normals="off",
         solver=solver,
         light="sh",
         uncertainty=False,

@@ -8,11 +8,11 @@ is done by files of that format, which `Scene.load` reads.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pbrfit.io.color import encode_srgb
-from pbrfit.model.reflection import chosen_model, render
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
@@ -29,8 +28,7 @@ from pbrfit_evaluation.recipes import lit_anew
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 
-Kind = Literal["room", "furnished", "detailed"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
+KINDS = ("room", "furnished", "detailed")
 
 Disturbance = str
 """One of `DISTURBANCES`."""
@@ -64,6 +62,25 @@ TITLES: dict[Disturbance, str] = {
 """What tables and plots say."""
 
 DISTURBANCES: tuple[Disturbance, ...] = tuple(TITLES)
+
+REFERENCE: Disturbance = "noise"
+"""What others are multiples of, but for those below."""
+
+TWINS: dict[Disturbance, Disturbance] = {
+    "jpeg-90-444": "white-90-444",
+    "jpeg-90-420": "white-90-420",
+    "jpeg-75-444": "white-75-444",
+    "jpeg-75-420": "white-75-420",
+    "fov-unknown": "fov-true",
+    "fov-wrong": "fov-true",
+}
+"""Scenes that have the same but for what is measured, and so cost no more than it has to."""
+
+
+def twin_of(disturbance: Disturbance) -> Disturbance:
+    """What the errors of a disturbance are multiples of."""
+    return TWINS.get(disturbance, REFERENCE)
+
 
 PICTURES = 16
 """Of a scene; as many are held out."""
@@ -100,45 +117,11 @@ FOV_TRUE, FOV_WRONG = 90.0, 60.0
 """Degrees: that of the pictures, and that which is given."""
 
 
-class NotRunError(Exception):
-    """Such a scene cannot be given to this version of the package; says why."""
+def disturbed(disturbance: Disturbance, kind: str, seed: int, size: int) -> Scene:
+    """Make a scene after one of `DISTURBANCES`, with its ground truth.
 
-
-@dataclass(frozen=True, eq=False)
-class Disturbed:
-    """A scene as a user has it, and what is true of it.
-
-    Attributes
-    ----------
-    scene
-        What is fitted, with its ground truth.
-    fov
-        True field of view in degrees.
-    expected
-        (N, H, W, 3): its pictures as they would be without noise and without what spoils single
-        samples or pictures, in their own units; NaN where a picture is not of the scene.
-    """
-
-    scene: Scene
-    fov: float
-    expected: Floats
-
-
-def disturbed(disturbance: Disturbance, kind: Kind, seed: int, size: int) -> Disturbed:
-    """Make a scene after a disturbance.
-
-    Parameters
-    ----------
-    disturbance
-        One of `DISTURBANCES`.
-    kind, seed, size
-        Of the scene, as for `pbrfit.synthetic.make_scene`; what is drawn here has a stream of its
-        own.
-
-    Raises
-    ------
-    NotRunError
-        If this version of the package cannot be given such a scene.
+    `kind`, `seed` and `size` are those of `pbrfit.synthetic.make_scene`; what is drawn here has a
+    stream of its own.
     """
     of = partial(made, kind, seed, size)
     rng = np.random.default_rng([seed, 3])
@@ -161,34 +144,32 @@ def disturbed(disturbance: Disturbance, kind: Kind, seed: int, size: int) -> Dis
     return _spoilt(of(NOISE), disturbance, kind, seed, size, rng)
 
 
-def _together(given: Disturbed, kind: Kind, seed: int, size: int, rng: Generator) -> Disturbed:
+def _together(scene: Scene, kind: str, seed: int, size: int, rng: Generator) -> Scene:
     """Each with a picture of its own, in files that do not tell the field of view."""
     for number, one in enumerate(TOGETHER):
-        given = _spoilt(given, one, kind, seed, size, rng, bad_picture=BAD_PICTURE + 2 * number)
-    return in_files(given, write_png, say_fov=False)
+        scene = _spoilt(scene, one, kind, seed, size, rng, bad_picture=BAD_PICTURE + 2 * number)
+    return in_files(scene, write_png, say_fov=False)
 
 
 def _spoilt(
-    given: Disturbed,
+    given: Scene,
     disturbance: Disturbance,
-    kind: Kind,
+    kind: str,
     seed: int,
     size: int,
     rng: Generator,
     *,
     bad_picture: int = BAD_PICTURE,
-) -> Disturbed:
+) -> Scene:
     """After a disturbance of the pictures; of one alone it is the bad one."""
-    pictures: Floats = given.scene.images.copy()
-    expected: Floats = given.expected.copy()
-    valid = given.scene.valid
+    pictures: Floats = given.images.copy()
+    valid = given.valid
     match disturbance:
         case "hot":
             hot = rng.random(pictures.shape) < HOT_SHARE
-            brightest = HOT_RANGE * np.nanmean(expected[:, valid])
+            brightest = HOT_RANGE * float(pictures[:, valid].mean(dtype=np.float64))
             pictures[hot] = brightest * rng.random(hot.sum())
         case "black":
-            expected[bad_picture] = 0
             pictures[bad_picture] = NOISE * rng.standard_normal(pictures.shape[1:])
         case "clipped":
             pictures = np.minimum(pictures, np.float32(CLIPPED_AT))
@@ -198,15 +179,13 @@ def _spoilt(
             pictures[bad_picture] = shifted(pictures[bad_picture])
         case "another":
             other = made(kind, seed + OTHER_SEED, size, NOISE)
-            pictures[bad_picture] = other.scene.images[bad_picture]
-            expected[bad_picture] = np.nan
+            pictures[bad_picture] = other.images[bad_picture]
         case "gamma":
-            white = _white(given.scene)
-            pictures, expected = (curved(of / white) * white for of in (pictures, expected))
+            white = _white(given)
+            pictures = curved(pictures / white) * white
         case "vignetting":
-            pictures, expected = (vignetted(of) for of in (pictures, expected))
-    scene = replace(given.scene, images=pictures.astype(np.float32))
-    return replace(given, scene=scene, expected=expected)
+            pictures = vignetted(pictures)
+    return replace(given, images=pictures.astype(np.float32))
 
 
 def shifted(picture: Floats) -> Floats:
@@ -233,16 +212,11 @@ def vignetted(pictures: Floats) -> Floats:
 # --------------------------------------------------------------------------------------- scenes
 
 
-def made(kind: Kind, seed: int, size: int, noise: float = 0.0, **more: Any) -> Disturbed:
+def made(kind: str, seed: int, size: int, noise: float = 0.0, **more: Any) -> Scene:
     """A scene before anything is done to it, in float32; `more` as for `make_scene`."""
     given = {"lights": PICTURES, "held_out": PICTURES, "fov": FOV_WRONG} | more
     scene = make_scene(kind, size=size, seed=seed, noise=noise, **given)
-    truth = truth_of(scene)
-    assert truth.lighting is not None
-    model = chosen_model(None, scene.model)
-    expected = render(truth.materials, scene.normals, truth.lighting, given["fov"], model=model)
-    images = scene.images.astype(np.float32)
-    return Disturbed(replace(scene, images=images), given["fov"], expected)
+    return replace(scene, images=scene.images.astype(np.float32))
 
 
 def truth_of(scene: Scene) -> Truth:
@@ -256,7 +230,7 @@ def _white(scene: Scene) -> float:
     return float(np.quantile(scene.images[:, scene.valid], UNCLIPPED))
 
 
-def grey(clean: Disturbed, rng: Generator) -> Disturbed:
+def grey(scene: Scene, rng: Generator) -> Scene:
     """Materials and lights without colour, at the same mean radiance; grey pictures with noise.
 
     Each is the mean over its channels, also of what a camera gives with noise in each of them.
@@ -266,25 +240,18 @@ def grey(clean: Disturbed, rng: Generator) -> Disturbed:
         assert values is not None
         return np.repeat(values.mean(axis=-1, keepdims=True, dtype=np.float64), 3, axis=-1)
 
-    scene, colored = clean.scene, truth_of(clean.scene)
+    colored = truth_of(scene)
     materials = replace(colored.materials, albedo=mean(colored.materials.albedo))
-    lighting, relight_lighting = mean(colored.lighting), mean(colored.relight_lighting)
-    lit = lit_anew(scene, materials, lighting, relight_lighting)
+    lit = lit_anew(scene, materials, mean(colored.lighting), mean(colored.relight_lighting))
     pictures = lit.images + mean(NOISE * rng.standard_normal(lit.images.shape))
-    scene = replace(lit, images=pictures.astype(np.float32))
-    return replace(clean, scene=scene, expected=lit.images)
+    return replace(lit, images=pictures.astype(np.float32))
 
 
-def _of_another_view(given: Disturbed, said: str) -> Disturbed:
+def _of_another_view(scene: Scene, said: str) -> Scene:
     """With the field of view that is given: the true one, a wrong one, or none."""
     if said == "wrong":
-        return replace(given, scene=replace(given.scene, fov=FOV_WRONG))
-    if said == "unknown":
-        scene = _read_back(given.scene, say_fov=False)
-        if scene.fov_known:
-            raise NotRunError(f"Scene.load took {scene.fov:g} degrees for known")
-        return replace(given, scene=scene)
-    return given
+        return replace(scene, fov=FOV_WRONG)
+    return _read_back(scene, say_fov=False) if said == "unknown" else scene
 
 
 # ---------------------------------------------------------------------------------------- files
@@ -308,26 +275,24 @@ def jpeg(said: str) -> Write:
     return partial(_write_jpeg, quality=int(quality), chroma=":".join(chroma))
 
 
-def in_files(given: Disturbed, write: Write, *, say_fov: bool = True) -> Disturbed:
+def in_files(scene: Scene, write: Write, *, say_fov: bool = True) -> Scene:
     """Exposed, encoded as sRGB of 8 bits, written, and read; held-out pictures stay."""
-    white = _white(given.scene)
-    truth = truth_of(given.scene)
+    white, truth = _white(scene), truth_of(scene)
     assert truth.lighting is not None
     # Held-out lights and pictures are not those of the files, and need no exposure.
     truth = replace(truth, lighting=truth.lighting / white)
-    images = (given.scene.images / white).astype(np.float32)
-    scene = _read_back(replace(given.scene, images=images), write, say_fov=say_fov)
-    return replace(given, scene=replace(scene, truth=truth), expected=given.expected / white)
+    images = (scene.images / white).astype(np.float32)
+    return replace(_read_back(replace(scene, images=images), write, say_fov=say_fov), truth=truth)
 
 
-def _with_noise_of(clean: Disturbed, write: Write, rng: Generator) -> Disturbed:
+def _with_noise_of(clean: Scene, write: Write, rng: Generator) -> Scene:
     """Float pictures with white noise of the RMS that files leave in the samples they can hold."""
-    white, valid = _white(clean.scene), clean.scene.valid
-    error = in_files(clean, write).scene.images - clean.expected / white
-    held = error[(clean.expected < white) & valid[..., None]]
-    sigma = white * float(np.sqrt(np.mean(np.square(held, dtype=np.float64))))
-    pictures = clean.expected + sigma * rng.standard_normal(clean.expected.shape)
-    return replace(clean, scene=replace(clean.scene, images=pictures.astype(np.float32)))
+    white, exact = _white(clean), clean.images.astype(np.float64)
+    error = in_files(clean, write).images - exact / white
+    held = error[(exact < white) & clean.valid[..., None]]
+    sigma = white * float(np.sqrt(np.mean(np.square(held))))
+    pictures = exact + sigma * rng.standard_normal(exact.shape)
+    return replace(clean, images=pictures.astype(np.float32))
 
 
 def _read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True) -> Scene:

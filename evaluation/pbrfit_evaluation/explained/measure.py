@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,59 +11,72 @@ from numpy.typing import NDArray
 
 from pbrfit.model.geometry import angles_between, positions
 from pbrfit.model.lamps import Lamps
-from pbrfit.model.materials import Materials
-from pbrfit.result import metrics
-from pbrfit.result.relighting import relight
-from pbrfit.result.result import Result
-from pbrfit.result.sheet import displayed
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
+from pbrfit_evaluation import cycles
 from pbrfit_evaluation.depth_errors import ROUGH, estimated, normals_off, off
-from pbrfit_evaluation.explained import Case
-from pbrfit_evaluation.explained.variants import BY_KEY, Variant
+from pbrfit_evaluation.explained.variants import (
+    OF_GEOMETRY,
+    OF_LAMPS,
+    TRUE,
+    VARIANTS,
+    WITHOUT,
+    Variant,
+)
 from pbrfit_evaluation.found_segments import found_segments, purity
+from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.normal_errors import unit
-from pbrfit_evaluation.panels import of_maps, packed
-from pbrfit_evaluation.recipes import explain, fit
-from pbrfit_evaluation.scores import score
 from pbrfit_evaluation.table1 import measure as table1
+from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 
-SHOWN = 3
-"""Held-out pictures that are shown."""
+ROWS: Mapping[str, tuple[str, str]] = {
+    "brdf": ("cycles-brdf", "BRDF alone"),
+    "shadows": ("cycles-shadows", "and shadows"),
+    "bounces": ("cycles-panorama", "all bounces"),
+    "detailed": ("cycles-detailed", "all bounces, detailed"),
+    "points-shadows": ("cycles-points", "Point lamps with shadows"),
+    "points": ("cycles-points-unshadowed", "Point lamps without shadows"),
+}
+"""Rows of Table 1 that rooms of a setup are rendered as, and what the setups are called."""
+
+
+def _why_not(*_: object) -> str:
+    return cycles.why_not() or ""
+
+
+def _grid(setups: Sequence[str], ways: Mapping[str, Variant], pictured: Sequence[str]) -> Grid:
+    titles = {setup: ROWS[setup][1] for setup in setups}
+    return Grid(titles, ways, pictured=pictured, why_not=_why_not)
+
+
+GEOMETRY = _grid(("brdf", "shadows", "bounces", "detailed"), OF_GEOMETRY, (WITHOUT, TRUE))
+LAMPS = _grid(("points-shadows", "points"), OF_LAMPS, tuple(OF_LAMPS))
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
-    """Errors, facts about what was told, the lamps, what was chosen, and perhaps panels.
+    """Errors, facts about what was given, the lamps, what was chosen, and perhaps maps.
 
-    Panels are maps of rooms under lamps, and relit pictures of the others.
+    Cycles renders the principled model, which is fitted unless a variant says otherwise.
     """
     exact, lamps = room(case, threads)
-    variant = BY_KEY[case.variant]
+    variant = VARIANTS[case.way]
     scene, facts = told(exact, variant, case.seed)
     if variant.lamps:
         scene = replace(scene, lamps=lamps)
-    if variant.guess:
-        result = explain(scene, "constant", model=variant.model, threads=threads)
-    else:
-        result = fit(scene, threads=threads, model=variant.model, **variant.options)
-    found: dict[str, Any] = {
-        "scores": score(result, scene, threads).as_json(),
+    result, found = measured(case, variant, scene, threads, model="principled")
+    return {
+        **found,
         "facts": facts,
         "lamps": {} if lamps is None else lamps_off(result.lamps, lamps, exact),
         "choice": result.transport.kind,
     }
-    if case.picture and lamps is not None:
-        found["panels"] = maps(result.materials, exact)
-    elif case.picture:
-        found["panels"] = relit(result, scene, threads)
-    return found
 
 
 def room(case: Case, threads: int) -> tuple[Scene, Lamps | None]:
     """Render the room, which has its true depth in metres; and its lamps, where it has some."""
-    task, row = case.of_table1
-    lamps = table1.cycles_lamps(task, row) if row.light == "points" else None
-    return table1.cycles_scene(task, row, threads), lamps
+    row = TABLE1[ROWS[case.condition][0]]
+    lamps = table1.cycles_lamps(case, row) if row.light == "points" else None
+    return table1.cycles_scene(case, row, threads), lamps
 
 
 def lamps_off(found: Lamps | None, true: Lamps, scene: Scene) -> dict[str, float]:
@@ -121,30 +135,3 @@ def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, fl
         facts["segments"] = float(len(np.unique(segments[valid])))
         facts["purity"] = purity(segments[valid], exact.segments[valid])
     return replace(exact, segments=segments, depth=depth), facts
-
-
-def maps(found: Materials, scene: Scene) -> dict[str, Any]:
-    """Panels for a record: the true maps, a picture, and the maps that were found."""
-    assert scene.truth is not None
-    shown = np.where(scene.valid[..., None], scene.images[0], np.nan)
-    panels = of_maps(scene.truth.materials, "true ")
-    panels["picture"] = displayed(shown, metrics.white_of(shown))
-    return packed(panels | of_maps(found))
-
-
-def relit(result: Result, scene: Scene, threads: int) -> dict[str, Any]:
-    """Panels for a record: some held-out pictures, "Cycles 0" and so on, and the same "relit"."""
-    truth = scene.truth
-    assert truth is not None
-    assert truth.relight_lighting is not None
-    assert truth.relight_images is not None
-    held_out = np.where(scene.valid[..., None], truth.relight_images[:SHOWN], np.nan)
-    found = relight(result, truth.relight_lighting[:SHOWN], threads)
-    whites = [metrics.white_of(picture) for picture in held_out]
-    return packed(
-        {
-            f"{name} {i}": displayed(picture, white)
-            for name, of in (("Cycles", held_out), ("relit", found))
-            for i, (picture, white) in enumerate(zip(of, whites, strict=True))
-        }
-    )

@@ -1,10 +1,12 @@
-"""What a fit of a room is told of its geometry and lamps, and how it takes the light to be."""
+"""What a fit of a room is given of its geometry and lamps, and how it takes the light to be."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
+
+from pbrfit_evaluation.recipes import GUESS, Way
 
 Depth = Literal["none", "true", "network", "rough", "integrated"]
 """The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""
@@ -14,66 +16,62 @@ Segments = Literal["true", "found", "none"]
 
 
 @dataclass(frozen=True)
-class Variant:
-    """A way to explain a room.
+class Variant(Way):
+    """A way to explain a room, with what the fit is given.
 
     Attributes
     ----------
-    key, words
-        For files, and for people.
     depth, segments
-        What the fit is told.
-    options
-        Of the fit.
-    model
-        That is fitted; None = pbrfit's default. Cycles renders the principled one.
+        As they are called above.
     lamps
-        Whether the fit is told the true ones.
-    guess
-        Whether nothing is fitted but the lights.
+        Whether it is given the true ones.
     """
 
-    key: str
-    words: str
     depth: Depth = "none"
     segments: Segments = "true"
-    options: Mapping[str, Any] = field(default_factory=dict)
-    model: Literal["principled"] | None = "principled"
     lamps: bool = False
-    guess: bool = False
 
 
-GUESS = Variant("constant", "constant guess", guess=True)
+CONSTANT = Variant(**vars(GUESS))
 
-GEOMETRY: Mapping[str, Any] = {"transport": "auto"}
 WITHOUT, TRUE = "without", "true"
 """The principled model without geometry, and with all that is true: what figures compare."""
 
-OF_GEOMETRY = (
-    GUESS,
-    Variant("default", "default model, no depth", model=None),
-    Variant(WITHOUT, "no depth"),
-    Variant(TRUE, "true depth", "true", options=GEOMETRY),
-    Variant("network", "depth of a network", "network", options=GEOMETRY),
-    Variant("rough", "rough depth", "rough", options=GEOMETRY),
-    Variant("integrated", "integrated normals", "integrated", options=GEOMETRY),
-    Variant("found", "true depth, found segments", "true", "found", GEOMETRY),
-    Variant("unsegmented", "true depth, no segments", "true", "none", GEOMETRY),
-    Variant("network-found", "depth of a network, found segments", "network", "found", GEOMETRY),
-)
+
+def _among(words: str, depth: Depth, segments: Segments = "true") -> Variant:
+    return Variant(words, {"transport": "auto"}, depth=depth, segments=segments)
+
+
+OF_GEOMETRY: Mapping[str, Variant] = {
+    "constant": CONSTANT,
+    "default": Variant("default model, no depth", {"model": None}),
+    WITHOUT: Variant("no depth"),
+    TRUE: _among("true depth", "true"),
+    "network": _among("depth of a network", "network"),
+    "rough": _among("rough depth", "rough"),
+    "integrated": _among("integrated normals", "integrated"),
+    "found": _among("true depth, found segments", "true", "found"),
+    "unsegmented": _among("true depth, no segments", "true", "none"),
+    "network-found": _among("depth of a network, found segments", "network", "found"),
+}
 
 HARMONICS, NEAR = "sh", "lamps-depth"
-"""The fit that knows no lamps, and the one that is told depth: what verdicts compare."""
+"""The fit that knows no lamps, and the one that is given depth: what verdicts compare."""
 
-OF_LAMPS = (
-    GUESS,
-    Variant(HARMONICS, "environment light, no depth", options={"light": "sh"}),
-    Variant("sh-depth", "environment light, depth", "true", options={"light": "sh"}),
-    Variant("lamps", "lamps, no depth", options={"light": "lamps"}),
-    Variant(NEAR, "lamps, depth", "true", options={"light": "lamps"}),
-    Variant("auto", "auto, no depth", options={"light": "auto"}),
-    Variant("auto-depth", "auto, depth", "true", options={"light": "auto"}),
-    Variant("known", "known lamps, depth", "true", options={"light": "lamps"}, lamps=True),
-)
 
-BY_KEY = {variant.key: variant for variant in (*OF_GEOMETRY, *OF_LAMPS)}
+def _lit(words: str, light: str, depth: Depth = "none", *, lamps: bool = False) -> Variant:
+    return Variant(words, {"light": light}, depth=depth, lamps=lamps)
+
+
+OF_LAMPS: Mapping[str, Variant] = {
+    "constant": CONSTANT,
+    HARMONICS: _lit("environment light, no depth", "sh"),
+    "sh-depth": _lit("environment light, depth", "sh", "true"),
+    "lamps": _lit("lamps, no depth", "lamps"),
+    NEAR: _lit("lamps, depth", "lamps", "true"),
+    "auto": _lit("auto, no depth", "auto"),
+    "auto-depth": _lit("auto, depth", "auto", "true"),
+    "known": _lit("known lamps, depth", "lamps", "true", lamps=True),
+}
+
+VARIANTS = {**OF_GEOMETRY, **OF_LAMPS}

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from pbrfit._core import InputError
 from pbrfit.acquire.photo import LEAST_SIDE
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.generated import figures
-from pbrfit_evaluation.generated.measure import Case, run
-from pbrfit_evaluation.generated.ways import BY_KEY, FEW
-from pbrfit_evaluation.options import absolute, count, cycles_cache, first_seed, option, several
+from pbrfit_evaluation.generated.measure import run
+from pbrfit_evaluation.generated.ways import FEW, GRID
+from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.grid.figures import csvs
+from pbrfit_evaluation.options import count, cycles_cache, option
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
 
 FIRST_SEED = 9700
-"""Nothing was tuned on seeds from there on."""
-
-PICTURED = ("exact", "repainted", "together", "path")
-"""Ways whose maps are shown."""
 
 
 def cases(options: Options) -> list[Case]:
     """Every room in every way; by Cycles where it is there and wanted.
-
-    Rooms change fastest, so that processes side by side do not render the same one.
 
     Raises
     ------
@@ -34,16 +32,9 @@ def cases(options: Options) -> list[Case]:
         raise InputError(f"--pictures: expected at least 6, found {options.pictures}")
     if options.size < LEAST_SIDE:
         raise InputError(f"--size: expected at least {LEAST_SIDE}, found {options.size}")
-    by_cycles = not (options.quick or options.no_cycles or cycles.why_not())
-    return [
-        Case(
-            *(way, options.first_seed + i, options.size, options.pictures, by_cycles),
-            picture=i == 0 and way in PICTURED,
-            cycles_cache=absolute(options.cycles_cache),
-        )
-        for way in options.ways
-        for i in range(options.scenes)
-    ]
+    ours = options.quick or options.no_cycles or cycles.why_not()
+    kind = "own" if ours else "cycles"
+    return [replace(case, kind=kind, lights=options.pictures) for case in GRID.cases(options)]
 
 
 SUITE = Suite(
@@ -56,22 +47,14 @@ SUITE = Suite(
     "1 if something does not hold. Without Blender Cycles (make cycles-env) and with --quick our "
     "own renderer makes the rooms.",
     protocol=f"pbrfit-generated-1: {SCORES}; {{size}} pixels, {{pictures}} pictures, {{effort}}",
-    parts=[Part.shown_by(figures, "generated", cases, run)],
+    parts=[Part.shown_by(figures, "generated", cases, run, csvs=csvs)],
     options=(
-        several("--ways", "NAME", BY_KEY, FEW),
-        count("--scenes", "K", "rooms"),
-        count("--size", "PIXELS", "of the pictures"),
+        *GRID.options(FIRST_SEED, "--ways", FEW, scenes="rooms"),
         count("--pictures", "N", "a room, the photograph among them"),
-        first_seed("room", FIRST_SEED),
         cycles_cache,
         option("--no-cycles", action="store_true", help="only our renderer, even with Cycles"),
     ),
-    effort={
-        "ways": (tuple(BY_KEY), FEW),
-        "scenes": (4, 1),
-        "size": (64, 64),
-        "pictures": (13, 7),
-    },
+    effort=GRID.effort(FEW) | {"scenes": (4, 1), "size": (64, 64), "pictures": (13, 7)},
     quick="a minute: one small room by our renderer",
     about=(
         "Textured rooms under soft lights, by Cycles with all light transport, stand for a "
@@ -80,5 +63,4 @@ SUITE = Suite(
         "Brackets are 95 % intervals of means over rooms. The constant guess has roughness 0.5, "
         "metallic 0 and the mean of the true albedo.",
     ),
-    verdict_rows=True,
 )

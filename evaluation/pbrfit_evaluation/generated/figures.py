@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
-from pbrfit_evaluation.generated.measure import Case
-from pbrfit_evaluation.generated.ways import BY_KEY, WAYS
-from pbrfit_evaluation.panels import beside_truth, in_lines, unpacked
-from pbrfit_evaluation.suite import (
-    Column,
-    Picture,
-    Results,
-    Row,
-    Section,
-    Table,
-    Verdict,
-)
-
-Of = Results[Case]
+from pbrfit_evaluation.generated.ways import GRID, PICTURED, WAYS
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, pictures
+from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.grid.figures import verdicts as of_bars
+from pbrfit_evaluation.panels import in_lines, unpacked
+from pbrfit_evaluation.suite import Column, Picture, Row, Section, Table, Verdict
 
 ERRORS = ("albedo_scaled", "roughness", "metallic", "relight_scaled")
 
@@ -34,23 +27,17 @@ OURS = ", our renderer"
 
 def rows(results: Of) -> list[Row]:
     """A row a way."""
-    found = []
-    for way in WAYS:
-        if way.key not in results.options.ways:
-            continue
-        of = results.of(way=way.key)
-        measured = of.metrics([*ERRORS, "albedo", "relight"], "scores")
-        for name in ("kept", "honest_refused", "damaged_kept"):
-            measured[name] = of.mean(name).mean
-        if way.path:
+
+    def more(key: str, _: str, of: Of) -> Metrics:
+        found = {name: of.mean(name).mean for name in ("kept", "honest_refused", "damaged_kept")}
+        if WAYS[key].path:
             for name in ("ours", "blender"):
-                measured[f"first_light_{name}"] = of.mean("blender", name).mean
-        ours = any(not case.by_cycles for case, _ in of.pairs)
-        name = way.words + (OURS if ours else "")
-        found.append(
-            Row(name, len(of.finished), None, measured, status=of.status("rooms"), guess=way.guess)
-        )
-    return found
+                found[f"first_light_{name}"] = of.mean("blender", name).mean
+        return found
+
+    ours = OURS if any(case.kind == "own" for case, _ in results.pairs) else ""
+    found = grid_rows(GRID, results, [*ERRORS, "albedo", "relight"], more)
+    return [replace(row, name=f"{row.name}{ours}") for row in found]
 
 
 def verdicts(results: Of, _: object) -> Iterator[Verdict]:
@@ -61,10 +48,10 @@ def verdicts(results: Of, _: object) -> Iterator[Verdict]:
         ("path", "constant", NOT_WORSE, "by commands over the constant guess"),
         ("exact-handled", "exact", HARMLESS, "exact pictures, all together over nothing handled"),
     ):
-        if {way, other} <= set(results.options.ways):
-            for name in ERRORS:
-                title = f"{what}: {name.replace('_', ', ')}"
-                yield Verdict(title, results.of(way=way).over(results.of(way=other), name), bar)
+        for name in ERRORS:
+            title = f"{what}: {name.replace('_', ', ')}"
+            one = Bar(title, (way, "default"), (other, "default"), [name], bar)
+            yield from of_bars(results, [one])
 
 
 def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
@@ -81,7 +68,7 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         Column("honest_refused", "refused though whole"),
         Column("damaged_kept", "kept though damaged"),
     ]
-    handled = {way.words for way in WAYS if way.review}
+    handled = {way.words for way in WAYS.values() if way.review}
     reviewed = [row for row in found if row.name.removesuffix(OURS) in handled and row.scenes]
     yield Section(
         "What the review left",
@@ -105,18 +92,11 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
 
 
 def _pictures(results: Of) -> Iterator[Picture]:
-    shown = {case.way: values for case, values in results.finished if "maps" in values}
-    if not shown:
-        return
-    most = max(shown.values(), key=lambda values: len(set(values["kinds"])))
-    yield Picture(
-        "inputs", "Stand-ins of the first room.", in_lines({"": unpacked(most["inputs"])})
-    )
-    kept = {}
-    for key, values in shown.items():
-        kept[BY_KEY[key].words] = panels = unpacked(values["maps"])
-        if "in_blender" in values:
-            panels |= unpacked(values["in_blender"])
-    names = ("albedo", "roughness", "metallic", "relit")
+    shown = [values for _, values in results.finished if "inputs" in values]
+    if shown:
+        most = max(shown, key=lambda values: len(set(values["kinds"])))
+        panels = in_lines({"": unpacked(most["inputs"])})
+        yield Picture("inputs", "Stand-ins of the first room.", panels)
+    labels = {key: WAYS[key].words for key in PICTURED}
     caption = "The first room; relit by the first held-out light."
-    yield Picture("maps", caption, beside_truth(kept, names))
+    yield from pictures(results, labels, caption, by="condition")

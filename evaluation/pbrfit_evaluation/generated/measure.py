@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,7 +15,6 @@ from PIL import Image
 from pbrfit.acquire.review import Reviewer
 from pbrfit.cli import main
 from pbrfit.export.lights import write_lights
-from pbrfit.fit.decompose import decompose
 from pbrfit.io.json_files import read_json
 from pbrfit.io.normal_files import write_normals
 from pbrfit.result import metrics
@@ -27,31 +26,13 @@ from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.blender import rendered_export
 from pbrfit_evaluation.depth_errors import estimated
 from pbrfit_evaluation.generated.stand_ins import Array, codes, room, segments_of, stand_ins
-from pbrfit_evaluation.generated.ways import BY_KEY, NORMALS_OFF
+from pbrfit_evaluation.generated.ways import NORMALS_OFF, WAYS
+from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.normals.disturbances import disturbed
-from pbrfit_evaluation.panels import of_maps, packed
-from pbrfit_evaluation.recipes import explain
+from pbrfit_evaluation.panels import of_result, packed
 from pbrfit_evaluation.review.measure import review
 from pbrfit_evaluation.scores import score
-
-
-@dataclass(frozen=True)
-class Case:
-    """A room and a way. `picture`: whether its maps are kept."""
-
-    way: str
-    seed: int
-    size: int
-    pictures: int
-    by_cycles: bool
-    picture: bool = False
-    cycles_cache: Path | None = field(default=None, repr=False)
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return f"{self.way}_{self.seed}"
 
 
 def run(case: Case, threads: int) -> Values:
@@ -63,10 +44,9 @@ def run(case: Case, threads: int) -> Values:
     pictures by the review; of a path, `blender` with the error of the relit picture in Blender and
     of the same by pbrfit; for some, panels.
     """
-    way = BY_KEY[case.way]
-    truth = room(
-        case.seed, case.size, case.pictures, by_cycles=case.by_cycles, cache=case.cycles_cache
-    )
+    way = WAYS[case.condition]
+    by_cycles, cache = case.kind == "cycles", case.cycles_cache
+    truth = room(case.seed, case.size, case.lights, by_cycles=by_cycles, cache=cache)
     pictures, kinds = stand_ins(truth, way.level, case.seed)
     found: dict[str, Any] = {}
     kept = list(range(len(pictures)))
@@ -83,11 +63,7 @@ def run(case: Case, threads: int) -> Values:
             assert depth is not None
             scene = replace(scene, normals=wrong, depth=estimated(depth, case.seed))
         scene = given(scene, pictures[kept], as_files=way.level != "exact")
-        if way.guess:
-            result = explain(scene, "constant", threads=threads)
-        else:
-            result = decompose(scene, threads=threads, uncertainty=False, **way.options)
-        in_blender = {}
+        result, in_blender = way.explain(scene, threads=threads, uncertainty=False), {}
     honest = {i for i, kind in enumerate(kinds) if kind == "honest"}
     found |= {
         "scores": score(result, scene, threads).as_json(),
@@ -96,11 +72,10 @@ def run(case: Case, threads: int) -> Values:
         "damaged_kept": len(set(kept) - honest),
     }
     if case.picture:
-        found["maps"] = packed(maps(result, scene, threads))
-        found["inputs"] = packed(inputs(pictures, kinds))
-        found["kinds"] = kinds
+        panels = of_result(result, scene, threads, scaled=True)
         if "picture" in in_blender:
-            found["in_blender"] = packed({"Blender": in_blender["picture"]})
+            panels["Blender"] = in_blender["picture"]
+        found |= {"maps": packed(panels), "inputs": packed(inputs(pictures, kinds)), "kinds": kinds}
     return found
 
 
@@ -209,25 +184,6 @@ def away_from_edges(result: Result, scene: Scene) -> Result:
 
 
 # ------------------------------------------------------------------------------------- pictures
-
-
-def maps(result: Result, scene: Scene, threads: int) -> dict[str, NDArray[np.floating[Any]]]:
-    """Maps, and the first held-out picture, beside the true ones; albedo and light scaled."""
-    truth = scene.truth
-    assert truth is not None
-    assert truth.relight_images is not None
-    assert truth.relight_lighting is not None
-    valid = scene.valid[..., None]
-    true = np.where(valid, truth.relight_images[0], np.nan)
-    relit = np.where(valid, relight(result, truth.relight_lighting[:1], threads)[0], np.nan)
-    white = metrics.white_of(true)
-    albedo = metrics.scaled_per_channel(result.materials.albedo, truth.materials.albedo)
-    return {
-        **of_maps(replace(result.materials, albedo=albedo)),
-        "relit": displayed(metrics.scaled_per_channel(relit, true), white),
-        **of_maps(truth.materials, "true "),
-        "true relit": displayed(true, white),
-    }
 
 
 def inputs(pictures: Array, kinds: Sequence[str]) -> dict[str, NDArray[np.floating[Any]]]:

@@ -8,6 +8,8 @@ from typing import Any
 
 from pbrfit.result.options import Priors
 from pbrfit_evaluation.generated.stand_ins import Level
+from pbrfit_evaluation.grid import Grid
+from pbrfit_evaluation.recipes import GUESS, Way
 
 BARE: Mapping[str, Any] = {
     "align": "off",
@@ -32,61 +34,54 @@ NORMALS_OFF = 8.0
 
 
 @dataclass(frozen=True)
-class Way:
+class Handled(Way):
     """A level of damage and what is done about it.
 
     Attributes
     ----------
-    key, words
-        In records and tables.
     level
         Of the pictures.
-    options
-        Of `pbrfit.decompose`.
     review
         Whether pictures are reviewed first.
     normals
         "true", or "estimated": with the errors of an estimator, and with a network's depth.
     path
         Whether commands do it, from files to files.
-    guess
-        Whether nothing is fitted.
     """
 
-    key: str
-    words: str
-    level: Level
-    options: Mapping[str, Any]
+    level: Level = "repainted"
     review: bool = False
     normals: str = "true"
     path: bool = False
-    guess: bool = False
 
 
-WAYS = (
-    Way("constant", "constant guess", "exact", {}, guess=True),
-    Way("exact", "exact pictures", "exact", BARE),
-    Way("toned", "tone curves, exposures, 8 bits", "toned", BARE),
-    Way("drifted", "and a quarter drifted", "drifted", BARE),
-    Way("repainted", "and a quarter repainted or of something else", "repainted", BARE),
-    Way("review", "all damage: review alone", "repainted", BARE, review=True),
-    Way("align", "all damage: alignment alone", "repainted", {**BARE, **ALIGN}),
-    Way("robust", "all damage: robust weights alone", "repainted", {**BARE, **ROBUST}),
-    Way("exposure", "all damage: exposure handling alone", "repainted", {**BARE, **EXPOSURE}),
-    Way("together", "all damage: all together", "repainted", TOGETHER, review=True),
-    Way(
-        "estimated",
+WAYS: Mapping[str, Handled] = {
+    "constant": Handled(**vars(GUESS), level="exact"),
+    "exact": Handled("exact pictures", BARE, level="exact"),
+    "toned": Handled("tone curves, exposures, 8 bits", BARE, level="toned"),
+    "drifted": Handled("and a quarter drifted", BARE, level="drifted"),
+    "repainted": Handled("and a quarter repainted or of something else", BARE),
+    "review": Handled("all damage: review alone", BARE, review=True),
+    "align": Handled("all damage: alignment alone", {**BARE, **ALIGN}),
+    "robust": Handled("all damage: robust weights alone", {**BARE, **ROBUST}),
+    "exposure": Handled("all damage: exposure handling alone", {**BARE, **EXPOSURE}),
+    "together": Handled("all damage: all together", TOGETHER, review=True),
+    "estimated": Handled(
         "all together, estimated normals and depth",
-        "repainted",
         {**TOGETHER, "refine_normals": "auto"},
         review=True,
         normals="estimated",
     ),
-    Way("exact-handled", "exact pictures: all together", "exact", TOGETHER, review=True),
-    Way("path", "all damage: generate, decompose, export", "repainted", {}, True, path=True),
-)
-
-BY_KEY = {way.key: way for way in WAYS}
+    "exact-handled": Handled("exact pictures: all together", TOGETHER, level="exact", review=True),
+    "path": Handled("all damage: generate, decompose, export", review=True, path=True),
+}
+"""By key; words are those of tables."""
 
 FEW = ("constant", "exact", "repainted", "together", "path")
 """Those of a quick look."""
+
+PICTURED = ("exact", "repainted", "together", "path")
+"""Ways whose maps are shown."""
+
+GRID = Grid({key: way.words for key, way in WAYS.items()}, kinds=("cycles",), pictured=PICTURED)
+"""What is done is the condition; kinds "cycles" and "own" say what renders the rooms."""

@@ -34,7 +34,7 @@ from pbrfit_evaluation.heldout.sources import Opened, evenly, opened
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.normal_errors import angle_errors
 from pbrfit_evaluation.panels import packed
-from pbrfit_evaluation.recipes import explain
+from pbrfit_evaluation.recipes import PAPER
 
 Told = Literal["directions", "strengths"]
 """What a default fit is told of the lamps, where it is known: how strong they are, too."""
@@ -246,7 +246,7 @@ def judged_at(scene: Scene, valid: NDArray[np.bool_]) -> Scene:
 def fit(way: Way, scene: Scene, threads: int) -> Result:
     """Explain the pictures of a scene in one of `OURS`, or by default with what it is told."""
     if way == "paper":
-        return explain(scene, "paper", model="paper", threads=threads)
+        return PAPER.explain(scene, model="paper", threads=threads)
     return decompose(scene, threads=threads, refine_normals="auto", **FLAGS.get(way, {}))
 
 

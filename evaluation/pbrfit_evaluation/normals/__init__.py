@@ -2,50 +2,34 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Literal
-
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import add_threads
+from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.normals import figures
-from pbrfit_evaluation.normals.disturbances import DISTURBANCES, Disturbance
-from pbrfit_evaluation.normals.measure import FIRST_SEED, Case, Name, room_kind, run
+from pbrfit_evaluation.normals.disturbances import DISTURBANCES
+from pbrfit_evaluation.normals.measure import exact, rooms, run
 from pbrfit_evaluation.options import count, first_seed, option, several
 from pbrfit_evaluation.suite import Options, Part, Suite
+
+FIRST_SEED = 7000
 
 LARGEST = 45.0
 """Degrees of a disturbance, at most."""
 
-PARTS: dict[Name, str] = {"rooms": "room", "exact": "exact"}
-"""What names of functions that show a part begin with."""
 
-EXACT = ("correlated", "biased")
-EXACT_DEGREES = 10.0
-"""Disturbances without noise, and their size."""
+def cases(options: Options) -> list[Case]:
+    """Rooms under every disturbance that is asked for; InputError if a size makes no sense."""
+    for theta in options.degrees:
+        if not 0 < theta <= LARGEST:
+            expected = f"expected more than 0 and at most {LARGEST:g}"
+            raise InputError(f"--degrees: {expected}, found {theta:g}")
+    return rooms(options).cases(options)
 
 
-def cases(part: Name, options: Options) -> list[Case]:
-    """Every scene under every disturbance that is asked for; with noise, at true normals too.
-
-    Raises InputError if a size makes no sense.
-    """
-    kinds = [kind for kind in DISTURBANCES if kind in options.disturbances]
-    starts: list[tuple[Disturbance | Literal["true"], float]] = []
-    if part == "exact":
-        starts += [(kind, EXACT_DEGREES) for kind in kinds if kind in EXACT]
-    else:
-        sizes = sorted(set(options.degrees))
-        for size in sizes:
-            if not 0 < size <= LARGEST:
-                expected = f"expected more than 0 and at most {LARGEST:g}"
-                raise InputError(f"--degrees: {expected}, found {size:g}")
-        starts += [("true", 0.0), *((kind, size) for kind in kinds for size in sizes)]
-    return [
-        Case(part, room_kind(i), seed, options.size, kind, degrees, options.iterations)
-        for i in range(options.scenes)
-        for seed in [options.first_seed + i]
-        for kind, degrees in starts
-    ]
+def of_exact(options: Options) -> list[Case]:
+    """Rooms without noise."""
+    return exact(options).cases(options)
 
 
 SUITE = Suite(
@@ -57,8 +41,8 @@ SUITE = Suite(
     "1 if something does not hold.",
     protocol="pbrfit-normals-1, {effort}",
     parts=[
-        Part.shown_by(figures, name, partial(cases, name), run, f"{of}_")
-        for name, of in PARTS.items()
+        Part.shown_by(figures, "rooms", cases, run, "room_", csvs=csvs),
+        Part.shown_by(figures, "exact", of_exact, run, "exact_", csvs=csvs),
     ],
     options=(
         add_threads,
@@ -89,5 +73,4 @@ SUITE = Suite(
         f"what must hold. Judged is “{figures.JUDGED}”, the default; without noise “on”.",
     ),
     timed=True,
-    verdict_rows=True,
 )

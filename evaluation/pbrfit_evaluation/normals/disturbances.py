@@ -19,8 +19,6 @@ At the end normals that would face away from the camera are bent until they do n
 
 from __future__ import annotations
 
-from typing import Literal, get_args
-
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -30,8 +28,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.normal_errors import Array, facing, filled, smooth, turned
 from pbrfit_evaluation.table1 import normals as estimator
 
-Disturbance = Literal["correlated", "biased", "estimator"]
-DISTURBANCES: tuple[Disturbance, ...] = get_args(Disturbance)
+DISTURBANCES = ("correlated", "biased", "estimator")
 
 PATCH, WHOLE = 0.06, 0.4
 """Lengths of fields in shares of the picture's width."""
@@ -45,7 +42,7 @@ STRONGEST = 64.0
 """Times the errors of the estimator as it is."""
 
 
-def disturbed(scene: Scene, kind: Disturbance, degrees: float, seed: int) -> Array:
+def disturbed(scene: Scene, kind: str, degrees: float, seed: int) -> Array:
     """Wrong normals for a scene whose normals are true.
 
     Parameters
@@ -75,7 +72,7 @@ def disturbed(scene: Scene, kind: Disturbance, degrees: float, seed: int) -> Arr
             axis = rng.normal(size=3)
             omega = np.broadcast_to(degrees * axis / np.linalg.norm(axis), normals.shape)
             found = facing(turned(normals, omega), views)
-        case "estimator":
+        case _:
             found = _estimated(scene, normals, views, degrees, int(rng.integers(2**32)))
     return np.where(valid[..., None], found, np.nan)
 

@@ -1,108 +1,100 @@
-"""One scene under one disturbance, fitted with and without refinement.
+"""One scene under one disturbance, fitted with or without refinement.
 
 Part "rooms" has noise. Part "exact" has none, and everything should come back.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.decompose import decompose
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
 from pbrfit.synthetic import make_scene
+from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.normal_errors import Array, Floats, angle_errors
-from pbrfit_evaluation.normals.disturbances import Disturbance, disturbed
-from pbrfit_evaluation.scores import score
+from pbrfit_evaluation.normals.disturbances import DISTURBANCES, disturbed
+from pbrfit_evaluation.recipes import Way
+from pbrfit_evaluation.suite import Options
 
-REFINE = CHOICES
+REFINE: Mapping[str, Way] = {
+    choice: Way(words, {"refine_normals": choice})
+    for choice, words in zip(
+        CHOICES,
+        ("not refined", "refined where it is decided to (auto)", "refined (on)"),
+        strict=True,
+    )
+}
 """Fits of a scene: "off", with which the others are compared, "auto" and "on"."""
-
-FIRST_SEED = 7000
-"""Nothing was tuned on seeds from there on."""
-
-PICTURES = 16
-"""Of a scene, with a mean radiance of 0.4; as many are held out."""
 
 NOISE = 0.01
 """In radiance: 1 % of a radiance of 1, 2.5 % of the mean."""
 
-DETAILED_EVERY = 4
-"""One scene in so many has textures on everything; the others are furnished rooms."""
+KINDS = ("furnished", "furnished", "furnished", "detailed")
+"""One scene in four has textures on everything."""
 
 MAPS = ("albedo", "roughness", "metallic")
 
 MATERIAL, ANGLE = 1e-2, 0.3
 """Largest RMSE of a map, and largest mean angle in degrees, of a scene that came back."""
 
-Name = Literal["rooms", "exact"]
+TRUE = "true"
+"""Condition of a scene with true normals."""
+
+EXACT = ("correlated", "biased")
+EXACT_DEGREES = 10.0
+"""Disturbances without noise, and their θ."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A scene under one disturbance; "true" in place of one leaves the true normals."""
-
-    part: Name
-    scene: str
-    seed: int
-    size: int
-    disturbance: Disturbance | Literal["true"]
-    degrees: float
-    iterations: int
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return f"{self.part}_{self.disturbance}_{self.degrees:g}_{self.scene}_{self.seed}"
-
-    @property
-    def in_words(self) -> str:
-        """What normals are given."""
-        return f"{self.disturbance} {self.degrees:g}°" if self.degrees else "true normals"
+def rooms(options: Options) -> Grid:
+    """Every disturbance by every θ that is asked for, and true normals."""
+    found = {TRUE: "true normals"}
+    for kind in DISTURBANCES:
+        for theta in sorted(set(options.degrees)) if kind in options.disturbances else ():
+            found[f"{kind}-{theta:g}"] = f"{kind} {theta:g}°"
+    return Grid(found, REFINE, kinds=KINDS)
 
 
-def room_kind(number: int) -> str:
-    """Kind of the scene with this number, from 0."""
-    return "detailed" if number % DETAILED_EVERY == DETAILED_EVERY - 1 else "furnished"
+def exact(options: Options) -> Grid:
+    """Disturbances without noise, as far as they are asked for."""
+    kinds = [kind for kind in EXACT if kind in options.disturbances]
+    titles = {f"exact-{kind}": f"no noise, {kind} {EXACT_DEGREES:g}°" for kind in kinds}
+    return Grid(titles, {"on": REFINE["on"]}, kinds=KINDS)
+
+
+def turn_of(condition: str) -> tuple[str, float]:
+    """Disturbance and θ of a condition."""
+    kind, _, degrees = condition.removeprefix("exact-").partition("-")
+    return kind, float(degrees or (EXACT_DEGREES if kind != TRUE else 0.0))
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
-    """Scores, angles and decision of each fit; without noise, whether the scene came back."""
-    noisy = case.part == "rooms"
+    """Scores, angles and decision of a fit; without noise, whether the scene came back."""
+    noisy = not case.condition.startswith("exact")
     scene = given = make_scene(
-        case.scene,
+        case.kind,
         size=case.size,
-        lights=PICTURES,
-        held_out=PICTURES,
+        lights=case.lights,
+        held_out=case.lights,
         seed=case.seed,
         noise=NOISE if noisy else 0.0,
     )
-    if case.disturbance != "true":
-        normals = disturbed(scene, case.disturbance, case.degrees, case.seed)
-        given = replace(scene, normals=normals)
-    found: dict[str, Any] = {"given": off(given.normals, scene.normals, scene.valid)}
-    for refine in REFINE if noisy else REFINE[-1:]:
-        if refine == "on" and noisy and found["auto"]["decision"]["refined"]:
-            found[refine] = found["auto"]  # the same fit, but for the time before it
-            continue
-        result = decompose(
-            given, iterations=case.iterations, threads=threads, refine_normals=refine
-        )
-        found[refine] = {
-            "scores": score(result, scene, threads).as_json(),
-            "angle": off(result.normals, scene.normals, scene.valid),
-            "decision": {
-                "refined": result.refinement.refined,
-                "why": result.refinement.why,
-                "figures": dict(result.refinement.figures),
-            },
-        }
+    if case.condition != TRUE:
+        given = replace(scene, normals=disturbed(scene, *turn_of(case.condition), case.seed))
+    result, found = measured(case, REFINE[case.way], given, threads, truth=scene)
+    found["given"] = off(given.normals, scene.normals, scene.valid)
+    found["angle"] = off(result.normals, scene.normals, scene.valid)
+    found["decision"] = {
+        "refined": result.refinement.refined,
+        "why": result.refinement.why,
+        "figures": dict(result.refinement.figures),
+    }
     if not noisy:
-        found["came_back"] = came_back(found["on"])
+        found["came_back"] = came_back(found)
     return found
 
 

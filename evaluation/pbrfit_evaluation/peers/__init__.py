@@ -11,42 +11,28 @@ from __future__ import annotations
 from typing import get_args
 
 from pbrfit.acquire.weights import Device
-from pbrfit_evaluation.options import absolute, count, cycles_cache, option
+from pbrfit_evaluation.grid.figures import csvs
+from pbrfit_evaluation.options import count, cycles_cache, option
 from pbrfit_evaluation.peers import figures, marigold, rgbx
-from pbrfit_evaluation.peers.measure import METHODS, Task, no_cycles, why_not, work
+from pbrfit_evaluation.peers.measure import GRID, Task, work
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
-from pbrfit_evaluation.table1.rows import Renderer
 
 FIRST_SEED = 6000
-"""Seed of the first scene; nothing was tuned on seeds from there on."""
 
 
 def cases(options: Options) -> list[Task]:
     """Every scene by every method that can run."""
-    rooms: list[tuple[Renderer, int, int]] = [("own", options.scenes, options.size)]
-    if not no_cycles(options):
-        rooms.append(("cycles", options.cycles_scenes, options.cycles_size))
     return [
         Task(
-            method,
-            FIRST_SEED + i,
-            size,
-            options.lights,
-            options.iterations,
-            options.samples,
-            options.steps,
-            options.longer_side,
-            shown=i < options.shown,
-            model=getattr(options, method, None),
+            **vars(case),
+            samples=options.samples,
+            steps=options.steps,
+            longer_side=options.longer_side,
+            checkpoint=getattr(options, case.way, None),
             device=options.device,
-            renderer=renderer,
-            cycles_cache=absolute(options.cycles_cache),
         )
-        for renderer, scenes, size in rooms
-        for method in METHODS
-        if not why_not(method, options)
-        for i in range(scenes)
+        for case in GRID.cases(options)
     ]
 
 
@@ -60,10 +46,9 @@ SUITE = Suite(
     protocol="pbrfit-peers-2: synthetic rooms; peers see one picture, the most evenly lit, in "
     "8-bit sRGB with its 98th percentile at white, our fit all pictures, with noise of 0.01, and "
     f"normals as an estimator gives them, with which all are relit; {SCORES.partition(': ')[2]}",
-    parts=[Part.shown_by(figures, "peers", cases, work, alone=True)],
+    parts=[Part.shown_by(figures, "peers", cases, work, csvs=csvs, alone=True)],
     options=(
-        count("--scenes", "K", "how many"),
-        count("--size", "PIXELS", "of the pictures"),
+        *GRID.options(FIRST_SEED, scenes="how many"),
         count("--cycles-scenes", "K", "rendered by Blender Cycles, where it is set up"),
         count("--cycles-size", "PIXELS", "of their pictures"),
         cycles_cache,
@@ -83,7 +68,8 @@ SUITE = Suite(
             help="where peers compute; auto = a GPU, else cpu",
         ),
     ),
-    effort={
+    effort=GRID.effort()
+    | {
         "scenes": (10, 2),
         "size": (256, 64),
         "cycles_scenes": (5, 0),
@@ -93,7 +79,6 @@ SUITE = Suite(
         "samples": (5, 1),
         "steps": (None, 4),
         "longer_side": (1000, 256),
-        "shown": (3, 2),
     },
     quick="few small scenes, short fits, few sampler steps",
     about=(

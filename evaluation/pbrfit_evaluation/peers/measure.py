@@ -2,85 +2,62 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
-from pbrfit.fit.decompose import decompose
 from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
-from pbrfit.result.preview import preview
-from pbrfit.result.sheet import as_png
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.recipes import explain, within
-from pbrfit_evaluation.scores import score
+from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.recipes import GUESS, Way, within
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.normals import estimated
 from pbrfit_evaluation.table1.rows import BY_KEY as ROWS
-from pbrfit_evaluation.table1.rows import Renderer
 
-Method = Literal["pbrfit", "constant", "marigold", "rgbx"]
-METHODS: tuple[Method, ...] = get_args(Method)
-PEERS: tuple[Method, ...] = ("marigold", "rgbx")
+PEERS = ("marigold", "rgbx")
+
+WAYS: Mapping[str, Way] = {
+    # As people run it: the normals are those of an estimator, and may be refined.
+    "pbrfit": Way("pbrfit, all pictures", {"refine_normals": "auto"}),
+    "constant": GUESS,
+    "marigold": Way("Marigold-IID, one picture"),
+    "rgbx": Way("RGB-X, one picture"),
+}
 
 NOISE = 0.01
 """Standard deviation, in radiance; the pictures' mean is 0.4."""
 
 
 @dataclass(frozen=True)
-class Task:
-    """A furnished room by a method.
+class Task(Case):
+    """A furnished room by a method, in pictures of our forward model or of Blender Cycles.
 
     Attributes
     ----------
-    lights
-        Pictures of the scene; as many are held out.
-    iterations
-        Of our fit.
     samples
         Predictions of Marigold-IID that are combined.
     steps
         Of the peers' samplers; None = as their authors recommend.
     longer_side
         Of what RGB-X is shown, in pixels.
-    shown
-        Whether to keep a sheet of the result.
-    model, device
-        Of a peer: its checkpoint, and where it computes.
-    renderer
-        Whose pictures: our forward model's, or those of Blender Cycles with shadows and bounces.
-    cycles_cache
-        Where its renders are kept.
+    checkpoint, device
+        Of a peer: its network, and where it computes.
     """
 
-    method: Method
-    seed: int
-    size: int
-    lights: int
-    iterations: int
-    samples: int
-    steps: int | None
-    longer_side: int
-    shown: bool = False
-    model: str | None = None
+    samples: int = 5
+    steps: int | None = None
+    longer_side: int = 1000
+    checkpoint: str | None = None
     device: str = field(default="auto", repr=False)
-    renderer: Renderer = "own"
-    cycles_cache: Path | None = field(default=None, repr=False)
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        return f"{self.renderer}_{self.method}_{self.seed}"
 
 
 Peer = Callable[[NDArray[np.uint8], Task], Materials]
@@ -88,49 +65,30 @@ Peer = Callable[[NDArray[np.uint8], Task], Materials]
 
 
 def work(task: Task, threads: int) -> dict[str, Any]:
-    """Errors of a method on a scene, and pictures of the first few."""
+    """Errors of a method on a scene, the picture that peers are shown, and maps of the first."""
     scene = given(task, threads)
-    at = evenly_lit(scene)
-    if task.method in PEERS:
+    at, way = evenly_lit(scene), WAYS[task.way]
+    if task.way in PEERS:
         import torch
 
         torch.set_num_threads(threads)  # else the one thread that tasks leave to BLAS
-        peer = _loaded(task.method, task.model, task.device, task.longer_side)
+        peer = _loaded(task.way, task.checkpoint, task.device, task.longer_side)
         assert not isinstance(peer, str)
+        maps = within(peer(shown_picture(scene, at), task), scene.valid)
         # Lights that fit the maps best, for the error of the pictures; materials stay.
-        result = decompose(
-            scene,
-            iterations=0,
-            start=within(peer(shown_picture(scene, at), task), scene.valid),
-            priors=None,
-            refine_normals="off",
-            threads=threads,
-        )
-    elif task.method == "constant":
-        result = explain(scene, "constant", threads=threads)
-    else:
-        # As people run it: the normals are those of an estimator, and may be refined.
-        result = explain(
-            scene, "default", iterations=task.iterations, refine_normals="auto", threads=threads
-        )
-    found: dict[str, Any] = {"scores": score(result, scene, threads).as_json(), "picture": at}
-    if task.shown:
-        found["sheet"] = base64.b64encode(as_png(preview(result, scene))).decode("ascii")
-    return found
+        way = Way(way.words, {"iterations": 0, "priors": None}, lambda _: maps)
+    return {**measured(task, way, scene, threads)[1], "picture": at}
 
 
-def given(task: Task, threads: int = 0) -> Scene:
+def given(task: Case, threads: int = 0) -> Scene:
     """A scene as every method has it: noisy pictures, and normals of an estimator's quality."""
     lights, seed = task.lights, task.seed
-    if task.renderer == "own":
+    if task.condition == "own":
         exact = make_scene(
             "furnished", size=task.size, lights=lights, held_out=lights, noise=NOISE, seed=seed
         )
     else:
-        room = table1.Task(
-            "cycles-panorama", seed, task.size, lights, 0, cycles_cache=task.cycles_cache
-        )
-        exact = table1.cycles_scene(room, ROWS["cycles-panorama"], threads)
+        exact = table1.cycles_scene(task, ROWS["cycles-panorama"], threads)
         noise = np.random.default_rng(seed).normal(scale=NOISE, size=exact.images.shape)
         exact = replace(exact, depth=None, images=exact.images + noise)
     return replace(exact, normals=estimated(exact, seed))
@@ -156,24 +114,37 @@ def shown_picture(scene: Scene, picture: int) -> NDArray[np.uint8]:
     return np.rint(255 * metrics.display(image, white)).astype(np.uint8)
 
 
-def no_cycles(options: Options) -> str:
-    """Why there are no rooms by Cycles; empty if there are."""
-    return "--quick leaves Cycles out" if options.quick else cycles.why_not() or ""
-
-
-def why_not(method: Method, options: Options) -> str:
+def why_not(options: Options, condition: str, way: str) -> str:
     """Why a method cannot run, such as for packages or weights that are missing; empty if it can.
 
     A peer is loaded to find out, and stays for `work` in this process.
     """
-    if method not in PEERS:
+    if condition == "cycles" and (options.quick or cycles.why_not()):
+        return "--quick leaves Cycles out" if options.quick else cycles.why_not() or ""
+    if way not in PEERS:
         return ""
-    peer = _loaded(method, getattr(options, method), options.device, options.longer_side)
+    peer = _loaded(way, getattr(options, way), options.device, options.longer_side)
     return peer if isinstance(peer, str) else ""
 
 
+def sized(options: Options, condition: str) -> tuple[int, int]:
+    """Scenes, and the side of their pictures."""
+    if condition == "cycles":
+        return options.cycles_scenes, options.cycles_size
+    return options.scenes, options.size
+
+
+GRID = Grid(
+    {"own": "our renders", "cycles": "rooms by Cycles"},
+    WAYS,
+    pictured=tuple(WAYS),
+    why_not=why_not,
+    sized=sized,
+)
+
+
 @cache
-def _loaded(method: Method, model: str | None, device: str, longer_side: int) -> Peer | str:
+def _loaded(method: str, model: str | None, device: str, longer_side: int) -> Peer | str:
     """Load a peer once a process; the message, where that fails: it would fail again."""
     assert model is not None
     try:

@@ -68,11 +68,10 @@ def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcom
             continue
         columns = list(dict.fromkeys(column for line in lines for column in line))
         write_csv(folder / name, columns, ([line.get(c) for c in columns] for line in lines))
-    judged = [verdict.row for verdict in found.verdicts] if suite.verdict_rows else []
     write_summary(
         folder,
         suite.protocol_of(options),
-        [*judged, *found.rows],
+        [*(verdict.row for verdict in found.verdicts), *found.rows],
         command=command_of(suite, options),
         tables=_by_title(sections),
     )

@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
+from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import count
-from pbrfit_evaluation.solvers import figures, measure
-from pbrfit_evaluation.solvers.measure import FIRST_SEED, Case
-from pbrfit_evaluation.suite import Options, Part, Suite
+from pbrfit_evaluation.solvers import figures
+from pbrfit_evaluation.solvers.measure import GRID, run
+from pbrfit_evaluation.suite import Part, Suite
 
-
-def _cases(part: str, levels: Sequence[float | None] = (None,)) -> Callable[[Options], list[Case]]:
-    """What gives a part's rooms at every level of noise; an option is for both parts."""
-
-    def cases(options: Options) -> list[Case]:
-        scenes = options.scenes if isinstance(options.scenes, int) else options.scenes[part]
-        return [
-            Case(part, FIRST_SEED + i, options.size, options.iterations, noise)
-            for i in range(scenes)
-            for noise in levels
-        ]
-
-    return cases
-
+FIRST_SEED = 1000
+"""Rooms from here on are those of `pbrfit evaluate table1`."""
 
 SUITE = Suite(
     name="solvers",
@@ -31,28 +18,17 @@ SUITE = Suite(
     "and with noise, and hold the figures against what they must be. Writes report.html, "
     "solvers.md, scenes.csv and summary.json. Exit code 1 if something does not hold.",
     protocol="pbrfit-solvers-1, {effort}",
-    parts=[
-        Part.shown_by(figures, "exact", _cases("exact"), measure.run_exact, "exact_"),
-        Part.shown_by(
-            figures, "noise", _cases("noise", measure.LEVELS), measure.run_noise, "noise_"
-        ),
-    ],
+    parts=[Part.shown_by(figures, "solvers", GRID.cases, run, csvs=csvs)],
     options=(
-        count("--scenes", "K", "of every part (default: as each part needs)"),
-        count("--size", "PIXELS", "of the pictures"),
+        *GRID.options(FIRST_SEED, scenes="of every condition (default: as each needs)"),
         count("--iterations", "K", "of a fit"),
     ),
-    effort={
-        "scenes": ({"exact": 67, "noise": 10}, {"exact": 2, "noise": 1}),
-        "size": (128, 32),
-        "iterations": (500, 100),
-    },
+    effort=GRID.effort()
+    | {"scenes": ((67, 10), (2, 1)), "size": (128, 32), "iterations": (500, 100)},
     about=(
         "Whether the second-order solver “gauss-newton” reaches what it is there for, beside "
-        "“lbfgsb”, scipy's L-BFGS-B. docs/solvers.md says what each part measures, and what must "
-        "hold.",
+        "“lbfgsb”, scipy's L-BFGS-B. docs/solvers.md says what is measured, and what must hold.",
     ),
     jobs=1,
     timed=True,
-    verdict_rows=True,
 )

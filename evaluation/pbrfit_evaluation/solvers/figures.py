@@ -1,21 +1,15 @@
-"""Rows, verdicts and plots of the parts; what each must reach is in docs/solvers.md."""
+"""Rows, verdicts and tables; what must be reached is in docs/solvers.md."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-import numpy as np
-
-from pbrfit_evaluation.solvers import measure
-from pbrfit_evaluation.solvers.measure import Case
-from pbrfit_evaluation.suite import (
-    Results,
-    Row,
-    Section,
-    Table,
-    Verdict,
-)
+from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
+from pbrfit_evaluation.grid.figures import rows as grid_rows
+from pbrfit_evaluation.grid.figures import verdicts as of_bars
+from pbrfit_evaluation.solvers.measure import GRID, NOISE, RESIDUAL
+from pbrfit_evaluation.suite import Row, Section, Table, Verdict
 
 EXACT_SHARE = 64 / 67
 """Share of the rooms without noise that have to be exact, at least."""
@@ -24,102 +18,83 @@ OBJECTIVE_SLACK, METRIC_RATIO = 1e-3, 1.02
 """With noise: objective of `gauss-newton` over the mark, less 1, and its mean error over that of
 `lbfgsb`, at most."""
 
-EXACT_METRICS = ("exact", "recon", "worst_map", "seconds")
+EXACT_METRICS = ("exact", "residual", "worst_map", "seconds")
 """The mean of "exact" is the share of rooms."""
 
-NOISE_METRICS = ("albedo", "albedo_scaled", "roughness", "metallic", "relight")
+ERRORS = ("albedo", "albedo_scaled", "roughness", "metallic", "relight")
 
-NOISE_SHOWN = ("above_mark", "recon", *NOISE_METRICS, "seconds")
-
-Of = Results[Case]
+NOISE_METRICS = ("recon", *ERRORS, "seconds")
 
 
-def _means(name: str, of: Of, fits: Iterable[str], metrics: Sequence[str]) -> list[Row]:
-    """A row a fit."""
-    rooms = len(of.finished)
-    return [Row(name, rooms, fit, of.metrics(metrics, fit), status=of.status()) for fit in fits]
+def above_mark(results: Of, condition: str, way: str) -> dict[int, float]:
+    """Objective of each scene without penalties over the mark, less 1; where there is a mark.
 
-
-def _highest(what: str, above: Mapping[str, float], bar: float) -> Verdict:
-    """The largest figure of any scene, and how many are above the bar."""
-    worst = max(above, key=lambda scene: above[scene])
-    where = f"{worst}; above in {sum(value > bar for value in above.values())} of {len(above)}"
-    return Verdict(what, above[worst], bar, where)
-
-
-# ----------------------------------------------------------------------------------------- exact
-
-
-def exact_rows(results: Of) -> list[Row]:
-    """Means over the rooms, a row a fit."""
-    return _means("rooms without noise", results, measure.EXACT_FITS, EXACT_METRICS)
-
-
-def exact_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
-    """Enough rooms are exact; `gauss-newton` is never above `lbfgsb`."""
-    found = results.finished
-    if not found:
-        return
-    for name, (solver, bound) in measure.EXACT_FITS.items():
-        if solver == "lbfgsb":
-            continue
-        missed = [str(case.seed) for case, values in found if not values[name]["exact"]]
-        pictures = "float32" if bound == measure.RECON_FLOAT32 else "float64"
-        yield Verdict(
-            f"{solver}: rooms of {len(found)} that are exact, {pictures} pictures",
-            len(found) - len(missed),
-            math.ceil(EXACT_SHARE * len(found) - 1e-9),
-            f"not: {', '.join(missed)}" if missed else "",
-            at_least=True,
-        )
-    above = {
-        f"seed {case.seed}": v["gauss-newton"]["recon"] / v["lbfgsb"]["recon"] for case, v in found
+    The mark is the lower of L-BFGS-B's, and that of Gauss-Newton from the ground truth, which no
+    search for a start can be blamed for. The objective is the square of the residual in float64.
+    """
+    recon = {
+        key: by_seed(results, condition, key, "scores", "recon") for key in ("truth", "lbfgsb", way)
     }
-    yield _highest("gauss-newton's residual over lbfgsb's", above, 1.0)
+    return {
+        seed: (found / min(recon["truth"][seed], recon["lbfgsb"][seed])) ** 2 - 1
+        for seed, found in recon[way].items()
+        if seed in recon["truth"] and seed in recon["lbfgsb"]
+    }
 
 
-def exact_sections(_: Of, rows: Sequence[Row]) -> list[Section]:
+def rows(results: Of) -> list[Row]:
+    """Means over the rooms of a condition, a row a way."""
+
+    def more(condition: str, way: str, of: Of) -> Metrics:
+        if condition not in NOISE:
+            return of.metrics(EXACT_METRICS, "scores")
+        above = above_mark(results, condition, way).values()
+        mean = sum(above) / len(above) if above else math.nan
+        return {"above_mark": mean} | of.metrics(NOISE_METRICS, "scores")
+
+    return grid_rows(GRID, results, (), more)
+
+
+def verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
+    """Enough rooms are exact, and `gauss-newton` never above `lbfgsb` nor with larger errors."""
+    for condition in RESIDUAL:
+        exact = by_seed(results, condition, "gauss-newton", "scores", "exact")
+        if exact:
+            missed = [str(seed) for seed, good in exact.items() if not good]
+            yield Verdict(
+                f"{GRID.conditions[condition]}: rooms of {len(exact)} that are exact",
+                len(exact) - len(missed),
+                math.ceil(EXACT_SHARE * len(exact) - 1e-9),
+                f"not: {', '.join(missed)}" if missed else "",
+                at_least=True,
+            )
+    ours, theirs = (
+        by_seed(results, "exact", key, "scores", "residual") for key in ("gauss-newton", "lbfgsb")
+    )
+    above = {seed: ours[seed] / theirs[seed] for seed in ours if seed in theirs}
+    yield from _highest("no noise: gauss-newton's residual over lbfgsb's", above, 1.0)
+    for condition, title in ((key, GRID.conditions[key]) for key in NOISE):
+        above = above_mark(results, condition, "gauss-newton")
+        what = f"{title}: gauss-newton's objective over the mark, less 1"
+        yield from _highest(what, above, OBJECTIVE_SLACK)
+        for suffix, priors in (("", "no priors"), ("-priors", "priors")):
+            of, over = ((condition, f"{key}{suffix}") for key in ("gauss-newton", "lbfgsb"))
+            what = f"{title}, {priors}: worst mean error, gauss-newton over lbfgsb"
+            yield from of_bars(results, [Bar(what, of, over, ERRORS, METRIC_RATIO)])
+
+
+def _highest(what: str, above: Mapping[int, float], bar: float) -> Iterator[Verdict]:
+    """The largest figure of any scene, and how many are above the bar."""
+    if above:
+        worst = max(above, key=lambda seed: above[seed])
+        many = f"above in {sum(value > bar for value in above.values())} of {len(above)}"
+        yield Verdict(what, above[worst], bar, f"seed {worst}; {many}")
+
+
+def sections(_: Of, rows: Sequence[Row]) -> Iterator[Section]:
     """Means; what each room has is in scenes.csv."""
-    return [Section("Exact: pictures without noise", tables=[Table.of(rows)])]
-
-
-# ----------------------------------------------------------------------------------------- noise
-
-
-def _levels(results: Of) -> Iterator[tuple[str, Of]]:
-    for level in measure.LEVELS:
-        if (of := results.of(noise=level)).finished:
-            yield f"noise {level:g}", of
-
-
-def noise_rows(results: Of) -> list[Row]:
-    """Means over the rooms of a level, a row a fit."""
-    return [
-        row
-        for level, of in _levels(results)
-        for row in _means(level, of, measure.NOISE_FITS, NOISE_SHOWN)
-    ]
-
-
-def noise_verdicts(results: Of, _: Sequence[Row]) -> Iterator[Verdict]:
-    """Objectives are near the mark, and maps no worse than L-BFGS-B's."""
-    for level, of in _levels(results):
-        above = {f"seed {case.seed}": v["gauss-newton"]["above_mark"] for case, v in of.finished}
-        what = f"gauss-newton, {level}: objective over the mark, less 1"
-        yield _highest(what, above, OBJECTIVE_SLACK)
-        for suffix in ("", ", priors"):
-            ratios = {
-                metric: float(
-                    np.mean(of.numbers(f"gauss-newton{suffix}", metric))
-                    / np.mean(of.numbers(f"lbfgsb{suffix}", metric))
-                )
-                for metric in NOISE_METRICS
-            }
-            worst = max(ratios, key=lambda metric: ratios[metric])
-            what = f"gauss-newton over lbfgsb, {level}{suffix or ', no priors'}: worst mean error"
-            yield Verdict(what, ratios[worst], METRIC_RATIO, worst.replace("_", ", "))
-
-
-def noise_sections(_: Of, rows: Sequence[Row]) -> list[Section]:
-    """Likewise."""
-    return [Section("Noise", tables=[Table.of(rows)])]
+    noisy = {GRID.conditions[key] for key in NOISE}
+    for title, of_noise in (("Exact: pictures without noise", False), ("Noise", True)):
+        shown = [row for row in rows if (row.name in noisy) == of_noise]
+        if shown:
+            yield Section(title, tables=[Table.of(shown)])

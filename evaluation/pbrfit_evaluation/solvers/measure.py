@@ -2,62 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.recipes import fit_and_score
+from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.recipes import Array, Way
+from pbrfit_evaluation.suite import Options
 
-FIRST_SEED = 1000
-"""Rooms from here on are those of `pbrfit evaluate table1`, on which nothing was tuned."""
+NOISE = {"noise-0.004": 0.004, "noise-0.01": 0.01}
+"""Standard deviations of the noise, in radiance: 1 % of the mean radiance of 0.4, as in the
+convergence suite, and 1 % of a radiance of 1, as in the ablation."""
 
-PICTURES = 16
-
-
-@dataclass(frozen=True)
-class Case:
-    """A room of a part.
-
-    Attributes
-    ----------
-    part
-        Its name.
-    seed, size, iterations
-        Of the scene, of a picture's side, and of each fit.
-    noise
-        Standard deviation in radiance; None where the part has no noise.
-    """
-
-    part: str
-    seed: int
-    size: int
-    iterations: int
-    noise: float | None = None
-
-    @property
-    def key(self) -> str:
-        """Name of the record."""
-        level = "" if self.noise is None else f"{1e3 * self.noise:g}"
-        return "_".join(filter(None, (self.part, level, str(self.seed))))
-
-    def scene(self, held_out: int = PICTURES) -> Scene:
-        """Make it as in table1's base row: 16 pictures of mean radiance 0.4."""
-        return make_scene(
-            "furnished",
-            size=self.size,
-            lights=PICTURES,
-            held_out=held_out,
-            seed=self.seed,
-            noise=self.noise or 0.0,
-        )
-
-
-# ----------------------------------------------------------------------------------------- exact
-
-RECON_FLOAT32, RECON_FLOAT64 = 3e-8, 1e-12
+RESIDUAL = {"exact": 3e-8, "exact-float64": 1e-12}
 """Residual relative to the pictures' RMS that counts as exact, by the precision of the pictures.
 
 Pictures are rendered in float64. Rounded once to float32, they leave a residual of about 1e-8 of
@@ -69,73 +30,65 @@ MATERIAL = 1e-6
 
 MAPS = ("albedo", "roughness", "metallic")
 
-EXACT_FITS: dict[str, tuple[str, float]] = {
-    "gauss-newton": ("gauss-newton", RECON_FLOAT32),
-    "lbfgsb": ("lbfgsb", RECON_FLOAT32),
-    "gauss-newton, float64": ("gauss-newton", RECON_FLOAT64),
-}
-"""Solver and largest residual by name; pictures of all but the last are rounded to float32."""
 
-
-def run_exact(case: Case, threads: int) -> dict[str, Any]:
-    """Errors of each fit to pictures without noise, whose ground truth is a perfect fit."""
-    scene = case.scene(held_out=1)
-    rounded = replace(scene, images=scene.images.astype(np.float32))
-    found = {}
-    for name, (solver, bound) in EXACT_FITS.items():
-        pictures = rounded if bound == RECON_FLOAT32 else scene
-        rms = float(np.sqrt(np.mean(np.square(pictures.images, dtype=np.float64))))
-        result, scores = fit_and_score(
-            pictures, threads, solver=solver, priors=None, iterations=case.iterations
-        )
-        recon, errors = scores["recon"] / rms, [scores[name] for name in MAPS]
-        found[name] = scores | {
-            "recon": recon,
-            "worst_map": max(errors),
-            "exact": is_exact(recon, errors, bound),
-            "stop_reason": result.stop_reason,
-        }
-    return found
-
-
-def is_exact(recon: float, errors: list[float], bound: float = RECON_FLOAT32) -> bool:
-    """Whether residual and maps are within their bounds."""
-    return recon <= bound and all(error <= MATERIAL for error in errors)
-
-
-# ----------------------------------------------------------------------------------------- noise
-
-LEVELS = (0.004, 0.01)
-"""Standard deviations of the noise, in radiance: 1 % of the mean radiance of 0.4, as in the
-convergence suite, and 1 % of a radiance of 1, as in the ablation."""
-
-FROM_TRUTH = "gauss-newton from the ground truth"
-NOISE_FITS: dict[str, dict[str, Any]] = {
-    FROM_TRUTH: {"solver": "gauss-newton", "priors": None},
-    "gauss-newton": {"solver": "gauss-newton", "priors": None},
-    "lbfgsb": {"solver": "lbfgsb", "priors": None},
-    "gauss-newton, priors": {"solver": "gauss-newton"},
-    "lbfgsb, priors": {"solver": "lbfgsb"},
-}
-"""Options by name."""
-
-
-def run_noise(case: Case, threads: int) -> dict[str, Any]:
-    """Scores of each fit, and its objective without penalties over the mark, less 1.
-
-    The mark is the lower of L-BFGS-B's, and that of Gauss-Newton from the ground truth, which no
-    search for a start can be blamed for. The objective is the square of the residual in float64.
-    """
-    scene = case.scene()
+def _truth(scene: Scene) -> tuple[Materials, Array]:
     assert scene.truth is not None
-    start = {FROM_TRUTH: (scene.truth.materials, scene.truth.lighting)}
-    found = {}
-    for name, options in NOISE_FITS.items():
-        result, scores = fit_and_score(
-            scene, threads, iterations=case.iterations, start=start.get(name), **options
-        )
-        found[name] = scores | {"stop_reason": result.stop_reason}
-    mark = min(found[name]["recon"] for name in (FROM_TRUTH, "lbfgsb"))
-    for scores in found.values():
-        scores["above_mark"] = (scores["recon"] / mark) ** 2 - 1
-    return found
+    assert scene.truth.lighting is not None
+    return scene.truth.materials, scene.truth.lighting
+
+
+_NONE = {"priors": None}
+
+WAYS = {
+    "truth": Way("gauss-newton from the ground truth", _NONE, _truth),
+    "gauss-newton": Way("gauss-newton", _NONE),
+    "lbfgsb": Way("lbfgsb", {**_NONE, "solver": "lbfgsb"}),
+    "gauss-newton-priors": Way("gauss-newton, priors"),
+    "lbfgsb-priors": Way("lbfgsb, priors", {"solver": "lbfgsb"}),
+}
+
+
+def sized(options: Options, condition: str) -> tuple[int, int]:
+    """Without `--scenes`, as many as each condition needs."""
+    scenes = options.scenes
+    if not isinstance(scenes, int):
+        exact, noisy = scenes
+        scenes = noisy if condition in NOISE else exact
+    return scenes, options.size
+
+
+GRID = Grid(
+    {
+        "exact": "no noise",
+        "exact-float64": "no noise, float64 pictures",
+        **{key: f"noise {level:g}" for key, level in NOISE.items()},
+    },
+    WAYS,
+    of_condition={"exact": ("gauss-newton", "lbfgsb"), "exact-float64": ("gauss-newton",)},
+    sized=sized,
+)
+
+
+def run(case: Case, threads: int) -> dict[str, Any]:
+    """Scores; without noise also the `residual` over the RMS of the pictures, and `exact`.
+
+    Rooms are those of table1's base row: 16 pictures of mean radiance 0.4.
+    """
+    noise = NOISE.get(case.condition, 0.0)
+    lights: Any = {"lights": case.lights, "held_out": case.lights if noise else 1}
+    scene = make_scene(case.kind, size=case.size, seed=case.seed, noise=noise, **lights)
+    if case.condition == "exact":
+        scene = replace(scene, images=scene.images.astype(np.float32))
+    result, found = measured(case, WAYS[case.way], scene, threads)
+    scores = found["scores"]
+    if not noise:
+        rms = float(np.sqrt(np.mean(np.square(scene.images, dtype=np.float64))))
+        scores["residual"] = scores["recon"] / rms
+        scores["worst_map"] = max(scores[name] for name in MAPS)
+        scores["exact"] = is_exact(scores["residual"], scores["worst_map"], case.condition)
+    return {**found, "stop_reason": result.stop_reason}
+
+
+def is_exact(residual: float, worst_map: float, condition: str = "exact") -> bool:
+    """Whether residual and maps are within their bounds."""
+    return residual <= RESIDUAL[condition] and worst_map <= MATERIAL

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pbrfit._core import InputError
+from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.jobs import digest_of_files
-from pbrfit_evaluation.options import (
-    absolute,
-    count,
-    cycles_cache,
-    model_option,
-    models,
-    option,
-    several,
-)
+from pbrfit_evaluation.options import absolute, count, cycles_cache, model_option, option
 from pbrfit_evaluation.rooms.textures import load_textures
 from pbrfit_evaluation.scores import PROTOCOL
 from pbrfit_evaluation.suite import Options, Part, Suite
 from pbrfit_evaluation.table1 import figures
-from pbrfit_evaluation.table1.figures import asked_rows
-from pbrfit_evaluation.table1.measure import FIRST_SEED, Task, predicted_files, why_not, work
-from pbrfit_evaluation.table1.rows import ROWS, Row
+from pbrfit_evaluation.table1.measure import GRID, Case, predicted_files, run
+from pbrfit_evaluation.table1.rows import BY_KEY
 
 MOST_SCENES = 100
 
+FIRST_SEED = 1000
+"""Seeds below 400 served to design scenes and simulated normals and to tune the solver; none from
+here on ever did."""
 
-def cases(options: Options) -> list[Task]:
+
+def cases(options: Options) -> list[Case]:
     """The scenes of every row that can be run, for every model, those of a seed together.
 
     So a run that is broken off and resumed with fewer scenes is complete in those.
@@ -38,47 +35,25 @@ def cases(options: Options) -> list[Task]:
     """
     if options.scenes > MOST_SCENES:
         raise InputError(f"--scenes: expected at most {MOST_SCENES}, found {options.scenes}")
-    if options.lights < 2:
-        raise InputError(f"--lights: expected at least 2, found {options.lights}")
     for folder in (options.textures, options.predicted_normals):
         if folder is not None and not folder.is_dir():
             raise InputError(f"{folder}: expected a folder, found none")
-    if options.textures is not None:
-        load_textures(options.textures)  # what is wrong with them should show before the work
-    rows = [row for row in asked_rows(options) if not why_not(row, options)]
-    found = [case for row in rows for case in _of_row(row, options)]
+    textures, normals = absolute(options.textures), absolute(options.predicted_normals)
+    of_textures = ""
+    if textures is not None:
+        load_textures(textures)  # what is wrong with them should show before the work
+        of_textures = digest_of_files(textures)
+    found = []
+    for case in GRID.cases(options):
+        row, given = BY_KEY[case.condition], Case(**vars(case))
+        if row.scene == "detailed":
+            given = replace(given, textures=textures, inputs=of_textures)
+        elif row.normals == "predicted" and normals is not None:
+            digest = digest_of_files(normals, predicted_files(normals, case.seed))
+            given = replace(given, predicted_normals=normals, inputs=digest)
+        found.append(given)
     return sorted(found, key=lambda case: case.seed)
 
-
-def _of_row(row: Row, options: Options) -> list[Task]:
-    scenes = min(options.scenes, options.slow_scenes) if row.slow else options.scenes
-    textures = absolute(options.textures) if row.scene == "detailed" else None
-    normals = absolute(options.predicted_normals) if row.normals == "predicted" else None
-    of_textures = digest_of_files(textures) if textures else ""
-
-    def inputs(seed: int) -> str:
-        return digest_of_files(normals, predicted_files(normals, seed)) if normals else of_textures
-
-    return [
-        Task(
-            row.key,
-            seed,
-            options.size * row.enlarged,
-            options.lights,
-            options.iterations,
-            textures=textures,
-            predicted_normals=normals,
-            model=model,
-            inputs=inputs(seed),
-            preview=seed == FIRST_SEED,
-            cycles_cache=absolute(options.cycles_cache),
-        )
-        for model in models(options)
-        for seed in range(FIRST_SEED, FIRST_SEED + scenes)
-    ]
-
-
-KEYS = [row.key for row in ROWS]
 
 SUITE = Suite(
     name="table1",
@@ -87,14 +62,12 @@ SUITE = Suite(
     "and compare with the ground truth, in the setups of the paper's Table 1. Writes report.html, "
     "table1.md, scenes.csv and summary.json.",
     protocol=PROTOCOL,
-    parts=[Part.shown_by(figures, "table1", cases, work)],
+    parts=[Part.shown_by(figures, "table1", cases, run, csvs=csvs)],
     options=(
         model_option("is fitted, and what our renderer renders with"),
-        count("--scenes", "K", f"at most {MOST_SCENES}"),
-        count("--size", "PIXELS", "of a picture"),
+        *GRID.options(FIRST_SEED, "--rows", scenes=f"at most {MOST_SCENES}"),
         count("--lights", "N", "pictures a scene; as many are held out", default=16),
         count("--iterations", "K", "of a fit", default=500),
-        several("--rows", "KEY", KEYS),
         option(
             "--textures",
             metavar="DIR",
@@ -114,7 +87,7 @@ SUITE = Suite(
         ),
         cycles_cache,
     ),
-    effort={"scenes": (67, 4), "slow_scenes": (20, 0), "size": (64, 32)},
+    effort=GRID.effort() | {"scenes": (67, 4), "slow_scenes": (20, 0), "size": (64, 32)},
     quick="two minutes: few and small scenes, without Cycles, refined normals, large pictures",
     about=(
         "Figures are means over scenes, with 95 % intervals by bootstrap over scenes in brackets; "

@@ -7,17 +7,24 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from pbrfit.result.refinement import RefineNormals
-from pbrfit_evaluation.recipes import Recipe
+from pbrfit_evaluation.recipes import DEFAULT, GUESS, PAPER, PAPER_REGULARIZED, Way
 
 COLUMNS = ("recon", "albedo", "roughness", "metallic", "relight")
 """What the paper reports."""
 
-COMPARED: tuple[Recipe, ...] = ("default", "paper", "constant")
+WAYS: Mapping[str, Way] = {
+    "default": DEFAULT,
+    "paper": PAPER,
+    "paper-priors": PAPER_REGULARIZED,
+    "constant": GUESS,
+}
 
-REFINED: tuple[Recipe, ...] = ("default",)
+COMPARED = ("default", "paper", "constant")
+
+REFINED = ("default",)
 """The paper's recipe and guesses cannot refine normals."""
 
-REGULARIZED: tuple[Recipe, ...] = ("default", "paper-priors", "constant")
+REGULARIZED = ("default", "paper-priors", "constant")
 
 Renderer = Literal["own", "cycles"]
 NormalSource = Literal["true", "predicted"]
@@ -49,8 +56,8 @@ class Row:
         That the decomposition is told, in degrees; the true one is 60.
     swapped
         Whether our renderer uses the other model than the one that is fitted, instead of the same.
-    recipes
-        Ways to explain its scenes.
+    ways
+        Keys of the ways to explain its scenes.
     enlarged
         Side of its pictures, over that of the others.
     paper
@@ -69,7 +76,7 @@ class Row:
     sh_order: int = 3
     fov: float = 60.0
     swapped: bool = False
-    recipes: tuple[Recipe, ...] = COMPARED
+    ways: tuple[str, ...] = COMPARED
     enlarged: int = 1
     paper: Mapping[str, float] = field(default_factory=dict)
 
@@ -116,7 +123,7 @@ ROWS = (
         "The same scenes and normals, refined where the pictures say that they are wrong.",
         normals="predicted",
         refine_normals="auto",
-        recipes=REFINED,
+        ways=REFINED,
     ),
     Row(
         "fov90",
@@ -187,7 +194,7 @@ ROWS = (
         "Regularised",
         "The base pictures, explained with priors; the paper's on roughness and metallic have the "
         "true segments.",
-        recipes=REGULARIZED,
+        ways=REGULARIZED,
         paper=_paper(0.010, 0.066, 0.241, 0.248, 0.160),
     ),
 )

@@ -4,28 +4,16 @@ from __future__ import annotations
 
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit_evaluation.everyday.disturbances import KINDS
-from pbrfit_evaluation.options import count, first_seed, option, several
-from pbrfit_evaluation.suite import Options, Part, Suite
+from pbrfit_evaluation.grid.figures import csvs
+from pbrfit_evaluation.options import option, several
+from pbrfit_evaluation.suite import Part, Suite
 from pbrfit_evaluation.uncertainty import figures
-from pbrfit_evaluation.uncertainty.conditions import NAMES, Name
-from pbrfit_evaluation.uncertainty.measure import Case, run
+from pbrfit_evaluation.uncertainty.measure import GRID, run
 
 FIRST_SEED = 9300
-"""Nothing was tuned on seeds from there on."""
 
-QUICK: tuple[Name, ...] = ("clean", "noise", "fov-90")
+QUICK = ("clean", "noise", "fov-90")
 """Rows of a quick look."""
-
-
-def cases(options: Options) -> list[Case]:
-    """Every scene under every condition that is asked for; kinds take turns."""
-    return [
-        Case(name, kind, options.first_seed + i, options.size, options.model)
-        for i in range(options.scenes)
-        for kind in [options.kinds[i % len(options.kinds)]]
-        for name in NAMES
-        if name in options.rows
-    ]
 
 
 SUITE = Suite(
@@ -38,13 +26,10 @@ SUITE = Suite(
     "if something does not hold.",
     protocol="pbrfit-uncertainty-2: values of maps within their deviations and intervals, RMSE of "
     "maps by their verdicts; {size} pixels, model {model}, {effort}",
-    parts=[Part.shown_by(figures, "uncertainty", cases, run)],
+    parts=[Part.shown_by(figures, "uncertainty", GRID.cases, run, csvs=csvs)],
     options=(
-        several("--rows", "NAME", NAMES, QUICK),
+        *GRID.options(FIRST_SEED, "--rows", QUICK),
         several("--kinds", "KIND", KINDS, what="of the scenes, in turn", default="furnished"),
-        count("--scenes", "K", "of a row"),
-        count("--size", "PIXELS", "of the pictures"),
-        first_seed("scene of a row", FIRST_SEED),
         option(
             "--model",
             choices=MODELS,
@@ -52,8 +37,8 @@ SUITE = Suite(
             help="that is fitted, of `pbrfit decompose --model` (default: %(default)s)",
         ),
     ),
-    effort={
-        "rows": (NAMES, QUICK),
+    effort=GRID.effort(QUICK)
+    | {
         "kinds": (("furnished",), ("furnished",)),
         "scenes": (10, 1),
         "size": (64, 32),
@@ -67,5 +52,4 @@ SUITE = Suite(
         "docs/uncertainty.md says what must hold. A demand that does not hold is shown as such.",
     ),
     timed=True,
-    verdict_rows=True,
 )

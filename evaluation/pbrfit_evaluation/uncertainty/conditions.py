@@ -27,7 +27,6 @@ from pbrfit.transport.scenery import Scenery
 from pbrfit_evaluation.everyday import disturbances as scenes
 from pbrfit_evaluation.everyday.disturbances import (
     NOISE,
-    Kind,
     grey,
     in_files,
     jpeg,
@@ -104,45 +103,37 @@ CONDITIONS: Mapping[Name, Condition] = {
 NAMES: tuple[Name, ...] = tuple(CONDITIONS)
 
 
-def made(name: Name, kind: Kind, seed: int, size: int, model: Model, threads: int = 0) -> Scene:
+def made(name: Name, kind: str, seed: int, size: int, model: Model, threads: int = 0) -> Scene:
     """Make the scene of a condition, with its true materials.
 
-    Parameters
-    ----------
-    name
-        Of the condition.
-    kind, seed, size
-        As for `pbrfit.synthetic.make_scene`; what is drawn here has a stream of its own.
-    model
-        That is fitted; the pictures are of it, but for "other-model".
+    `kind`, `seed` and `size` are those of `pbrfit.synthetic.make_scene`; what is drawn here has a
+    stream of its own. `model` is fitted; the pictures are of it, but for "other-model".
     """
     of = OTHER[model] if name == "other-model" else model
     drawn = partial(scenes.made, kind, seed, size, model=of, held_out=1)
     rng = np.random.default_rng([seed, 9, NAMES.index(name)])
     match name:
-        case "clean" | "sh-2" | "other-model":
-            return drawn().scene
         case "noise" | "no-priors":
-            return drawn(NOISE).scene
+            return drawn(NOISE)
         case "three":
-            return drawn(NOISE, lights=FEW).scene
+            return drawn(NOISE, lights=FEW)
         case "grey":
-            return grey(drawn(), rng).scene
+            return grey(drawn(), rng)
         case "fov-90":
-            return replace(drawn().scene, fov=FOV_TOLD)
+            return replace(drawn(), fov=FOV_TOLD)
         case "normals-3" | "normals-5":
-            scene, degrees = drawn(NOISE).scene, float(name[-1])
+            scene, degrees = drawn(NOISE), float(name[-1])
             wrong = disturbed(scene, "correlated", degrees / MEAN_OF_THETA, seed)
             return replace(scene, normals=wrong)
         case "png":
-            return in_files(drawn(NOISE), write_png).scene
+            return in_files(drawn(NOISE), write_png)
         case "jpeg":
-            return in_files(drawn(), jpeg("90-420")).scene
+            return in_files(drawn(), jpeg("90-420"))
         case "shadows" | "bounces":
-            blocked = drawn().scene
-            return _among_surfaces(blocked, bounces=name == "bounces", rng=rng, threads=threads)
-    assert name == "lamps"
-    return _under_lamps(drawn().scene, rng, threads)
+            return _among_surfaces(drawn(), bounces=name == "bounces", rng=rng, threads=threads)
+        case "lamps":
+            return _under_lamps(drawn(), rng, threads)
+    return drawn()
 
 
 def _depth(scene: Scene) -> NDArray[np.float32]:

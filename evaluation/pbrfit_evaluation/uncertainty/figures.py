@@ -1,10 +1,9 @@
-"""Coverage, reliability and verdicts of all conditions as rows, bars, tables and plots."""
+"""Coverage and verdicts of all conditions as rows, bars, tables and plots."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,13 +15,14 @@ from pbrfit.result.verdict import (
     USABLE_ERROR,
     USABLE_MAX,
 )
-from pbrfit_evaluation.everyday.measure import CHANNELS
+from pbrfit_evaluation.everyday.measure import covered
+from pbrfit_evaluation.grid.figures import Metrics, Of
+from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.suite import (
     Column,
     Mark,
     Panel,
     Plot,
-    Results,
     Row,
     Section,
     Series,
@@ -31,14 +31,8 @@ from pbrfit_evaluation.suite import (
     Verdict,
     digits,
 )
-from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition, Group
-from pbrfit_evaluation.uncertainty.measure import (
-    DEVIATION_EDGES,
-    EXACT,
-    RATIO_EDGES,
-    Array,
-    Case,
-)
+from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition
+from pbrfit_evaluation.uncertainty.measure import GRID, Array
 
 COVERED = (0.9, 0.99)
 """Share of the errors within two deviations, at least and at most: of a Gaussian 0.954."""
@@ -56,16 +50,8 @@ SCALES_COVERED = 0.9
 TIME = 0.1
 """Seconds after the fits over those of the fits, at most."""
 
-LEAST_SHARE = 0.005
-"""Share of a row's values that a bin has where it is drawn, at least."""
-
 LEAST_ERROR = 1e-3
 """RMSE below which maps are drawn at it: far below all that verdicts tell apart."""
-
-GREY = 7
-"""Place in the palette of what is no measurement."""
-
-Of = Results[Case]
 
 METRICS = ("within_1", "within_2", "in_interval", "deviation")
 
@@ -73,37 +59,31 @@ METRICS = ("within_1", "within_2", "in_interval", "deviation")
 # ------------------------------------------------------------------------------------------ rows
 
 
+def rows(results: Of) -> list[Row]:
+    """A row a condition: of each map means over scenes; the scale, and seconds."""
+
+    def more(_: str, __: str, of: Of) -> Metrics:
+        maps = {
+            f"{name}_{key}": value
+            for name in PARAMETERS
+            for key, value in _of_map(of, name).items()
+        }
+        seconds = {"seconds": of.average("seconds", "fit"), "after_share": _after_share(of)}
+        return {**maps, "scale_within_2": _share(_scales_within(of)), **seconds}
+
+    return grid_rows(GRID, results, (), more)
+
+
 def _conditions(results: Of) -> Iterator[tuple[Condition, Of]]:
-    """Those with a scene, in their order."""
+    """Those with a finished scene, in their order."""
     for name, condition in CONDITIONS.items():
-        if (of := results.of(condition=name)).pairs:
+        if (of := results.of(condition=name)).finished:
             yield condition, of
 
 
-def rows(results: Of) -> list[Row]:
-    """A row a condition: of each map means over scenes; the scale, and seconds."""
-    return [_row(condition, of) for condition, of in _conditions(results)]
-
-
-def _row(condition: Condition, of: Of) -> Row:
-    metrics: dict[str, float | None] = {}
-    if of.finished:
-        for name in PARAMETERS:
-            metrics |= {f"{name}_{key}": value for key, value in _of_map(of, name).items()}
-        metrics |= {
-            "scale_within_2": _share(_scales_within(of)),
-            "seconds": of.average("seconds", "fit"),
-            "after_share": _after_share(of),
-        }
-    return Row(condition.title, len(of.finished), None, metrics, status=of.status("scenes"))
-
-
 def _of_map(of: Of, name: str) -> dict[str, float | None]:
-    path = ("maps", name)
+    path = ("said", name)
     errors, guesses = of.numbers(*path, "rmse"), of.numbers(*path, "guess")
-    on_bound = sum(of.numbers(*path, "on_bound", "count"))
-    inside = sum(of.numbers(*path, "on_bound", "inside"))
-    values = sum(float(np.sum(one["maps"][name]["ratios"])) for _, one in of.finished)
     return {
         **of.metrics(["within_2"], *path),
         **{key: of.average(*path, key) for key in METRICS if key != "within_2"},
@@ -111,8 +91,6 @@ def _of_map(of: Of, name: str) -> dict[str, float | None]:
         "guess": _mean(guesses),
         "over_guess": _mean(errors) / _mean(guesses) if any(guesses) else math.nan,
         "expected_error": of.average(*path, "expected_error"),
-        "on_bound": on_bound / values,
-        "on_bound_inside": inside / on_bound if on_bound else math.nan,
     }
 
 
@@ -126,8 +104,7 @@ def _share(flags: Sequence[bool]) -> float:
 
 def _scales_within(of: Of) -> list[bool]:
     """Of each channel of each scene, whether the error of the scale is within two deviations."""
-    each = [values["scale"][channel] for _, values in of.finished for channel in CHANNELS]
-    return [one["error"] <= max(2 * one["deviation"], EXACT) for one in each]
+    return [flag for _, values in of.finished for flag in covered(values["scale"])]
 
 
 def _after_share(of: Of) -> float:
@@ -148,7 +125,7 @@ def verdicts(results: Of, of_rows: Sequence[Row]) -> Iterator[Verdict]:
     yield _of_said(f"“{LEVELS[0]}” and right", usable[0], usable.sum(), USABLE_RIGHT, at_least=True)
     wrong = undetermined[:-1].sum()
     yield _of_said(f"“{LEVELS[-1]}” and wrong", wrong, undetermined.sum(), UNDETERMINED_WRONG)
-    shares = {c.title: _share(_scales_within(of)) for c, of in _conditions(results) if of.finished}
+    shares = {c.title: _share(_scales_within(of)) for c, of in _conditions(results)}
     worst = min(shares, key=lambda title: shares[title], default="")
     yield Verdict(
         "share of scales of albedo, of all channels and scenes, within two deviations",
@@ -199,7 +176,7 @@ def confusion(results: Of, *names: str) -> Array:
     found = np.zeros((len(LEVELS), len(LEVELS)))
     for _, values in results.finished:
         for name in names or PARAMETERS:
-            one = values["maps"][name]
+            one = values["said"][name]
             found[LEVELS.index(one["said"]), LEVELS.index(one["deserved"])] += 1
     return found
 
@@ -207,19 +184,19 @@ def confusion(results: Of, *names: str) -> Array:
 # --------------------------------------------------------------------------------- what is shown
 
 COLUMNS = (
-    *(Column("within_1", "within 1\ndeviation"), Column("within_2", "within 2")),
-    *(Column("in_interval", "in the\ninterval"), Column("rmse", "RMSE")),
-    *(Column("expected_error", "RMSE\nexpected"), Column("guess", "RMSE of\nthe guess")),
-    *(Column("over_guess", "RMSE over\nthe guess's"), Column("deviation", "deviation,\nmedian")),
-    *(
-        Column("on_bound", "share of\nvalues 0 or 1"),
-        Column("on_bound_inside", "of them in\ninterval"),
-    ),
+    Column("within_1", "within 1\ndeviation"),
+    Column("within_2", "within 2"),
+    Column("in_interval", "in the\ninterval"),
+    Column("rmse", "RMSE"),
+    Column("expected_error", "RMSE\nexpected"),
+    Column("guess", "RMSE of\nthe guess"),
+    Column("over_guess", "RMSE over\nthe guess's"),
+    Column("deviation", "deviation,\nmedian"),
 )
 
 
 def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
-    """Tables of the maps, reliability, verdicts, and the scale with seconds."""
+    """Tables of the maps, verdicts, and the scale with seconds."""
     yield Section(
         "In short",
         "Errors within two deviations, and RMSE in brackets, of each map.",
@@ -235,13 +212,6 @@ def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
     )
     if not results.finished:
         return
-    yield Section(
-        "Reliability",
-        "Above: values with about the same deviation, and the RMS of their errors; right are "
-        "points on the dotted line, above it the posterior knows less than it says. Below: the "
-        "share of the errors within so many deviations.",
-        figures=[_reliability(results, group) for group in GROUPS if _of_group(results, group)],
-    )
     yield Section(
         "Verdicts",
         "Each map of each scene counts once: what it was called, and what it is by its true error.",
@@ -283,72 +253,6 @@ def _of_one_map(of_rows: Sequence[Row], name: str) -> Table:
     return Table.of([own(row) for row in of_rows], COLUMNS, f"{name.capitalize()}.")
 
 
-def _of_group(results: Of, group: Group) -> list[tuple[str, Of]]:
-    """Titles and scenes of the conditions that are drawn together."""
-    return [(c.title, of) for c, of in _conditions(results) if c.group == group and of.finished]
-
-
-def _sums(of: Of, name: str, *path: str) -> Array:
-    """Of all scenes together, an array that each has of a map."""
-    total: Any = 0
-    for _, values in of.finished:
-        one = values["maps"][name]
-        for key in path:
-            one = one[key]
-        total = total + np.asarray(one, np.float64)
-    return np.asarray(total)
-
-
-def _reliability(results: Of, group: Group) -> Plot:
-    """Panels of errors against deviations, and below of the share within so many, a map each."""
-    low, high = DEVIATION_EDGES[0], DEVIATION_EDGES[-1]
-    steps = RATIO_EDGES[1:-1]
-    gaussian = [math.erf(step / math.sqrt(2)) for step in steps]
-    above, below = [], []
-    for name in PARAMETERS:
-        lines = [Series("as said", [low, high], [low, high], look=GREY, empty=True)]
-        shares = [Series("as said", steps.tolist(), gaussian, look=GREY, empty=True)]
-        for look, (title, of) in enumerate(_of_group(results, group)):
-            count, deviation, error = (
-                _sums(of, name, "reliability", key) for key in ("count", "deviation", "error")
-            )
-            some = count >= max(1.0, LEAST_SHARE * count.sum())
-            x, y = (np.sqrt(sums[some] / count[some]) for sums in (deviation, error))
-            x, y = (np.maximum(values, low).tolist() for values in (x, y))
-            lines.append(Series(title, x, y, look=look))
-            ratios = _sums(of, name, "ratios")
-            within = np.cumsum(ratios)[:-1] / ratios.sum()
-            shares.append(Series(title, steps.tolist(), within.tolist(), look=look))
-        above.append(
-            Panel(
-                *("lines", lines, "deviation, RMS", "error, RMS"),
-                title=name,
-                log="xy",
-                x_range=(low, high),
-                y_range=(low, high),
-            )
-        )
-        below.append(
-            Panel(
-                *("lines", shares, "deviations", "share within"),
-                x_range=(0.0, None),
-                y_range=(0.0, 1.02),
-            )
-        )
-    caption = (
-        f"{group.capitalize()}: all scenes of a row together. Bins of less than "
-        f"{100 * LEAST_SHARE:g} % of the values are left out; what is below {low:g} is drawn there."
-    )
-    return Plot(
-        f"reliability-{group.replace(' ', '-')}",
-        caption,
-        [*above, *below],
-        columns=len(PARAMETERS),
-        share_y="row",
-        size=(3.3, 2.9),
-    )
-
-
 def _confusions(results: Of) -> Table:
     """How many maps were called what, by map and in all."""
     lines: list[Sequence[Value]] = []
@@ -367,8 +271,9 @@ def _expected(results: Of) -> Plot:
         series = []
         for look, group in enumerate(GROUPS):
             found = [
-                values["maps"][name]
-                for _, of in _of_group(results, group)
+                values["said"][name]
+                for condition, of in _conditions(results)
+                if condition.group == group
                 for _, values in of.finished
             ]
             if found:

@@ -2,41 +2,39 @@
 
 from __future__ import annotations
 
-from pbrfit_evaluation.explained import cases_of, options_of
-from pbrfit_evaluation.explained.measure import run
-from pbrfit_evaluation.explained.variants import GUESS, OF_GEOMETRY, TRUE, WITHOUT
+from pbrfit_evaluation.explained import figures
+from pbrfit_evaluation.explained.measure import GEOMETRY, run
+from pbrfit_evaluation.explained.variants import TRUE, WITHOUT
+from pbrfit_evaluation.grid.figures import csvs
+from pbrfit_evaluation.options import count, cycles_cache
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Part, Suite
-from pbrfit_evaluation.transport import figures
-
-SETUPS = ("brdf", "shadows", "bounces", "detailed")
-
-KEYS = tuple(variant.key for variant in OF_GEOMETRY)
-FEW = (GUESS.key, WITHOUT, TRUE)
-"""Variants, and those of a quick look."""
 
 FIRST_SEED = 8100
-"""Nothing was tuned on seeds from there on."""
+
+FEW, FEW_WAYS = ("shadows",), ("constant", WITHOUT, TRUE)
+"""Those of a quick look."""
 
 SUITE = Suite(
     name="transport",
     title="Shadows and bounces by geometry",
     description="Fit rooms that Blender Cycles renders, with and without their depth: the true "
     "one, that of a network, one integrated from normals; with true and with found segments. "
-    "Writes report.html, a plot, strips of relit pictures, transport.md, scenes.csv and "
-    "summary.json. Exit code 1 if something does not hold.",
+    "Writes report.html, a plot, sheets of maps, transport.md, scenes.csv and summary.json. Exit "
+    "code 1 if something does not hold.",
     protocol=f"pbrfit-transport-1: {SCORES}; {{size}} pixels, {{lights}} pictures, {{effort}}",
-    parts=[Part.shown_by(figures, "transport", cases_of(KEYS, (WITHOUT, TRUE)), run)],
-    options=options_of(
-        *(SETUPS, "all, with --quick shadows", KEYS, FEW, FIRST_SEED),
-        held_out="; as many are held out",
+    parts=[Part.shown_by(figures, "transport", GEOMETRY.cases, run, "geometry_", csvs=csvs)],
+    options=(
+        *GEOMETRY.options(
+            *(FIRST_SEED, "--setups", FEW),
+            ways="--variants",
+            few_ways=FEW_WAYS,
+            scenes="rooms of a setup",
+        ),
+        count("--lights", "N", "pictures a room; as many are held out", default=16),
+        cycles_cache,
     ),
-    effort={
-        "setups": (SETUPS, ("shadows",)),
-        "variants": (KEYS, FEW),
-        "scenes": (10, 2),
-        "size": (64, 24),
-    },
+    effort=GEOMETRY.effort(FEW, FEW_WAYS) | {"scenes": (10, 2), "size": (64, 24)},
     quick="minutes: two small rooms with shadows",
     about=(
         "Rooms with furniture under panoramas of SH3 light, rendered by Blender Cycles: without "
@@ -47,5 +45,4 @@ SUITE = Suite(
         "0.5, metallic 0 and the mean of the true albedo, with the lights that then fit best.",
     ),
     timed=True,
-    verdict_rows=True,
 )

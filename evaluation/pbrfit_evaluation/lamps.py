@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from pbrfit_evaluation.explained import cases_of, options_of
-from pbrfit_evaluation.explained.measure import run
-from pbrfit_evaluation.explained.variants import GUESS, HARMONICS, NEAR, OF_LAMPS
-from pbrfit_evaluation.lamps import figures
+from pbrfit_evaluation.explained import figures
+from pbrfit_evaluation.explained.measure import LAMPS, run
+from pbrfit_evaluation.explained.variants import HARMONICS, NEAR
+from pbrfit_evaluation.grid.figures import csvs
+from pbrfit_evaluation.options import count, cycles_cache
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Part, Suite
 
-SETUPS = ("points-shadows", "points")
-
-KEYS = tuple(variant.key for variant in OF_LAMPS)
-FEW = (GUESS.key, HARMONICS, NEAR)
-"""Variants, and those of a quick look."""
-
 FIRST_SEED = 8200
-"""Nothing was tuned on seeds from there on."""
+
+DEFAULT = ("points-shadows",)
+FEW_WAYS = ("constant", HARMONICS, NEAR)
+"""Variants of a quick look."""
 
 SUITE = Suite(
     name="lamps",
@@ -26,14 +24,20 @@ SUITE = Suite(
     "Exit code 1 if something does not hold.",
     protocol=f"pbrfit-lamps-1: {SCORES}; lamps one a picture, medians over a room's; {{size}} "
     "pixels, {lights} pictures, {effort}",
-    parts=[Part.shown_by(figures, "lamps", cases_of(KEYS, KEYS), run)],
-    options=options_of(SETUPS, SETUPS[0], KEYS, FEW, FIRST_SEED),
-    effort={
-        "setups": (SETUPS[:1], SETUPS[:1]),
-        "variants": (KEYS, FEW),
-        "scenes": (10, 2),
-        "size": (64, 24),
-    },
+    parts=[Part.shown_by(figures, "lamps", LAMPS.cases, run, "lamps_", csvs=csvs)],
+    options=(
+        *LAMPS.options(
+            *(FIRST_SEED, "--setups"),
+            default=DEFAULT[0],
+            ways="--variants",
+            few_ways=FEW_WAYS,
+            scenes="rooms of a setup",
+        ),
+        count("--lights", "N", "pictures a room", default=16),
+        cycles_cache,
+    ),
+    effort=LAMPS.effort(few_ways=FEW_WAYS)
+    | {"conditions": (DEFAULT, DEFAULT), "scenes": (10, 2), "size": (64, 24)},
     quick="minutes: two small rooms",
     about=(
         "Rooms with furniture, each picture lit by one lamp without size and of its own colour, "
@@ -43,5 +47,4 @@ SUITE = Suite(
         "Figures are means over rooms, with 95 % intervals by bootstrap over rooms in brackets.",
     ),
     timed=True,
-    verdict_rows=True,
 )

@@ -1,0 +1,203 @@
+"""Scenes whose truth is known × conditions × ways to explain them: the form of most suites.
+
+A condition says what is done to scenes, or to what a fit is given; a way explains a scene. A suite
+is a `Grid` of both by name, a function that makes the scene of a case, and what figures make of the
+`scores` that each record has. `grid.figures` has the rows, bars and sheets.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pbrfit._core import InputError
+from pbrfit.model.reflection import Model
+from pbrfit.result.result import Result
+from pbrfit.scene.scene import Scene
+from pbrfit_evaluation.options import Add, absolute, count, first_seed, models, several
+from pbrfit_evaluation.panels import of_result, packed
+from pbrfit_evaluation.recipes import Way
+from pbrfit_evaluation.scores import score
+from pbrfit_evaluation.suite import Options
+
+PICTURES = 16
+"""Of a scene, unless `--lights` says otherwise; as many are held out."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene of a condition, explained in one way.
+
+    Attributes
+    ----------
+    condition, way
+        Keys.
+    seed, size, kind
+        Of the scene, its side in pixels, and what it is of.
+    model
+        That is fitted; None = that of the scene.
+    lights
+        Pictures; as many are held out.
+    iterations
+        Of a fit.
+    picture
+        Whether its maps are kept for the report.
+    cycles_cache
+        Where renders by Cycles are kept.
+    """
+
+    condition: str
+    way: str
+    seed: int
+    size: int
+    kind: str = "furnished"
+    model: Model | None = None
+    lights: int = PICTURES
+    iterations: int = 500
+    picture: bool = False
+    cycles_cache: Path | None = field(default=None, repr=False)
+
+    @property
+    def key(self) -> str:
+        """Name of the record."""
+        about = (self.condition, self.way, self.kind, self.model or "", str(self.seed))
+        return "_".join(filter(None, about))
+
+
+def _always(*_: object) -> str:
+    return ""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What a suite compares.
+
+    Attributes
+    ----------
+    conditions
+        What tables call each, by key.
+    ways
+        By key.
+    brings
+        Conditions that are run beside one, because it is compared with them.
+    of_condition
+        Keys of the ways of a condition that has not all.
+    kinds
+        Of scenes, in turn; `--kinds` takes precedence.
+    pictured
+        Conditions or ways whose first scene is pictured.
+    why_not
+        Why a condition or way cannot be run; empty if it can.
+    sized
+        Scenes of a condition and the side of their pictures, where not all have the same.
+    """
+
+    conditions: Mapping[str, str]
+    ways: Mapping[str, Way] = field(default_factory=lambda: {"default": Way("")})
+    _: KW_ONLY
+    brings: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    of_condition: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    kinds: Sequence[str] = ("furnished",)
+    pictured: Sequence[str] = ()
+    why_not: Callable[[Options, str, str], str] = _always
+    sized: Callable[[Options, str], tuple[int, int]] = lambda of, _: (of.scenes, of.size)
+
+    def each(self, options: Options) -> Iterator[tuple[str, str]]:
+        """Conditions and ways that are asked for."""
+        asked = {*getattr(options, "conditions", self.conditions)}
+        asked |= {other for one in asked for other in self.brings.get(one, ())}
+        for condition in self.conditions:
+            for way in self.of_condition.get(condition, self.ways):
+                if condition in asked and way in getattr(options, "ways", self.ways):
+                    yield condition, way
+
+    def cases(self, options: Options) -> list[Case]:
+        """Every scene of every condition in every way.
+
+        Ways change slowest, so that processes side by side do not render the same room.
+
+        Raises
+        ------
+        InputError
+            If there are too few pictures.
+        """
+        lights = getattr(options, "lights", PICTURES)
+        if lights < 2:
+            raise InputError(f"--lights: expected at least 2, found {lights}")
+        kinds = getattr(options, "kinds", self.kinds)
+        order = list(self.ways)
+        return [
+            Case(
+                *(
+                    condition,
+                    way,
+                    options.first_seed + i,
+                    size,
+                    kinds[i % len(kinds)],
+                    model,
+                    lights,
+                ),
+                iterations=getattr(options, "iterations", 500),
+                picture=i == 0 and (condition in self.pictured or way in self.pictured),
+                cycles_cache=absolute(getattr(options, "cycles_cache", None)),
+            )
+            for condition, way in sorted(self.each(options), key=lambda one: order.index(one[1]))
+            if not self.why_not(options, condition, way)
+            for scenes, size in [self.sized(options, condition)]
+            for model in (models(options) if hasattr(options, "model") else (None,))
+            for i in range(scenes)
+        ]
+
+    def effort(
+        self, few: Sequence[str] = (), few_ways: Sequence[str] = ()
+    ) -> dict[str, tuple[Any, Any]]:
+        """Of a suite: all conditions and ways, with `--quick` a few where there are such."""
+        conditions, ways = tuple(self.conditions), tuple(self.ways)
+        return {"conditions": (conditions, few or conditions), "ways": (ways, few_ways or ways)}
+
+    def options(
+        self,
+        seed: int | None,
+        flag: str = "--conditions",
+        few: Sequence[str] = (),
+        *,
+        default: str = "all",
+        ways: str = "--ways",
+        few_ways: Sequence[str] = (),
+        scenes: str = "of a condition",
+    ) -> tuple[Add, ...]:
+        """Options that such suites share; nothing was tuned on seeds from `seed` on."""
+        shared = [several(flag, "NAME", self.conditions, few, default=default, dest="conditions")]
+        if len(self.ways) > 1:
+            what = "only these ways to explain a scene"
+            shared.append(several(ways, "NAME", self.ways, few_ways, what=what, dest="ways"))
+        return (
+            *shared,
+            count("--scenes", "K", scenes),
+            count("--size", "PIXELS", "of the pictures"),
+            first_seed("scene", seed),
+        )
+
+
+def measured(
+    case: Case, way: Way, scene: Scene, threads: int, *, truth: Scene | None = None, **common: Any
+) -> tuple[Result, dict[str, Any]]:
+    """Explain the scene of a case, and compare it with its truth, or with another scene's.
+
+    Returns the result, and of the record `scores`, with `wall` and `processor` seconds of all that
+    the fit does; of a case that is pictured, `maps`.
+    """
+    common = {"iterations": case.iterations, "threads": threads, **common}
+    if case.model is not None:
+        common["model"] = case.model
+    began = time.perf_counter(), time.process_time()
+    result = way.explain(scene, **common)
+    took = {"wall": time.perf_counter() - began[0], "processor": time.process_time() - began[1]}
+    truth = truth or scene
+    found: dict[str, Any] = {"scores": score(result, truth, threads).as_json() | took}
+    if case.picture:
+        found["maps"] = packed(of_result(result, truth, threads))
+    return result, found

@@ -1,0 +1,133 @@
+"""What suites of a `Grid` make of their records: rows, bars, sheets of maps and the CSV file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from pbrfit_evaluation.grid import Case, Grid
+from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.panels import beside_truth, unpacked
+from pbrfit_evaluation.suite import Line, Picture, Results, Row, Verdict, flat
+
+Of = Results[Case]
+Metrics = Mapping[str, float | None]
+
+MAPS = ("albedo", "roughness", "metallic")
+
+
+def each(grid: Grid, results: Of) -> Iterator[tuple[str, str, Of]]:
+    """Conditions and ways that were asked for, with their cases."""
+    for condition, way in grid.each(results.options):
+        yield condition, way, results.of(condition=condition, way=way)
+
+
+def by_seed(results: Of, condition: str, way: str, *path: str) -> dict[int, float]:
+    """The number at a path of names of each scene."""
+    of = results.of(condition=condition, way=way)
+    return {case.seed: of.of(seed=case.seed).average(*path) for case, _ in of.finished}
+
+
+def rows(
+    grid: Grid,
+    results: Of,
+    metrics: Sequence[str],
+    more: Callable[[str, str, Of], Metrics] = lambda *_: {},
+) -> list[Row]:
+    """A row a condition and way: means of the scores, and what more is made of its cases."""
+    found = []
+    for condition, key, of in each(grid, results):
+        way, why = grid.ways[key], grid.why_not(results.options, condition, key)
+        status = f"not run: {why}" if why else of.status("scenes")
+        values: dict[str, float | None] = {}
+        if of.finished:
+            values = {**of.metrics(metrics, "scores"), **more(condition, key, of)}
+        about = grid.conditions[condition], len(of.finished), way.words or None
+        found.append(Row(*about, values, status=status, guess=way.guess))
+    return found
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What a mean error has to be, over that of other cases of the same seeds.
+
+    Attributes
+    ----------
+    what
+        In words.
+    of, over
+        Condition and way; without `over` the error itself is judged.
+    names
+        Scores, of which the worst counts.
+    most
+        At most this.
+    part
+        Of the verdict.
+    """
+
+    what: str
+    of: tuple[str, str]
+    over: tuple[str, str] | None
+    names: Sequence[str]
+    most: float
+    part: str = ""
+
+
+def ratios(results: Of, bar: Bar) -> dict[str, float]:
+    """By score what a bar judges; NaN where cases are missing."""
+    one, other = (
+        None if of is None else results.of(condition=of[0], way=of[1]) for of in (bar.of, bar.over)
+    )
+    assert one is not None
+    return {
+        name: one.average("scores", name) if other is None else one.over(other, name)
+        for name in bar.names
+    }
+
+
+def verdicts(results: Of, bars: Iterable[Bar]) -> Iterator[Verdict]:
+    """Bars between cases that were both asked for; without any that finished nothing holds."""
+    there = {(case.condition, case.way) for case, _ in results.pairs}
+    for bar in bars:
+        if {bar.of, bar.over or bar.of} <= there:
+            found = ratios(results, bar)
+            worst = max(found, key=lambda name: _size(found[name]))
+            where = worst.replace("_", ", ") if len(found) > 1 else ""
+            yield Verdict(bar.what, found[worst], bar.most, where, part=bar.part)
+
+
+def _size(value: float) -> float:
+    return math.inf if math.isnan(value) else value
+
+
+def pictures(
+    results: Of, labels: Mapping[str, str], caption: str, name: str = "maps", by: str = "way"
+) -> list[Picture]:
+    """A sheet of the maps of a scene beside the true ones: a line a way, or a condition.
+
+    `labels` are those of the lines, by key. With lines of ways there is a sheet a condition.
+    """
+    sheets: dict[str, dict[str, Values]] = {}
+    for case, values in results.finished:
+        if "maps" in values:
+            sheet = f"{name}-{case.condition}" if by == "way" else name
+            sheets.setdefault(sheet, {})[getattr(case, by)] = values
+    found = []
+    for sheet, of in sheets.items():
+        kept = {labels[key]: unpacked(of[key]["maps"]) for key in labels if key in of}
+        first = next(iter(kept.values()))
+        shown = [one.removeprefix("true ") for one in first if one.startswith("true ")]
+        found.append(Picture(sheet, caption, beside_truth(kept, shown, "picture")))
+    return found
+
+
+def csvs(results: Of, _: object) -> dict[str, list[Line]]:
+    """A line a case: what it is, and every number and word that was found."""
+    names = ("condition", "way", "kind", "model", "seed")
+    lines: list[Line] = [
+        {name: getattr(case, name) for name in names}
+        | {name.removeprefix("scores/"): value for name, value in flat(values)}
+        for case, values in results.finished
+    ]
+    return {"scenes.csv": lines}
