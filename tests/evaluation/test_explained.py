@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pbrfit_evaluation.transport.figures import CHOICES
 
 from evaluation_tasks import own_room, recorded
 from pbrfit.model.lamps import Lamps
@@ -41,7 +42,6 @@ from pbrfit_evaluation.suite import Verdict
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from pbrfit_evaluation.transport import FIRST_SEED, SETUPS, SUITE, figures
-from pbrfit_evaluation.transport.figures import CHOICES
 from scene_files import known, run
 
 SIZE = 24

@@ -27,12 +27,12 @@ from pbrfit.result.refinement import Refinement
 from pbrfit.result.result import Result
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation import normals
+from pbrfit_evaluation import normals, recipes
 from pbrfit_evaluation.generated.ways import WAYS
+from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE, turned, unit
 from pbrfit_evaluation.normals import SUITE, figures, measure
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
-from pbrfit_evaluation.normals.measure import Case
 from pbrfit_evaluation.suite import Verdict
 from scene_files import known
 
@@ -105,7 +105,8 @@ def half_way(monkeypatch: pytest.MonkeyPatch) -> None:
 
         return made
 
-    def fit(given: Scene, *, refine_normals: Any, **options: Any) -> Result:
+    def fit(given: Scene, *, refine_normals: Any, start: None, **options: Any) -> Result:
+        assert start is None
         before = np.asarray(given.normals, np.float64)
         true = truths[given.images.tobytes()]
         if refine_normals == "off" or np.nanmax(np.abs(before - true)) < 1e-9:
@@ -116,26 +117,26 @@ def half_way(monkeypatch: pytest.MonkeyPatch) -> None:
         why = Refinement(refine_normals, True, "more than noise is left", {"noise": 0.01})
         return replace(held, given_normals=before, refinement=why)
 
-    monkeypatch.setattr(measure, "decompose", fit)
+    monkeypatch.setattr(recipes, "decompose", fit)
     monkeypatch.setattr(measure, "make_scene", known(make_scene))
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("half_way")
-def test_rooms_are_told_wrong_normals_and_measured_at_the_true_ones() -> None:
-    found = measure.run(Case("rooms", "furnished", 2003, 16, "correlated", 10.0, 2), 1)
-    off, auto = found["off"], found["auto"]
-    assert found["given"] == off["angle"]
-    assert found["given"]["mean"] == pytest.approx(12.5, rel=0.15)
-    assert auto["angle"]["mean"] == pytest.approx(found["given"]["mean"] / 2, rel=0.03)
+def test_rooms_are_given_wrong_normals_and_measured_at_the_true_ones() -> None:
+    case = Case("correlated-10", "off", 2003, 16, iterations=2)
+    off, auto = (measure.run(replace(case, way=way), 1) for way in ("off", "auto"))
+    assert off["given"] == off["angle"] == auto["given"]
+    assert off["given"]["mean"] == pytest.approx(12.5, rel=0.15)
+    assert auto["angle"]["mean"] == pytest.approx(off["given"]["mean"] / 2, rel=0.03)
     assert not off["decision"]["refined"]
     expected = {"refined": True, "why": "more than noise is left", "figures": {"noise": 0.01}}
     assert auto["decision"] == expected
     assert off["scores"]["recon"] > auto["scores"]["recon"]
-    assert json.loads(json.dumps(found)) == found
-    right = measure.run(Case("rooms", "furnished", 2003, 16, "true", 0.0, 2), 1)
-    assert right["given"]["mean"] == right["on"]["angle"]["mean"] == 0
-    assert right["on"]["scores"]["albedo"] == right["off"]["scores"]["albedo"]
+    assert json.loads(json.dumps(auto)) == auto
+    off, on = (measure.run(replace(case, condition="true", way=way), 1) for way in ("off", "on"))
+    assert on["given"]["mean"] == on["angle"]["mean"] == 0
+    assert on["scores"]["albedo"] == off["scores"]["albedo"]
 
 
 def test_a_scene_comes_back_if_every_map_and_the_normals_do() -> None:
@@ -160,29 +161,30 @@ def test_turning_back_leaves_what_no_common_turn_explains() -> None:
     assert np.isfinite(measure.aligned_angles(flat, true)).all()
 
 
-def room_of(
-    kind: Any, degrees: float, seed: int, off: float, auto: float, angle: float = 0.0
-) -> tuple[Case, dict[str, Any]]:
-    """A scene whose errors are all `off` without refinement and `auto` with it."""
+Pairs = list[tuple[Case, dict[str, Any]]]
 
-    def scored(error: float, mean: float, refined: bool) -> dict[str, Any]:
-        scores = dict.fromkeys(figures.METRICS, error) | {"seconds": 1.0}
-        angles = {"mean": mean, "median": mean, "aligned": mean}
-        return {"scores": scores, "angle": angles, "decision": {"refined": refined, "why": "so"}}
 
-    given, right = MEAN_OF_THETA * degrees, kind == "true"
-    values = {
-        "given": {"mean": given, "median": given},
-        "off": scored(off, given, refined=False),
-        "auto": scored(auto, angle, refined=not right),
-        "on": scored(auto, angle, refined=True),
-    }
-    return Case("rooms", "furnished", seed, 16, kind, degrees, 1), values
+def room_of(condition: str, seed: int, off: float, auto: float, angle: float = 0.0) -> Pairs:
+    """Fits of a scene whose errors are all `off` without refinement and `auto` with it."""
+    given = MEAN_OF_THETA * measure.turn_of(condition)[1]
+    pairs = []
+    for way, error, mean in (("off", off, given), ("auto", auto, angle), ("on", auto, angle)):
+        values = {
+            "scores": dict.fromkeys(figures.METRICS, error) | {"seconds": 1.0},
+            "angle": {"mean": mean, "median": mean, "aligned": mean},
+            "given": {"mean": given},
+            "decision": {"refined": way != "off"},
+        }
+        pairs.append((Case(condition, way, seed, 16), values))
+    return pairs
+
+
+ASKED = {"disturbances": DISTURBANCES, "degrees": (5.0, 10.0, 20.0)}
 
 
 def judged(part: str, *pairs: Any) -> list[Verdict]:
     [of] = [one for one in SUITE.parts if one.name == part]
-    results = recorded(*pairs)
+    results = recorded(*pairs, **ASKED)
     return list(of.verdicts(results, of.figures(results)))
 
 
@@ -192,19 +194,19 @@ def by_what(verdicts: Sequence[Verdict], words: str) -> Verdict:
 
 
 def test_won_back_is_of_the_loss_of_means() -> None:
-    floors = [room_of("true", 0, seed, off, off) for seed, off in ((1, 0.1), (2, 0.2))]
+    floors = [*room_of("true", 1, 0.1, 0.1), *room_of("true", 2, 0.2, 0.2)]
     wrong = [
-        room_of("biased", 5, 1, 0.3, 0.12, 1.0),  # 90 % of 0.2 won back
-        room_of("biased", 5, 2, 0.4, 0.3, 2.0),  # half of 0.2
-        room_of("biased", 5, 3, 9.9, 0.3, 9.0),  # without a floor
+        *room_of("biased-5", 1, 0.3, 0.12, 1.0),  # 90 % of 0.2 won back
+        *room_of("biased-5", 2, 0.4, 0.3, 2.0),  # half of 0.2
+        *room_of("biased-5", 3, 9.9, 0.3, 9.0),  # without a floor
     ]
 
-    def share(*pairs: Any, degrees: float = 5.0) -> tuple[float, float]:
-        return figures.won_back(recorded(*pairs), "biased", degrees, "albedo", "auto")
+    def share(pairs: Pairs, condition: str = "biased-5") -> float:
+        return figures.won_back(recorded(*pairs, **ASKED), condition, "albedo", "auto")
 
-    assert share(*floors, *wrong) == pytest.approx((0.7, 0.7))
-    assert all(map(math.isnan, share(*floors, *wrong, degrees=10.0)))
-    assert math.isnan(share(floors[0], room_of("biased", 5, 1, 0.1, 0.05))[0])
+    assert share([*floors, *wrong]) == pytest.approx(0.7)
+    assert math.isnan(share([*floors, *wrong], "biased-10"))
+    assert math.isnan(share([*floors, *room_of("biased-5", 1, 0.1, 0.05)]))
 
 
 @pytest.mark.parametrize(
@@ -218,7 +220,8 @@ def test_won_back_is_of_the_loss_of_means() -> None:
     ],
 )
 def test_bars_of_rooms(theta: float, auto: float, angle: float, failing: int) -> None:
-    pairs = room_of("true", 0, 1, 0.1, 0.1), room_of("correlated", theta, 1, 0.3, auto, angle)
+    wrong = room_of(f"correlated-{theta:g}", 1, 0.3, auto, angle)
+    pairs = [*room_of("true", 1, 0.1, 0.1), *wrong]
     found = [v for v in judged("rooms", *pairs) if v.what.startswith("correlated")]
     assert len(found) == 5
     assert sum(not verdict.holds for verdict in found) == failing
@@ -227,7 +230,7 @@ def test_bars_of_rooms(theta: float, auto: float, angle: float, failing: int) ->
 
 @pytest.mark.parametrize(("auto", "angle"), [(0.103, 0.29), (0.1031, 0.31)])
 def test_right_normals_must_not_be_spoilt(auto: float, angle: float) -> None:
-    found = judged("rooms", room_of("true", 0, 1, 0.1, auto, angle))
+    found = judged("rooms", *room_of("true", 1, 0.1, auto, angle))
     assert all(v.holds == (auto <= 0.103) for v in found)
     assert by_what(found, "relight with auto").value == pytest.approx(auto / 0.1)
     assert by_what(found, "introduced").value == angle
@@ -235,17 +238,22 @@ def test_right_normals_must_not_be_spoilt(auto: float, angle: float) -> None:
 
 def test_most_scenes_must_come_back() -> None:
     def scenes(*came_back: bool) -> Verdict:
-        on = {"scores": dict.fromkeys(measure.MAPS, 0.1), "angle": {"mean": 0.1, "aligned": 0.1}}
-        room = Case("exact", "furnished", 0, 16, "correlated", 10.0, 1)
-        cases = [replace(room, seed=seed) for seed in range(len(came_back))]
-        values = [{"on": on, "came_back": back} for back in came_back]
-        [found] = judged("exact", *zip(cases, values, strict=True))
+        values = {
+            "scores": dict.fromkeys(measure.MAPS, 0.1),
+            "angle": {"mean": 0.1, "aligned": 0.1},
+        }
+        cases = [Case("exact-correlated", "on", seed, 16) for seed in range(len(came_back))]
+        pairs = [
+            (case, values | {"came_back": back})
+            for case, back in zip(cases, came_back, strict=True)
+        ]
+        [found] = judged("exact", *pairs)
         return found
 
     holds, fails = scenes(True, True, True, False, False), scenes(True, True, False, False)
     assert (holds.value, holds.bar, holds.holds) == (3, 3, True)
     assert (fails.value, fails.bar, fails.holds) == (2, 3, False)
-    assert "furnished 2, furnished 3" in fails.where
+    assert fails.where == "not: 2, 3"
 
 
 @pytest.mark.slow
@@ -259,7 +267,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -
     assert "biased 20°: share of the albedo loss won back" in capsys.readouterr().out
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
     assert code == (1 if "not held" in [row["status"] for row in rows] else 0)
-    by_name = {row["name"]: row for row in rows}
+    by_name = {row["name"]: row for row in rows if row["solver"] != "not refined"}
     angle = by_name["rooms: biased 20°: mean angle, after over before"]["metrics"]
     assert angle["value"] == pytest.approx(0.5, abs=0.03)
     assert by_name["biased 20°"]["metrics"]["angle_left"] == angle["value"]
@@ -268,9 +276,9 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -
     }  # fmt: skip
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
-    assert {line["part"] for line in lines} == {part.name for part in SUITE.parts}
-    assert any(line["value"] == "more than noise is left" for line in lines)
-    monkeypatch.setattr(measure, "decompose", None)  # once more, from the records
+    assert {line["condition"] for line in lines} == {"true", "biased-20", "exact-biased"}
+    assert any(line["decision/why"] == "more than noise is left" for line in lines)
+    monkeypatch.setattr(measure, "make_scene", None)  # once more, from the records
     assert main([*arguments, "--resume", "--quiet"]) == code
 
 
@@ -284,6 +292,8 @@ def test_every_suite_says_whether_normals_are_refined() -> None:
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "decompose"
     ]
     assert calls
-    assert all("refine_normals" in way.options for way in WAYS if way.options)  # passed on by **
+    assert all(
+        "refine_normals" in way.options for way in WAYS.values() if way.options
+    )  # passed on by **
     for path, call in calls:
         assert {"refine_normals", None} & {keyword.arg for keyword in call.keywords}, path

@@ -4,58 +4,59 @@ from __future__ import annotations
 
 import json
 import math
-from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from evaluation_tasks import recorded
 from pbrfit.cli import main
-from pbrfit_evaluation.jobs import Record
-from pbrfit_evaluation.solvers import SUITE, figures, measure
-from pbrfit_evaluation.solvers.measure import Case
-from pbrfit_evaluation.suite import Results, Verdict
+from pbrfit_evaluation.grid import Case
+from pbrfit_evaluation.grid.figures import Of
+from pbrfit_evaluation.solvers import figures, measure
+from pbrfit_evaluation.suite import Verdict
 
 
 def test_exact_is_exact_in_every_map() -> None:
-    assert measure.is_exact(3e-8, [1e-6, 1e-6, 0.0])
-    assert not measure.is_exact(3e-8, [1e-6, 1e-6, 0.0], measure.RECON_FLOAT64)
+    assert measure.is_exact(3e-8, 1e-6)
+    assert not measure.is_exact(3e-8, 1e-6, "exact-float64")
     for bad in (1.1e-6, math.nan):
-        assert not measure.is_exact(3e-8, [0.0, bad])
-        assert not measure.is_exact(bad, [0.0])
+        assert not measure.is_exact(3e-8, bad)
+        assert not measure.is_exact(bad, 0.0)
 
 
-@pytest.mark.slow
+def results(*of: tuple[str, str, int, Mapping[str, float]]) -> Of:
+    pairs = [(Case(at, way, seed, 8), {"scores": scores}) for at, way, seed, scores in of]
+    return recorded(*pairs, conditions=dict.fromkeys(at for at, *_ in of), ways=measure.WAYS)
+
+
+def judged(of: Of) -> list[Verdict]:
+    return list(figures.verdicts(of, figures.rows(of)))
+
+
 def test_the_mark_is_the_lower_of_lbfgsb_and_gauss_newton_from_the_truth() -> None:
-    found = measure.run_noise(Case("noise", 1000, 12, 15, noise=0.01), 1)
-    assert list(found) == list(measure.NOISE_FITS)
-    mark = min(found[name]["recon"] for name in (measure.FROM_TRUTH, "lbfgsb"))
-    for scores in found.values():
-        assert scores["above_mark"] == pytest.approx((scores["recon"] / mark) ** 2 - 1)
-        assert scores["relight"] > 0
-    assert found[measure.FROM_TRUTH]["recon"] < 0.01  # what the unknowns take up
-
-
-def recorded(task: Any, values: Any) -> tuple[Any, Record]:
-    return task, Record(task.key, values, None, 1.0)
-
-
-def judged(part: str, pairs: Sequence[tuple[Any, Record]]) -> list[Verdict]:
-    [of] = [one for one in SUITE.parts if one.name == part]
-    results = Results(Namespace(), pairs)
-    return list(of.verdicts(results, of.figures(results)))
+    at = "noise-0.01"
+    recon = [("truth", 1, 0.1), ("truth", 2, 0.3), ("lbfgsb", 1, 0.2), ("lbfgsb", 2, 0.2)]
+    recon += [("gauss-newton", 1, 0.2), ("gauss-newton", 2, 0.1), ("gauss-newton", 3, 9.0)]
+    of = results(*((at, way, seed, {"recon": error}) for way, seed, error in recon))
+    assert figures.above_mark(of, at, "gauss-newton") == pytest.approx({1: 3.0, 2: -0.75})
 
 
 def test_exact_rooms_are_counted_and_gauss_newton_ends_no_higher_than_lbfgsb() -> None:
     def rooms(good: int, second: float = 1e-9) -> list[Verdict]:
-        pairs = []
-        for i in range(67):
-            run = {"exact": i < good, "recon": 1e-9, "worst_map": 0.0, "seconds": 1.0}
-            runs = dict.fromkeys(measure.EXACT_FITS, run)
-            runs["gauss-newton"] = run | {"recon": second if i == 1 else 1e-9}
-            pairs.append(recorded(Case("exact", 1000 + i, 128, 500), runs))
-        return judged("exact", pairs)
+        one = {"residual": 1e-9, "worst_map": 0.0, "seconds": 1.0}
+        return judged(
+            results(
+                *(("exact", "lbfgsb", 1000 + i, one) for i in range(67)),
+                *(
+                    (at, "gauss-newton", 1000 + i, one | {"exact": i < good} | more)
+                    for at in measure.RESIDUAL
+                    for i in range(67)
+                    for more in [{"residual": second} if i == 1 else {}]
+                ),
+            )
+        )
 
     of64 = rooms(64)
     assert len(of64) == 3
@@ -69,35 +70,34 @@ def test_exact_rooms_are_counted_and_gauss_newton_ends_no_higher_than_lbfgsb() -
 
 
 def test_noise_is_held_against_the_mark_and_lbfgsbs_maps() -> None:
-    def run(above: float, error: float) -> dict[str, float]:
-        return {"above_mark": above, **dict.fromkeys(figures.NOISE_METRICS, error)}
-
-    values = {
-        "gauss-newton": run(5e-4, 0.103),
-        "lbfgsb": run(0.1, 0.1),
-        "gauss-newton, priors": run(0.5, 0.05),
-        "lbfgsb, priors": run(0.5, 0.05),
-    }
-    found = judged("noise", [recorded(Case("noise", 1000, 8, 9, noise=0.01), values)])
+    errors = {"truth": 1, "gauss-newton": 0.103, "lbfgsb": 0.1, "gauss-newton-priors": 0.05}
+    errors |= {"lbfgsb-priors": 0.05}
+    recon = {way: 1.0 if way == "lbfgsb" else 2.0 for way in errors} | {"gauss-newton": 1.00025}
+    found = judged(
+        results(
+            *(
+                (
+                    "noise-0.01",
+                    way,
+                    1000,
+                    dict.fromkeys(figures.ERRORS, error) | {"recon": recon[way]},
+                )
+                for way, error in errors.items()
+            )
+        )
+    )
     assert [v.holds for v in found] == [True, False, True]
-    assert [v.value for v in found] == pytest.approx([5e-4, 1.03, 1.0])
-    assert found[1].what == "gauss-newton over lbfgsb, noise 0.01, no priors: worst mean error"
+    assert [v.value for v in found] == pytest.approx([5e-4, 1.03, 1.0], rel=1e-3)
+    assert found[1].what == "noise 0.01, no priors: worst mean error, gauss-newton over lbfgsb"
 
 
-@pytest.mark.parametrize("part", SUITE.parts, ids=lambda part: part.name)
-def test_nothing_is_held_where_nothing_was_finished(part: Any) -> None:
-    case = Case(part.name, 1000, 8, 9)
-    results = Results(Namespace(), [(case, Record(case.key, None, "OSError: full", 1.0))])
-    assert not list(part.verdicts(results, part.figures(results)))
-
-
-def test_the_command_runs_parts(tmp_path: Path) -> None:
+def test_the_command_runs_conditions(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    options = ["evaluate", "solvers", "--quick", "--quiet", "--scenes", "1", "--size", "12"]
-    options += ["--iterations", "3", "--out", str(out), "--part", "exact", "--jobs", "1"]
-    assert main(options) == 1  # nothing holds after three iterations
+    options: list[Any] = ["evaluate", "solvers", "--quick", "--quiet", "--scenes", "1", "--size"]
+    options += ["12", "--iterations", "3", "--out", str(out), "--conditions", "exact"]
+    assert main([*options, "--jobs", "1"]) == 1  # nothing holds after three iterations
     rows = json.loads((out / "summary.json").read_text("utf-8"))["rows"]
     by_name = {row["name"]: row for row in rows}
-    assert by_name["exact: gauss-newton's residual over lbfgsb's"]["metrics"]["bar"] == 1
-    assert by_name["rooms without noise"]["metrics"]["recon"] > 0
-    assert "exact,exact_1000,gauss-newton/recon," in (out / "scenes.csv").read_text("utf-8")
+    assert by_name["no noise: gauss-newton's residual over lbfgsb's"]["metrics"]["bar"] == 1
+    assert by_name["no noise"]["metrics"]["residual"] > 0
+    assert "exact,gauss-newton,furnished,,1000," in (out / "scenes.csv").read_text("utf-8")

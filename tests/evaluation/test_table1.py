@@ -17,20 +17,30 @@ from evaluation_tasks import recorded
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
+from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation import recipes
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE
-from pbrfit_evaluation.recipes import Recipe
-from pbrfit_evaluation.suite import Row
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS, SOLVERS, not_the_best, rows
-from pbrfit_evaluation.table1.measure import Task
+from pbrfit_evaluation.table1.figures import METRICS, rows
+from pbrfit_evaluation.table1.measure import Case
 from pbrfit_evaluation.table1.normals import disturbed, estimated
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
 from scene_files import known, run
 
 PAPER = ("--model", "paper")
 TINY = ("--size", "16", "--lights", "4", "--iterations", "3", "--jobs", "1")
+
+
+def case(row: str, way: str = "default", seed: int = 1001, **more: Any) -> Case:
+    return Case(
+        row, way, seed, **{"size": 16, "model": DEFAULT_MODEL, "lights": 4, "iterations": 2} | more
+    )
+
+
+def given(row: str, **more: Any) -> tuple[Scene, dict[str, float]]:
+    """What a fit is given of a row's scene, and facts about it."""
+    of = case(row, **more)
+    return measure.as_given(measure.room(of, 1), of)
 
 
 def errors_of(size: int, seed: int) -> NDArray[np.float64]:
@@ -76,7 +86,7 @@ def test_rows_repeat_the_papers_table() -> None:
 def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> None:
     [refined] = [row for row in ROWS if row.refine_normals != "off"]
     assert refined.key == "normals-refined"
-    scenes = [measure.given(Task(key, 1001, 16, 4, 2), 1) for key in ("normals", refined.key)]
+    scenes = [given(key) for key in ("normals", refined.key)]
     np.testing.assert_array_equal(scenes[0][0].normals, scenes[1][0].normals)
     np.testing.assert_array_equal(scenes[0][0].images, scenes[1][0].images)
     assert scenes[0][1] == scenes[1][1]
@@ -98,25 +108,9 @@ def test_normals_that_nobody_knows_spoil_no_others() -> None:
     assert np.median(angles_between(found, of_all)[~unknown]) < 2.0
 
 
-@pytest.mark.slow
-def test_recipes_hold_normals_unless_told_and_the_papers_always() -> None:
-    scene = make_scene("room", size=8, lights=4, held_out=1, seed=3)
-    asked = {
-        (refine, recipe): recipes.explain(
-            scene, recipe, iterations=1, refine_normals=refine
-        ).refinement.asked
-        for refine in ("off", "on")
-        for recipe in recipes.RECIPES
-    }
-    assert {key for key, refine in asked.items() if refine != "off"} == {
-        ("on", "plain"), ("on", "default"),
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize("key", ["base", "fov90", "normals", "normals-refined", "detailed"])
 def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
-    row, task = BY_KEY[key], Task(key, 1001, 16, 4, 2)
-    scene, _ = measure.given(task, 1)
+    row, (scene, _) = BY_KEY[key], given(key)
     truth = make_scene(row.scene, size=16, lights=4, held_out=4, seed=1001)
     np.testing.assert_array_equal(scene.images, truth.images)
     assert scene.fov == row.fov
@@ -125,18 +119,16 @@ def test_a_scene_is_told_what_its_row_says_and_nothing_else(key: str) -> None:
 
 
 @pytest.mark.slow
-def test_work_scores_every_recipe_of_its_row() -> None:
-    found = {key: measure.work(Task(key, 1001, 16, 4, 2), 1) for key in
-             ("base", "sh2", "normals-refined", "regularized")}  # fmt: skip
+def test_every_row_has_facts_about_its_scenes() -> None:
+    found = {key: measure.run(case(key), 1) for key in ("base", "normals-refined")}
     for key, of in found.items():
-        assert list(of["recipes"]) == list(BY_KEY[key].recipes)
-        assert set(of["recipes"]["default"]) == set(METRICS)
+        assert set(METRICS) < set(of["scores"])
         assert of["facts"]["metal_share"] > 0
         assert ("normals_mean" in of["facts"]) == (BY_KEY[key].normals == "predicted")
         assert ("refined_mean" in of["facts"]) == (BY_KEY[key].refine_normals != "off")
         json.dumps(of)
-    recon = [found[key]["recipes"]["constant"]["recon"] for key in ("base", "sh2")]
-    assert recon[0] < recon[1]  # lights of order 2 explain less
+    base, sh2 = (measure.run(case(key, "constant"), 1)["scores"] for key in ("base", "sh2"))
+    assert base["recon"] < sh2["recon"]  # lights of order 2 explain less
 
 
 def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
@@ -144,8 +136,7 @@ def test_our_renderer_uses_the_model_that_is_fitted_but_in_one_row() -> None:
     assert swapped == ["other-model"]
     [other] = swapped
     for model in MODELS:
-        own, apart = (measure.given(Task(key, 1001, 16, 4, 2, model=model), 1)[0] for key in
-                      ("base", other))  # fmt: skip
+        own, apart = (given(key, model=model)[0] for key in ("base", other))
         assert own.model == model
         assert apart.model != model
         assert apart.model in MODELS
@@ -156,12 +147,11 @@ def test_given_normals_are_used(tmp_path: Path) -> None:
     truth = make_scene("furnished", size=16, lights=4, held_out=4, seed=1001)
     stored = {name: truth.normals[..., i] for i, name in enumerate("XYZ")}
     images.write_exr(tmp_path / "1001.exr", stored)
-    found = measure.work(Task("normals", 1001, 16, 4, 1, predicted_normals=tmp_path), 1)
-    assert found["facts"]["normals_mean"] <= 1e-4
+    assert given("normals", predicted_normals=tmp_path)[1]["normals_mean"] <= 1e-4
     with pytest.raises(ValueError, match=r"expected 1000\.exr or 1000\.png, found neither"):
-        measure.work(Task("normals", 1000, 16, 4, 1, predicted_normals=tmp_path), 1)
+        given("normals", seed=1000, predicted_normals=tmp_path)
     with pytest.raises(ValueError, match="expected 24 × 24 pixels, found 16 × 16"):
-        measure.work(Task("normals", 1001, 24, 4, 1, predicted_normals=tmp_path), 1)
+        given("normals", size=24, predicted_normals=tmp_path)
 
 
 @pytest.mark.slow
@@ -169,7 +159,7 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
     normals, out = tmp_path / "normals", tmp_path / "out"
     normals.mkdir()
     command = ("evaluate", "table1", "--out", out, "--rows", "normals", "--scenes", 1, *TINY,
-               *PAPER, "--quiet", "--predicted-normals", normals)  # fmt: skip
+               *PAPER, "--ways", "constant", "--quiet", "--predicted-normals", normals)  # fmt: skip
     scene = make_scene("furnished", size=16, lights=4, held_out=4, seed=1000)
     off = []
     for turned, options in ((0.0, ()), (0.2, ("--resume",)), (0.2, ("--resume",))):
@@ -178,28 +168,31 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
         (normals / "1000.exr").unlink(missing_ok=True)
         images.write_exr(normals / "1000.exr", {"X": c * x + s * z, "Y": y, "Z": c * z - s * x})
         assert run(*command, *options) == 0
-        record = json.loads((out / "records" / "normals_paper_1000.json").read_text("utf-8"))
+        record = json.loads(
+            (out / "records" / "normals_constant_furnished_paper_1000.json").read_text("utf-8")
+        )
         off.append((record["values"]["facts"]["normals_mean"], record["seconds"]))
     assert off[0][0] < 0.01
     assert off[1][0] > 5
     assert off[2] == off[1]  # not done again
 
 
-def test_means_are_over_finished_scenes() -> None:
-    pairs: list[tuple[Task, Any]] = []
-    for seed in (1000, 1001):
-        scores = dict.fromkeys(METRICS, 0.25) | {"albedo": 0.1 * (seed - 999)}
-        values = {"facts": {}, "recipes": dict.fromkeys(BY_KEY["base"].recipes, scores)}
-        pairs.append((Task("base", seed, 16, 4, 3, model="paper"), values))
-    pairs.append((Task("base", 1002, 16, 4, 3, model="paper"), "ValueError: no"))
-    asked = {"rows": ["base", "cycles-brdf"], "model": "paper", "quick": True}
+def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:
+    pairs: list[tuple[Case, Any]] = []
+    for way in BY_KEY["base"].ways:
+        for seed in (1000, 1001):
+            scores = dict.fromkeys(METRICS, 0.25) | {"albedo": 0.1 * (seed - 999)}
+            of = case("base", way, seed, model="paper")
+            pairs.append((of, {"facts": {}, "scores": scores}))
+        pairs.append((case("base", way, 1002, model="paper"), "ValueError: no"))
+    asked = {"conditions": ["base", "cycles-brdf"], "model": "paper", "quick": True}
     found = rows(recorded(*pairs, **asked))
-    assert [row.name for row in found] == ["Base, paper"] * 3 + [
-        "Cycles, panorama: BRDF alone, paper"
-    ]
+    names = ["Base, paper"] * 3 + ["Cycles, panorama: BRDF alone, paper"] * 3
+    assert [row.name for row in found] == names
     assert found[0].metrics["albedo"] == pytest.approx(0.15)
     assert {row.status for row in found[:3]} == {"1 of 3 scenes failed"}
-    assert [row.guess for row in found] == [False, False, True, False]
+    assert [row.guess for row in found] == [False, False, True] * 2
+    assert known(found[0].paper)["albedo"] == 0.065
     assert found[-1].status == "not run: --quick leaves out what takes minutes"
     assert (found[-1].scenes, found[-1].metrics) == (0, {})
 
@@ -218,8 +211,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = {path.name for path in out.iterdir()}
     assert names == {
         "records", "report.html", "table1.png", "table1.md", "scenes.csv",
-        "summary.json", "example-base-paper.png", "example-normals-paper.png",
-        "example-regularized-paper.png",
+        "summary.json", "maps-base.png", "maps-normals.png", "maps-regularized.png",
     }  # fmt: skip
     content = json.loads((out / "summary.json").read_text("utf-8"))
     status = {row["name"]: row["status"] for row in content["rows"]}
@@ -230,31 +222,13 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert base["paper"]["albedo"] == 0.065
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
         scenes = list(csv.DictReader(file))
-    assert len(scenes) == 2 * sum(
-        len(BY_KEY[key].recipes) for key in ("base", "normals", "regularized")
-    )
+    ways = sum(len(BY_KEY[key].ways) for key in ("base", "normals", "regularized"))
+    assert len(scenes) == 2 * ways
     titles = [table["title"] for table in content["tables"]]
-    assert {"The paper's columns", "In short", "Where ours is not the best"} <= set(titles)
-    albedo = [float(s["albedo"]) for s in scenes if s["scene"].startswith("base") and
-              s["recipe"] == "default"]  # fmt: skip
+    assert {"The paper's columns", "In short", "The setups"} <= set(titles)
+    albedo = [
+        float(s["albedo"]) for s in scenes if (s["condition"], s["way"]) == ("base", "default")
+    ]
     assert base["metrics"]["albedo"] == pytest.approx(np.mean(albedo))
     assert base["metrics"]["albedo_low"] <= base["metrics"]["albedo"]
     assert all(math.isfinite(float(scene["relight"])) for scene in scenes)
-
-
-def test_what_has_less_error_than_ours_is_named() -> None:
-    def row(name: str, recipe: Recipe, albedo: float | None, relight: float) -> Row:
-        metrics = {"albedo": albedo, "relight": relight}
-        return Row(name, 3, SOLVERS[recipe], metrics, guess=recipe == "constant")
-
-    rows = [
-        row("shadows", "default", 0.25, 0.4),
-        row("shadows", "paper", 0.3, 0.375),
-        row("shadows", "constant", 0.2, 0.5),
-        row("base", "default", 0.0, 0.0),
-        row("base", "paper", 0.1, math.nan),
-        row("base", "constant", None, 0.0),
-    ]
-    assert list(not_the_best(rows).rows) == [
-        ["shadows", "", "0.250, guess 0.200", "", "", "0.400, recipe 0.375"]
-    ]
