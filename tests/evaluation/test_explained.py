@@ -8,15 +8,12 @@ Cycles, and fits with geometry for the estimator's, where it has none.
 from __future__ import annotations
 
 import json
-from argparse import Namespace
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from pbrfit_evaluation.transport.figures import CHOICES
 
 from evaluation_tasks import own_room, recorded
 from pbrfit.model.lamps import Lamps
@@ -24,62 +21,58 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw
 from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.cycles.export import export
-from pbrfit_evaluation.explained import ROWS, Case, measure
-from pbrfit_evaluation.explained.figures import ratio
-from pbrfit_evaluation.explained.measure import lamps_off, told
-from pbrfit_evaluation.explained.variants import (
-    BY_KEY,
-    GUESS,
-    HARMONICS,
-    NEAR,
-    OF_GEOMETRY,
-    OF_LAMPS,
-)
-from pbrfit_evaluation.lamps import SETUPS as LAMP_SETUPS
-from pbrfit_evaluation.lamps import figures as of_lamps
+from pbrfit_evaluation.explained import figures, measure
+from pbrfit_evaluation.explained.figures import CHOICES
+from pbrfit_evaluation.explained.measure import GEOMETRY, LAMPS, ROWS, lamps_off, told
+from pbrfit_evaluation.explained.variants import HARMONICS, NEAR, OF_GEOMETRY, OF_LAMPS, VARIANTS
+from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.suite import Verdict
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
-from pbrfit_evaluation.transport import FIRST_SEED, SETUPS, SUITE, figures
 from scene_files import known, run
 
 SIZE = 24
 LIGHTS = 4
 
-CASE = Case("points-shadows", NEAR, 2003, SIZE, LIGHTS, picture=True)
-TASK = table1.Task(TABLE1[ROWS["points-shadows"][0]].key, 8200, SIZE, LIGHTS, 0)
+CASE = Case("points-shadows", NEAR, 8200, SIZE, lights=LIGHTS)
+ROW = TABLE1[ROWS["points-shadows"][0]]
 
 
 def stand_in(case: Case, _: int) -> tuple[Scene, Lamps | None]:
     """In place of `measure.room`: a room of our renderer, and some lamps where it has such."""
     places = np.random.default_rng(case.seed).normal((0, 1, -1), 0.5, (case.lights, 3))
     lamps = Lamps(np.arange(case.lights), places, np.ones(case.lights, bool))
-    return own_room(case, 1), lamps if case.setup in LAMP_SETUPS else None
+    return own_room(case, 1), lamps if case.condition in LAMPS.conditions else None
 
 
 @pytest.fixture(scope="module")
 def exact() -> Scene:
-    return own_room(Case("shadows", "true", 2003, SIZE, 4), 1)
+    return own_room(Case("shadows", "true", 2003, SIZE, lights=4), 1)
 
 
 @pytest.fixture
 def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rooms without Cycles, and short fits."""
+
+    def short(scene: Scene, **options: Any) -> Any:
+        return decompose(scene, **{**options, "iterations": 2, "uncertainty": False})
+
+    decompose = recipes.decompose
     monkeypatch.setattr(measure, "room", stand_in)
-    monkeypatch.setattr(measure, "fit", partial(recipes.fit, iterations=2, uncertainty=False))
+    monkeypatch.setattr(recipes, "decompose", short)
     monkeypatch.setattr(cycles, "why_not", lambda: None)
 
 
 @pytest.mark.parametrize(
     ("setups", "light", "transports"),
     [
-        (SETUPS, "panorama", ["brdf", "shadows", "full", "full"]),
-        (LAMP_SETUPS, "points", ["shadows", "brdf"]),
+        (GEOMETRY.conditions, "panorama", ["brdf", "shadows", "full", "full"]),
+        (LAMPS.conditions, "points", ["shadows", "brdf"]),
     ],
 )
 def test_setups_are_rows_of_table_1_by_cycles_with_true_normals(
-    setups: tuple[str, ...], light: str, transports: list[str]
+    setups: dict[str, str], light: str, transports: list[str]
 ) -> None:
     rows = [TABLE1[ROWS[setup][0]] for setup in setups]
     assert {(row.renderer, row.light, row.normals) for row in rows} == {("cycles", light, "true")}
@@ -87,7 +80,7 @@ def test_setups_are_rows_of_table_1_by_cycles_with_true_normals(
 
 
 def test_the_true_variant_is_told_the_truth(exact: Scene) -> None:
-    scene, facts = told(exact, BY_KEY["true"], 2003)
+    scene, facts = told(exact, VARIANTS["true"], 2003)
     np.testing.assert_array_equal(scene.depth, exact.depth)
     assert scene.segments is exact.segments
     assert facts["depth_off"] == 0
@@ -97,15 +90,17 @@ def test_the_true_variant_is_told_the_truth(exact: Scene) -> None:
 
 def test_variants_without_geometry_are_told_no_depth(exact: Scene) -> None:
     for key in ("constant", "default", "without"):
-        scene, facts = told(exact, BY_KEY[key], 2003)
+        scene, facts = told(exact, VARIANTS[key], 2003)
         assert scene.depth is None
-        assert not BY_KEY[key].options
+        assert "transport" not in VARIANTS[key].options
         assert "depth_off" not in facts
         np.testing.assert_array_equal(scene.images, exact.images)
 
 
 def test_wrong_depth_is_told_and_rough_depth_is_worse(exact: Scene) -> None:
-    by_key = {key: told(exact, BY_KEY[key], 2003) for key in ("network", "rough", "network-found")}
+    by_key = {
+        key: told(exact, VARIANTS[key], 2003) for key in ("network", "rough", "network-found")
+    }
     network, rough = (by_key[key][1] for key in ("network", "rough"))
     assert 0.005 < network["depth_off"] < rough["depth_off"] < 0.2
     assert network["normals_off"] < rough["normals_off"]
@@ -113,59 +108,41 @@ def test_wrong_depth_is_told_and_rough_depth_is_worse(exact: Scene) -> None:
 
 
 def test_segments_are_found_or_left_out(exact: Scene) -> None:
-    found, facts = told(exact, BY_KEY["found"], 2003)
+    found, facts = told(exact, VARIANTS["found"], 2003)
     assert not np.array_equal(known(found.segments), known(exact.segments))
     assert 0.5 < facts["purity"] < 1
-    without, facts = told(exact, BY_KEY["unsegmented"], 2003)
+    without, facts = told(exact, VARIANTS["unsegmented"], 2003)
     assert without.segments is None
     assert "purity" not in facts
 
 
 def test_integrated_depth_has_the_normals_and_does_not_know_jumps(exact: Scene) -> None:
-    scene, facts = told(exact, BY_KEY["integrated"], 2003)
+    scene, facts = told(exact, VARIANTS["integrated"], 2003)
     assert np.nanmedian(known(scene.depth)) == pytest.approx(1)
     assert facts["depth_off"] > 0.02
     assert facts["normals_off"] < 8
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("stand_ins")
-def test_a_room_is_measured_and_pictured() -> None:
-    found = measure.run(Case("shadows", "without", 2003, SIZE, 4, picture=True), 1)
-    assert json.loads(json.dumps(found)) == found
-    assert found["choice"] == "none"
-    assert found["scores"]["relight"] > 0
-    case = Case("shadows", "without", 2003, SIZE, 4)
-    *_, last = figures.sections(recorded((case, found), **vars(asked(setups=("shadows",)))), [])
-    assert [one.name for one in last.figures] == ["relit-shadows"]
-    assert "panels" not in measure.run(Case("shadows", "constant", 2003, SIZE, 4), 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("key", [variant.key for variant in OF_GEOMETRY])
+@pytest.mark.parametrize("key", OF_GEOMETRY)
 def test_every_variant_runs(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measure, "room", stand_in)
-    found = measure.run(Case("shadows", key, 2003, SIZE, 4), 1)
-    assert found["choice"] in figures.CHOICES
-
-
-def asked(*, quick: bool = False, **changes: Any) -> Namespace:
-    """Options as on the command line."""
-    effort = {name: both[quick] for name, both in SUITE.effort.items()}
-    rest = {"lights": 16, "first_seed": FIRST_SEED, "cycles_cache": None}
-    return Namespace(**{**effort, **rest, **changes})
+    found = measure.run(Case("shadows", key, 2003, SIZE, lights=4, picture=key == "without"), 1)
+    assert json.loads(json.dumps(found)) == found
+    assert found["choice"] in CHOICES
+    assert found["scores"]["relight"] > 0
+    assert ("maps" in found) == (key == "without")
 
 
 def of(setup: Any, variant: str, seed: int, error: float, **changes: float) -> tuple[Case, Any]:
     scores = dict.fromkeys(figures.METRICS, error) | changes
     facts = {"depth_off": 0.1, "normals_off": 5.0, "segments": 20.0, "purity": 0.9}
     values = {"scores": scores, "facts": facts, "choice": "occlusion"}
-    return Case(setup, variant, seed, SIZE, 4), values
+    return Case(setup, variant, seed, SIZE), values
 
 
-def judged(*pairs: Any, setup: str = "shadows") -> list[Verdict]:
-    results = recorded(*pairs, **vars(asked(setups=(setup,))))
-    return list(figures.verdicts(results, figures.rows(results)))
+def judged(*pairs: Any) -> list[Verdict]:
+    return list(figures.geometry_verdicts(recorded(*pairs), None))
 
 
 @pytest.mark.parametrize(("found", "failing"), [(0.199, 0), (0.201, 4), (0.301, 8)])
@@ -188,30 +165,22 @@ def test_other_variants_must_spoil_nothing(relight: float, holds: bool) -> None:
 
 def test_without_shadows_true_depth_must_spoil_nothing_and_need_not_help() -> None:
     pairs = of("brdf", "constant", 1, 0.1), of("brdf", "without", 1, 0.3)
-    [verdict] = judged(*pairs, of("brdf", "true", 1, 0.3), setup="brdf")
+    [verdict] = judged(*pairs, of("brdf", "true", 1, 0.3))
     assert verdict.holds
-
-
-def test_ratios_are_of_rooms_that_both_have() -> None:
-    results = recorded(
-        *(of("shadows", "true", 1, 0.1), of("shadows", "true", 2, 0.3)),
-        *(of("shadows", "without", 1, 0.2), of("shadows", "without", 3, 9.0)),
-    )
-    assert ratio(results, "shadows", "albedo", "true", "without") == pytest.approx(0.5)
-    assert np.isnan(ratio(results, "shadows", "albedo", "rough", "without"))
 
 
 def test_rows_say_what_was_chosen_and_why_some_were_not_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(cycles, "why_not", lambda: "no bpy")
     pairs = of("shadows", "without", 1, 0.3), of("shadows", "true", 1, 0.2)
-    options = asked(setups=("shadows",))
-    rows = {row.solver: row for row in figures.rows(recorded(*pairs, **vars(options)))}
+    monkeypatch.setattr(cycles, "why_not", lambda: None)
+    found = figures.geometry_rows(recorded(*pairs, conditions=("shadows",)))
+    rows = {row.solver: row for row in found}
     assert rows["true depth"].metrics["chose_occlusion"] == 1
     assert "chose_occlusion" not in rows["no depth"].metrics
-    assert rows["rough depth"].status == "not run: no bpy"
-    assert rows["constant guess"].status == "not run: no bpy"
+    monkeypatch.setattr(cycles, "why_not", lambda: "no bpy")
+    found = figures.geometry_rows(recorded(conditions=("shadows",)))
+    assert {row.status for row in found} == {"not run: no bpy"}
 
 
 @pytest.mark.slow
@@ -220,10 +189,10 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     code = run("evaluate", "transport", "--out", out, "--quick", "--jobs", 1, "--lights", LIGHTS)
     assert code == 1  # a fit that is no better does not hold
-    assert "and shadows, true depth: albedo over that without depth" in capsys.readouterr().out
+    assert "and shadows, true depth: albedo over that of no depth" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {
         "records", "report.html", "transport.md", "scenes.csv", "summary.json", "transport.png",
-        "relit-shadows.png",
+        "maps-shadows.png",
     }  # fmt: skip
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
     by_solver = {row["solver"]: row for row in rows if row["scenes"]}
@@ -247,12 +216,11 @@ def test_command_without_cycles_says_so(
 
 
 def test_true_lamps_are_inside_the_room_and_not_in_furniture() -> None:
-    row = TABLE1[TASK.row]
-    lamps = table1.cycles_lamps(TASK, row)
+    lamps = table1.cycles_lamps(CASE, ROW)
     assert lamps.near.all()
     assert lamps.pictures.tolist() == list(range(LIGHTS))
-    [stream] = np.random.SeedSequence(8200).spawn(1)
-    world = draw(row.scene, np.random.default_rng(stream))
+    [stream] = np.random.SeedSequence(CASE.seed).spawn(1)
+    world = draw(ROW.scene, np.random.default_rng(stream))
     for mesh in export(world, SIZE, 60.0).meshes[: world.walls]:
         heights = np.einsum("kvi,vi->kv", lamps.places[:, None] - mesh.vertices, mesh.normals)
         assert heights.min() >= 0.5  # metres from every wall
@@ -269,10 +237,9 @@ def test_true_lamps_are_those_that_are_rendered(monkeypatch: pytest.MonkeyPatch)
         raise StopError
 
     monkeypatch.setattr("pbrfit_evaluation.cycles.scene.rendered", rendered)
-    row = TABLE1[TASK.row]
     with pytest.raises(StopError):
-        table1.cycles_scene(TASK, row, 1)
-    np.testing.assert_array_equal(table1.cycles_lamps(TASK, row).places, given[0])
+        table1.cycles_scene(CASE, ROW, 1)
+    np.testing.assert_array_equal(table1.cycles_lamps(CASE, ROW).places, given[0])
 
 
 def test_lamps_are_off_by_distances_and_far_ones_by_angles_alone() -> None:
@@ -291,39 +258,34 @@ def test_lamps_are_off_by_distances_and_far_ones_by_angles_alone() -> None:
 
 
 @pytest.mark.slow
-def test_variants_are_told_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: dict[str, Any] = {}
-    light: dict[str, Any] = {}
+def test_variants_are_given_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, tuple[Scene, Any]] = {}
+    decompose = recipes.decompose
 
-    def explain(scene: Scene, *_: object, **options: Any) -> Any:
-        seen[key], light[key] = scene, options.get("light")
-        return recipes.explain(scene, "start", model="principled", threads=1)
+    def fit(scene: Scene, **options: Any) -> Any:
+        seen[key] = scene, options.get("light")
+        return decompose(replace(scene, lamps=None), refine_normals="off", light="sh", iterations=0)
 
     monkeypatch.setattr(measure, "room", stand_in)
-    monkeypatch.setattr(measure, "fit", explain)
-    monkeypatch.setattr(measure, "explain", explain)
-    keys = [variant.key for variant in OF_LAMPS]
-    for key in keys:
-        measure.run(replace(CASE, variant=key, picture=False), 1)
-    assert [key for key in keys if seen[key].depth is not None] == [
-        key for key in keys if BY_KEY[key].depth == "true"
-    ]
-    assert [key for key in keys if seen[key].lamps is not None] == ["known"]
-    assert light[GUESS.key] is None
+    monkeypatch.setattr(recipes, "decompose", fit)
+    for key in OF_LAMPS:
+        measure.run(replace(CASE, way=key), 1)
+    with_depth = {key for key, (scene, _) in seen.items() if scene.depth is not None}
+    assert with_depth == {key for key, variant in OF_LAMPS.items() if variant.depth == "true"}
+    assert [key for key, (scene, _) in seen.items() if scene.lamps is not None] == ["known"]
     expected = {"sh": "sh", "lamps": "lamps", NEAR: "lamps", "auto-depth": "auto", "known": "lamps"}
-    assert {key: light[key] for key in expected} == expected
+    assert {key: seen[key][1] for key in expected} == expected
 
 
 def lamps_hold(errors: dict[str, float], cm: float = 3.0) -> list[bool]:
     """Verdicts on lamps by the error of each variant, and how far lamps are off."""
     pairs = [of("points-shadows", key, 1, error) for key, error in errors.items()]
     pairs = [(case, values | {"lamps": {"cm": cm, "near": 1.0}}) for case, values in pairs]
-    found = recorded(*pairs, setups=["points-shadows"], variants=list(errors))
-    return [one.holds for one in of_lamps.verdicts(found, None)]
+    return [one.holds for one in figures.lamps_verdicts(recorded(*pairs), None)]
 
 
 def test_lamps_have_to_be_worth_something_and_auto_spoils_nothing() -> None:
-    good = {GUESS.key: 0.3, HARMONICS: 0.4, NEAR: 0.2}
+    good = {"constant": 0.3, HARMONICS: 0.4, NEAR: 0.2}
     assert all(lamps_hold(good))
     assert not all(lamps_hold({**good, NEAR: 0.35}))
     assert not all(lamps_hold(good, cm=6.0))
@@ -336,9 +298,9 @@ def test_lamps_have_to_be_worth_something_and_auto_spoils_nothing() -> None:
 def test_command_for_lamps(tmp_path: Path) -> None:
     out = tmp_path / "out"
     few = ("--scenes", 1, "--size", SIZE, "--lights", LIGHTS, "--jobs", 1, "--first-seed", 2003)
-    variants = ("--variants", GUESS.key, HARMONICS)
+    variants = ("--variants", "constant", HARMONICS)
     assert run("evaluate", "lamps", "--quick", *few, *variants, "--out", out) == 0
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    words = [BY_KEY[key].words for key in (GUESS.key, HARMONICS)]
+    words = [VARIANTS[key].words for key in ("constant", HARMONICS)]
     assert [row["solver"] for row in rows if row["scenes"]] == words
     assert (out / "maps-points-shadows.png").is_file()

@@ -17,7 +17,7 @@ from pbrfit.io.color import encode_srgb
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.blender import rendered_export
 from pbrfit_evaluation.generated import figures
-from pbrfit_evaluation.generated.measure import Case, given, reviewed
+from pbrfit_evaluation.generated.measure import given, reviewed
 from pbrfit_evaluation.generated.stand_ins import (
     LEVELS,
     Room,
@@ -27,7 +27,8 @@ from pbrfit_evaluation.generated.stand_ins import (
     stand_ins,
     toned,
 )
-from pbrfit_evaluation.generated.ways import BY_KEY, FEW
+from pbrfit_evaluation.generated.ways import FEW, WAYS
+from pbrfit_evaluation.grid import Case
 from scene_files import run
 
 SEED, SIZE, PICTURES = 8701, 48, 13
@@ -95,12 +96,11 @@ def test_the_review_refuses_a_picture_of_another_room(truth: Room) -> None:
 def test_verdicts_hold_and_fail_by_the_ratio_of_means() -> None:
     def case(way: str, error: float, seed: int) -> tuple[Any, Any]:
         scores = dict.fromkeys(figures.ERRORS, error)
-        return Case(way, seed, 48, 9, by_cycles=False), {"scores": scores}
+        return Case(way, "default", seed, 48), {"scores": scores}
 
     of = recorded(
         *(case("repainted", 2.0, 1), case("repainted", 4.0, 2), case("together", 1.0, 1)),
         *(case("together", 5.0, 2), case("constant", 1.0, 1), case("constant", 4.0, 2)),
-        ways=("constant", "repainted", "together"),
     )
     found = {verdict.what: verdict for verdict in figures.verdicts(of, ())}
     assert len(found) == 8
@@ -120,11 +120,11 @@ def test_the_suite_runs_and_is_written(tmp_path: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
     rows = {row["name"].removesuffix(figures.OURS): row for row in summary["rows"]}
     for key in FEW:
-        row = rows[BY_KEY[key].words]
+        row = rows[WAYS[key].words]
         assert row["scenes"] == 1
         assert row["status"] == "ok"
         assert 0 < row["metrics"]["albedo_scaled"] < 1
-    assert rows[BY_KEY["constant"].words]["metrics"]["kept"] == 7
+    assert rows[WAYS["constant"].words]["metrics"]["kept"] == 7
     assert (out / "maps.png").read_bytes().startswith(b"\x89PNG")
     assert (out / "inputs.png").is_file()
     assert "nothing handled" in (out / "generated.md").read_text()

@@ -11,7 +11,6 @@ import pytest
 
 from pbrfit.model.materials import Materials
 from pbrfit_evaluation.peers import measure
-from pbrfit_evaluation.peers.figures import IN_WORDS
 from pbrfit_evaluation.recipes import within
 from scene_files import room, run
 
@@ -24,7 +23,7 @@ def test_what_cannot_run_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[
     weights = ("--marigold", nowhere, "--rgbx", nowhere)
     assert run("evaluate", "peers", "--out", out, *arguments, *weights) == 0
     rows = json.loads((out / "summary.json").read_text())["rows"]
-    assert [row["solver"] for row in rows] == 2 * list(IN_WORDS.values())
+    assert [row["solver"] for row in rows] == 2 * [way.words for way in measure.WAYS.values()]
     assert {row["status"] for row in rows[4:6]} == {"not run: --quick leaves Cycles out"}
     fit, guess, *others = rows[:4]
     assert fit["status"] == guess["status"] == "ok"
@@ -60,7 +59,7 @@ def test_the_picture_is_exposed_for_a_screen() -> None:
 
 
 def task(seed: int) -> measure.Task:
-    return measure.Task("pbrfit", seed, 24, 8, 1, 1, None, 256)
+    return measure.Task("own", "pbrfit", seed, 24, lights=8)
 
 
 def test_every_method_is_given_the_same_noisy_scene() -> None:
