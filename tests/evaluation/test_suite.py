@@ -145,30 +145,13 @@ def test_parts_options_and_files(
     assert lines[1] == {"part": "quiet", "task": "quiet0", "figure": "threads", "value": "2.0"}
     page = Page((out / "report.html").read_text("utf-8"))
     assert [element.text for element in page.all("h2")] == [
-        "What must hold, by part", "What must hold", "Figures", "Figures",
+        "What must hold", "Figures", "Figures",
     ]  # fmt: skip
     assert "2 of 2 demands hold." in page.all("p")[0].text
 
     assert run(SUITE, monkeypatch, *command, "--resume", "--part", "loud", "--quiet") == 0
     assert [row["scenes"] for row in summary(out)["rows"]] == [0, 3]
     assert len((tmp_path / "loud0.trace").read_text("utf-8").splitlines()) == 1
-
-
-def test_each_part_tells_the_demand_that_is_nearest_to_its_bar() -> None:
-    verdicts = [
-        Verdict("small", 1.0, 4.0, part="a"),
-        Verdict("near", 3.0, 4.0, part="a"),
-        Verdict("negative", -9.0, 4.0, part="a"),
-        Verdict("told only", 99.0, None, part="a"),
-        Verdict("share", 0.5, 0.25, at_least=True, part="b"),
-        Verdict("off", math.nan, 1.0, part="b"),
-        Verdict("told only", 1.0, None, part="c"),
-    ]
-    rows = [[getattr(cell, "text", cell) for cell in row] for row in report.by_part(verdicts).rows]
-    assert rows == [
-        ["a", "3 of 3", "near", "3", "≤ 4"],
-        ["b", "1 of 2", "off", "not a number", "≤ 1"],
-    ]
 
 
 def test_help_tells_defaults_of_both_efforts(

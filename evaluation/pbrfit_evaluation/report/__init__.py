@@ -174,34 +174,7 @@ def _judged(verdicts: Sequence[Verdict]) -> Iterable[Section]:
         rows.append([Cell("" if verdict.part == part else verdict.part, "name"), *row][not parts :])
         part = verdict.part
     columns = ["part", "what", "found", "must be", "verdict", "where"][not parts :]
-    if parts:
-        yield Section("What must hold, by part", tables=[by_part(verdicts)])
     yield Section("What must hold", tables=[Table(columns, rows)])
-
-
-def by_part(verdicts: Sequence[Verdict]) -> Table:
-    """How many demands of each part hold, and which is nearest to its bar or farthest off."""
-    rows: list[list[Value]] = []
-    for part in dict.fromkeys(verdict.part for verdict in verdicts):
-        demands = [one for one in verdicts if one.part == part and one.bar is not None]
-        if demands:
-            held = sum(one.holds for one in demands)
-            last = max(demands, key=_used)
-            found = Cell(digits(last.value), "number", last.value)
-            counts = f"{held} of {len(demands)}"
-            rows.append([part, counts, last.what, found, Cell(_bar(last), "number")])
-    return Table(["part", "hold", "nearest to its bar", "found", "must be"], rows)
-
-
-def _used(verdict: Verdict) -> float:
-    """Share of what a bar allows that a figure takes up; above 1 where it does not hold."""
-    assert verdict.bar is not None
-    few, many = verdict.value, verdict.bar
-    if verdict.at_least:
-        few, many = many, few
-    if few > 0 and many > 0:
-        return few / many
-    return 0.0 if verdict.holds else math.inf
 
 
 def _failures(failed: Sequence[Record]) -> Iterable[Section]:

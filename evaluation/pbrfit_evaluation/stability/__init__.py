@@ -17,7 +17,7 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="stability",
     title="Numerical stability",
-    description="Check band weights, loss and gradient against exact or float64 references, and "
+    description="Check loss and gradient against float64 references, and "
     "state a bound for every figure. Writes report.html, stability.md and summary.json. Exit code "
     "1 if a bound fails.",
     # Under one name, with the same effort and seed, the same is measured in the same way.
@@ -28,7 +28,6 @@ SUITE = Suite(
         add_threads,
     ),
     effort={
-        "band weights": ((12_000,), (2_000,)),  # points
         "fast objective": ((393_216,), (8_192,)),  # pixels of a kind
         "branch points": ((64, 201), (32, 41)),  # pixels, points of a scan
         "cancellation": ((65_536,), (4_096,)),  # pixels
