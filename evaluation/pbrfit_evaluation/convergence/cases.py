@@ -6,34 +6,31 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import Model, sh_basis
-from pbrfit.scene.arrays import Truth
+from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
-from pbrfit.synthetic.lights import SHARP, even_directions, zonal
 from pbrfit_evaluation.convergence.measure import held_out_errors, measure
 from pbrfit_evaluation.heldout.measure import split
 from pbrfit_evaluation.heldout.sources import find_sources, opened
-from pbrfit_evaluation.recipes import OTHER, lit_anew
+from pbrfit_evaluation.recipes import OTHER
 from pbrfit_evaluation.suite import Options
 
 Array = NDArray[np.float64]
 
-Lights = Literal["spread", "typical", "alike", "nearly one"]
-"""How the training lights differ: from evenly spread lobes to almost the same light 16 times."""
+Lights = Literal["typical", "alike"]
+"""How the training lights differ."""
 
-LIGHTS: tuple[Lights, ...] = get_args(Lights)
 PICTURES = 16
 
-BLEND: dict[Lights, float] = {"typical": 1.0, "alike": 0.1, "nearly one": 0.01}
-"""What is left of a light's difference from the mean light."""
+ALIKE = 0.1
+"""What is left of a light's difference from the mean light, where lights are alike."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +88,8 @@ def make(case: Case, seed: int) -> Scene:
     """Make a room of a synthetic case, 16 training and 16 held-out pictures.
 
     "typical" lights are those of `pbrfit.synthetic`: a key light and fills of several colours with
-    an ambient term. With their mean L̄, L̄ + ε (L − L̄) has a condition number about 1/ε times as
-    large, and stays positive as a mean of positive lights: "alike" has ε = 0.1, "nearly one" 0.01.
-    "spread" lights are one white lobe a picture, evenly over the sphere: close to the best that
-    positive light of l ≤ 3 allows, because the sharpest such lobe has a sixteenth of its band 0 in
-    band 3.
+    an ambient term. With their mean L̄, those that are "alike" are L̄ + ε (L − L̄), ε = `ALIKE`: the
+    condition number is about 1/ε times as large, and a mean of positive lights is positive.
     """
     model = OTHER[case.model] if case.misfit else case.model
     scene = make_scene(
@@ -103,13 +97,10 @@ def make(case: Case, seed: int) -> Scene:
     )
     truth, images, lighting = scene.truth, scene.images, true_lighting(scene)
     assert truth is not None
-    if case.lights == "spread":
-        truth, images = _lit_evenly(scene, truth)
-    elif case.lights != "typical":
-        share = BLEND[case.lights]
+    if case.lights == "alike":
         # Radiance is linear in the light, so the pictures blend as the lights do.
         lighting, images = (
-            whole.mean(axis=0) + share * (whole - whole.mean(axis=0))
+            whole.mean(axis=0) + ALIKE * (whole - whole.mean(axis=0))
             for whole in (lighting, images)
         )
         truth = replace(truth, lighting=lighting)
@@ -124,14 +115,6 @@ def true_lighting(scene: Scene) -> Array:
     assert scene.truth is not None
     assert scene.truth.lighting is not None
     return scene.truth.lighting
-
-
-def _lit_evenly(scene: Scene, truth: Truth) -> tuple[Truth, Array]:
-    """The scene under spread lights, in the same mean radiance."""
-    lobes = zonal(SHARP[3]) * sh_basis(even_directions(PICTURES))
-    lighting = np.repeat(lobes[..., None], 3, axis=-1)
-    lit = lit_anew(scene, truth.materials, lighting, lighting)
-    return replace(truth, lighting=true_lighting(lit)), np.asarray(lit.images)
 
 
 Errors = Callable[[Materials, Array], Mapping[str, float]]
