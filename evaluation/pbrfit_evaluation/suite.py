@@ -16,6 +16,9 @@ How to add a suite `speed`:
 6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
    takes precedence. Files named `figures.py` do not count as code that records depend on.
 
+Suites of scenes whose truth is known are scenes × conditions × ways: `grid` has their cases, rows,
+bars and sheets.
+
 Nothing here draws, writes or measures: `commands` builds the command and runs it, `jobs` keeps
 records, `report` writes.
 """

@@ -5,7 +5,6 @@ How well disturbed scenes are fitted is not tested here: verdicts are on figures
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 from pathlib import Path
@@ -224,19 +223,6 @@ def test_seconds_are_judged_where_files_are_read() -> None:
     assert not [v for v in judged(("hot", found(1)), ("noise", found(1))) if "seconds" in v.what]
 
 
-def test_means_are_over_scenes_that_both_have() -> None:
-    of = recorded(
-        *((case("noise", 1), found(0.1)), (case("noise", 2), found(0.3))),
-        *((case("hot", 1), found(0.2)), (case("hot", 2), found(0.4)), (case("hot", 3), found(9.9))),
-        (case("noise", 3), "MemoryError: too large"),
-        conditions=["hot"],
-    )
-    reference, hot = figures.rows(of)
-    assert hot.metrics["albedo_multiple"] == pytest.approx(0.3 / 0.2)
-    assert (hot.scenes, hot.status) == (3, "ok")
-    assert reference.status == "1 of 3 scenes failed"
-
-
 @pytest.mark.parametrize(("error", "holds"), [(1.99, True), (2.01, False)])
 def test_an_unknown_field_of_view_is_found_within_2_degrees(error: float, holds: bool) -> None:
     unknown = found(0.1, fov={"error": error})
@@ -273,17 +259,6 @@ def test_scales_are_within_two_deviations_in_nine_of_ten() -> None:
 @pytest.mark.parametrize(("error", "covered"), [(0.99e-6, True), (1.01e-6, False)])
 def test_rounding_is_no_error_of_the_scale(error: float, covered: bool) -> None:
     assert measure.covered({"red": {"error": error, "deviation": 1e-8}}) == [covered]
-
-
-def test_cases_bring_what_they_are_compared_with() -> None:
-    options = argparse.Namespace(conditions=["jpeg-90-444"], first_seed=3, scenes=4, size=8)
-    made_of = measure.GRID.cases(options)
-    assert {case.condition for case in made_of} == {"noise", "jpeg-90-444", "white-90-444"}
-    assert [(case.kind, case.seed) for case in made_of[:4]] == [
-        *(("room", 3), ("furnished", 4), ("detailed", 5), ("room", 6))
-    ]
-    assert len({case.key for case in made_of}) == len(made_of) == 12
-    assert [(case.condition, case.seed) for case in made_of if case.picture] == [("noise", 3)]
 
 
 @pytest.mark.slow

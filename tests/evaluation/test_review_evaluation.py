@@ -70,5 +70,4 @@ def test_the_suite_runs_and_is_written(tmp_path: Path, monkeypatch: pytest.Monke
     assert len(listed) == 12
     assert {row["damage"] for row in listed} == {"honest", "shift", "warp", "swap", *REPAINTS[:2]}
     assert min(int(row["seed"]) for row in listed) == 6000  # nothing was tuned from there on
-    assert (out / "rates.png").read_bytes().startswith(b"\x89PNG")
     assert "caught" in (out / "review.md").read_text()

@@ -1,4 +1,4 @@
-"""Angles as rows, verdicts, tables, a plot and pictures; normals as files for submission."""
+"""Angles as rows, verdicts, tables and pictures; normals as files for submission."""
 
 from __future__ import annotations
 
@@ -15,18 +15,7 @@ from pbrfit.result.sheet import as_png, sheet
 from pbrfit_evaluation.heldout.figures import error_of
 from pbrfit_evaluation.heldout.measure import LARGEST_SHOWN, Task, Way
 from pbrfit_evaluation.panels import unpacked
-from pbrfit_evaluation.suite import (
-    Panel,
-    Picture,
-    Plot,
-    Results,
-    Row,
-    Section,
-    Series,
-    Table,
-    Value,
-    Verdict,
-)
+from pbrfit_evaluation.suite import Picture, Results, Row, Section, Table, Value, Verdict
 
 IN_WORDS: dict[Way, str] = {
     "default": "unknown lamps",
@@ -121,7 +110,6 @@ def sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
         "Mean angles",
         "Degrees between normals and the true ones.",
         [_table(results, names)],
-        [_plot(results)] if any(_angles(results)) else [],
     )
     published: list[list[Value]] = [
         [method, *angles, float(np.mean(angles))]
@@ -157,21 +145,6 @@ def _table(results: Of, names: Sequence[str]) -> Table:
         shown = [angles.get(name) for name in names]
         lines.append([f"{keep} pictures, {IN_WORDS[way]}", *shown, mean])
     return Table(["", *names, "mean"], lines)
-
-
-def _plot(results: Of) -> Plot:
-    """A line a way: mean angle of the objects against how many pictures were fitted."""
-    series = []
-    for look, way in enumerate(WAYS):
-        means = {
-            keep: float(np.mean(list(angles.values())))
-            for keep, one, of in _each(results)
-            if one == way and (angles := _angles(of))
-        }
-        if means:
-            series.append(Series(IN_WORDS[way], list(means), list(means.values()), look=look))
-    panel = Panel("lines", series, "pictures", "mean angle, degrees", log="x")
-    return Plot("angles", "Means over objects.", [panel])
 
 
 def _errors(results: Of, name: str) -> bytes | None:

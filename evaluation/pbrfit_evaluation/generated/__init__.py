@@ -6,10 +6,9 @@ from dataclasses import replace
 
 from pbrfit._core import InputError
 from pbrfit.acquire.photo import LEAST_SIDE
-from pbrfit_evaluation import cycles
 from pbrfit_evaluation.generated import figures
 from pbrfit_evaluation.generated.measure import run
-from pbrfit_evaluation.generated.ways import FEW, GRID
+from pbrfit_evaluation.generated.ways import FEW, GRID, by_cycles
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import count, cycles_cache, option
@@ -32,8 +31,7 @@ def cases(options: Options) -> list[Case]:
         raise InputError(f"--pictures: expected at least 6, found {options.pictures}")
     if options.size < LEAST_SIDE:
         raise InputError(f"--size: expected at least {LEAST_SIDE}, found {options.size}")
-    ours = options.quick or options.no_cycles or cycles.why_not()
-    kind = "own" if ours else "cycles"
+    kind = "cycles" if by_cycles(options) else "own"
     return [replace(case, kind=kind, lights=options.pictures) for case in GRID.cases(options)]
 
 

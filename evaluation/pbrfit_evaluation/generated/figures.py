@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from pbrfit_evaluation.generated.ways import GRID, PICTURED, WAYS
+from pbrfit_evaluation.generated.ways import GRID, PICTURED, WAYS, by_cycles
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, pictures
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
@@ -35,7 +35,7 @@ def rows(results: Of) -> list[Row]:
                 found[f"first_light_{name}"] = of.mean("blender", name).mean
         return found
 
-    ours = OURS if any(case.kind == "own" for case, _ in results.pairs) else ""
+    ours = "" if by_cycles(results.options) else OURS
     found = grid_rows(GRID, results, [*ERRORS, "albedo", "relight"], more)
     return [replace(row, name=f"{row.name}{ours}") for row in found]
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from pbrfit.result.options import Priors
+from pbrfit_evaluation import cycles
 from pbrfit_evaluation.generated.stand_ins import Level
 from pbrfit_evaluation.grid import Grid
 from pbrfit_evaluation.recipes import GUESS, Way
+from pbrfit_evaluation.suite import Options
 
 BARE: Mapping[str, Any] = {
     "align": "off",
@@ -83,5 +85,17 @@ FEW = ("constant", "exact", "repainted", "together", "path")
 PICTURED = ("exact", "repainted", "together", "path")
 """Ways whose maps are shown."""
 
-GRID = Grid({key: way.words for key, way in WAYS.items()}, kinds=("cycles",), pictured=PICTURED)
+
+def by_cycles(options: Options) -> bool:
+    """Whether Cycles renders the rooms: where it is there and wanted."""
+    return not (options.quick or options.no_cycles or cycles.why_not())
+
+
+def why_not(options: Options, key: str, _: str) -> str:
+    """Why a way cannot be run; empty if it can."""
+    lacks = WAYS[key].normals == "estimated" and not by_cycles(options)
+    return "rooms by our renderer have no depth" if lacks else ""
+
+
+GRID = Grid({key: way.words for key, way in WAYS.items()}, pictured=PICTURED, why_not=why_not)
 """What is done is the condition; kinds "cycles" and "own" say what renders the rooms."""

@@ -1,4 +1,4 @@
-"""The review's rates as rows, verdicts, tables, plots and a CSV file."""
+"""The review's rates as rows, verdicts, tables and a CSV file."""
 
 from __future__ import annotations
 
@@ -11,19 +11,7 @@ from scipy.stats import binomtest
 
 from pbrfit_evaluation.review.damage import REPAINTS, WHAT
 from pbrfit_evaluation.review.measure import Task
-from pbrfit_evaluation.suite import (
-    Line,
-    Mark,
-    Panel,
-    Plot,
-    Results,
-    Row,
-    Section,
-    Series,
-    Table,
-    Value,
-    Verdict,
-)
+from pbrfit_evaluation.suite import Line, Results, Row, Section, Table, Value, Verdict
 
 LEAST_CAUGHT = 0.95
 MOST_REFUSED = 0.05
@@ -123,27 +111,8 @@ def verdicts(results: Results[Task], _: Sequence[Row]) -> list[Verdict]:
 
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     """Rates together, by damage and by source."""
-    shown = {name: of for name, of in _rates(results).items() if of.pictures}
-    series = [
-        Series(
-            label,
-            [100 * of.share for of in some.values()],
-            [f"{name}, {of}" for name, of in some.items()],
-            low=[100 * of.interval()[0] for of in some.values()],
-            high=[100 * of.interval()[1] for of in some.values()],
-        )
-        for label, honest in (("damaged: caught", False), ("honest: refused", True))
-        for some in [{name: of for name, of in shown.items() if ("honest" in name) == honest}]
-    ]
-    marks = [Mark(100 * bar, axis="x") for bar in (LEAST_CAUGHT, MOST_REFUSED)]
-    plot = Plot(
-        "rates",
-        "With intervals of 95 %; the bars as dotted lines.",
-        [Panel("dots", series, "refused by the review, %", marks=marks, x_range=(-3, 103))],
-        size=(8, 3.4),
-    )
     columns = ("refused", "pictures", "share")
-    yield Section("Rates", tables=[Table.of(rows, columns)], figures=[plot] if shown else [])
+    yield Section("Rates", "With intervals of 95 %.", [Table.of(rows, columns)])
     damages: list[list[Value]] = [
         [kind, what, of.share, float(of.pictures)]
         for kind, what in IN_WORDS.items()
