@@ -20,8 +20,7 @@ SUITE = Suite(
     name="lamps",
     title="Rooms under lamps",
     description="Fit rooms that Blender Cycles renders under one point lamp a picture, with and "
-    "without their depth. Writes report.html, a plot, maps, lamps.md, scenes.csv and summary.json. "
-    "Exit code 1 if something does not hold.",
+    "without their depth.",
     protocol=f"pbrfit-lamps-1: {SCORES}; lamps one a picture, medians over a room's; {{size}} "
     "pixels, {lights} pictures, {effort}",
     parts=[Part.shown_by(figures, "lamps", LAMPS.cases, run, "lamps_", csvs=csvs)],

@@ -540,7 +540,7 @@ class Suite:
     name, title
         Of the command, and of its report.
     description
-        In its help: what is measured and what is written.
+        In its help: what is measured.
     protocol
         Name and version of how things are measured: results under one name compare. `{size}` and
         the like are replaced by the options.

@@ -19,9 +19,7 @@ SUITE = Suite(
     name="transport",
     title="Shadows and bounces by geometry",
     description="Fit rooms that Blender Cycles renders, with and without their depth: the true "
-    "one, that of a network, one integrated from normals; with true and with found segments. "
-    "Writes report.html, a plot, sheets of maps, transport.md, scenes.csv and summary.json. Exit "
-    "code 1 if something does not hold.",
+    "one, that of a network, one integrated from normals; with true and with found segments.",
     protocol=f"pbrfit-transport-1: {SCORES}; {{size}} pixels, {{lights}} pictures, {{effort}}",
     parts=[Part.shown_by(figures, "transport", GEOMETRY.cases, run, "geometry_", csvs=csvs)],
     options=(

@@ -63,7 +63,7 @@ def test_the_reference_has_noise_and_the_clean_scene_none_but_rounding(
     noise: Scene, clean: Scene
 ) -> None:
     truth = truth_of(clean)
-    lit = render(truth.materials, clean.normals, known(truth.lighting), 60, model=clean.model)
+    lit = render(truth.materials, clean.normals, known(truth.lighting), 60, model="paper")
     np.testing.assert_allclose(clean.images, lit, rtol=6e-8)
     assert noise.images.dtype == np.float32
     assert (noise.images - lit).std() == pytest.approx(NOISE, rel=0.03)
@@ -113,7 +113,7 @@ def test_gamma_keeps_white_and_vignetting_takes_30_percent_of_the_corners(noise:
 
 def test_a_grey_scene_is_grey_and_its_truth_explains_it(clean: Scene) -> None:
     grey, truth = made("grey"), truth_of(made("grey"))
-    lit = render(truth.materials, grey.normals, known(truth.lighting), 60, model=grey.model)
+    lit = render(truth.materials, grey.normals, known(truth.lighting), 60, model="paper")
     assert grey.grey
     assert lit.mean() == pytest.approx(clean.images.mean(), rel=1e-6)
     assert (grey.images - lit).std() == pytest.approx(NOISE / np.sqrt(3), rel=0.05)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from evaluation_tasks import own_room, recorded
+from pbrfit.fit.decompose import decompose
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw
@@ -58,7 +59,6 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     def short(scene: Scene, **options: Any) -> Any:
         return decompose(scene, **{**options, "iterations": 2, "uncertainty": False})
 
-    decompose = recipes.decompose
     monkeypatch.setattr(measure, "room", stand_in)
     monkeypatch.setattr(recipes, "decompose", short)
     monkeypatch.setattr(cycles, "why_not", lambda: None)
@@ -260,7 +260,6 @@ def test_lamps_are_off_by_distances_and_far_ones_by_angles_alone() -> None:
 @pytest.mark.slow
 def test_variants_are_given_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, tuple[Scene, Any]] = {}
-    decompose = recipes.decompose
 
     def fit(scene: Scene, **options: Any) -> Any:
         seen[key] = scene, options.get("light")

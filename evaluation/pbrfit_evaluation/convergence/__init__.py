@@ -82,11 +82,9 @@ def run(task: Task, threads: int) -> dict[str, Any]:
 SUITE = Suite(
     name="convergence",
     title="Error against run time",
-    description="Run every solver on scenes of several sizes, noise levels and light matrices, and "
-    "measure the errors of reconstruction, maps and relit pictures on the way. Writes report.html, "
-    "a plot a quantity, convergence.md, curves.csv and summary.json. Exit code 1 if the "
-    "second-order solver is not as much sooner than others as it must be. Peers need PyTorch: pip "
-    "install pbrfit-evaluation[peers]; they know the paper's model alone.",
+    description="Run every solver on scenes of several sizes, noise levels and light matrices, "
+    "and measure the errors of reconstruction, maps and relit pictures on the way. Peers need "
+    "PyTorch: pip install pbrfit-evaluation[peers]; they know the paper's model alone.",
     protocol="pbrfit-convergence-2, {effort}",
     parts=[Part.shown_by(figures, "runs", tasks, run)],
     options=(

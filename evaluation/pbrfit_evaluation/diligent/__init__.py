@@ -48,10 +48,9 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="diligent",
     title="Photometric stereo",
-    description="Fit objects whose normals were measured under some of their lamps, which are told "
-    "or not, and report the mean angle to the true normals beside least squares and published "
-    "figures. Writes report.html, pictures of errors, diligent.md and summary.json. Exit "
-    "code 1 if something does not hold.",
+    description="Fit objects whose normals were measured under some of their lamps, which are "
+    "told or not, and report the mean angle to the true normals beside least squares and "
+    "published figures.",
     protocol="pbrfit-diligent-1: mean angle in degrees over the mask; pictures evenly "
     f"chosen; relighting as of pbrfit-heldout-1 on at most {HELD_OUT} others; {{max_size}} pixels",
     parts=[Part.shown_by(figures, "diligent", cases, run)],

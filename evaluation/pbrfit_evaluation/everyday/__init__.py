@@ -20,9 +20,7 @@ SUITE = Suite(
     title="Everyday pictures",
     description="Fit scenes whose ground truth is known after what cameras and files do to "
     "pictures: 8 bits, JPEG, clipping, hot samples, a bad picture, tone curves, vignetting, an "
-    "unknown or wrong field of view; errors as multiples of those of clean float pictures. Writes "
-    "report.html, a sheet of maps, everyday.md, scenes.csv and summary.json. Exit code 1 "
-    "if something does not hold.",
+    "unknown or wrong field of view; errors as multiples of those of clean float pictures.",
     protocol=f"pbrfit-everyday-2: {SCORES}; {{size}} pixels, {{effort}}",
     parts=[Part.shown_by(figures, "everyday", GRID.cases, run, csvs=csvs)],
     options=(

@@ -46,8 +46,7 @@ SUITE = Suite(
     name="gap",
     title="The gap of the reflection models",
     description="Compare the models that pbrfit fits with brute-force integration of BRDFs, over "
-    "roughness, view angle and SH band, and with spheres rendered by Blender Cycles. Writes "
-    "report.html, heat maps, gap.csv and summary.json.",
+    "roughness, view angle and SH band, and with spheres rendered by Blender Cycles.",
     protocol="pbrfit-gap-2: SH responses of two BRDFs by quadrature, the principled one and the "
     "paper's (eqs. 1, 3-5); spheres seen from far away under random lights turned in every way; "
     "spheres by Cycles; {effort}",

@@ -41,9 +41,7 @@ SUITE = Suite(
     description="Render textured rooms under many lights, damage the pictures as a generator "
     "would (tone curves, drift, repainting, another room), and fit them with and without review, "
     "alignment, robust weights and exposure handling, and by commands from photograph to Blender. "
-    "Writes report.html, sheets of pictures, generated.md, scenes.csv and summary.json. Exit code "
-    "1 if something does not hold. Without Blender Cycles (make cycles-env) and with --quick our "
-    "own renderer makes the rooms.",
+    "Without Blender Cycles (make cycles-env) and with --quick our own renderer makes the rooms.",
     protocol=f"pbrfit-generated-1: {SCORES}; {{size}} pixels, {{pictures}} pictures, {{effort}}",
     parts=[Part.shown_by(figures, "generated", cases, run, csvs=csvs)],
     options=(

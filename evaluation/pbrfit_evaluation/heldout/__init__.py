@@ -38,9 +38,8 @@ SUITE = Suite(
     name="heldout",
     title="Held-out pictures",
     description="Fit materials to some pictures of each set, then only the light of the others, "
-    "and report how well the values of their files are explained: by default, with other flags, by "
-    "the paper's recipe, and without materials. Writes report.html, heldout.md, pictures.csv and "
-    "summary.json. Exit code 1 if the default's regret is too large.",
+    "and report how well the values of their files are explained: by default, with other flags, "
+    "by the paper's recipe, and without materials.",
     protocol="pbrfit-heldout-1: materials from the kept pictures, light of the held-out ones; RMSE "
     "over RMS of all held-out pictures together, in values of the files, samples that are clipped "
     "left out; {held_out} of at most {pictures} pictures held out at a time, {folds} folds, "

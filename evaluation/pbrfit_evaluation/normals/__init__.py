@@ -37,8 +37,7 @@ SUITE = Suite(
     title="Wrong normals, refined",
     description="Disturb the normals of scenes whose ground truth is known, by 1 to 25 degrees, "
     "and fit them with and without refinement: errors of materials, relighting and normals; and "
-    "without noise. Writes report.html, a plot, normals.md, scenes.csv and summary.json. Exit code "
-    "1 if something does not hold.",
+    "without noise.",
     protocol="pbrfit-normals-1, {effort}",
     parts=[
         Part.shown_by(figures, "rooms", cases, run, "room_", csvs=csvs),

@@ -39,10 +39,9 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="peers",
     title="Peers that see one picture",
-    description="Marigold-IID and RGB-X find materials in one picture of synthetic scenes, our fit "
-    "in all pictures; errors of the maps and of pictures relit with them. A peer whose packages "
-    "(pbrfit[diffusion]) or weights are missing is left out, and the report says why. Writes "
-    "report.html, pictures, scenes.csv and summary.json.",
+    description="Marigold-IID and RGB-X find materials in one picture of synthetic scenes, our "
+    "fit in all pictures; errors of the maps and of pictures relit with them. A peer whose "
+    "packages (pbrfit[diffusion]) or weights are missing is left out, and the report says why.",
     protocol="pbrfit-peers-2: synthetic rooms; peers see one picture, the most evenly lit, in "
     "8-bit sRGB with its 98th percentile at white, our fit all pictures, with noise of 0.01, and "
     f"normals as an estimator gives them, with which all are relit; {SCORES.partition(': ')[2]}",

@@ -42,9 +42,7 @@ SUITE = Suite(
     title="What the review of generated pictures finds",
     description="Render scenes under many lights, damage some of the pictures on purpose, and "
     "count how many of them the review of `pbrfit generate` finds and how many honest ones it "
-    "refuses. Writes report.html, review.md, pictures.csv and summary.json. Exit code "
-    "1 if a bar is not reached. Without Blender Cycles (make cycles-env) only our own renders are "
-    "judged.",
+    "refuses. Without Blender Cycles (make cycles-env) only our own renders are judged.",
     protocol="pbrfit-review-1: share of damaged pictures refused, and of honest ones",
     parts=[Part.shown_by(figures, "review", cases, work)],
     options=(

@@ -14,9 +14,8 @@ FIRST_SEED = 1000
 SUITE = Suite(
     name="solvers",
     title="The second-order solver",
-    description="Fit rooms with gauss-newton and lbfgsb, without noise to the last digits, "
-    "and with noise, and hold the figures against what they must be. Writes report.html, "
-    "solvers.md, scenes.csv and summary.json. Exit code 1 if something does not hold.",
+    description="Fit rooms with gauss-newton and lbfgsb, without noise to the last digits, and "
+    "with noise, and hold the figures against what they must be.",
     protocol="pbrfit-solvers-1, {effort}",
     parts=[Part.shown_by(figures, "solvers", GRID.cases, run, csvs=csvs)],
     options=(

@@ -17,9 +17,8 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="stability",
     title="Numerical stability",
-    description="Check loss and gradient against float64 references, and "
-    "state a bound for every figure. Writes report.html, stability.md and summary.json. Exit code "
-    "1 if a bound fails.",
+    description="Check loss and gradient against float64 references, and state a bound for every "
+    "figure.",
     # Under one name, with the same effort and seed, the same is measured in the same way.
     protocol="pbrfit-stability-1, {effort}",
     parts=[Part.shown_by(figures, "stability", cases, run)],

@@ -59,8 +59,7 @@ SUITE = Suite(
     name="table1",
     title="Table 1 on scenes whose ground truth is known",
     description="Render scenes, decompose them with and without priors and by the paper's recipe, "
-    "and compare with the ground truth, in the setups of the paper's Table 1. Writes report.html, "
-    "table1.md, scenes.csv and summary.json.",
+    "and compare with the ground truth, in the setups of the paper's Table 1.",
     protocol=PROTOCOL,
     parts=[Part.shown_by(figures, "table1", cases, run, csvs=csvs)],
     options=(

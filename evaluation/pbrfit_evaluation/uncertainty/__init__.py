@@ -19,11 +19,10 @@ QUICK = ("clean", "noise", "fov-90")
 SUITE = Suite(
     name="uncertainty",
     title="Is the uncertainty right?",
-    description="Fit scenes whose ground truth is known, such as the model has them and such as it "
-    "does not: wrong normals, field of view, order of the lights or reflection model, files of 8 "
-    "bits, shadows, bounced light, lamps. Compare errors with standard deviations, intervals and "
-    "verdicts. Writes report.html, plots, uncertainty.md, scenes.csv and summary.json. Exit code 1 "
-    "if something does not hold.",
+    description="Fit scenes whose ground truth is known, such as the model has them and such as "
+    "it does not: wrong normals, field of view, order of the lights or reflection model, files of "
+    "8 bits, shadows, bounced light, lamps. Compare errors with standard deviations, intervals "
+    "and verdicts.",
     protocol="pbrfit-uncertainty-2: values of maps within their deviations and intervals, RMSE of "
     "maps by their verdicts; {size} pixels, model {model}, {effort}",
     parts=[Part.shown_by(figures, "uncertainty", GRID.cases, run, csvs=csvs)],
