@@ -299,11 +299,9 @@ class Series:
     x, y
         Coordinates. Of dots `y` are names, and those of a panel share an axis.
     low, high
-        Interval of each: of y in lines, points and steps, of x in dots.
+        Interval of each: of y in lines, of x in dots.
     look
         Place in the palette (default: in order of appearance), to keep looks alike between plots.
-    empty
-        Whether markers are hollow and lines dotted, as of a second kind of the same thing.
     """
 
     label: str
@@ -313,28 +311,25 @@ class Series:
     low: Sequence[float] = ()
     high: Sequence[float] = ()
     look: int | None = None
-    empty: bool = False
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A line across a panel at a value of an axis, or the strip from there to another value."""
+    """A line across a panel at a value of an axis."""
 
     value: float
     text: str = ""
     axis: Literal["x", "y"] = "y"
-    to: float | None = None
 
 
 @dataclass(frozen=True)
 class Panel:
     """One pair of axes; labels have units.
 
-    `kind`: "lines" with markers, "steps" without (histograms, dense curves), "points" alone;
-    "dots" against names.
+    `kind`: "lines" with markers, "points" alone; "dots" against names.
     """
 
-    kind: Literal["lines", "steps", "points", "dots"]
+    kind: Literal["lines", "points", "dots"]
     series: Sequence[Series]
     x: str = ""
     y: str = ""
@@ -348,10 +343,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Numbers (rows, columns) as colours with the number in each cell; the first row is on top.
+    """Ratios (rows, columns) as colours with the number in each cell; the first row is on top.
 
-    Ratios have a scale from 1/4 to 4 with 1 in its middle, all else one from `span[0]` to
-    `span[1]`.
+    The scale goes from 1/4 to 4 with 1 in its middle.
     """
 
     values: Sequence[Sequence[float]]
@@ -361,8 +355,6 @@ class HeatMap:
     y: str = ""
     _: KW_ONLY
     title: str = ""
-    ratio: bool = False
-    span: tuple[float, float] = (0.0, 1.0)
     scale: str = ""
 
 

@@ -347,9 +347,9 @@ def test_markdown_of_cells() -> None:
 
 SERIES = [
     Series("a", [1, 10, 100], [1, 2, 4], low=[0.5, 1, 2], high=[2, 4, 8]),
-    Series("b", [1, 10, 100], [4, 2, 1], empty=True, look=5),
+    Series("b", [1, 10, 100], [4, 2, 1], look=5),
 ]
-MARKS = [Mark(1, "bar"), Mark(2, axis="x", to=3)]
+MARKS = [Mark(1, "bar"), Mark(2, axis="x")]
 NAMED = [Series("a", [1, 2], ["x", "y"], low=[0.5, 1], high=[2, 4]), Series("b", [1], ["y"])]
 
 
@@ -358,13 +358,12 @@ NAMED = [Series("a", [1, 2], ["x", "y"], low=[0.5, 1], high=[2, 4]), Series("b",
     [
         *(
             Panel(kind, SERIES, "x / s", "y", log=log, marks=MARKS)
-            for kind in ("lines", "steps", "points")
+            for kind in ("lines", "points")
             for log in ("", "xy")
         ),
         Panel("dots", NAMED, "RMSE", log="x", marks=[Mark(1, "bar", "x")]),
         Panel("dots", NAMED, "%", x_range=(0, 10)),
-        HeatMap([[0.0, 1.0], [4.0, 9.0]], ["a", "a long name"], ["c", "d"], ratio=True, scale="r"),
-        HeatMap([[0.0, 0.5]], ["a", "b"], ["c"], span=(0.0, 0.5)),
+        HeatMap([[0.0, 1.0], [4.0, 9.0]], ["a", "a long name"], ["c", "d"], scale="r"),
     ],
 )  # fmt: skip
 def test_plots_show_something(panel: Panel | HeatMap) -> None:

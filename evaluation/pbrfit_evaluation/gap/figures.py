@@ -178,7 +178,6 @@ def sections(results: Results[Case], rows: Sequence[Row]) -> Iterator[Section]:
                         "n·v",
                         "roughness r",
                         title=title,
-                        ratio=True,
                         scale="ratio",
                     )
                     for title, of in maps

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,7 +36,7 @@ RATIO_SPAN = 4.0
 """Ratios from 1/4 to 4 have colours of their own."""
 
 DARK = 0.6
-"""Share of a colour scale, from its light end, beyond which print on it is white."""
+"""Share of a colour scale, from its light middle, beyond which print on it is white."""
 
 ROW, WIDTH, HEIGHT, CELL = 0.42, 4.4, 3.1, 0.5
 """Inches: a name on an axis, a panel, a cell of a heat map."""
@@ -128,11 +127,10 @@ def _panel(
             x,
             y,
             color=color,
-            marker="" if panel.kind == "steps" else marker,
+            marker=marker,
             markersize=5,
-            markerfacecolor="white" if series.empty else color,
             linewidth=1.5,
-            linestyle="none" if panel.kind in ("points", "dots") else ":" if series.empty else dash,
+            linestyle=dash if panel.kind == "lines" else "none",
         )
         _interval(axes, series, x, y, panel.kind, color)
         if series.label:
@@ -159,7 +157,7 @@ def _interval(axes: Axes, series: Series, x: Any, y: Any, kind: str, color: str)
         return
     if kind == "dots":
         axes.hlines(y, series.low, series.high, color=color, linewidth=1.3)
-    elif kind != "points" and len(x) > 1:
+    elif len(x) > 1:
         axes.fill_between(x, series.low, series.high, color=color, alpha=0.12, linewidth=0)
     else:
         axes.vlines(x, series.low, series.high, color=color, linewidth=1.3)
@@ -167,12 +165,8 @@ def _interval(axes: Axes, series: Series, x: Any, y: Any, kind: str, color: str)
 
 def _mark(axes: Axes, mark: Mark) -> None:
     along_x = mark.axis == "y"
-    if mark.to is not None:
-        strip = axes.axhspan if along_x else axes.axvspan
-        strip(mark.value, mark.to, color="0.92", linewidth=0, zorder=0)
-    else:
-        line = axes.axhline if along_x else axes.axvline
-        line(mark.value, color="0.4", linewidth=1, linestyle=(0, (1, 3)))
+    line = axes.axhline if along_x else axes.axvline
+    line(mark.value, color="0.4", linewidth=1, linestyle=(0, (1, 3)))
     if mark.text:
         place = (0.995, mark.value) if along_x else (mark.value, 0.995)
         axes.text(
@@ -203,20 +197,17 @@ def _plain_ticks(axis: Axis) -> None:
 
 def _heat_map(axes: Axes, panel: HeatMap) -> None:
     values = np.asarray(panel.values, dtype=np.float64)
-    colors, colormap, (low, high) = values, "cividis_r", panel.span
-    if panel.ratio:
-        with np.errstate(divide="ignore"):  # a ratio of 0 is darkest
-            colors = np.log2(values)
-        colormap, low, high = "PuOr_r", -np.log2(RATIO_SPAN), np.log2(RATIO_SPAN)
-    image = axes.imshow(colors, colormap, vmin=low, vmax=high, aspect="auto")
+    with np.errstate(divide="ignore"):  # a ratio of 0 is darkest
+        colors = np.log2(values)
+    most = np.log2(RATIO_SPAN)
+    image = axes.imshow(colors, "PuOr_r", vmin=-most, vmax=most, aspect="auto")
     axes.set_xticks(range(len(panel.columns)), panel.columns)
     axes.set_yticks(range(len(panel.rows)), panel.rows)
     axes.tick_params(length=0)
     if max(map(len, panel.columns)) > 5:
         axes.tick_params(axis="x", labelrotation=60)
     for (row, column), value in np.ndenumerate(values):
-        share = float(np.clip((colors[row, column] - low) / (high - low), 0, 1))
-        dark = abs(2 * share - 1) > DARK if panel.ratio else share > DARK
+        dark = abs(colors[row, column]) > DARK * most
         axes.text(
             column,
             row,
@@ -227,8 +218,6 @@ def _heat_map(axes: Axes, panel: HeatMap) -> None:
             color="white" if dark else "black",
         )
     if panel.scale and axes.figure is not None:
-        bar = axes.figure.colorbar(image, ax=axes, extend="both" if panel.ratio else "max")
+        bar = axes.figure.colorbar(image, ax=axes, extend="both")
         bar.set_label(panel.scale)
-        if panel.ratio:
-            ticks: Sequence[float] = (-2.0, -1.0, 0.0, 1.0, 2.0)
-            bar.set_ticks(list(ticks), labels=["¼", "½", "1", "2", "4"])
+        bar.set_ticks([-2.0, -1.0, 0.0, 1.0, 2.0], labels=["¼", "½", "1", "2", "4"])
