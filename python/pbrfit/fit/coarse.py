@@ -25,7 +25,7 @@ from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_level
+from pbrfit.fit.pixels import fit_level, retry_outliers
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
@@ -96,6 +96,8 @@ def rounds(
         elif objective.transfer is not None and objective.metallic is not None:
             prior = fixed = pure_prior(objective, x, left)
         sum_sq = fit_level(objective, x, fixed)
+        if number and prior is None:
+            retry_outliers(objective, x, sum_sq)
         exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
         left, before, fit = left_of(level, x, sum_sq, shared, noise, fixed), weight, None
         total = float(sum_sq.sum())
