@@ -16,14 +16,17 @@ from numpy.typing import NDArray
 
 import pbrfit
 import reference
+from pbrfit.result.verdict import levels
+from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation.jobs import Record, Values
-from pbrfit_evaluation.stability import SUITE, figures
+from pbrfit_evaluation.stability import SUITE, figures, stiff_fits
 from pbrfit_evaluation.stability.double_precision import Case, evaluate
 from pbrfit_evaluation.stability.extreme_pixels import KINDS, random_case
-from pbrfit_evaluation.stability.sections import SECTIONS, Task
+from pbrfit_evaluation.stability.sections import SECTIONS, Task, worst_of
 from pbrfit_evaluation.stability.sections import run as run_section
+from pbrfit_evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit_evaluation.suite import Results
-from scene_files import run
+from scene_files import lights_of, run, truth_of
 
 Array = NDArray[np.floating[Any]]
 
@@ -105,6 +108,7 @@ TINY: dict[str, tuple[int, ...]] = {
     "cancellation": (16,),
     "accumulated error": (3, 8, 1),
     "tiny numbers": (600,),
+    "stiff fits": (5, 4, 2),
 }
 
 
@@ -190,6 +194,65 @@ def test_wrong_objective_fails(
     assert key in failures(section)
 
 
+def test_stiff_scenes_are_what_their_names_say() -> None:
+    scenes = {one.name: one for one in stiff_scenes(12, 5)}
+    for number, name in ((10, "10"), (1e3, "1,000"), (1e5, "100,000"), (1e8, "10⁸")):
+        found = condition(lights_of(scenes[f"light matrix of condition {name}"].scene))
+        assert found == pytest.approx(number, rel=1e-6)
+    assert np.ptp(lights_of(scenes["all lights equal"].scene), axis=0).max() == 0
+    for one in scenes.values():
+        scene = one.scene
+        assert scene.images.dtype == np.float32
+        known = truth_of(scene).materials, scene.normals, lights_of(scene)
+        rendered = pbrfit.kernel.render(*known, scene.fov)
+        np.testing.assert_allclose(
+            rendered[:, one.counted], scene.images[:, one.counted], rtol=1e-6, atol=1e-7
+        )
+    assert len(scenes["1 picture, its light known"].scene.images) == 1
+    assert scenes["1 picture, its light known"].scene.lighting is not None
+    assert [len(scenes[f"{n} pictures"].scene.images) for n in (2, 3)] == [2, 3]
+    black, bright = scenes["black pixels"], scenes["a pixel 10⁴ brighter"]
+    assert (~black.counted).sum() == 9
+    assert black.scene.images[:, ~black.counted].max() == 0
+    assert (~bright.counted).sum() == 1
+    plain = scenes["plain"].scene.images[:, ~bright.counted]
+    np.testing.assert_allclose(bright.scene.images[:, ~bright.counted], 1e4 * plain, rtol=1e-6)
+    assert len(plain) == 5
+
+
+def test_a_fit_that_is_worse_or_unflagged_or_broken_fails_its_check() -> None:
+    def failed(**facts: float) -> list[str]:
+        values = {
+            "figures": worst_of("stiff fits", {"a; gauss-newton": facts, "b; gauss-newton": {}})
+        }
+        return [key for key, holds in judged("stiff fits", values).items() if not holds]
+
+    above = stiff_fits.above
+    assert failed(fits_above_lbfgsb=above(1e-3, 1e-3)) == []
+    assert failed(fits_above_lbfgsb=above(2e-7, 1e-9)) == []  # both below what float32 shows
+    for residual in (1.1e-3, math.nan):
+        assert failed(fits_above_lbfgsb=above(residual, 1e-3)) == ["fits_above_lbfgsb"]
+    for key in ("fits_not_finite", "fits_beyond", "fits_iterations_over", "fits_overlooked"):
+        assert failed(**{key: 1}) == [key]
+
+
+def test_facts_of_a_broken_fit() -> None:
+    case = stiff_scenes(6, 5)[0]
+    options: dict[str, Any] = {"priors": None, "light": "sh", "refine_normals": "off"}
+    result = pbrfit.decompose(case.scene, iterations=3, **options)
+    facts = stiff_fits.facts(case, result, 3)
+    assert [facts[key] for key in SECTIONS["stiff fits"].bounds if key in facts] == [0, 0, 0, 0]
+    assert facts["ended by"] in ("iteration limit", "converged")
+    broken = replace(result, metrics={**result.metrics, "recon_rmse": math.nan})
+    facts = stiff_fits.facts(replace(case, determined=False), broken, 1)
+    assert facts["fits_not_finite"] == 1
+    assert facts["fits_iterations_over"] == result.history.iterations - 1
+    known = result.uncertainty
+    assert known is not None
+    called = levels(known.deviation).values()
+    assert facts["fits_overlooked"] == sum(np.count_nonzero(one == 0) for one in called)
+
+
 @pytest.mark.slow
 def test_the_command_holds_every_bound_and_writes_its_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -208,7 +271,13 @@ def test_the_command_holds_every_bound_and_writes_its_report(
         for key, (_, most) in SECTIONS[row["name"]].bounds.items():
             assert metrics.get(f"{key}_bound") == most
             # What is bounded was measured: a rounding error that is exactly 0 was not.
-            assert (metrics[key] == 0) == (key in exact), key
+            if not key.startswith("fits_"):
+                assert (metrics[key] == 0) == (key in exact), key
+    fits = json.loads((out / "records" / "stiff-fits.json").read_text("utf-8"))["values"]["rows"]
+    names = [one.name for one in stiff_scenes(10, 5)]
+    assert list(fits) == [f"{name}; {fit}" for name in names for fit in stiff_fits.FITS]
+    flagged = "roughness:\nshare flagged\nor on a bound"
+    assert {fits[f"1 picture, its light known; {fit}"][flagged] for fit in stiff_fits.FITS} == {1.0}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert all(kind in page for kind in KINDS)
 
@@ -220,6 +289,7 @@ def test_nonsense_is_reported_and_fails(
     """However wrong the core is, the page is drawn and says so."""
     for section, sizes in TINY.items():
         monkeypatch.setitem(SUITE.effort, section, (sizes, sizes))
+    monkeypatch.setattr(stiff_fits, "FITS", {"lbfgsb": ("lbfgsb", None)})
     monkeypatch.setattr(Case, "problem", lambda case, threads=0: Distorted(case, threads, nonsense))
     out = tmp_path / "out"
     assert run("evaluate", "stability", "--out", out, "--quick", "--threads", 1) == 1

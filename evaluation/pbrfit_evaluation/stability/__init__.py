@@ -35,6 +35,7 @@ SUITE = Suite(
             (8, 4_096, 8),
         ),  # 4^k pixels, of many pictures, draws
         "tiny numbers": ((65_536,), (8_192,)),  # pixels
+        "stiff fits": ((48, 16, 300), (10, 5, 20)),  # size, pictures, iterations
     },
     quick="seconds instead of minutes: fewer pixels",
     jobs=1,

@@ -13,7 +13,7 @@ import numpy as np
 
 from pbrfit.threads import one_blas_thread
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.stability import branches, objective
+from pbrfit_evaluation.stability import branches, objective, stiff_fits
 from pbrfit_evaluation.stability.measure import ROUNDING, Figure, worst
 from pbrfit_evaluation.stability.objective import ALIKE, MANY, ONE_SIGN, RANDOM
 
@@ -163,6 +163,28 @@ SECTIONS = {
                 "loss for exposures from 10⁻¹⁵ to 10¹⁵, relative error",
                 LOSS_BOUND,
             ),
+        },
+    ),
+    "stiff fits": Section(
+        stiff_fits.measure,
+        "Whole fits of small rooms without noise, without priors where none are named: lights that "
+        "hardly differ, too few pictures, materials at the ends of their ranges, samples that the "
+        "model cannot explain. The answer may be poor where the pictures do not tell it, but it "
+        "has to be finite and say so.",
+        "Whatever the pictures leave open has to be some number within its bounds at every step, "
+        "and no loop is without an end, however singular the equations are. With equal lights, or "
+        "with one picture, a pixel has three numbers for five unknowns. gauss-newton ends no "
+        "higher than lbfgsb, but for what float32 sums can differ by; residuals below 3·10⁻⁷ of "
+        "the pictures count as that.",
+        {
+            "fits_not_finite": ("numbers of fits that are infinite or not a number", 0),
+            "fits_beyond": ("numbers of maps beyond [0, 1]", 0),
+            "fits_iterations_over": ("iterations beyond the limit", 0),
+            "fits_overlooked": (
+                "unknowns that pictures cannot tell, called usable",
+                0,
+            ),
+            "fits_above_lbfgsb": ("residual of gauss-newton over that of lbfgsb, less 1", 1e-6),
         },
     ),
 }
