@@ -31,7 +31,7 @@ from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_all, retry_outliers
+from pbrfit.fit.pixels import fit_all, is_exact, retry_outliers
 from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
@@ -256,7 +256,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")
             return before
-        if lights.exact:
+        if is_exact(objective, sum_sq):
             retry_outliers(objective, x, sum_sq, run.out_of_time)
         watch.visit(x, sum_sq)
     return x
@@ -288,7 +288,7 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
         sum_sq = fit_all(few, part, starts=starts, prior=rows, stop=run.out_of_time)
         if sum_sq is None:
             break
-        if lights.exact:
+        if is_exact(few, sum_sq):
             retry_outliers(few, part, sum_sq, run.out_of_time)
         elif number == 0 and prior is None:
             found = left_of(level, part, sum_sq, shared, lights.noise)

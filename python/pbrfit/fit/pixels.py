@@ -14,7 +14,6 @@ from pbrfit.fit.sampling import beside, slices
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint64]
-Nodes = tuple[Array, Array]
 
 NODES = (
     np.linspace(*settings.DESCENT_ROUGHNESS_NODES),
@@ -50,7 +49,7 @@ def descended(
     *,
     steps: int,
     starts: int = 0,
-    nodes: Nodes = NODES,
+    nodes: tuple[Array, Array] = NODES,
     prior: GaussianPrior | None = None,
     held_normals: bool = False,
 ) -> tuple[Array, Array]:
@@ -147,6 +146,12 @@ def try_from(
     better = left < sum_sq[pixels]
     place(objective, x, pixels, np.where(better[:, None], found, own))
     sum_sq[pixels[better]] = left[better]
+
+
+def is_exact(objective: Objective, sum_sq: Array) -> bool:
+    """Whether half of the pixels, with these sums of squares (P,), leave nothing but rounding."""
+    middle = float(np.median(sum_sq)) * objective.pixels
+    return middle <= settings.EXACT_RMSE**2 * objective.total_weight
 
 
 def retry_outliers(

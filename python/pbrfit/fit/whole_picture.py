@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,24 +186,12 @@ def fit_whole(scene: Scene, setup: FitSetup, start: Start) -> FitOutput:
 
 
 def output_of(
-    run: Run,
-    setup: FitSetup,
-    refinement: Refinement,
-    ended: tuple[Status, str],
-    *,
-    materials: Materials,
-    lighting: Array,
-    normals: Array,
-    uncertainty: Uncertainty | None,
-    recon_rmse: float | None,
+    run: Run, setup: FitSetup, refinement: Refinement, ended: tuple[Status, str], **others: Any
 ) -> FitOutput:
-    """What a run found, with these arrays of the whole picture."""
+    """What a run found, with its other fields: maps, lighting, normals, uncertainty, error."""
     by_default = "by the known lights" if run.objective.lighting is None else "by the start"
     return FitOutput(
-        materials=materials,
-        lighting=lighting,
-        normals=normals,
-        uncertainty=uncertainty,
+        **others,
         discrepancy=run.discrepancy,
         shown=None if run.discrepancy is None else run.discrepancy.shown,
         status=ended[0],
@@ -219,7 +208,6 @@ def output_of(
         measured_lighting=run.measured_lighting,
         noise=run.noise,
         surrounded=setup.surrounded,
-        recon_rmse=recon_rmse,
     )
 
 

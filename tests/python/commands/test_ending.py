@@ -28,7 +28,7 @@ from pathlib import Path
 from pbrfit import _core, ending
 from pbrfit.batch.place import of_batch
 from pbrfit.io.output import FolderForm, new_file, new_folder, undisturbed, unfinished
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where tests run under nohup
+for heard in (1, 2, 3): signal.signal(heard, signal.SIG_DFL)  # where tests run under nohup, or "&"
 ending.watch()
 here, old = Path(sys.argv[1]), FolderForm(holds=("old.txt",))
 def ready(): print("ready", flush=True)
