@@ -10,6 +10,10 @@ Blocks b, of scores s_b, want to move the scale by u_b = −a C s_b, so that
 Steps leave the scale as it is until next to nothing is left (`Freedom.scale`), so Σ u_b, which is
 how far a step would take it, need not be 0. The last term is the variance of such sums (P. J.
 Huber, 1967).
+
+Albedos of pictures tell the scale, too: ln t ~ N(0, s²). Where both differ by d, more than v + s²,
+one is wrong by τ, τ² = d² − v − s² (J. Mandel, R. Paule, 1970: the variance between measurements),
+and t by |exp(∓τ) − 1|: an albedo that is found too dark may be many times as bright.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.joint import JointLamps
+from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, JointLamps
 from pbrfit.fit.lamps.samples import blocks_of
 from pbrfit.fit.settings import PATCHES_MIN
 
@@ -53,4 +57,7 @@ def with_pulls(covariance: Array, fit: JointLamps, width: int) -> Array:
     more = float(pulls.sum() + of_priors) ** 2
     if count >= PATCHES_MIN:
         more += count / (count - 1) * float(np.square(pulls - pulls.mean()).sum())
+    apart = ALBEDO_SPREAD * float(fit.scale_of(fit.state.lamps)[0])
+    between = np.sqrt(max(apart**2 - own - more - ALBEDO_SPREAD**2, 0.0))
+    more += float(np.expm1(np.copysign(between, apart))) ** 2
     return covariance + more / own**2 * np.outer(seen, seen)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.joint import Freedom, JointLamps, SurfacePrior
+from pbrfit.fit.lamps import scale
+from pbrfit.fit.lamps.joint import ALBEDO_SPREAD, Freedom, JointLamps, SurfacePrior
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
 from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.surfaces import deviations, missing_highlights
@@ -217,3 +218,19 @@ def test_matrices_that_rounding_made_indefinite_tell_nothing(
     for found in deviations(pixels, state, noise, weights, Freedom(normals=True), np.zeros((0, 0))):
         assert np.isinf(found[:, 5]).all()
         np.testing.assert_allclose(found[:, :5], 1)
+
+
+@pytest.mark.parametrize(("apart", "wrong"), [(0.49, 0.0), (-0.49, 0.0), (1.3, 2.3), (-1.3, 0.7)])
+def test_a_scale_that_albedos_contradict_is_uncertain(apart: float, wrong: float) -> None:
+    """Lamps e^1.3 too bright for usual albedos: these may be brighter by e^1.2 − 1, a factor."""
+    pixels, state = example("paper")
+    pixels = replace(pixels, samples=radiance(pixels, state))
+    nothing = SurfacePrior(np.zeros((PIXELS, 7)), np.zeros((PIXELS, 7)))
+    noise = Noise(1.0, 0.0, np.zeros(PICTURES))
+    fit = JointLamps(pixels, state, noise, nothing, Freedom(normals=True))
+    brighter = np.exp(apart - ALBEDO_SPREAD * fit.scale_of(state.lamps)[0])
+    lamps = replace(state.lamps, colors=state.lamps.colors * brighter)
+    fit.state = replace(state, lamps=lamps)
+    covariance = 1e-9 * np.eye(6 * len(NEAR) + 3 * PICTURES)
+    found = scale.deviation(fit, scale.with_pulls(covariance, fit, PIXELS))
+    assert found == pytest.approx(wrong, abs=0.1)
