@@ -344,7 +344,7 @@ def test_a_command_interrupted_in_the_middle_can_go_on(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130
-    [done] = re.findall(r"interrupted after (\d+) of 40; --resume goes on from there", errors)
+    [done] = re.findall(r"interrupted after (\d+) of 120; --resume goes on from there", errors)
     assert int(done) >= 2
     assert "Traceback" not in errors
     kept = sorted(out.glob("records/*"))
