@@ -131,15 +131,13 @@ class Grid:
         order = list(self.ways)
         return [
             Case(
-                *(
-                    condition,
-                    way,
-                    options.first_seed + i,
-                    size,
-                    kinds[i % len(kinds)],
-                    model,
-                    lights,
-                ),
+                condition=condition,
+                way=way,
+                seed=options.first_seed + i,
+                size=size,
+                kind=kinds[i % len(kinds)],
+                model=model,
+                lights=lights,
                 iterations=getattr(options, "iterations", 500),
                 picture=i == 0 and (condition in self.pictured or way in self.pictured),
                 cycles_cache=absolute(getattr(options, "cycles_cache", None)),
