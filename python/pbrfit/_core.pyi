@@ -27,8 +27,10 @@ __all__ = [
     "ggx_band_weights",
     "hold_end",
     "image_format",
+    "judge_samples",
     "lamp_radiance",
     "lamp_slopes",
+    "lamp_system",
     "last_word",
     "lobe_functions",
     "lobe_table",
@@ -178,6 +180,63 @@ def fit_under_lamps(
     metallic] and add Σ precision (x − mean)². A free roughness starts from 0.03 at least where
     there are data. Returns normals (P, 3), albedo (P, 3), roughness, metallic and cost (P,), and
     the information Jᵀ W J + precision (P, 7, 7), 0 in rows and columns of what is held.
+    """
+
+def lamp_system(
+    pictures: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    limits: NDArray[np.uint8] | None,
+    views: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    intensities: NDArray[np.float64],
+    picture_of: NDArray[np.uint64],
+    ambient: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    strengths: NDArray[np.float64],
+    by_place: NDArray[np.float64],
+    threads: int,
+    model: str = "paper",
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Normal equations of pixels and of the lights that they share, of samples as in a fit.
+
+    strengths (P, K): what lamps bring for a colour of 1. by_place (P, K, 4): how much a lamp's
+    direction turns when its place moves across it, and the derivative of ln strength by its place.
+    The lights' unknowns, M, are places (K, 3), colours (K, 3), ambient light (N, 3); a pixel's are
+    offsets (a, b) of its normal, albedo, roughness. With Jacobians J of lights and pixels, weights
+    W, residuals e: Σ JₗᵀWJₗ (M, M); JₚᵀWJₚ and below it JₚᵀWe (P, 7, 6); JₚᵀWJₗ and below it JₗᵀWe
+    (P, 7, M).
+    """
+
+def judge_samples(
+    pictures: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    limits: NDArray[np.uint8] | None,
+    views: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    intensities: NDArray[np.float64],
+    picture_of: NDArray[np.uint64],
+    ambient: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    albedo: NDArray[np.float64],
+    roughness: NDArray[np.float64],
+    metallic: NDArray[np.float64],
+    floor: float,
+    growth: float,
+    proportional: bool,
+    least: float,
+    shadows: NDArray[np.float64],
+    threads: int,
+    model: str = "paper",
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """How likely samples are, and what they weigh, of samples as in a fit.
+
+    A sample y has the variance floor² + growth y (`proportional`: y²), or is in a cast shadow, with
+    the probability shadows (N,), if it is darker than shown; radiance and residuals count as
+    `least` at least. Returns ln of the odds (P, N) that samples are in none, ∞ where no darker; ln
+    of the likelihood (P,); what samples weigh in a shadow and in none (P, N, 2, 3).
     """
 
 class _Series(Protocol):

@@ -10,6 +10,9 @@ use crate::reflectance::shade::Frame;
 /// What radiance is derived by: its channel's albedo, roughness, metallic, both tangent offsets.
 pub(super) const SLOPES_OF_SAMPLE: usize = 5;
 
+/// By channel, and their derivatives.
+pub(super) type AmbientSlopes = ([f64; 3], [[f64; SLOPES_OF_SAMPLE]; 3]);
+
 /// The weights w_c of the first coefficient of SH light, and their derivatives by channel:
 ///
 /// ```text
@@ -23,7 +26,7 @@ pub(super) fn weights_with_slopes<M: Reflection>(
     [normal, view]: [DVec3; 2],
     material: &Material,
     turned: &[DVec3; 2],
-) -> ([f64; 3], [[f64; SLOPES_OF_SAMPLE]; 3]) {
+) -> AmbientSlopes {
     let (cosine, mirror) = directions(normal, view);
     let frame = Frame::<M>::at(cosine, normal, mirror);
     let functions = M::functions(cosine, material.roughness);

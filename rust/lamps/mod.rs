@@ -8,9 +8,11 @@
 
 mod ambient;
 pub mod descent;
+pub mod judge;
 mod microfacets;
 pub mod number;
 pub mod pixel_fit;
 pub mod render;
 pub mod samples;
 pub mod surface;
+pub mod system;

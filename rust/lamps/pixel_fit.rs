@@ -165,7 +165,7 @@ fn start_offsets(base: &[DVec3], start: &[DVec3]) -> Result<Vec<[f64; OFFSETS]>>
 }
 
 impl LampPictures<'_> {
-    fn check(&self, start: &[DVec3], materials: &[Material]) -> Result<Lights> {
+    pub(super) fn check(&self, start: &[DVec3], materials: &[Material]) -> Result<Lights> {
         let (pixels, pictures) = (materials.len(), self.ambient.len());
         let samples = check::samples("pictures", "pictures", pictures, pixels)?;
         check::length("pictures", samples, self.pictures.len())?;

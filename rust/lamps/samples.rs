@@ -16,10 +16,10 @@ use std::marker::PhantomData;
 
 use glam::DVec3;
 
-use super::ambient::{SLOPES_OF_SAMPLE, weights_with_slopes};
+use super::ambient::{AmbientSlopes, SLOPES_OF_SAMPLE, weights_with_slopes};
 use super::number::{Number, Wide};
 use super::pixel_fit::{LampPictures, PLACES};
-use super::surface::Surface;
+use super::surface::{Reflected, Surface};
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::Reflection;
@@ -68,19 +68,19 @@ pub(super) const LANES: usize = 8;
 pub(super) type Lanes = [f64; LANES];
 
 /// Where no lamp is.
-const NONE: usize = usize::MAX;
+pub(super) const NONE: usize = usize::MAX;
 
 /// Of all pixels, by [`LANES`] pictures: lamps, and light that comes alike from all sides.
 pub(super) struct Lights {
-    blocks: Vec<LightBlock>,
+    pub(super) blocks: Vec<LightBlock>,
     /// Whether a picture has the latter.
     any_ambient: bool,
-    instructions: Instructions,
+    pub(super) instructions: Instructions,
 }
 
-struct LightBlock {
+pub(super) struct LightBlock {
     /// Numbers of lamps: the first of each picture, the second of each, and so on.
-    lamps: Vec<[usize; LANES]>,
+    pub(super) lamps: Vec<[usize; LANES]>,
     ambient: [Lanes; 3],
 }
 
@@ -119,16 +119,16 @@ impl Lights {
 pub(super) struct Samples<'a> {
     pub(super) model: Model,
     pub(super) view: DVec3,
-    lights: &'a Lights,
-    blocks: Vec<SampleBlock>,
+    pub(super) lights: &'a Lights,
+    pub(super) blocks: Vec<SampleBlock>,
     prior_mean: [f64; UNKNOWNS],
     prior_precision: [f64; UNKNOWNS],
 }
 
 /// A residual is raised to `lowest` and lowered to `highest`: −∞ and ∞, but 0 at a limit that is kept.
-struct SampleBlock {
-    targets: [Lanes; 3],
-    weights: [Lanes; 3],
+pub(super) struct SampleBlock {
+    pub(super) targets: [Lanes; 3],
+    pub(super) weights: [Lanes; 3],
     lowest: [Lanes; 3],
     highest: [Lanes; 3],
     /// Directions to those that [`LightBlock::lamps`] has, and what they bring.
@@ -209,6 +209,96 @@ impl<'a> Samples<'a> {
     }
 }
 
+/// Samples side by side, by channel.
+pub(super) struct Seen<I: Isa> {
+    pub(super) radiance: [Wide<I>; 3],
+    pub(super) residuals: [Wide<I>; 3],
+    /// 0 where a limit is kept.
+    pub(super) weights: [Wide<I>; 3],
+    /// By the pixel's unknowns.
+    pub(super) slopes: [[Wide<I>; SLOPES_OF_SAMPLE]; 3],
+}
+
+impl Samples<'_> {
+    /// What ambient light adds, if there is any.
+    #[inline(always)]
+    pub(super) fn ambient<M: Reflection>(
+        &self,
+        normal: DVec3,
+        material: &Material,
+        turned: &[DVec3; OFFSETS],
+    ) -> Option<AmbientSlopes> {
+        let weights = || weights_with_slopes::<M>([normal, self.view], material, turned);
+        self.lights.any_ambient.then(weights)
+    }
+
+    /// The samples of a vector of a block; `each` takes the number of a lamp of its picture, whether it
+    /// is seen (1, else 0), and what is reflected of its unit light.
+    #[inline(always)]
+    pub(super) fn seen<I: Isa, const SLOPES: bool>(
+        &self,
+        isa: I,
+        [b, at]: [usize; 2],
+        surface: &Surface<SLOPES>,
+        turned: &[DVec3; OFFSETS],
+        of_ambient: &Option<AmbientSlopes>,
+        mut each: impl FnMut(usize, Wide<I>, &Reflected<Wide<I>>),
+    ) -> Seen<I> {
+        let (block, lights) = (&self.blocks[b], &self.lights.blocks[b]);
+        let of = |lanes: &Lanes| Wide(isa, I::of(lanes)[at]);
+        let none = Wide(isa, isa.splat(0.0));
+        let (mut radiance, mut slopes) = ([none; 3], [[none; SLOPES_OF_SAMPLE]; 3]);
+        for (k, [[x, y, z], intensities]) in block.lamps.iter().enumerate() {
+            let (lit, unit) = surface.reflected_of([of(x), of(y), of(z)]);
+            let along = match SLOPES {
+                true => [unit.along(turned[0]), unit.along(turned[1])],
+                false => [[none; 3]; OFFSETS],
+            };
+            for c in 0..3 {
+                let intensity = lit * of(&intensities[c]);
+                radiance[c] = radiance[c] + intensity * unit.radiance[c];
+                if SLOPES {
+                    let slopes = &mut slopes[c];
+                    slopes[0] = slopes[0] + intensity * unit.by_albedo[c];
+                    slopes[1] = slopes[1] + intensity * unit.by_roughness[c];
+                    slopes[2] = slopes[2] + intensity * unit.by_metallic[c];
+                    slopes[3] = slopes[3] + intensity * along[0][c];
+                    slopes[4] = slopes[4] + intensity * along[1][c];
+                }
+            }
+            each(k, lit, &unit);
+        }
+        if let Some((weights, by)) = of_ambient {
+            for c in 0..3 {
+                let light = of(&lights.ambient[c]);
+                radiance[c] = radiance[c] + light * weights[c];
+                for x in 0..SLOPES_OF_SAMPLE {
+                    slopes[c][x] = slopes[c][x] + light * by[c][x];
+                }
+            }
+        }
+        let (mut residuals, mut weights) = (radiance, radiance);
+        for c in 0..3 {
+            let (lowest, highest) = (of(&block.lowest[c]), of(&block.highest[c]));
+            let residual = (radiance[c] - of(&block.targets[c]))
+                .max(lowest)
+                .min(highest);
+            // A limit that is kept tells nothing.
+            let weight = of(&block.weights[c]);
+            let kept = none - residual * residual;
+            let is_free = highest.min(none - lowest);
+            residuals[c] = residual;
+            weights[c] = is_free.at_least(f64::INFINITY, weight, kept.at_least(0.0, none, weight));
+        }
+        Seen {
+            radiance,
+            residuals,
+            weights,
+            slopes,
+        }
+    }
+}
+
 /// One pass over the samples of a pixel.
 struct Pass<'a, M> {
     samples: &'a Samples<'a>,
@@ -231,49 +321,14 @@ impl<M: Reflection> Kernel for Pass<'_, M> {
             ..
         } = self;
         let surface = Surface::<true>::new(samples.model, *normal, samples.view, material);
-        let of_ambient = (samples.lights.any_ambient)
-            .then(|| weights_with_slopes::<M>([*normal, samples.view], material, turned));
+        let of_ambient = samples.ambient::<M>(*normal, material, turned);
         let none = Wide(isa, isa.splat(0.0));
         let mut sums = Sums::of(none);
-        for (block, lights) in samples.blocks.iter().zip(&samples.lights.blocks) {
+        for b in 0..samples.blocks.len() {
             for at in 0..LANES / <I as Vectors<f64>>::LANES {
-                let of = |lanes: &Lanes| Wide(isa, I::of(lanes)[at]);
-                let (mut radiance, mut slopes) = ([none; 3], [[none; SLOPES_OF_SAMPLE]; 3]);
-                for [[x, y, z], intensities] in &block.lamps {
-                    let (lit, unit) = surface.reflected_of([of(x), of(y), of(z)]);
-                    let along = [unit.along(turned[0]), unit.along(turned[1])];
-                    for c in 0..3 {
-                        let intensity = lit * of(&intensities[c]);
-                        radiance[c] = radiance[c] + intensity * unit.radiance[c];
-                        let slopes = &mut slopes[c];
-                        slopes[0] = slopes[0] + intensity * unit.by_albedo[c];
-                        slopes[1] = slopes[1] + intensity * unit.by_roughness[c];
-                        slopes[2] = slopes[2] + intensity * unit.by_metallic[c];
-                        slopes[3] = slopes[3] + intensity * along[0][c];
-                        slopes[4] = slopes[4] + intensity * along[1][c];
-                    }
-                }
-                if let Some((weights, by)) = &of_ambient {
-                    for c in 0..3 {
-                        let light = of(&lights.ambient[c]);
-                        radiance[c] = radiance[c] + light * weights[c];
-                        for x in 0..SLOPES_OF_SAMPLE {
-                            slopes[c][x] = slopes[c][x] + light * by[c][x];
-                        }
-                    }
-                }
+                let seen = samples.seen(isa, [b, at], &surface, turned, &of_ambient, |_, _, _| ());
                 for c in 0..3 {
-                    let (lowest, highest) = (of(&block.lowest[c]), of(&block.highest[c]));
-                    let residual = (radiance[c] - of(&block.targets[c]))
-                        .max(lowest)
-                        .min(highest);
-                    // A limit that is kept tells nothing.
-                    let weight = of(&block.weights[c]);
-                    let kept = none - residual * residual;
-                    let is_free = highest.min(none - lowest);
-                    let weight =
-                        is_free.at_least(f64::INFINITY, weight, kept.at_least(0.0, none, weight));
-                    sums.add(c, &slopes[c], weight, residual);
+                    sums.add(c, &seen.slopes[c], seen.weights[c], seen.residuals[c]);
                 }
             }
         }

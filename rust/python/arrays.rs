@@ -102,7 +102,10 @@ pub(super) fn copied<T: Element + Copy, D: Dimension>(
     array: &PyReadonlyArray<'_, T, D>,
 ) -> Result<Vec<T>> {
     let view: ArrayView<T, D> = array.as_array();
-    collect(name, view.len(), view.iter().copied())
+    match view.as_slice() {
+        Some(values) => collect(name, values.len(), values.iter().copied()),
+        None => collect(name, view.len(), view.iter().copied()),
+    }
 }
 
 /// An argument to write `length` numbers into, in one piece; a refusal names it.

@@ -7,10 +7,12 @@ use super::arrays::{
     ANY, Out, Pixels, given, indices, optional, out, rows, shape, values, vectors, vectors_of,
 };
 use crate::lamps::descent::Free;
+use crate::lamps::judge::{LampNoise, judge};
 use crate::lamps::pixel_fit::{LampFit, LampPictures, NUMBERS, fit_under_lamps as fit_pixels};
 use crate::lamps::render::{
     Lamplit, WITH_SLOPES, lamp_radiance as radiance_of_pixels, lamp_slopes as slopes_of_pixels,
 };
+use crate::lamps::system::{Movable, OF_PIXEL, ROWS, lamp_system as system_of_pixels};
 use crate::runtime::check;
 
 #[pyfunction]
@@ -117,31 +119,13 @@ pub(super) fn fit_under_lamps<'py>(
     let names = ["start_normals", "views"];
     let start = Pixels::new(names, [start_normals, views, albedo, roughness, metallic])?;
     let pixels = start.count();
-    let (ambient, [count, _]) = given::<f64, 2>("ambient", ambient, [ANY, 3])?;
-    let samples = [pixels, count, 3];
-    let pictures = values::<f64, 3>("pictures", pictures, samples)?;
-    let weights = values::<f64, 3>("weights", weights, samples)?;
-    let limits = optional::<u8, 3>("limits", limits, samples)?;
-    let (lamps, directions) = lamp_vectors("directions", directions, pixels)?;
-    let intensities = values::<f64, 3>("intensities", intensities, [pixels, lamps, 3])?;
-    let picture_of = indices("picture_of", picture_of)?;
-    shape("picture_of", &[lamps], &[picture_of.len()])?;
+    let lights = [directions, intensities, picture_of, ambient];
+    let known = Samples::new(&start, [pictures, weights], limits, lights)?;
     let base_normals = vectors("base_normals", base_normals, pixels)?;
     let prior_mean = values::<f64, 2>("prior_mean", prior_mean, [pixels, NUMBERS])?;
     let prior_precision = values::<f64, 2>("prior_precision", prior_precision, [pixels, NUMBERS])?;
-    let known = LampPictures {
-        pictures: pictures.as_chunks().0,
-        weights: weights.as_chunks().0,
-        limits: limits.as_ref().map(|limits| limits.as_chunks().0),
-        views: &start.views,
-        directions: &directions,
-        intensities: intensities.as_chunks().0,
-        picture_of: &picture_of,
-        ambient: ambient.as_chunks().0,
-        base_normals: &base_normals,
-        prior_mean: prior_mean.as_chunks().0,
-        prior_precision: prior_precision.as_chunks().0,
-    };
+    let priors = [prior_mean.as_chunks().0, prior_precision.as_chunks().0];
+    let known = known.pictures(&start, &base_normals, priors);
     let how = LampFit {
         free: Free {
             normals: free_normals,
@@ -167,6 +151,171 @@ pub(super) fn fit_under_lamps<'py>(
         out(py, fitted.costs, [pixels]),
         out(py, information, [pixels, NUMBERS, NUMBERS]),
     ))
+}
+
+#[pyfunction]
+#[pyo3(signature = (
+    pictures, weights, limits, views, directions, intensities, picture_of, ambient, normals, albedo,
+    roughness, metallic, strengths, by_place, threads, model = "paper"
+))]
+#[expect(clippy::too_many_arguments)]
+pub(super) fn lamp_system<'py>(
+    py: Python<'py>,
+    pictures: &Bound<'py, PyAny>,
+    weights: &Bound<'py, PyAny>,
+    limits: Option<&Bound<'py, PyAny>>,
+    views: &Bound<'py, PyAny>,
+    directions: &Bound<'py, PyAny>,
+    intensities: &Bound<'py, PyAny>,
+    picture_of: &Bound<'py, PyAny>,
+    ambient: &Bound<'py, PyAny>,
+    normals: &Bound<'py, PyAny>,
+    albedo: &Bound<'py, PyAny>,
+    roughness: &Bound<'py, PyAny>,
+    metallic: &Bound<'py, PyAny>,
+    strengths: &Bound<'py, PyAny>,
+    by_place: &Bound<'py, PyAny>,
+    threads: usize,
+    model: &str,
+) -> PyResult<(Out<'py, 2>, Out<'py, 3>, Out<'py, 3>)> {
+    let given = [normals, views, albedo, roughness, metallic];
+    let at = Pixels::new(["normals", "views"], given)?;
+    let lights = [directions, intensities, picture_of, ambient];
+    let known = Samples::new(&at, [pictures, weights], limits, lights)?;
+    let (pixels, lamps) = (at.count(), known.picture_of.len());
+    let strengths = values::<f64, 2>("strengths", strengths, [pixels, lamps])?;
+    let by_place = values::<f64, 3>("by_place", by_place, [pixels, lamps, 4])?;
+    let movable = Movable {
+        strengths: &strengths,
+        by_place: by_place.as_chunks().0,
+    };
+    let no_prior = vec![[0.0; NUMBERS]; pixels];
+    let given = known.pictures(&at, &at.normals, [&no_prior, &no_prior]);
+    let (at, model) = ((&at.normals, &at.materials), model.parse()?);
+    let found = py.detach(|| system_of_pixels(given, movable, at.0, at.1, model, threads))?;
+    let columns = 6 * lamps + known.ambient.len();
+    let own = found.own.into_flattened().into_flattened();
+    Ok((
+        out(py, found.shared, [columns, columns]),
+        out(py, own, [pixels, ROWS, OF_PIXEL]),
+        out(py, found.mixed, [pixels, ROWS, columns]),
+    ))
+}
+
+#[pyfunction]
+#[pyo3(signature = (
+    pictures, weights, limits, views, directions, intensities, picture_of, ambient, normals, albedo,
+    roughness, metallic, floor, growth, proportional, least, shadows, threads, model = "paper"
+))]
+#[expect(clippy::too_many_arguments)]
+pub(super) fn judge_samples<'py>(
+    py: Python<'py>,
+    pictures: &Bound<'py, PyAny>,
+    weights: &Bound<'py, PyAny>,
+    limits: Option<&Bound<'py, PyAny>>,
+    views: &Bound<'py, PyAny>,
+    directions: &Bound<'py, PyAny>,
+    intensities: &Bound<'py, PyAny>,
+    picture_of: &Bound<'py, PyAny>,
+    ambient: &Bound<'py, PyAny>,
+    normals: &Bound<'py, PyAny>,
+    albedo: &Bound<'py, PyAny>,
+    roughness: &Bound<'py, PyAny>,
+    metallic: &Bound<'py, PyAny>,
+    floor: f64,
+    growth: f64,
+    proportional: bool,
+    least: f64,
+    shadows: &Bound<'py, PyAny>,
+    threads: usize,
+    model: &str,
+) -> PyResult<(Out<'py, 2>, Out<'py, 1>, Out<'py, 4>)> {
+    let given = [normals, views, albedo, roughness, metallic];
+    let at = Pixels::new(["normals", "views"], given)?;
+    let lights = [directions, intensities, picture_of, ambient];
+    let known = Samples::new(&at, [pictures, weights], limits, lights)?;
+    let (pixels, count) = (at.count(), known.ambient.len() / 3);
+    let shadows = values::<f64, 1>("shadows", shadows, [count])?;
+    let noise = LampNoise {
+        floor,
+        growth,
+        proportional,
+        least,
+        shadows: &shadows,
+    };
+    let no_prior = vec![[0.0; NUMBERS]; pixels];
+    let given = known.pictures(&at, &at.normals, [&no_prior, &no_prior]);
+    let (surfaces, model) = ((&at.normals, &at.materials), model.parse()?);
+    let found = py.detach(|| judge(given, noise, surfaces.0, surfaces.1, model, threads))?;
+    Ok((
+        out(py, found.odds, [pixels, count]),
+        out(py, found.likelihoods, [pixels]),
+        out(
+            py,
+            found.weights.into_flattened().into_flattened(),
+            [pixels, count, 2, 3],
+        ),
+    ))
+}
+
+/// What pictures show of pixels, and the lights.
+struct Samples {
+    of_pictures: [Vec<f64>; 2],
+    limits: Option<Vec<u8>>,
+    directions: Vec<DVec3>,
+    intensities: Vec<f64>,
+    picture_of: Vec<usize>,
+    ambient: Vec<f64>,
+}
+
+impl Samples {
+    /// From pictures and weights, and directions, intensities, `picture_of` and ambient light.
+    fn new(
+        pixels: &Pixels,
+        [pictures, weights]: [&Bound<'_, PyAny>; 2],
+        limits: Option<&Bound<'_, PyAny>>,
+        [directions, intensities, picture_of, ambient]: [&Bound<'_, PyAny>; 4],
+    ) -> PyResult<Self> {
+        let pixels = pixels.count();
+        let (ambient, [count, _]) = given::<f64, 2>("ambient", ambient, [ANY, 3])?;
+        let samples = [pixels, count, 3];
+        let pictures = values::<f64, 3>("pictures", pictures, samples)?;
+        let weights = values::<f64, 3>("weights", weights, samples)?;
+        let limits = optional::<u8, 3>("limits", limits, samples)?;
+        let (lamps, directions) = lamp_vectors("directions", directions, pixels)?;
+        let intensities = values::<f64, 3>("intensities", intensities, [pixels, lamps, 3])?;
+        let picture_of = indices("picture_of", picture_of)?;
+        shape("picture_of", &[lamps], &[picture_of.len()])?;
+        Ok(Self {
+            of_pictures: [pictures, weights],
+            limits,
+            directions,
+            intensities,
+            picture_of,
+            ambient,
+        })
+    }
+
+    fn pictures<'a>(
+        &'a self,
+        pixels: &'a Pixels,
+        base_normals: &'a [DVec3],
+        [prior_mean, prior_precision]: [&'a [[f64; NUMBERS]]; 2],
+    ) -> LampPictures<'a> {
+        LampPictures {
+            pictures: self.of_pictures[0].as_chunks().0,
+            weights: self.of_pictures[1].as_chunks().0,
+            limits: self.limits.as_ref().map(|limits| limits.as_chunks().0),
+            views: &pixels.views,
+            directions: &self.directions,
+            intensities: self.intensities.as_chunks().0,
+            picture_of: &self.picture_of,
+            ambient: self.ambient.as_chunks().0,
+            base_normals,
+            prior_mean,
+            prior_precision,
+        }
+    }
 }
 
 /// A vector for each lamp of each pixel, and how many lamps there are.

@@ -31,8 +31,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.lamps.problem import LampPixels, LampState, slopes, tangents
-from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Left, Noise
+from pbrfit.fit.lamps.problem import (
+    LampPixels,
+    LampState,
+    by_pieces,
+    by_place,
+    given_to_core,
+    surface_of,
+    tangents,
+)
+from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.samples import BAS_RELIEF
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
@@ -111,33 +119,30 @@ def fit_surfaces(
     free_roughness: bool = True,
 ) -> tuple[LampState, Array, Array]:
     """The best surface of each pixel under the lights of a state; their costs and information."""
-    directions, strengths = state.incident(pixels)
     # Offsets are tangents: what is turned away by a right angle begins where they begin.
     turned = np.einsum("px,px->p", state.normals, pixels.normals) < COSINE_MIN
     begin = np.where(turned[:, None], pixels.normals, state.normals)
-    normals, albedo, roughness, metallic, cost, information = _core.fit_under_lamps(
-        pixels.samples,
-        np.ascontiguousarray(weights),
-        pixels.limits,
-        pixels.views,
-        directions,
-        strengths[..., None] * state.lamps.colors,
-        state.lamps.pictures.astype(np.uint64),
-        np.ascontiguousarray(state.ambient[:, 0]),
-        pixels.normals,
-        begin,
-        state.albedo,
-        state.roughness,
-        state.metallic,
-        prior.mean,
-        prior.precision,
-        free_normals,
-        False,  # metallic waits
-        free_roughness,
-        iterations,
-        pixels.threads,
-        pixels.model,
-    )
+
+    def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
+        of_rows = state.of_rows(rows)
+        return _core.fit_under_lamps(
+            *given_to_core(some, of_rows, weights[rows]),
+            some.normals,
+            begin[rows],
+            of_rows.albedo,
+            of_rows.roughness,
+            of_rows.metallic,
+            prior.mean[rows],
+            prior.precision[rows],
+            free_normals,
+            False,  # metallic waits
+            free_roughness,
+            iterations,
+            some.threads,
+            some.model,
+        )
+
+    normals, albedo, roughness, metallic, cost, information = by_pieces(pixels, of)
     return state.with_surface(normals, albedo, roughness, metallic), cost, information
 
 
@@ -151,26 +156,6 @@ def offsets(base: Array, normals: Array) -> Array:
     """(P, 2): tangent offsets of normals from others, (P, 3) each."""
     cosine = np.maximum(np.einsum("px,px->p", normals, base), 1e-6)
     return np.asarray(np.einsum("px,ptx->pt", normals, tangents(base)) / cosine[:, None])
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """Samples as they change with all unknowns, pixels last.
-
-    Sources S are the lamps, with a place and a colour, and each picture's ambient light, which is a
-    colour alone. A channel of a sample sees this channel of the colours of its picture's sources.
-    """
-
-    by_surface: Array
-    """(6, N, 3, P)."""
-    by_source: Array
-    """(S, 3, 4, P): by place and colour, 0 of what is held."""
-    pictures: NDArray[np.intp]
-    """(S,): of each source."""
-    weights: Array
-    """(N, 3, P): 0 where a sample only bounds, and is kept."""
-    residuals: Array
-    """(N, 3, P)."""
 
 
 class JointLamps:
@@ -205,10 +190,10 @@ class JointLamps:
 
     def reweigh(self, *, renew: bool = True) -> None:
         """New noise and weights by what is left now."""
-        left = Left.of(self.pixels, self.state)
         if renew:
-            self.noise = self.noise.renewed(left, self._free_share())
-        self.weights = self.pixels.weights * self.noise.weights(left)
+            self.noise = self.noise.renewed(self.pixels, self.state, self._free_share())
+        judged = self.noise.judged(self.pixels, self.state)
+        self.weights = judged.weighed(judged.odds)
         if self.lit is not None:
             self.weights *= self.lit(self.state.lamps)[..., None]
         self.cost = self.fitted(self.state, 0)[1]
@@ -296,25 +281,20 @@ class JointLamps:
 
         (P,) of each pixel, and of the priors.
         """
-        linear = self._linear()
-        own, mixed, of_pixels = self._of_pixels(linear)
+        _, own, mixed, of_pixels, pushes = self._equations()
         solved = np.linalg.solve(own, of_pixels[..., None])[..., 0]
-        places, colors = np.split(direction.reshape(-1, 3), [len(self.state.lamps)])
-        moved = linear.by_source[:, :, 3] * colors[..., None]
-        lamps = linear.by_source[: len(places), :, :3]
-        moved[: len(places)] += np.einsum("kcap,ka->kcp", lamps, places)
-        pushed = (linear.weights * linear.residuals)[linear.pictures]
-        each = np.einsum("scp,scp->p", pushed, moved)
         of_priors = self._priors(len(direction))[1] @ direction
-        return each - (solved * (mixed @ direction)).sum(axis=1), float(of_priors)
+        each = (pushes - (mixed * solved[..., None]).sum(axis=1)) @ direction
+        return each, float(of_priors)
 
     def system(self) -> tuple[Array, Array, Array, Array, Array]:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
         from scipy.linalg import block_diag
 
-        linear = self._linear()
-        shared, gradient = self._of_shared(linear)
-        own, mixed, gradients = self._of_pixels(linear)
+        shared, own, mixed, gradients, pushes = self._equations()
+        precision, gradient = self._priors(self._size())
+        shared += precision
+        gradient += pushes.sum(axis=0)
         if self.freedom.shape:
             by_matrix, pull, of_offsets = self._of_matrix()
             shared = block_diag(shared, by_matrix)
@@ -336,42 +316,25 @@ class JointLamps:
         slope = self.relief(self.matrix)[1] / self.share - weighted.T @ away.ravel()
         return by_matrix, slope, mixed
 
-    def pixel_system(self) -> tuple[Array, Array, Array]:
-        """A (P, 6, 6), B (P, 6, M) and gradients (P, 6) of the pixels alone."""
-        return self._of_pixels(self._linear())
+    def pixel_system(self) -> tuple[Array, Array]:
+        """A (P, 6, 6) and B (P, 6, M) of the pixels alone."""
+        _, own, mixed, _, _ = self._equations()
+        return own, mixed
 
-    def _linear(self) -> _Linear:
-        found, pixels = slopes(self.pixels, self.state), self.pixels
-        residuals = pixels.residuals(found.radiance)
-        bounded = (residuals == 0) & (pixels.limits > 0)
-        lamps = self.state.lamps
-        by_source = np.zeros((len(lamps) + pixels.pictures, 3, 4, len(pixels)))
-        if self.freedom.places:
-            by_source[: len(lamps), :, :3] = found.by_place.transpose(1, 2, 3, 0)
-        if self.freedom.colors:
-            by_source[: len(lamps), :, 3] = found.by_color.transpose(1, 2, 0)
-        by_source[len(lamps) :, :, 3] = found.by_ambient[..., 0].T
-        return _Linear(
-            found.by_surface.transpose(3, 1, 2, 0)[:UNKNOWNS],
-            by_source,
-            np.concatenate([lamps.pictures, np.arange(pixels.pictures)]),
-            np.ascontiguousarray(np.where(bounded, 0.0, self.weights).transpose(1, 2, 0)),
-            np.ascontiguousarray(residuals.transpose(1, 2, 0)),
+    def _equations(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Of the samples Σ J_yᵀ W J_y; with the priors of pixels A, B, g; J_yᵀ W e (P, M)."""
+        state, count = self.state, len(self.pixels)
+        directions, strengths = state.incident(self.pixels)
+        shared, rows, mixed = _core.lamp_system(
+            *given_to_core(self.pixels, state, self.weights),
+            *surface_of(state),
+            strengths,
+            by_place(self.pixels, state.lamps, directions),
+            self.pixels.threads,
+            self.pixels.model,
         )
-
-    def _of_pixels(self, linear: _Linear) -> tuple[Array, Array, Array]:
-        state, count, lamps = self.state, len(self.pixels), len(self.state.lamps)
-        weighted = linear.by_surface * linear.weights
-        own = np.einsum("uncp,vncp->uvp", weighted, linear.by_surface)
-        gradients = np.einsum("uncp,ncp->up", weighted, linear.residuals).T.copy()
-        at_sources = weighted[:, linear.pictures]
-        places = np.einsum(
-            "ukcp,kcap->ukap", at_sources[:, :lamps], linear.by_source[:lamps, :, :3]
-        )
-        parts = places, at_sources * linear.by_source[:, :, 3]
-        flat = [part.reshape(UNKNOWNS, -1, count) for part in parts]
-        mixed = np.concatenate(flat, axis=1).transpose(2, 0, 1).copy()
-        own = own.transpose(2, 0, 1).copy()
+        own, gradients = rows[:, :UNKNOWNS], rows[:, UNKNOWNS]
+        mixed, pushes = mixed[:, :UNKNOWNS], mixed[:, UNKNOWNS]
         prior = self.prior
         surface = np.concatenate(
             [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
@@ -392,26 +355,7 @@ class JointLamps:
         diagonal[held] = 1.0
         gradients[held] = 0.0
         mixed[held] = 0.0
-        return own, mixed, gradients
-
-    def _of_shared(self, linear: _Linear) -> tuple[Array, Array]:
-        """Matrix (M, M) and gradient (M,) of what is shared, with its priors."""
-        parts, sources, channels = linear.by_source, len(linear.pictures), np.arange(3)
-        weighted = parts * linear.weights[linear.pictures, :, None]
-        first, second = np.nonzero(linear.pictures[:, None] == linear.pictures)
-        pairs = weighted[first] @ parts[second].swapaxes(-1, -2)
-        # Places and colours of all sources; then without places of ambient light.
-        whole = np.zeros((2, sources, 3, 2, sources, 3))
-        whole[0, first, :, 0, second] = pairs[:, :, :3, :3].sum(axis=1)
-        whole[0, first, :, 1, second] = pairs[:, :, :3, 3].swapaxes(1, 2)
-        whole[1, first, :, 0, second] = pairs[:, :, 3, :3]
-        whole[1, first[:, None], channels, 1, second[:, None], channels] = pairs[..., 3, 3]
-        pushes = (weighted @ linear.residuals[linear.pictures, :, :, None])[..., 0]
-        slope = np.stack([pushes[..., :3].sum(axis=1), pushes[..., 3]]).ravel()
-        kept = np.delete(np.arange(6 * sources), slice(3 * len(self.state.lamps), 3 * sources))
-        shared, gradient = self._priors(self._size())
-        shared += whole.reshape(6 * sources, -1)[np.ix_(kept, kept)]
-        return shared, gradient + slope[kept]
+        return shared, own, mixed, gradients, pushes
 
     def _priors(self, size: int) -> tuple[Array, Array]:
         """Matrix (M, M) and gradient (M,) of the priors of what is shared."""

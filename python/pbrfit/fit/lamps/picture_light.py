@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, slopes, tangents
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of, tangents
 from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.model.lamps import Lamps
@@ -116,13 +116,16 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
 
     cost = cost_of(state)
     for _ in range(STEPS):
-        found = slopes(pixels, state)
-        residual = found.radiance - pixels.samples
+        residual = radiance(pixels, state) - pixels.samples
+        directions, _ = state.incident(pixels)
+        normals, albedo, roughness, metallic = surface_of(state)
+        surfaces = normals, pixels.views, albedo, roughness, metallic
+        unit = _core.lamp_slopes(*surfaces, directions, pixels.threads, pixels.model)[:, 0]
+        by_place = unit[..., 4:7] * state.lamps.colors[0, :, None]
+        by_ambient = _core.shade(*surfaces, pixels.model).reshape(-1, 3, 16)[..., :terms, None]
         frame = tangents(state.lamps.places)[0]
-        parts = [np.einsum("pcx,tx->pct", found.by_place[:, 0], frame)]
-        parts.append(found.by_color[:, 0, :, None] * np.eye(3))
-        around = found.by_ambient[:, :, :terms, None] * np.eye(3)[:, None]
-        parts.append(around.reshape(len(pixels), 3, -1))
+        parts = [by_place @ frame.T, unit[..., :1] * np.eye(3)]
+        parts.append((by_ambient * np.eye(3)[:, None]).reshape(len(pixels), 3, -1))
         jacobian = np.concatenate(parts, axis=-1).reshape(3 * len(pixels), -1)
         w = pixels.weights[:, 0].reshape(-1)
         matrix = jacobian.T @ (w[:, None] * jacobian)

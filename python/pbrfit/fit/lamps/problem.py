@@ -12,18 +12,22 @@ that makes their mean radiance `MEAN_RADIANCE`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit import _core
-from pbrfit.fit.settings import MEAN_RADIANCE
+from pbrfit.fit.sampling import slices
+from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.geometry import positions, views_at
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
 from pbrfit.scene.scene import Scene
+from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
 
@@ -196,62 +200,56 @@ def _ambient(weights: Array, state: LampState) -> Array:
     return sum((weights[:, None, :, j] * state.ambient[:, j] for j in used), np.zeros(()))
 
 
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """Radiance of pixels and its derivatives."""
+def given_to_core(pixels: LampPixels, state: LampState, weights: Array) -> tuple[Any, ...]:
+    """What pictures show of pixels, with weights (P, N, 3), and the lights of a state."""
+    directions, strengths = state.incident(pixels)
+    return (
+        pixels.samples,
+        np.ascontiguousarray(weights),
+        pixels.limits,
+        pixels.views,
+        directions,
+        strengths[..., None] * state.lamps.colors,
+        state.lamps.pictures.astype(np.uint64),
+        np.ascontiguousarray(state.ambient[:, 0]),
+    )
 
-    radiance: Array
-    """(P, N, 3)."""
-    by_surface: Array
-    """(P, N, 3, 7): by two offsets of the normal, the albedo's channels, roughness, metallic."""
-    by_place: Array
-    """(P, K, 3, 3): by the place of each lamp, channel before axis; of far lamps by a vector in the
-    plane that is perpendicular to the direction."""
-    by_color: Array
-    """(P, K, 3): of each channel, by that channel of the colour."""
-    by_ambient: Array
-    """(P, 3, 16): by ambient light, of any picture."""
+
+def by_pieces(
+    pixels: LampPixels, work: Callable[[LampPixels, slice], tuple[Array, ...]]
+) -> tuple[Array, ...]:
+    """What `work` makes of pixels that know nothing of each other, on all processors."""
+    alone, at_once = replace(pixels, threads=1), max(PIXELS_AT_ONCE // pixels.pictures, 1)
+    if len(pixels) <= at_once:
+        return work(alone, slice(None))
+    parts = in_pieces(
+        pixels.threads, lambda rows: work(alone.of_rows(rows), rows), slices(len(pixels), at_once)
+    )
+    return tuple(np.concatenate(of) for of in zip(*parts, strict=True))
 
 
 def tangents(normals: Array) -> Array:
     """(P, 2, 3): unit vectors that are perpendicular to a normal and to each other.
 
-    Those of T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6, 2017.
+    As the core has them: the x and y axes under the smallest rotation that takes +z to the normal.
     """
     x, y, z = normals.T
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1)
-    second = np.stack([b, sign + y * y * a, -y], axis=-1)
+    sign = np.where(z > -0.99, 1.0, -1.0)
+    inverse = 1 / (1 + sign * z)
+    across = -x * y * inverse
+    first = np.stack([1 - x * x * inverse, across, -sign * x], axis=-1)
+    second = np.stack([across, 1 - y * y * inverse, -sign * y], axis=-1)
     return np.stack([first, second], axis=1)
 
 
-def slopes(pixels: LampPixels, state: LampState) -> Slopes:
-    """At a state."""
-    lamps = state.lamps
-    directions, strengths = state.incident(pixels)
-    normals, albedo, roughness, metallic = surface_of(state)
-    args = pixels.views, albedo, roughness, metallic
-    # Pixels last: planes (K, 3, P), which numpy goes through fast.
-    of_core = _core.lamp_slopes(normals, *args, directions, pixels.threads, pixels.model)
-    of_lamps = np.ascontiguousarray(of_core.T).swapaxes(1, 2)
-    value = of_lamps[0]
-    frames = tangents(normals).transpose(1, 2, 0)
-    lit = strengths.T[:, None] * lamps.colors[..., None]
-    planes = np.zeros((8, *lit.shape))
-    planes[0] = lit * value
-    for t in range(2):
-        planes[1 + t] = lit * sum(of_lamps[1 + a] * frames[t, a] for a in range(3))
-    for c in range(3):
-        planes[3 + c, :, c] = lit[:, c] * of_lamps[7, :, c]
-    planes[6:] = lit * of_lamps[8:]
-    if not np.array_equal(lamps.pictures, np.arange(pixels.pictures)):
-        of_pictures = np.zeros((8, pixels.pictures, 3, len(pixels)))
-        for k, picture in enumerate(lamps.pictures):
-            of_pictures[:, picture] += planes[:, k]
-        planes = of_pictures
-    by_place = (of_lamps[4:7] * lit).T.swapaxes(1, 2)
+def by_place(pixels: LampPixels, lamps: Lamps, directions: Array) -> Array:
+    """(P, K, 4): how directions and strengths change with the lamps' places.
+
+    By how much a small change of place, across the direction, turns this, and the derivative of the
+    strength's logarithm. The place of a far lamp is its direction.
+    """
+    found = np.zeros((*directions.shape[:2], 4))
+    found[..., 0] = 1.0
     near = lamps.near
     if near.any():
         assert pixels.points is not None
@@ -261,30 +259,5 @@ def slopes(pixels: LampPixels, state: LampState) -> Slopes:
         # d/dq of 1/d² (axis·(p−q)/d)^e, over itself.
         across = lamps.axes[near] + along * directions[:, near]
         by_strength = -2 * directions[:, near] - gathered * across
-        shown = (lit * value).transpose(2, 0, 1)[:, near, :, None]
-        by_place[:, near] += shown * by_strength[:, :, None, :]
-        by_place[:, near] /= distance[..., None]
-    by_ambient = _core.shade(normals, *args, pixels.model).reshape(-1, 3, 16)
-    found = planes.transpose(3, 1, 2, 0)
-    found[..., 0] += _ambient(by_ambient, state)
-    _add_ambient_by_surface(planes[1:], pixels, state, frames)
-    by_color = (strengths.T[:, None] * value).transpose(2, 0, 1)
-    return Slopes(found[..., 0], found[..., 1:], by_place, by_color, by_ambient)
-
-
-def _add_ambient_by_surface(
-    planes: Array, pixels: LampPixels, state: LampState, frames: Array
-) -> None:
-    """Add to planes (7, N, 3, P) by the surface: slopes of the weights, times ambient light."""
-    normals, albedo, roughness, metallic = surface_of(state)
-    for j in np.flatnonzero(state.ambient.any(axis=(0, 2))):
-        for c in range(3):
-            cotangent = np.zeros((len(pixels), 3, 16))
-            cotangent[:, c, j] = 1.0
-            by_albedo, by_roughness, by_metallic, by_normal = _core.shade_vjp(
-                normals, pixels.views, albedo, roughness, metallic, cotangent, pixels.model
-            )
-            turned = np.einsum("px,txp->tp", by_normal, frames)
-            of_weight = [*turned, *by_albedo.T, by_roughness, by_metallic]
-            for unknown, slope in enumerate(of_weight):
-                planes[unknown, :, c] += slope * state.ambient[:, j, c, None]
+        found[:, near] = np.concatenate([np.ones_like(distance), by_strength], axis=-1) / distance
+    return found

@@ -22,12 +22,20 @@ shadow: the weights that have the gradient of the likelihood.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
+from pbrfit import _core
+from pbrfit.fit.lamps.problem import (
+    LampPixels,
+    LampState,
+    by_pieces,
+    given_to_core,
+    radiance,
+    surface_of,
+)
 from pbrfit.fit.settings import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
@@ -56,8 +64,6 @@ class Left:
     """What a state leaves of samples, (P, N, 3) each."""
 
     residuals: Array
-    shown: Array
-    """The model's radiance."""
     level: Array
     """The sample, or `NOISE_MIN`."""
     values: NDArray[np.bool_]
@@ -66,23 +72,27 @@ class Left:
     @classmethod
     def of(cls, pixels: LampPixels, state: LampState) -> Left:
         """At a state."""
-        shown = radiance(pixels, state)
         return cls(
-            pixels.residuals(shown),
-            np.maximum(shown, NOISE_MIN),
+            pixels.residuals(radiance(pixels, state)),
             np.maximum(pixels.samples, NOISE_MIN),
             np.asarray(pixels.weights > 0),
         )
 
-    @property
-    def counted(self) -> NDArray[np.bool_]:
-        """(P, N): samples of which some value is data."""
-        return np.asarray(over_channels(self.values) > 0)
 
-    @property
-    def dark(self) -> NDArray[np.bool_]:
-        """(P, N): samples that are darker than the model has them."""
-        return np.asarray(over_channels(self.residuals) > 0)
+class Judged(NamedTuple):
+    """What noise makes of samples."""
+
+    odds: Array
+    """(P, N): ln of the odds that a sample is in no cast shadow; infinite where none is darker."""
+    likelihoods: Array
+    """(P,): ln of the likelihood of all samples of a pixel."""
+    weights: Array
+    """(P, N, 2, 3): what samples weigh in a sum of squares, in a cast shadow and in none."""
+
+    def weighed(self, odds: Array) -> Array:
+        """(P, N, 3): weights of samples with odds (P, N)."""
+        shadowed, lit = self.weights[:, :, 0], self.weights[:, :, 1]
+        return np.asarray(shadowed + probability(odds)[..., None] * (lit - shadowed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,44 +124,34 @@ class Noise:
     def _growth(self, level: Array) -> Array:
         return level**2 if self.proportional else MEAN_RADIANCE * level
 
-    def log_odds(self, left: Left) -> Array:
-        """(P, N): ln of the odds that a sample is in no cast shadow; infinite where it is brighter.
+    def judged(self, pixels: LampPixels, state: LampState) -> Judged:
+        """Samples at a state.
 
-        Its channels share what is left of them, so they tell as much as one.
+        Channels of a sample share what is left of them, so they tell as much as one.
         """
-        share = np.clip(self.shadows, *SHADOWS)
-        odds = np.log(1 / share - 1) + self._log_ordinary(left) + np.log(_shown(left))
-        return np.where(left.dark, odds, np.inf)
+        growth = self.relative**2 * (1.0 if self.proportional else MEAN_RADIANCE)
 
-    def _log_ordinary(self, left: Left) -> Array:
-        variance = self.variance(left)
-        terms = np.square(left.residuals) / variance + np.log(2 * np.pi * variance)
-        values = np.maximum(over_channels(left.values), 1)
-        return np.asarray(-0.5 * over_channels(terms * left.values) / values)
+        def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
+            surfaces = state.of_rows(rows)
+            return _core.judge_samples(
+                *given_to_core(some, surfaces, some.weights),
+                *surface_of(surfaces),
+                self.floor,
+                growth,
+                self.proportional,
+                NOISE_MIN,
+                np.clip(self.shadows, *SHADOWS),
+                some.threads,
+                some.model,
+            )
 
-    def log_likelihoods(self, left: Left) -> Array:
-        """(P, N): ln of the likelihood of samples; 0 of those that are no data."""
-        share = np.clip(self.shadows, *SHADOWS)
-        ordinary = np.log(1 - share) + self._log_ordinary(left)
-        shadow = np.log(share) - np.log(_shown(left))
-        each = np.where(left.dark, np.logaddexp(ordinary, shadow), ordinary)
-        return np.asarray(each * left.counted)
+        return Judged(*by_pieces(pixels, of))
 
-    def weights(self, left: Left, odds: Array | None = None) -> Array:
-        """(P, N, 3): what samples weigh in a sum of squares; `odds` (P, N) replace their own."""
-        odds = self.log_odds(left) if odds is None else odds
-        ordinary = probability(odds)[..., None]
-        variance = self.variance(left)
-        # In a shadow no sample weighs more than in none.
-        of_shadow = np.minimum(
-            1 / (left.shown * np.maximum(np.abs(left.residuals), NOISE_MIN)), 1 / variance
-        )
-        return np.asarray(ordinary / variance + (1 - ordinary) * of_shadow)
-
-    def renewed(self, left: Left, freedom: float) -> Noise:
+    def renewed(self, pixels: LampPixels, state: LampState, freedom: float) -> Noise:
         """From what is left; `freedom` is the share that the unknowns have not taken up."""
-        counted = left.counted
-        ordinary = probability(self.log_odds(left)) * counted
+        left = Left.of(pixels, state)
+        counted = over_channels(left.values) > 0
+        ordinary = probability(self.judged(pixels, state).odds) * counted
         weights = (ordinary[..., None] * left.values).ravel()
         squares = np.square(left.residuals).ravel() / freedom
         bright = self._growth(left.level.ravel())
@@ -176,11 +176,6 @@ class Noise:
         share = (counted - ordinary).sum(axis=0) / seen
         floor, relative = float(np.sqrt(floor2)), float(np.sqrt(relative2))
         return replace(self, floor=floor, relative=relative, shadows=np.clip(share, *SHADOWS))
-
-
-def _shown(left: Left) -> Array:
-    """(P, N): the model's radiance, mean over channels."""
-    return np.asarray(over_channels(left.shown) / 3)
 
 
 def over_channels(values: NDArray[Any]) -> Array:

@@ -17,9 +17,8 @@ the probability; where that is not near 0 or 1 the rest is fitted once more with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +31,10 @@ from pbrfit.fit.lamps.joint import (
     fit_surfaces,
     offsets,
 )
-from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
+from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance, surface_of
 from pbrfit.fit.lamps.sample_noise import Left, Noise, over_channels, probability
 from pbrfit.fit.pixels import NEIGHBOURS
-from pbrfit.fit.sampling import beside, slices
-from pbrfit.fit.settings import PIXELS_AT_ONCE
-from pbrfit.threads import in_pieces
+from pbrfit.fit.sampling import beside
 
 Array = NDArray[np.float64]
 
@@ -123,32 +120,13 @@ def neighbour_means(
     return found / counts.reshape(-1, *[1] * (values.ndim - 1))
 
 
-def by_pieces(
-    pixels: LampPixels,
-    work: Callable[[LampPixels, slice], tuple[NDArray[Any], ...]],
-    *,
-    at_once: int = PIXELS_AT_ONCE,
-) -> tuple[NDArray[Any], ...]:
-    """What `work` makes of pixels that know nothing of each other, on all processors."""
-    alone = replace(pixels, threads=1)
-    parts = in_pieces(
-        pixels.threads, lambda rows: work(alone.of_rows(rows), rows), slices(len(pixels), at_once)
-    )
-    return tuple(np.concatenate(of) for of in zip(*parts, strict=True))
-
-
 def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior) -> Array:
     """(P,): −ln of the posterior of each pixel's surface, up to a constant."""
-
-    def likelihood(some: LampPixels, rows: slice) -> tuple[Array]:
-        return (noise.log_likelihoods(Left.of(some, state.of_rows(rows))).sum(axis=-1),)
-
-    (told,) = by_pieces(pixels, likelihood)
     at = np.concatenate(
         [offsets(pixels.normals, state.normals), state.albedo, state.roughness[:, None]], axis=-1
     )
     squares = prior.precision[:, :UNKNOWNS] * (at - prior.mean[:, :UNKNOWNS]) ** 2
-    return np.asarray(0.5 * squares.sum(axis=-1) - told)
+    return np.asarray(0.5 * squares.sum(axis=-1) - noise.judged(pixels, state).likelihoods)
 
 
 def better_of(
@@ -242,19 +220,12 @@ def from_neighbours(
 
 def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | None) -> Array:
     """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
-    judged: Array | None = None
+    judged = noise.judged(pixels, state)
+    odds = judged.odds
     if width is not None:
-        (odds,) = by_pieces(
-            pixels, lambda some, rows: (noise.log_odds(Left.of(some, state.of_rows(rows))),)
-        )
         around = neighbour_means(np.clip(odds, -20, 20), pixels.places, width)
-        judged = np.where(np.isfinite(odds), around, odds)  # infinite where not too dark
-
-    def of(some: LampPixels, rows: slice) -> tuple[Array]:
-        left = Left.of(some, state.of_rows(rows))
-        return (some.weights * noise.weights(left, None if judged is None else judged[rows]),)
-
-    return by_pieces(pixels, of)[0]
+        odds = np.where(np.isfinite(odds), around, odds)  # infinite where not too dark
+    return judged.weighed(odds)
 
 
 def fit_band(
@@ -442,10 +413,10 @@ def deviations(
     shared = np.flatnonzero(covariance.any(axis=0))
     of_shared = covariance[np.ix_(shared, shared)]
 
-    def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
+    def of(some: LampPixels, rows: slice) -> tuple[Array, Array]:
         fit = JointLamps(some, inside.of_rows(rows), noise, none.of_rows(rows), freedom)
         fit.weights = weights[rows]
-        own, mixed, _ = fit.pixel_system()
+        own, mixed = fit.pixel_system()
         np.einsum("puu->pu", own)[:] += 1e-9
         inverse = np.linalg.inv(own)
         moved = mixed if len(shared) == mixed.shape[-1] else mixed[..., shared]
@@ -454,9 +425,8 @@ def deviations(
         held = np.einsum("puu->pu", inverse)
         return held, held + more.reshape(held.shape)
 
-    at_once = max(PIXELS_AT_ONCE // pixels.pictures, 1)
     variances = np.zeros((2, count, 7))
-    variances[..., :UNKNOWNS] = by_pieces(pixels, of, at_once=at_once)
+    variances[..., :UNKNOWNS] = by_pieces(pixels, of)
     variances[~(variances > 0)] = np.inf  # singular but for rounding: the samples tell nothing
     variances[..., 6] = state.metallic * (1 - state.metallic)
     return variances[0], variances[1]
