@@ -5,7 +5,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use glam::DVec3;
 use pbrfit::lamps::descent::Free;
 use pbrfit::lamps::pixel_fit::{LampFit, LampPictures, NUMBERS, fit_under_lamps};
-use pbrfit::lamps::render::{Lamplit, lamp_radiance, lamp_slopes};
+use pbrfit::lamps::render::{Lamplit, lamp_radiance};
 use pbrfit::reflectance::model::Model;
 use pbrfit::reflectance::planes::Material;
 
@@ -70,9 +70,6 @@ fn light(c: &mut Criterion) {
                 b.iter(|| lamp_radiance(example.lamplit(model), 1).unwrap());
             },
         );
-        group.bench_function(BenchmarkId::new("lamp_slopes", format!("{model:?}")), |b| {
-            b.iter(|| lamp_slopes(example.lamplit(model), 1).unwrap());
-        });
     }
     group.finish();
 }
@@ -94,13 +91,15 @@ fn fit(c: &mut Criterion) {
     for model in MODELS {
         let mut radiance = lamp_radiance(example.lamplit(model), 0).unwrap();
         for (i, radiance) in radiance.iter_mut().enumerate() {
-            *radiance *= 0.99 + 0.02 * wave(i, 1.93);
+            for value in radiance {
+                *value *= 0.99 + 0.02 * wave(i, 1.93);
+            }
         }
         for (name, ambient) in [("lamps", 0.0), ("lamps and SH light", 0.05)] {
             let sky = [[ambient; 3]; LAMPS];
             for threads in [1, 2] {
                 let given = LampPictures {
-                    pictures: radiance.as_chunks().0,
+                    pictures: &radiance,
                     weights: &intensities,
                     limits: None,
                     views: &example.views,

@@ -29,7 +29,6 @@ __all__ = [
     "image_format",
     "judge_samples",
     "lamp_radiance",
-    "lamp_slopes",
     "lamp_system",
     "last_word",
     "lobe_functions",
@@ -123,22 +122,6 @@ class Environment:
         model: str,
     ) -> NDArray[np.float64]:
         """Radiance (P, 3) of pixels under the light turned by so many radians."""
-
-def lamp_slopes(
-    normals: NDArray[np.float64],
-    views: NDArray[np.float64],
-    albedo: NDArray[np.float64],
-    roughness: NDArray[np.float64],
-    metallic: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    threads: int,
-    model: str = "paper",
-) -> NDArray[np.float64]:
-    """`lamp_radiance`, and its derivatives, (P, K, 3, 10).
-
-    Radiance; by normal and by direction, vectors in the tangent planes of both; of each channel by
-    its own albedo; by roughness; by metallic. All are 0 where n·l ≤ 0.
-    """
 
 def fit_under_lamps(
     pictures: NDArray[np.float64],

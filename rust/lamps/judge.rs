@@ -72,9 +72,11 @@ pub fn judge(
     model: Model,
     threads: usize,
 ) -> Result<Judged> {
+    check::unit_vectors("normals", normals)?;
     let lights = given.check(normals, materials)?;
     let pictures = given.ambient.len();
     check::length("shadows", pictures, noise.shadows.len())?;
+    check::unit_interval("shadows", noise.shadows)?;
     let samples = materials.len() * pictures;
     let mut judged = Judged {
         odds: collect("pictures", samples, repeat_n(f64::INFINITY, samples))?,

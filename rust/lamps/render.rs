@@ -54,102 +54,72 @@ impl Lamplit<'_> {
     }
 }
 
-/// Numbers of a lamp and channel with their derivatives: radiance under unit light, vectors by the
-/// normal and by the light's direction, in their tangent planes, and by its own albedo, by roughness
-/// and by metallic.
-pub const WITH_SLOPES: usize = 10;
-
 /// Radiance of every pixel under unit light of each of its lamps: (pixel, lamp, channel).
 ///
 /// `threads` = 0 means one for each processor; the result does not depend on it.
-pub fn lamp_radiance(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
-    of_lamps::<1, false>(pixels, threads)
-}
-
-/// The same with its derivatives: (pixel, lamp, channel, [`WITH_SLOPES`]).
-pub fn lamp_slopes(pixels: Lamplit, threads: usize) -> Result<Vec<f64>> {
-    of_lamps::<WITH_SLOPES, true>(pixels, threads)
-}
-
-fn of_lamps<const NUMBERS: usize, const SLOPES: bool>(
-    pixels: Lamplit,
-    threads: usize,
-) -> Result<Vec<f64>> {
+pub fn lamp_radiance(pixels: Lamplit, threads: usize) -> Result<Vec<[f64; 3]>> {
     let lamps = pixels.check()?;
-    let mut found = zeros("directions", pixels.directions.len() * 3 * NUMBERS)?;
+    let mut found = zeros("directions", pixels.directions.len())?;
     if lamps == 0 {
         return Ok(found);
     }
     let instructions = Instructions::best();
-    let pieces = (found.chunks_mut(PIECE * lamps * 3 * NUMBERS).enumerate()).collect();
-    pool::map(threads, pieces, |(piece, found): (usize, &mut [f64])| {
-        instructions.run(OfLamps::<NUMBERS, SLOPES> {
-            pixels,
-            lamps,
-            first: piece * PIECE,
-            found: found.as_chunks_mut().0,
-        });
-    });
+    let pieces = (found.chunks_mut(PIECE * lamps).enumerate()).collect();
+    pool::map(
+        threads,
+        pieces,
+        |(piece, found): (usize, &mut [[f64; 3]])| {
+            instructions.run(OfLamps {
+                pixels,
+                lamps,
+                first: piece * PIECE,
+                found,
+            });
+        },
+    );
     Ok(found)
 }
 
 /// Pixels from the first on, as many as there is room for.
-struct OfLamps<'a, const NUMBERS: usize, const SLOPES: bool> {
+struct OfLamps<'a> {
     pixels: Lamplit<'a>,
     lamps: usize,
     first: usize,
-    found: &'a mut [[f64; NUMBERS]],
+    found: &'a mut [[f64; 3]],
 }
 
-impl<const NUMBERS: usize, const SLOPES: bool> Kernel for OfLamps<'_, NUMBERS, SLOPES> {
+impl Kernel for OfLamps<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, isa: I) {
         let (pixels, lamps) = (self.pixels, self.lamps);
-        for (p, found) in (self.first..).zip(self.found.chunks_mut(3 * lamps)) {
+        for (p, found) in (self.first..).zip(self.found.chunks_mut(lamps)) {
             let [normal, view] = [pixels.normals[p], pixels.views[p]];
-            let surface = Surface::<SLOPES>::new(pixels.model, normal, view, &pixels.materials[p]);
+            let surface = Surface::<false>::new(pixels.model, normal, view, &pixels.materials[p]);
             let directions = &pixels.directions[p * lamps..(p + 1) * lamps];
-            if !SLOPES && !pixels.extents.is_empty() {
-                for (k, found) in found.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-                    let extent = pixels.extents[p * lamps + k];
-                    *found = surface
-                        .of_disk(directions[k], extent)
-                        .map(|of| [of; NUMBERS]);
+            if !pixels.extents.is_empty() {
+                for (k, found) in found.iter_mut().enumerate() {
+                    *found = surface.of_disk(directions[k], pixels.extents[p * lamps + k]);
                 }
                 continue;
             }
-            let of_lanes = directions.chunks(LANES).zip(found.chunks_mut(3 * LANES));
-            for (directions, found) in of_lanes {
+            for (directions, found) in directions.chunks(LANES).zip(found.chunks_mut(LANES)) {
                 let mut sides = [[0.0; LANES]; 3];
                 for (i, direction) in directions.iter().enumerate() {
                     (sides[0][i], sides[1][i], sides[2][i]) = (*direction).into();
                 }
-                let mut numbers = [[[0.0; LANES]; NUMBERS]; 3];
+                let mut radiance = [[0.0; LANES]; 3];
                 for at in 0..LANES / <I as Vectors<f64>>::LANES {
                     let of = |lanes: &Lanes| Wide(isa, I::of(lanes)[at]);
                     let light = [of(&sides[0]), of(&sides[1]), of(&sides[2])];
                     let (lit, unit) = surface.reflected_of(light);
-                    let (by_normal, by_direction) = match SLOPES {
-                        true => (unit.by_normal(), unit.by_direction()),
-                        false => ([light; 3], [light; 3]),
-                    };
                     for c in 0..3 {
-                        let ([x, y, z], [u, v, w]) = (by_normal[c], by_direction[c]);
-                        let by = [unit.by_albedo[c], unit.by_roughness[c], unit.by_metallic[c]];
-                        let all = [unit.radiance[c], x, y, z, u, v, w, by[0], by[1], by[2]];
-                        for j in 0..NUMBERS {
-                            I::of_mut(&mut numbers[c][j])[at] = (lit * all[j]).1;
-                        }
+                        I::of_mut(&mut radiance[c])[at] = (lit * unit.radiance[c]).1;
                     }
                 }
                 for i in 0..directions.len() {
-                    for c in 0..3 {
-                        for j in 0..NUMBERS {
-                            found[3 * i + c][j] = numbers[c][j][i];
-                        }
-                    }
+                    found[i] = [radiance[0][i], radiance[1][i], radiance[2][i]];
                 }
             }
         }

@@ -118,23 +118,6 @@ pub struct Reflected<T = f64> {
 }
 
 impl<T: Number> Reflected<T> {
-    /// Derivatives by the normal, by channel: vectors in the normal's tangent plane, so that the product
-    /// with a small change dn of the normal is the change of radiance.
-    #[inline(always)]
-    pub fn by_normal(&self) -> [Vector<T>; 3] {
-        let normal = self.constant(self.normal);
-        let v = across(self.constant(self.view), normal);
-        let (l, h) = (across(self.light, normal), across(self.half, normal));
-        let mut by = [v; 3];
-        for c in 0..3 {
-            for a in 0..3 {
-                by[c][a] =
-                    v[a] * self.by_n_dot_v[c] + l[a] * self.by_n_dot_l[c] + h[a] * self.by_half[c];
-            }
-        }
-        by
-    }
-
     /// Derivatives by the light's direction, by channel: vectors in its tangent plane.
     #[inline(always)]
     pub fn by_direction(&self) -> [Vector<T>; 3] {
@@ -162,7 +145,7 @@ impl<T: Number> Reflected<T> {
     /// Derivatives of all channels by what turns the normal so: dn has to lie in the normal's tangent
     /// plane.
     #[inline(always)]
-    pub(super) fn along(&self, change: DVec3) -> [T; 3] {
+    pub fn along(&self, change: DVec3) -> [T; 3] {
         let x = self.view.dot(change);
         let (y, h) = (dot(self.light, change), dot(self.half, change));
         let mut along = self.by_n_dot_v;

@@ -30,6 +30,7 @@ use crate::reflectance::model::{Model, with_model};
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::tangent_offset::tangents;
+use crate::runtime::check::LARGEST_F32;
 use crate::runtime::memory::zeros;
 use crate::runtime::simd::{Isa, Kernel, Vectors};
 use crate::runtime::{Result, check, pool};
@@ -74,10 +75,13 @@ pub fn lamp_system(
     model: Model,
     threads: usize,
 ) -> Result<LampSystem> {
+    check::unit_vectors("normals", normals)?;
     let lights = given.check(normals, materials)?;
     let (pixels, lamps) = (materials.len(), given.picture_of.len());
     check::length("strengths", pixels * lamps, movable.strengths.len())?;
     check::length("by_place", pixels * lamps, movable.by_place.len())?;
+    check::moderate("strengths", movable.strengths, LARGEST_F32)?;
+    check::moderate("by_place", movable.by_place.as_flattened(), LARGEST_F32)?;
     let first = |i: usize| given.picture_of.partition_point(|&of| of < i);
     let columns_of = |i| {
         [0, 1, 2].map(|c| {

@@ -9,9 +9,7 @@ use super::arrays::{
 use crate::lamps::descent::Free;
 use crate::lamps::judge::{LampNoise, judge};
 use crate::lamps::pixel_fit::{LampFit, LampPictures, NUMBERS, fit_under_lamps as fit_pixels};
-use crate::lamps::render::{
-    Lamplit, WITH_SLOPES, lamp_radiance as radiance_of_pixels, lamp_slopes as slopes_of_pixels,
-};
+use crate::lamps::render::{Lamplit, lamp_radiance as radiance_of_pixels};
 use crate::lamps::system::{Movable, OF_PIXEL, ROWS, lamp_system as system_of_pixels};
 use crate::runtime::check;
 
@@ -34,48 +32,20 @@ pub(super) fn lamp_radiance<'py>(
     let pixels = Pixels::new(["normals", "views"], given)?;
     let (lamps, directions) = lamp_vectors("directions", directions, pixels.count())?;
     let extents = optional("extents", extents, [directions.len()])?.unwrap_or_default();
-    let lamplit = lamplit(&pixels, &directions, &extents, model)?;
-    let radiance = py.detach(|| radiance_of_pixels(lamplit, threads))?;
-    Ok(out(py, radiance, [pixels.count(), lamps, 3]))
-}
-
-/// Pixels, each with directions of its own.
-fn lamplit<'a>(
-    pixels: &'a Pixels,
-    directions: &'a [DVec3],
-    extents: &'a [f64],
-    model: &str,
-) -> PyResult<Lamplit<'a>> {
-    Ok(Lamplit {
+    let lamplit = Lamplit {
         normals: &pixels.normals,
         views: &pixels.views,
         materials: &pixels.materials,
-        directions,
-        extents,
+        directions: &directions,
+        extents: &extents,
         model: model.parse()?,
-    })
-}
-
-#[pyfunction]
-#[pyo3(signature = (normals, views, albedo, roughness, metallic, directions, threads, model = "paper"))]
-#[expect(clippy::too_many_arguments)]
-pub(super) fn lamp_slopes<'py>(
-    py: Python<'py>,
-    normals: &Bound<'py, PyAny>,
-    views: &Bound<'py, PyAny>,
-    albedo: &Bound<'py, PyAny>,
-    roughness: &Bound<'py, PyAny>,
-    metallic: &Bound<'py, PyAny>,
-    directions: &Bound<'py, PyAny>,
-    threads: usize,
-    model: &str,
-) -> PyResult<Out<'py, 4>> {
-    let given = [normals, views, albedo, roughness, metallic];
-    let pixels = Pixels::new(["normals", "views"], given)?;
-    let (lamps, directions) = lamp_vectors("directions", directions, pixels.count())?;
-    let lamplit = lamplit(&pixels, &directions, &[], model)?;
-    let slopes = py.detach(|| slopes_of_pixels(lamplit, threads))?;
-    Ok(out(py, slopes, [pixels.count(), lamps, 3, WITH_SLOPES]))
+    };
+    let radiance = py.detach(|| radiance_of_pixels(lamplit, threads))?;
+    Ok(out(
+        py,
+        radiance.into_flattened(),
+        [pixels.count(), lamps, 3],
+    ))
 }
 
 #[pyfunction]

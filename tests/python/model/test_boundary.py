@@ -89,18 +89,34 @@ def lamplit_of(kind: Kind, rng: np.random.Generator) -> Arguments:
     return many_of(kind, rng) | {"directions": directions, "threads": 1}
 
 
-def under_lamps(kind: Kind, rng: np.random.Generator) -> Arguments:
-    lamplit = lamplit_of(kind, rng)
-    # Less than 90 degrees apart.
-    normals = reference.unit(np.array([0, 0, 1.5]) + lamplit.pop("normals"))
+def seen_under_lamps(kind: Kind, rng: np.random.Generator) -> Arguments:
     samples = (kind.pixels, kind.pictures, 3)
-    return lamplit | {
+    return lamplit_of(kind, rng) | {
         "pictures": rng.random(samples),
         "weights": rng.random(samples),
         "limits": rng.integers(0, 3, samples).astype(np.uint8),
         "intensities": rng.random(samples),
         "picture_of": np.arange(kind.pictures, dtype=np.uint64),
         "ambient": rng.normal(size=(kind.pictures, 3)),
+    }
+
+
+def under_moving_lamps(kind: Kind, rng: np.random.Generator) -> Arguments:
+    of_lamps = kind.pixels, kind.pictures
+    moving = {"strengths": rng.random(of_lamps), "by_place": rng.normal(size=(*of_lamps, 4))}
+    return seen_under_lamps(kind, rng) | moving
+
+
+def with_noise(kind: Kind, rng: np.random.Generator) -> Arguments:
+    noise = {"floor": 0.1, "growth": 0.2, "proportional": kind.free_normals, "least": 1e-4}
+    return seen_under_lamps(kind, rng) | noise | {"shadows": rng.random(kind.pictures)}
+
+
+def under_lamps(kind: Kind, rng: np.random.Generator) -> Arguments:
+    seen = seen_under_lamps(kind, rng)
+    # Less than 90 degrees apart.
+    normals = reference.unit(np.array([0, 0, 1.5]) + seen.pop("normals"))
+    return seen | {
         "base_normals": normals,
         "start_normals": normals,
         "prior_mean": rng.random((kind.pixels, 7)),
@@ -221,7 +237,9 @@ FUNCTIONS = {
     "shade_vjp": Function(with_cotangent, alone(_core.shade_vjp)),
     "render": Function(with_lighting, alone(_core.render)),
     "lamp_radiance": Function(lamplit_of, alone(_core.lamp_radiance)),
-    "lamp_slopes": Function(lamplit_of, alone(_core.lamp_slopes)),
+    "lamp_system": Function(under_moving_lamps, alone(_core.lamp_system)),
+    # Odds of samples that no shadow explains are infinite.
+    "judge_samples": Function(with_noise, alone(lambda **given: _core.judge_samples(**given)[1:])),
     "fit_under_lamps": Function(under_lamps, alone(_core.fit_under_lamps)),
     "Problem": Function(problem_of, evaluate),
     "Problem among surroundings": Function(

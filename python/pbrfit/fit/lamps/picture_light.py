@@ -30,6 +30,9 @@ DIRECTIONS = 400
 
 STEPS = 30
 
+STEP = 1e-5
+"""By which directions differ in differences, a tangent: the cube root of rounding, about."""
+
 RIDGE = 1e-6
 """Added to the diagonal of the linear equations, as a share of their trace."""
 
@@ -117,14 +120,17 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
     cost = cost_of(state)
     for _ in range(STEPS):
         residual = radiance(pixels, state) - pixels.samples
-        directions, _ = state.incident(pixels)
         normals, albedo, roughness, metallic = surface_of(state)
         surfaces = normals, pixels.views, albedo, roughness, metallic
-        unit = _core.lamp_slopes(*surfaces, directions, pixels.threads, pixels.model)[:, 0]
-        by_place = unit[..., 4:7] * state.lamps.colors[0, :, None]
-        by_ambient = _core.shade(*surfaces, pixels.model).reshape(-1, 3, 16)[..., :terms, None]
         frame = tangents(state.lamps.places)[0]
-        parts = [by_place @ frame.T, unit[..., :1] * np.eye(3)]
+        beside = np.concatenate([np.zeros((1, 3)), STEP * frame, -STEP * frame])
+        beside += state.lamps.places
+        beside /= np.linalg.norm(beside, axis=-1, keepdims=True)
+        directions = np.broadcast_to(beside, (len(pixels), *beside.shape)).copy()
+        unit = _core.lamp_radiance(*surfaces, directions, pixels.threads, pixels.model)
+        by_place = (unit[:, 1:3] - unit[:, 3:]).swapaxes(1, 2) / (2 * STEP)
+        by_ambient = _core.shade(*surfaces, pixels.model).reshape(-1, 3, 16)[..., :terms, None]
+        parts = [by_place * state.lamps.colors[0, :, None], unit[:, 0, :, None] * np.eye(3)]
         parts.append((by_ambient * np.eye(3)[:, None]).reshape(len(pixels), 3, -1))
         jacobian = np.concatenate(parts, axis=-1).reshape(3 * len(pixels), -1)
         w = pixels.weights[:, 0].reshape(-1)

@@ -1,0 +1,87 @@
+"""What noise makes of samples under lamps, against its formulas sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance
+from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Judged, Noise
+from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
+from pbrfit.io.limits import AT_LEAST, AT_MOST
+from pbrfit.model.lamps import Lamps
+from reference import unit
+
+PICTURES = 11
+
+
+def example(count: int) -> tuple[LampPixels, LampState]:
+    """Pixels of which some samples are dark, some bright, some no data, some bounds."""
+    rng = np.random.default_rng(0)
+    shape, forward = (count, PICTURES, 3), [0, 0, 1]
+    normals, views = (unit(rng.normal(size=(count, 3)) * 0.3 + forward) for _ in range(2))
+    weights = rng.uniform(0.5, 1, shape) * (rng.random(shape) > 0.2)
+    limits = rng.choice([0, 0, AT_LEAST, AT_MOST], shape).astype(np.uint8)
+    flat = np.zeros(count, np.intp), np.arange(count)
+    pixels = LampPixels(
+        np.zeros(shape), weights, limits, views, None, normals, *flat, 1.0, "principled", 2
+    )
+    places = unit(rng.normal(size=(PICTURES, 3)) * 0.5 + forward)
+    lamps = Lamps(np.arange(PICTURES), places, colors=rng.uniform(1, 2, (PICTURES, 3)))
+    ambient = np.zeros((PICTURES, 16, 3))
+    ambient[:, 0] = 0.1 * rng.random((PICTURES, 3))
+    materials = rng.random((count, 3)), rng.uniform(0.2, 0.9, count), rng.random(count)
+    state = LampState(lamps, ambient, normals, *materials)
+    return replace(
+        pixels, samples=radiance(pixels, state) * rng.choice([0, 0.5, 1.1], shape)
+    ), state
+
+
+@pytest.mark.parametrize("proportional", [False, True])
+def test_samples_are_judged_by_the_formulas(proportional: bool) -> None:
+    pixels, state = example(20)
+    shadows = np.linspace(0.0, 0.6, PICTURES)
+    found = Noise(0.05, 0.1, shadows, proportional).judged(pixels, state)
+    shown = radiance(pixels, state)
+    left = pixels.residuals(shown)
+    dark = 0
+    for p, i in np.ndindex(pixels.samples.shape[:2]):
+        used = pixels.weights[p, i] > 0
+        level = np.maximum(pixels.samples[p, i], NOISE_MIN)
+        variance = 0.05**2 + 0.1**2 * (level**2 if proportional else MEAN_RADIANCE * level)
+        terms = left[p, i] ** 2 / variance + np.log(2 * np.pi * variance)
+        share = np.clip(shadows[i], 1e-3, 0.5)
+        lit = np.log(1 - share) - 0.5 * (terms[used].mean() if used.any() else 0.0)
+        expected, odds = lit * used.any(), np.inf
+        if left[p, i].sum() > 0:
+            shadow = np.log(share) - np.log(np.maximum(shown[p, i], NOISE_MIN).mean())
+            expected, odds, dark = np.logaddexp(lit, shadow), lit - shadow, dark + 1
+        found.likelihoods[p] -= expected
+        assert found.odds[p, i] == pytest.approx(odds)
+        size = np.maximum(shown[p, i], NOISE_MIN) * np.maximum(np.abs(left[p, i]), NOISE_MIN)
+        weights = [np.minimum(1 / size, 1 / variance), 1 / variance] * pixels.weights[p, i]
+        np.testing.assert_allclose(found.weights[p, i], weights, rtol=1e-9)
+    assert 0 < dark < found.odds.size
+    np.testing.assert_allclose(found.likelihoods, 0, atol=1e-9)
+
+
+def test_weights_are_between_those_in_shadows_and_in_none() -> None:
+    weights = np.array([[[[1.0, 2, 3], [5, 6, 7]]]])
+    judged = Judged(np.zeros((1, 1)), np.zeros(1), weights)
+    for odds, expected in (np.inf, [5, 6, 7]), (-np.inf, [1, 2, 3]), (0.0, [3, 4, 5]):
+        np.testing.assert_allclose(judged.weighed(np.array([[odds]])), [[expected]])
+
+
+def test_pieces_and_threads_change_no_bit() -> None:
+    count = 2 * PIXELS_AT_ONCE // PICTURES + 5
+    pixels, state = example(count)
+    noise = Noise(0.05, 0.1, np.full(PICTURES, 0.1))
+    together = noise.judged(pixels, state)
+    rows = slice(count - 9, count)
+    alone = noise.judged(replace(pixels, threads=1).of_rows(rows), state.of_rows(rows))
+    for one, two in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(one[rows], two)
+    [numbers] = by_pieces(pixels, lambda some, _: (some.places.astype(float),))
+    np.testing.assert_array_equal(numbers, np.arange(count))
