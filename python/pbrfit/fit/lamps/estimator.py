@@ -607,7 +607,8 @@ class LampFit:
             pixels = LampPixels.of(
                 seen, self.normals, self.model, self.setup.threads, places[band], like=few
             )
-            prior = of_labels(fit.prior, few, pixels, self._offset_sigma(pixels.places))
+            sigma = self._offset_sigma(pixels.places)
+            prior = of_labels(fit.prior, few, pixels, sigma)
             lit = self.lit_at(pixels)
             if lit is not None:
                 weights = pixels.weights * lit(fit.state.lamps)[..., None]
@@ -629,7 +630,7 @@ class LampFit:
                     prior,
                     fit.freedom,
                     scene.width,
-                    metals=self.options.metallic is None,
+                    metals=first_prior(pixels, sigma) if self.options.metallic is None else None,
                     uncertain=self._covariance(fit) if self.options.uncertainty else None,
                     once=self.trace.out_of_time(),
                 )

@@ -7,12 +7,14 @@ there. What is too bright is judged alone: highlights are as narrow as they are.
 **Metals.** A surface is a dielectric or a metal; what is between is a mixture inside a pixel. Each
 pixel is fitted as both. With equal priors on all else, Laplace's approximation of the evidence is
 
-    ln p(y | kind) = −½ (cost + ln det H) + const,
+    ln p(y | kind) = −½ (cost + ln det H − ln det Q) + const,
 
-H the information of the pixel's unknowns. Residuals of neighbours and channels are alike, so that
-costs count as a share of the samples that are independent, and log odds are averaged over 3 × 3
-pixels. The share of metals of each label is found by expectation and maximisation, and metallic is
-the probability; where that is not near 0 or 1 the rest is fitted once more with it.
+H the information of the pixel's unknowns, Q the prior's. Matt neighbours tell nothing of a metal's
+roughness, so a metal has a prior of its own. Residuals of neighbours and channels are alike, so
+that costs count as a share of the samples that are independent, and as less where neither kind
+explains a pixel; log odds are averaged over 3 × 3 pixels. The share of metals of each label is
+found by expectation and maximisation, and metallic is the probability; where that is not near 0 or
+1 the rest is fitted once more with it.
 """
 
 from __future__ import annotations
@@ -236,23 +238,27 @@ def fit_band(
     freedom: Freedom,
     width: int,
     *,
-    metals: bool,
+    metals: SurfacePrior | None,
     uncertain: Array | None,
     once: bool = False,
 ) -> Band:
     """Surfaces of some pixels; `uncertain`, the lights' covariance, where deviations are wanted.
 
-    `once` leaves them as one fit finds them, dielectrics alone, in an eighth of the time.
+    `metals` is the prior of those that are metals; None where metallic is known. `once` leaves
+    surfaces as one fit finds them, dielectrics alone, in an eighth of the time.
     """
     state, weights, *_ = robust_surfaces(pixels, state, noise, prior, free_normals=freedom.normals)
+    chance = state.metallic
     if not once:
-        state, weights = _from_more_starts(
+        state, weights, chance = _from_more_starts(
             pixels, state, noise, prior, width, free=freedom.normals, metals=metals
         )
     residual = pixels.residuals(radiance(pixels, state))
     variance = marginal = np.zeros((len(pixels), 7))
     if uncertain is not None:
-        variance, marginal = deviations(pixels, state, noise, weights, freedom, uncertain)
+        found = deviations(pixels, state, noise, weights, freedom, uncertain)
+        of_metallic = chance[:, None] * (1 - chance[:, None])
+        variance, marginal = (np.hstack([one, of_metallic]) for one in found)
     squares = float((pixels.weights * residual**2).sum())
     return Band(state, variance, marginal, squares, float(pixels.weights.sum()))
 
@@ -265,9 +271,9 @@ def _from_more_starts(
     width: int,
     *,
     free: bool,
-    metals: bool,
-) -> tuple[LampState, Array]:
-    """Surfaces, and weights of samples, where one fit may have ended in a wrong minimum."""
+    metals: SurfacePrior | None,
+) -> tuple[LampState, Array, Array]:
+    """Surfaces, weights of samples and the probability of metals, by fits from several starts."""
 
     def improved(begin: LampState, rows: NDArray[np.intp]) -> tuple[LampState, Array]:
         """With some pixels from another start, where that surprises less."""
@@ -290,11 +296,13 @@ def _from_more_starts(
     state, weights, cost, information = robust_surfaces(
         pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
     )
-    if metals:
-        state = _with_metals(pixels, state, weights, prior, width, cost, information, free)
+    chance = state.metallic
+    if metals is not None:
+        priors = prior, metals
+        state, chance = _with_metals(pixels, state, weights, priors, width, cost, information, free)
     if free:
         state = _as_seen(pixels, state, prior)
-    return state, weights
+    return state, weights, chance
 
 
 def _as_seen(pixels: LampPixels, state: LampState, prior: SurfacePrior) -> LampState:
@@ -318,51 +326,61 @@ def _with_metals(
     pixels: LampPixels,
     state: LampState,
     weights: Array,
-    prior: SurfacePrior,
+    priors: tuple[SurfacePrior, SurfacePrior],
     width: int,
     cost: Array,
     information: Array,
     free_normals: bool,
-) -> LampState:
-    """A state of dielectrics, with metals where these explain the samples better."""
+) -> tuple[LampState, Array]:
+    """A state of dielectrics, with metals where these explain the samples better.
+
+    `priors` are those of dielectrics and of metals. Also the probability of metals (P,).
+    """
     count = len(pixels)
     metal, metal_cost, metal_information = state, np.full(count, np.inf), information
     for roughness in METAL_STARTS[:1] if free_normals else METAL_STARTS:
         bright = np.clip(state.albedo * 1.5, 0.1, 1.0)
         begin = state.with_surface(state.normals, bright, np.full(count, roughness), np.ones(count))
         begin, of_begin, told = fit_surfaces(
-            pixels, begin, weights, prior, iterations=STEPS, free_normals=free_normals
+            pixels, begin, weights, priors[1], iterations=STEPS, free_normals=free_normals
         )
         take = of_begin < metal_cost
         metal, metal_cost = better_of(metal, metal_cost, begin, of_begin)
         metal_information = np.where(take[:, None, None], told, metal_information)
-    # What the better of both leaves of a pixel is misfit, of which costs count as so many samples.
+    # What the better of both leaves is misfit, of which costs count as so many samples: that of a
+    # pixel that neither explains, for its costs tell as much less, or what is usual.
     samples = np.maximum((pixels.weights > 0).sum(axis=(1, 2)) - UNKNOWNS, 1)
-    left_over = np.median(np.minimum(cost, metal_cost) / samples)
-    misfit = max(float(left_over), MISFIT_MIN)
+    left_over = np.minimum(cost, metal_cost) / samples
+    misfit = np.maximum(left_over, max(float(np.median(left_over)), MISFIT_MIN))
     odds = -0.5 * INDEPENDENT * (metal_cost - cost) / misfit
-    odds -= 0.5 * (log_determinant(metal_information) - log_determinant(information))
+    odds -= 0.5 * (_told(metal_information, priors[1]) - _told(information, priors[0]))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
     chance = probability(odds + np.log(share / (1 - share)))
-    chance = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))
-    state = replace(better_of(state, chance, metal, 1 - chance)[0], metallic=chance)
-    between = np.flatnonzero((chance > 0) & (chance < 1))
+    metallic = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))
+    state = replace(better_of(state, chance, metal, 1 - chance)[0], metallic=metallic)
+    between = np.flatnonzero((metallic > 0) & (metallic < 1))
     if len(between):
-        some, of_some = pixels.of_rows(between), prior.of_rows(between)
-        given = some, state.of_rows(between), weights[between], of_some
+        rather = chance[between, None] > 0.5
+        of_dielectrics, of_metals = (one.of_rows(between) for one in priors)
+        of_some = SurfacePrior(
+            np.where(rather, of_metals.mean, of_dielectrics.mean),
+            np.where(rather, of_metals.precision, of_dielectrics.precision),
+        )
+        given = pixels.of_rows(between), state.of_rows(between), weights[between], of_some
         refitted, _, _ = fit_surfaces(*given, iterations=STEPS, free_normals=free_normals)
         for name in ("normals", "albedo", "roughness"):
             getattr(state, name)[between] = getattr(refitted, name)
-    return state
+    return state, chance
 
 
-def log_determinant(information: Array) -> Array:
-    """(P,): of the unknowns that are free; none is wider than uniform in [0, 1], variance 1/12."""
+def _told(information: Array, prior: SurfacePrior) -> Array:
+    """(P,): ln det H − ln det Q of what is free; none is wider than uniform in [0, 1], 1/12."""
     diagonal = np.einsum("puu->pu", information)
     solid = information.copy()
-    np.einsum("puu->pu", solid)[:] = np.where(diagonal > 0, diagonal + 12.0, 12.0)
-    return np.asarray(np.linalg.slogdet(solid)[1])
+    np.einsum("puu->pu", solid)[:] = diagonal + 12.0
+    known = np.where(diagonal > 0, prior.precision, 0.0) + 12.0
+    return np.asarray(np.linalg.slogdet(solid)[1] - np.log(known).sum(axis=1))
 
 
 def metal_shares(odds: Array, labels: NDArray[np.intp]) -> Array:
@@ -397,7 +415,7 @@ def deviations(
     freedom: Freedom,
     covariance: Array,
 ) -> tuple[Array, Array]:
-    """(P, 7) variances with lights held, and with lights as uncertain as `covariance`.
+    """(P, 6) variances with lights held, and with lights as uncertain as `covariance`.
 
     At a bound they are those of the same curvature just inside: to the one side that is left.
     Infinite where samples tell nothing.
@@ -425,8 +443,6 @@ def deviations(
         held = np.einsum("puu->pu", inverse)
         return held, held + more.reshape(held.shape)
 
-    variances = np.zeros((2, count, 7))
-    variances[..., :UNKNOWNS] = by_pieces(pixels, of)
+    variances = np.array(by_pieces(pixels, of))
     variances[~(variances > 0)] = np.inf  # singular but for rounding: the samples tell nothing
-    variances[..., 6] = state.metallic * (1 - state.metallic)
     return variances[0], variances[1]

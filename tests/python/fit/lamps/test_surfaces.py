@@ -1,4 +1,4 @@
-"""What noise makes of samples under lamps, against its formulas sample by sample."""
+"""What noise makes of samples under lamps, sample by sample; metals among dielectrics."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pbrfit.fit.lamps.estimator import first_prior
+from pbrfit.fit.lamps.joint import Freedom
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Judged, Noise
+from pbrfit.fit.lamps.surfaces import Band, fit_band
 from pbrfit.fit.settings import MEAN_RADIANCE, PIXELS_AT_ONCE
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.model.lamps import Lamps
@@ -85,3 +88,45 @@ def test_pieces_and_threads_change_no_bit() -> None:
         np.testing.assert_array_equal(one[rows], two)
     [numbers] = by_pieces(pixels, lambda some, _: (some.places.astype(float),))
     np.testing.assert_array_equal(numbers, np.arange(count))
+
+
+METALS, ODD = np.arange(100) % 10 >= 6, np.arange(100) < 50
+"""Of 10 × 10 pixels."""
+
+
+def fitted(metals: tuple[float, float], off: float = 0.0) -> Band:
+    """Dielectrics of roughness 0.6 beside metals of 0.15, by priors on roughness: mean, deviation.
+
+    Samples of odd pixels have the relative deviation `off`.
+    """
+    pixels, state = example(100)
+    rough = np.where(METALS, 0.15, 0.6)
+    state = replace(state, roughness=rough, metallic=METALS.astype(float))
+    rng, blank = np.random.default_rng(1), np.zeros(pixels.samples.shape)
+    errors = off * rng.normal(size=blank.shape) * ODD[:, None, None]
+    samples = np.maximum(radiance(pixels, state) * (1 + errors), 0)
+    limits = np.zeros(blank.shape, np.uint8)
+    pixels = replace(pixels, samples=samples, weights=blank + 1, limits=limits)
+    priors = []
+    for mean, sigma in ((0.6, 0.02), metals):
+        prior = first_prior(pixels, 0.09)
+        prior.mean[:, 5], prior.precision[:, 5] = mean, sigma**-2
+        priors.append(prior)
+    begin = state.with_surface(pixels.normals, state.albedo, np.full(100, 0.6), np.zeros(100))
+    noise, freedom = Noise(0.01, 0.05, np.full(PICTURES, 0.01)), Freedom(normals=True)
+    nothing = np.zeros((9 * PICTURES, 9 * PICTURES))
+    known = noise, priors[0], freedom, 10
+    return fit_band(pixels, begin, *known, metals=priors[1], uncertain=nothing)
+
+
+def test_metals_are_not_as_rough_as_the_dielectrics_around_them() -> None:
+    assert fitted((0.5, 0.25)).state.metallic[METALS].mean() > 0.98
+    assert fitted((0.6, 0.02)).state.metallic[METALS].mean() < 0.8  # were they
+
+
+def test_pixels_that_neither_kind_explains_tell_less_of_theirs() -> None:
+    found = fitted((0.5, 0.25), off=1.0)
+    of_matt = ~METALS & ODD
+    assert found.state.metallic[of_matt].mean() < 0.3  # 1 by the misfit of most pixels
+    assert np.sqrt(found.marginal[of_matt, 6]).mean() > 0.05
+    assert found.state.metallic[METALS].mean() > 0.98
