@@ -5,7 +5,6 @@ from __future__ import annotations
 from pbrfit_evaluation.explained import figures
 from pbrfit_evaluation.explained.measure import LAMPS, run
 from pbrfit_evaluation.explained.variants import HARMONICS, NEAR
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import count, cycles_cache
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Part, Suite
@@ -19,11 +18,9 @@ FEW_WAYS = ("constant", HARMONICS, NEAR)
 SUITE = Suite(
     name="lamps",
     title="Rooms under lamps",
-    description="Fit rooms that Blender Cycles renders under one point lamp a picture, with and "
-    "without their depth.",
     protocol=f"pbrfit-lamps-1: {SCORES}; lamps one a picture, medians over a room's; {{size}} "
     "pixels, {lights} pictures, {effort}",
-    parts=[Part.shown_by(figures, "lamps", LAMPS.cases, run, "lamps_", csvs=csvs)],
+    parts=[Part.shown_by(figures, "lamps", LAMPS.cases, run, "lamps_")],
     options=(
         *LAMPS.options(
             *(FIRST_SEED, "--setups"),
@@ -37,13 +34,13 @@ SUITE = Suite(
     ),
     effort=LAMPS.effort(few_ways=FEW_WAYS)
     | {"conditions": (DEFAULT, DEFAULT), "scenes": (10, 2), "size": (64, 24)},
-    quick="minutes: two small rooms",
     about=(
         "Rooms with furniture, each picture lit by one lamp without size and of its own colour, "
         "somewhere in the upper half of the room or near the camera; rendered by Blender Cycles "
-        "without light that surfaces reflect. Normals and segments are true, depth too where it is "
-        "told. The constant guess has roughness 0.5, metallic 0 and the mean of the true albedo. "
-        "Figures are means over rooms, with 95 % intervals by bootstrap over rooms in brackets.",
+        "without light that surfaces reflect. Normals and segments are true, depth too where it "
+        "is told. The constant guess has roughness 0.5, metallic 0 and the mean of the true "
+        "albedo. Figures are means over rooms, with 95 % intervals by bootstrap over rooms in "
+        "brackets.",
     ),
     timed=True,
 )

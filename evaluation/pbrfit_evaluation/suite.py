@@ -11,8 +11,7 @@ How to add a suite `speed`:
    are kept in `records/KEY.json`; `--resume` uses them again if case and code are the same.
 4. `figures(results)` makes the rows of summary.json from what was finished, which may be nothing.
 5. `verdicts(results, rows)` says what the figures must be; `sections(results, rows)` is what the
-   page shows beside them: tables, plots and pictures as data; `csvs(results, rows)` the CSV files,
-   by default scenes.csv with every number and word that was found.
+   page shows beside them: tables, plots and pictures as data.
 6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
    takes precedence. Files named `figures.py` do not count as code that records depend on.
 
@@ -28,7 +27,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, asdict, dataclass, field
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from pbrfit.report.html import Cell
@@ -431,27 +430,34 @@ Line = Mapping[str, object]
 """A line of a CSV file, values by column."""
 
 
-def numbers_csv(part: str, results: Results[Any]) -> list[Line]:
-    """Every number and word that was found, a line each.
+def csv_files(results: Results[Any]) -> dict[str, list[Line]]:
+    """What was found, by file name: in scenes.csv a line a case, with what the case is.
 
-    Lists, such as curves, and pictures (`panels.packed`) are in the records alone.
+    Of a list of mappings NAME, such as a curve, there is NAME.csv with a line for each. Pictures
+    (`panels.packed`) are in the records alone.
     """
-    return [
-        {"part": part, "task": case.key, "figure": name, "value": value}
-        for case, values in results.finished
-        for name, value in flat(values)
-    ]
+    files: dict[str, list[Line]] = {"scenes.csv": []}
+    for case, values in results.finished:
+        head = dict(flat(asdict(case)))
+        scores = values.get("scores", {})
+        files["scenes.csv"].append(
+            head | dict(flat(scores)) | dict(flat({**values, "scores": None}))
+        )
+        for name, of in values.items():
+            if isinstance(of, list) and of and isinstance(of[0], Mapping):
+                files.setdefault(f"{name}.csv", []).extend(head | dict(flat(one)) for one in of)
+    return files
 
 
 def flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, float | str]]:
-    """Numbers and words by their path; not lists, nor pictures (`panels.packed`)."""
+    """Numbers and words by their path; not lists of others, nor pictures (`panels.packed`)."""
     for name, value in values.items():
         if isinstance(value, Mapping) and "png" not in value:
             yield from flat(value, f"{before}{name}/")
-        elif isinstance(value, str):
+        elif isinstance(value, (str, int, float)):
             yield f"{before}{name}", value
-        elif isinstance(value, (int, float)):
-            yield f"{before}{name}", float(value)
+        elif isinstance(value, list) and all(isinstance(one, str) for one in value):
+            yield f"{before}{name}", " ".join(value)
 
 
 # ------------------------------------------------------------------------------ the suite
@@ -475,12 +481,8 @@ class Part(Generic[C]):
         As `--part` names it, where the suite has several.
     cases, run, figures, verdicts, sections
         See the top of this file.
-    csvs
-        Lines of CSV files by file name; those of one name in several parts come together. Other
-        files as bytes. By default `numbers_csv` as scenes.csv.
-    alone
-        Whether its cases run one at a time in this process, after those of other parts: for times,
-        and for networks that fill a GPU.
+    files
+        Other files than CSV ones, by name.
     """
 
     name: str
@@ -490,8 +492,7 @@ class Part(Generic[C]):
     _: KW_ONLY
     verdicts: Callable[[Results[C], Sequence[Row]], Iterable[Verdict]] = _nothing
     sections: Callable[[Results[C], Sequence[Row]], Iterable[Section]] = _all_rows
-    csvs: Callable[[Results[C], Sequence[Row]], Mapping[str, Sequence[Line] | bytes]] | None = None
-    alone: bool = False
+    files: Callable[[Results[C]], Mapping[str, bytes]] = lambda _: {}
 
     @classmethod
     def shown_by(
@@ -501,7 +502,6 @@ class Part(Generic[C]):
         cases: Callable[[Options], Sequence[C]],
         run: Callable[[C, int], Values],
         before: str = "",
-        **more: Any,
     ) -> Part[C]:
         """A part that functions of a module show: `rows`, and such of the others as it has.
 
@@ -511,16 +511,8 @@ class Part(Generic[C]):
         def of(what: str) -> Any:
             return getattr(module, before + what, None)
 
-        shown = {what: found for what in ("verdicts", "sections", "csvs") if (found := of(what))}
-        return cls(name, cases, run, of("rows"), **shown, **more)
-
-    def files(
-        self, results: Results[C], rows: Sequence[Row]
-    ) -> Mapping[str, Sequence[Line] | bytes]:
-        """What `csvs` gives, or its default."""
-        if self.csvs is not None:
-            return self.csvs(results, rows)
-        return {"scenes.csv": numbers_csv(self.name, results)}
+        shown = {what: found for what in ("verdicts", "sections", "files") if (found := of(what))}
+        return cls(name, cases, run, of("rows"), **shown)
 
 
 @dataclass(frozen=True)
@@ -531,8 +523,6 @@ class Suite:
     ----------
     name, title
         Of the command, and of its report.
-    description
-        In its help: what is measured.
     protocol
         Name and version of how things are measured: results under one name compare. `{size}` and
         the like are replaced by the options.
@@ -545,10 +535,9 @@ class Suite:
     effort
         Sizes and counts: name -> (full, with `--quick`). An option of the name that is None is set
         from here, and its help tells both.
-    quick
-        Help of `--quick`.
     about
-        Paragraphs at the top of the page, that a reader needs to read the figures.
+        Paragraphs at the top of the page, that a reader needs to read the figures; the first, on
+        what is measured, is in the help, too.
     jobs
         Default of `--jobs`; None = one for each processor.
     timed
@@ -557,13 +546,11 @@ class Suite:
 
     name: str
     title: str
-    description: str
     protocol: str
     parts: Sequence[Part[Any]]
     _: KW_ONLY
     options: Sequence[Callable[[argparse.ArgumentParser], object]] = ()
     effort: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
-    quick: str = "minutes: few and small scenes"
     about: Sequence[str] = ()
     jobs: int | None = None
     timed: bool = False

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pbrfit_evaluation.explained import figures
 from pbrfit_evaluation.explained.measure import GEOMETRY, run
 from pbrfit_evaluation.explained.variants import TRUE, WITHOUT
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import count, cycles_cache
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Part, Suite
@@ -18,10 +17,8 @@ FEW, FEW_WAYS = ("shadows",), ("constant", WITHOUT, TRUE)
 SUITE = Suite(
     name="transport",
     title="Shadows and bounces by geometry",
-    description="Fit rooms that Blender Cycles renders, with and without their depth: the true "
-    "one, that of a network, one integrated from normals; with true and with found segments.",
     protocol=f"pbrfit-transport-1: {SCORES}; {{size}} pixels, {{lights}} pictures, {{effort}}",
-    parts=[Part.shown_by(figures, "transport", GEOMETRY.cases, run, "geometry_", csvs=csvs)],
+    parts=[Part.shown_by(figures, "transport", GEOMETRY.cases, run, "geometry_")],
     options=(
         *GEOMETRY.options(
             *(FIRST_SEED, "--setups", FEW),
@@ -33,14 +30,14 @@ SUITE = Suite(
         cycles_cache,
     ),
     effort=GEOMETRY.effort(FEW, FEW_WAYS) | {"scenes": (10, 2), "size": (64, 24)},
-    quick="minutes: two small rooms with shadows",
     about=(
         "Rooms with furniture under panoramas of SH3 light, rendered by Blender Cycles: without "
-        "shadows, with shadows, and with all that a path tracer does. Normals are true. A "
-        "network's depth has smooth errors of scale and shift, washed-out outlines and noise; "
-        "found segments come from the pictures and normals alone. Figures are means over rooms, "
-        "with 95 % intervals by bootstrap over rooms in brackets. The constant guess has roughness "
-        "0.5, metallic 0 and the mean of the true albedo, with the lights that then fit best.",
+        "shadows, with shadows, and with all that a path tracer does; fitted with and without "
+        "their depth. Normals are true. A network's depth has smooth errors of scale and shift, "
+        "washed-out outlines and noise; found segments come from the pictures and normals alone. "
+        "Figures are means over rooms, with 95 % intervals by bootstrap over rooms in brackets. "
+        "The constant guess has roughness 0.5, metallic 0 and the mean of the true albedo, with "
+        "the lights that then fit best.",
     ),
     timed=True,
 )

@@ -310,7 +310,7 @@ def test_command(
     out = tmp_path / "out"
     assert run("evaluate", "convergence", "--out", out, "--quick") == 0
     assert "lbfgsb-paper" in capsys.readouterr().out
-    curves = list(csv.DictReader((out / "curves.csv").read_text(encoding="utf-8").splitlines()))
+    curves = list(csv.DictReader((out / "points.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["solver"] for row in curves} == {s.name for s in SOLVERS if not s.why_not("paper")}
     assert all(float(row["recon"]) > 0 for row in curves)
     content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
@@ -320,4 +320,4 @@ def test_command(
     last = [row for row in curves if row["solver"] == "default"][-1]
     assert content["rows"][0]["metrics"]["albedo"] == pytest.approx(float(last["albedo"]))
     assert "lbfgsb-paper" in (out / "report.html").read_text(encoding="utf-8")
-    assert all((out / f"{quantity}.png").exists() for quantity in (*figures.PLOTTED, "race"))
+    assert all((out / f"{quantity}.png").exists() for quantity in figures.PLOTTED)

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import pbrfit
 import pbrfit_evaluation
@@ -25,7 +24,6 @@ from pbrfit.scene.arrays import Truth
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import jobs, recipes, scores, tables
 from pbrfit_evaluation.jobs import Record
-from pbrfit_evaluation.similarity import psnr, ssim
 from processes import alive, until
 from scene_files import known, lights_of, truth_of
 
@@ -245,8 +243,6 @@ def test_true_materials_have_no_errors(scene: Scene) -> None:
     for name in ("recon", "albedo", "roughness", "metallic", "relight", "metallic_on_metal",
                  "roughness_on_metal", "albedo_scaled", "relight_scaled"):  # fmt: skip
         assert getattr(found, name) <= 1e-12
-    assert found.albedo_ssim == pytest.approx(1)
-    assert found.relight_ssim == pytest.approx(1)
     assert found.evaluations == 1
 
 
@@ -276,7 +272,6 @@ def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
     found = scores.score(at_the_truth(masked, 0), masked)
     assert max(found.recon, found.albedo, found.roughness, found.metallic) <= 1e-12
     assert known(found.relight) <= 1e-12
-    assert found.relight_ssim == pytest.approx(1)
 
 
 def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
@@ -286,7 +281,6 @@ def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
     less = replace(scene, truth=Truth(dielectric, truth.lighting))
     found = scores.score(pbrfit.decompose(less, iterations=0, priors=None), less)
     assert found.relight is None
-    assert found.relight_psnr is None
     assert found.metallic_on_metal is None
 
 
@@ -352,47 +346,3 @@ def test_a_command_interrupted_in_the_middle_can_go_on(tmp_path: Path) -> None:
     for path in kept:
         assert json.loads(path.read_text("utf-8"))["error"] is None
     assert [path.name for path in out.iterdir()] == ["records"]
-
-
-def test_psnr_by_hand() -> None:
-    assert psnr(np.full(4, 0.3), np.full(4, 0.2)) == pytest.approx(20.0)
-    assert psnr(np.array([0.5, np.nan]), np.array([0.51, 1.0])) == pytest.approx(40.0)
-    assert psnr(np.ones(2), np.ones(2)) == np.inf
-
-
-def ssim_of_pixel(x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int) -> float:
-    """The definition, one window at a time."""
-    weights, a, b = [], [], []
-    for u, v in np.ndindex(x.shape):
-        if max(abs(u - i), abs(v - j)) <= 5 and not np.isnan(x[u, v] + y[u, v]):
-            weights.append(np.exp(-((u - i) ** 2 + (v - j) ** 2) / (2 * 1.5**2)))
-            a.append(x[u, v])
-            b.append(y[u, v])
-    w = np.array(weights) / np.sum(weights)
-    mx, my = np.dot(w, a), np.dot(w, b)
-    vx, vy = np.dot(w, (np.array(a) - mx) ** 2), np.dot(w, (np.array(b) - my) ** 2)
-    cov = np.dot(w, (np.array(a) - mx) * (np.array(b) - my))
-    c1, c2 = 1e-4, 9e-4
-    return float((2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2)))
-
-
-@pytest.mark.parametrize("masked", [False, True])
-def test_ssim_is_its_definition(masked: bool) -> None:
-    x, y = np.random.default_rng(2).uniform(size=(2, 17, 14))
-    y = 0.6 * x + 0.4 * y
-    if masked:
-        x[3:9, 5:] = np.nan
-        y[0, 0] = np.nan
-    expected = [
-        ssim_of_pixel(x, y, i, j) for i, j in np.ndindex(x.shape) if not np.isnan(x[i, j] + y[i, j])
-    ]
-    assert ssim(x, y) == pytest.approx(np.mean(expected), rel=1e-12)
-    channels = ssim(np.stack([x, x], axis=-1), np.stack([y, x], axis=-1))
-    assert channels == pytest.approx((np.mean(expected) + 1) / 2, rel=1e-12)
-
-
-def test_ssim_refuses_what_cannot_be_compared() -> None:
-    with pytest.raises(ValueError, match=r"one shape, found \(2, 2\) and \(3, 2\)"):
-        ssim(np.ones((2, 2)), np.ones((3, 2)))
-    with pytest.raises(ValueError, match="at least one pixel"):
-        ssim(np.full((2, 2), np.nan), np.ones((2, 2)))

@@ -1,6 +1,6 @@
 """Rooms by Cycles that are explained in several ways: `pbrfit evaluate transport` and `lamps`.
 
-What fits are told, verdicts that can fail, files that are written. How well geometry explains
+What fits are told, rows, files that are written. How well geometry explains
 pictures, and fits find lamps, is not tested here. Rooms of our own renderer stand in for those of
 Cycles, and fits with geometry for the estimator's, where it has none.
 """
@@ -28,7 +28,6 @@ from pbrfit_evaluation.explained.measure import GEOMETRY, LAMPS, ROWS, lamps_off
 from pbrfit_evaluation.explained.variants import HARMONICS, NEAR, OF_GEOMETRY, OF_LAMPS, VARIANTS
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.normal_errors import unit
-from pbrfit_evaluation.suite import Verdict
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 from scene_files import known, run
@@ -134,39 +133,11 @@ def test_every_variant_runs(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert ("maps" in found) == (key == "without")
 
 
-def of(setup: Any, variant: str, seed: int, error: float, **changes: float) -> tuple[Case, Any]:
-    scores = dict.fromkeys(figures.METRICS, error) | changes
+def of(setup: Any, variant: str, seed: int, error: float) -> tuple[Case, Any]:
+    scores = dict.fromkeys(figures.METRICS, error)
     facts = {"depth_off": 0.1, "normals_off": 5.0, "segments": 20.0, "purity": 0.9}
     values = {"scores": scores, "facts": facts, "choice": "occlusion"}
     return Case(setup, variant, seed, SIZE), values
-
-
-def judged(*pairs: Any) -> list[Verdict]:
-    return list(figures.geometry_verdicts(recorded(*pairs), None))
-
-
-@pytest.mark.parametrize(("found", "failing"), [(0.199, 0), (0.201, 4), (0.301, 8)])
-def test_true_depth_has_to_beat_the_guess_and_what_there_is_without(
-    found: float, failing: int
-) -> None:
-    pairs = [of("shadows", "constant", 1, 0.2), of("shadows", "without", 1, 0.3)]
-    verdicts = judged(*pairs, of("shadows", "true", 1, found))
-    assert len(verdicts) == 8
-    assert sum(not verdict.holds for verdict in verdicts) == failing
-
-
-@pytest.mark.parametrize(("relight", "holds"), [(0.308, True), (0.31, False)])
-def test_other_variants_must_spoil_nothing(relight: float, holds: bool) -> None:
-    pair = of("shadows", "without", 1, 0.3), of("shadows", "found", 1, 0.2, relight=relight)
-    [verdict] = judged(*pair)
-    assert verdict.holds == holds
-    assert verdict.where == "relight"
-
-
-def test_without_shadows_true_depth_must_spoil_nothing_and_need_not_help() -> None:
-    pairs = of("brdf", "constant", 1, 0.1), of("brdf", "without", 1, 0.3)
-    [verdict] = judged(*pairs, of("brdf", "true", 1, 0.3))
-    assert verdict.holds
 
 
 def test_rows_say_what_was_chosen_and_why_some_were_not_run(
@@ -187,11 +158,11 @@ def test_rows_say_what_was_chosen_and_why_some_were_not_run(
 @pytest.mark.usefixtures("stand_ins")
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    code = run("evaluate", "transport", "--out", out, "--quick", "--jobs", 1, "--lights", LIGHTS)
-    assert code == 1  # a fit that is no better does not hold
-    assert "and shadows, true depth: albedo over that of no depth" in capsys.readouterr().out
+    command = ("evaluate", "transport", "--out", out, "--quick", "--jobs", 1, "--lights", LIGHTS)
+    assert run(*command) == 0
+    assert "true depth" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {
-        "records", "report.html", "transport.md", "scenes.csv", "summary.json", "transport.png",
+        "records", "report.html", "transport.md", "scenes.csv", "summary.json",
         "maps-shadows.png",
     }  # fmt: skip
     rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
@@ -274,22 +245,6 @@ def test_variants_are_given_what_they_say(monkeypatch: pytest.MonkeyPatch) -> No
     assert [key for key, (scene, _) in seen.items() if scene.lamps is not None] == ["known"]
     expected = {"sh": "sh", "lamps": "lamps", NEAR: "lamps", "auto-depth": "auto", "known": "lamps"}
     assert {key: seen[key][1] for key in expected} == expected
-
-
-def lamps_hold(errors: dict[str, float], cm: float = 3.0) -> list[bool]:
-    """Verdicts on lamps by the error of each variant, and how far lamps are off."""
-    pairs = [of("points-shadows", key, 1, error) for key, error in errors.items()]
-    pairs = [(case, values | {"lamps": {"cm": cm, "near": 1.0}}) for case, values in pairs]
-    return [one.holds for one in figures.lamps_verdicts(recorded(*pairs), None)]
-
-
-def test_lamps_have_to_be_worth_something_and_auto_spoils_nothing() -> None:
-    good = {"constant": 0.3, HARMONICS: 0.4, NEAR: 0.2}
-    assert all(lamps_hold(good))
-    assert not all(lamps_hold({**good, NEAR: 0.35}))
-    assert not all(lamps_hold(good, cm=6.0))
-    assert lamps_hold({HARMONICS: 0.2, "auto": 0.2}) == [True]
-    assert lamps_hold({HARMONICS: 0.2, "auto": 0.21}) == [False]
 
 
 @pytest.mark.slow

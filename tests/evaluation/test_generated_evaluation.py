@@ -1,4 +1,4 @@
-"""`pbrfit evaluate generated`: damages are what they say, verdicts can fail, files are written."""
+"""`pbrfit evaluate generated`: damages are what they say, files are written."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from blender_card import relief
-from evaluation_tasks import recorded
 from pbrfit import relight
 from pbrfit.export import export_result
 from pbrfit.io.color import encode_srgb
@@ -28,7 +27,6 @@ from pbrfit_evaluation.generated.stand_ins import (
     toned,
 )
 from pbrfit_evaluation.generated.ways import FEW, WAYS
-from pbrfit_evaluation.grid import Case
 from scene_files import run
 
 SEED, SIZE, PICTURES = 8701, 48, 13
@@ -93,30 +91,10 @@ def test_the_review_refuses_a_picture_of_another_room(truth: Room) -> None:
     assert kinds.index("another") not in kept
 
 
-def test_verdicts_hold_and_fail_by_the_ratio_of_means() -> None:
-    def case(way: str, error: float, seed: int) -> tuple[Any, Any]:
-        scores = dict.fromkeys(figures.ERRORS, error)
-        return Case(way, "default", seed, 48), {"scores": scores}
-
-    of = recorded(
-        *(case("repainted", 2.0, 1), case("repainted", 4.0, 2), case("together", 1.0, 1)),
-        *(case("together", 5.0, 2), case("constant", 1.0, 1), case("constant", 4.0, 2)),
-    )
-    found = {verdict.what: verdict for verdict in figures.verdicts(of, ())}
-    assert len(found) == 8
-    held = found["all damage, all together over nothing handled: roughness"]
-    assert held.value == pytest.approx(1.0)
-    assert held.holds
-    failed = found["all damage, all together over the constant guess: roughness"]
-    assert failed.value == pytest.approx(1.2)
-    assert not failed.holds
-
-
 @pytest.mark.slow
 def test_the_suite_runs_and_is_written(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    code = run("evaluate", "generated", "--out", out, "--quick", "--jobs", 1)
-    assert code in (0, 1)  # one room may miss a bar
+    assert run("evaluate", "generated", "--out", out, "--quick", "--jobs", 1) == 0
     summary = json.loads((out / "summary.json").read_text())
     rows = {row["name"].removesuffix(figures.OURS): row for row in summary["rows"]}
     for key in FEW:
@@ -127,7 +105,7 @@ def test_the_suite_runs_and_is_written(tmp_path: Path) -> None:
     assert rows[WAYS["constant"].words]["metrics"]["kept"] == 7
     assert (out / "maps.png").read_bytes().startswith(b"\x89PNG")
     assert (out / "inputs.png").is_file()
-    assert "nothing handled" in (out / "generated.md").read_text()
+    assert "all together" in (out / "generated.md").read_text()
 
 
 @pytest.mark.skipif(bool(cycles.why_not()), reason=str(cycles.why_not()))

@@ -14,7 +14,8 @@ from evaluation_tasks import recorded
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import recipes
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.grid.figures import Bar, csvs, pictures, rows, verdicts
+from pbrfit_evaluation.grid.figures import Bar, pictures, rows, verdicts
+from pbrfit_evaluation.suite import csv_files
 
 WAYS = {"fit": recipes.Way("a fit"), "guess": recipes.GUESS}
 GRID = Grid(
@@ -92,7 +93,11 @@ def test_a_case_is_measured_pictured_and_written() -> None:
     [sheet] = pictures(results, {"guess": "a guess"}, "Said.")
     assert sheet.name == "maps-plain"
     assert len(Image.open(io.BytesIO(sheet.png)).convert("RGB").getcolors(10**6) or ()) > 10
-    [line] = csvs(results, None)["scenes.csv"]
+    curve = [{"at": 1, "error": 0.5, "why": ["a", "b"]}, {"at": 2, "error": 0.25}]
+    files = csv_files(recorded((case, {**values, "curve": curve})))
+    [line] = files["scenes.csv"]
     assert (line["condition"], line["way"], line["seed"]) == ("plain", "guess", 1)
     assert line["albedo"] == values["scores"]["albedo"]
     assert "maps" not in line
+    assert [(of["seed"], of["at"]) for of in files["curve.csv"]] == [(1, 1), (1, 2)]
+    assert files["curve.csv"][0]["why"] == "a b"

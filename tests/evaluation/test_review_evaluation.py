@@ -65,7 +65,7 @@ def test_the_suite_runs_and_is_written(tmp_path: Path, monkeypatch: pytest.Monke
     assert rows["honest"]["pictures"] == 6
     assert rows["honest among damaged"]["pictures"] == 1
     assert rows["swap"]["share"] == 1
-    with (out / "pictures.csv").open() as file:
+    with (out / "judged.csv").open() as file:
         listed = list(csv.DictReader(file))
     assert len(listed) == 12
     assert {row["damage"] for row in listed} == {"honest", "shift", "warp", "swap", *REPAINTS[:2]}

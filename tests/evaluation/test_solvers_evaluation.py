@@ -100,4 +100,4 @@ def test_the_command_runs_conditions(tmp_path: Path) -> None:
     by_name = {row["name"]: row for row in rows}
     assert by_name["no noise: gauss-newton's residual over lbfgsb's"]["metrics"]["bar"] == 1
     assert by_name["no noise"]["metrics"]["residual"] > 0
-    assert "exact,gauss-newton,furnished,,1000," in (out / "scenes.csv").read_text("utf-8")
+    assert "exact,gauss-newton,1000,12,furnished," in (out / "scenes.csv").read_text("utf-8")

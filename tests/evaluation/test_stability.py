@@ -104,7 +104,6 @@ def test_extreme_pixels_are_what_they_say() -> None:
 
 TINY: dict[str, tuple[int, ...]] = {
     "fast objective": (256,),
-    "branch points": (4, 5),
     "cancellation": (16,),
     "accumulated error": (3, 8, 1),
     "tiny numbers": (600,),

@@ -68,11 +68,10 @@ def part(name: str, **more: Any) -> Part[Task]:
 SUITE = Suite(
     name="nothing",
     title="A suite of nothing",
-    description="It measures nothing.",
     protocol="nothing-1, {scenes} scenes, {effort}",
     parts=[
         part("quiet"),
-        part("loud", alone=True),
+        part("loud"),
     ],
     options=(
         options.count("--scenes", "K", "how many"),
@@ -81,6 +80,7 @@ SUITE = Suite(
         add_threads,
     ),
     effort={"scenes": (3, 1), "hidden": ((1, 2), (1,))},
+    about=("It measures nothing.",),
 )
 
 OPTIONS = argparse.Namespace(
@@ -140,14 +140,14 @@ def test_parts_options_and_files(
     assert set(content["rows"][0]) == {"name", "scenes", "solver", "metrics", "paper", "status"}
     with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
-    every = [name for name in ("quiet0", "loud0") for _ in ("name", "threads")]
-    assert [line["task"] for line in lines] == every
-    assert lines[1] == {"part": "quiet", "task": "quiet0", "figure": "threads", "value": "2.0"}
+    assert [line["key"] for line in lines] == ["quiet0", "loud0"]
+    assert lines[0] == {"key": "quiet0", "act": "well", "name": "quiet0", "threads": "2"}
     page = Page((out / "report.html").read_text("utf-8"))
     assert [element.text for element in page.all("h2")] == [
         "What must hold", "Figures", "Figures",
     ]  # fmt: skip
-    assert "2 of 2 demands hold." in page.all("p")[0].text
+    said = [element.text for element in page.all("p")]
+    assert said[:2] == ["2 of 2 demands hold.", "It measures nothing."]
 
     assert run(SUITE, monkeypatch, *command, "--resume", "--part", "loud", "--quiet") == 0
     assert [row["scenes"] for row in summary(out)["rows"]] == [0, 3]

@@ -8,7 +8,7 @@ from pbrfit_evaluation.ablation.measure import FEW, GRID, WAYS
 from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, pictures, ratios
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.suite import Column, Row, Section, Table, Value, Verdict
+from pbrfit_evaluation.suite import Row, Section, Table, Value, Verdict
 
 SHOWN = ("roughness", "metallic", "albedo", "albedo_scaled", "relight")
 """Errors in tables."""
@@ -70,12 +70,7 @@ def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
         "the largest ratio of any error.",
         [_held(results)],
     )
-    columns = [
-        column
-        for name in SHOWN
-        for column in (Column(name, best="low"), Column(f"{name}_ratio", "ratio"))
-    ]
-    yield Section("Errors", "Mean RMSE.", [Table.of(rows, columns)])
+    yield Section("Errors", "Mean RMSE.", [Table.of(rows)])
     caption = "The first room: the truth, and what was recovered."
     labels = {key: WAYS[key].words for key in FEW}
     yield Section("The first room", figures=pictures(results, labels, caption, "room"))

@@ -66,7 +66,7 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
 
     suite: Suite = import_module(f"pbrfit_evaluation.{name}").SUITE
     parser.description = (
-        f"{suite.description} Writes report.html with its plots, {name}.md, CSV files and "
+        f"{suite.about[0]} Writes report.html with its plots, {name}.md, CSV files and "
         "summary.json. Exit code 1 if something does not hold."
     )
     add_out(parser, "folder to write")
@@ -91,7 +91,8 @@ def _complete(name: str, parser: argparse.ArgumentParser) -> None:
         several("--part", "NAME", names, what="only these parts")(parser)
     for add in suite.options:
         add(parser)
-    parser.add_argument("--quick", action="store_true", help=suite.quick)
+    few = "few and small scenes, what takes minutes left out"
+    parser.add_argument("--quick", action="store_true", help=few)
     parser.add_argument(
         "--docs",
         metavar="DIR",
@@ -136,19 +137,9 @@ def run(suite: Suite, options: argparse.Namespace) -> int:
     if options.jobs is None and options.cluster is None:
         options.jobs = suite.jobs or os.cpu_count() or 1
     jobs.prepare(options.out, resume=options.resume, overwrite=options.overwrite)
-    done: dict[str, list[tuple[Any, Record]]] = {part.name: [] for part in parts}
-
-    def measure(of: Sequence[Part[Any]], *, alone: bool) -> None:
-        planned = [(part.name, _Job(part.run, case)) for part in of for case in cases[part.name]]
-        records = _measure([job for _, job in planned], options, alone=alone)
-        for (name, job), record in zip(planned, records, strict=True):
-            done[name].append((job.case, record))
-
-    measure([part for part in parts if not part.alone], alone=False)
-    for part in parts:
-        if part.alone:
-            measure([part], alone=True)
-
+    todo = [_Job(part.run, case) for part in parts for case in cases[part.name]]
+    records = iter(_measure(todo, options))
+    done = {part.name: [(case, next(records)) for case in cases[part.name]] for part in parts}
     found = _outcome(suite, parts, options, done)
     with jobs.publish(options.out) as folder:
         report.write(folder, suite, options, found)
@@ -184,7 +175,7 @@ def _do(job: _Job, threads: int, *, asked: int) -> Any:
     return job.run(job.case, asked or threads)
 
 
-def _measure(todo: Sequence[_Job], options: argparse.Namespace, *, alone: bool) -> list[Record]:
+def _measure(todo: Sequence[_Job], options: argparse.Namespace) -> list[Record]:
     """Run cases with a progress bar; tell failures as they come, those of one reason once."""
     from pbrfit_evaluation import jobs
 
@@ -207,20 +198,14 @@ def _measure(todo: Sequence[_Job], options: argparse.Namespace, *, alone: bool) 
                 todo,
                 partial(_do, asked=getattr(options, "threads", 0)),
                 options.out,
-                jobs=1 if alone else options.jobs,
-                cluster=None if alone else options.cluster,
+                jobs=options.jobs,
+                cluster=options.cluster,
                 progress=show,
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 f"interrupted after {done} of {len(todo)}; --resume goes on from there"
             ) from None
-
-
-def _results(options: argparse.Namespace, pairs: Sequence[tuple[Any, Record]]) -> Any:
-    from pbrfit_evaluation.suite import Results
-
-    return Results(options, pairs)
 
 
 def _outcome(
@@ -231,23 +216,22 @@ def _outcome(
 ) -> Outcome:
     """What the suite makes of the records, all parts together."""
     from pbrfit_evaluation.report import Outcome
+    from pbrfit_evaluation.suite import Results, csv_files
 
     rows: list[Row] = []
     verdicts: list[Verdict] = []
     sections: list[Section] = []
     failed: list[Record] = []
-    csvs: dict[str, Any] = {}
+    files: dict[str, Any] = {}
     for part in parts:
-        results = _results(options, done[part.name])
+        results = Results(options, done[part.name])
         of_part = part.figures(results)
         rows += of_part
         name = part.name if len(suite.parts) > 1 else ""
         verdicts += [replace(one, part=one.part or name) for one in part.verdicts(results, of_part)]
         sections += part.sections(results, of_part)
-        for file, lines in part.files(results, of_part).items():
-            if isinstance(lines, bytes):
-                csvs[file] = lines
-            else:
-                csvs.setdefault(file, []).extend(lines)
+        for file, lines in csv_files(results).items():
+            files.setdefault(file, []).extend(lines)
+        files |= part.files(results)
         failed += results.failed
-    return Outcome(rows, verdicts, sections, csvs, failed)
+    return Outcome(rows, verdicts, sections, files, failed)

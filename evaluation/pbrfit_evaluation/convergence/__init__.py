@@ -82,9 +82,6 @@ def run(task: Task, threads: int) -> dict[str, Any]:
 SUITE = Suite(
     name="convergence",
     title="Error against run time",
-    description="Run every solver on scenes of several sizes, noise levels and light matrices, "
-    "and measure the errors of reconstruction, maps and relit pictures on the way. Peers need "
-    "PyTorch: pip install pbrfit-evaluation[peers]; they know the paper's model alone.",
     protocol="pbrfit-convergence-2, {effort}",
     parts=[Part.shown_by(figures, "runs", tasks, run)],
     options=(
@@ -106,18 +103,18 @@ SUITE = Suite(
         "evaluations": (2000, 200),
         "seconds": (100, 20),
     },
-    quick="half a minute: two cases of 24 × 24 pixels, few steps",
     about=(
+        "Errors of reconstruction, maps and relit pictures while a solver runs, for every solver "
+        "on scenes of several sizes, noise levels and light matrices. Peers need PyTorch (pip "
+        "install pbrfit-evaluation[peers]); they know the paper's model alone.",
         "Errors are RMSE in float64, measured from the maps and lights of a run whenever "
-        "evaluations or seconds have grown by 12 %, for all solvers by the same function; "
-        "“recon” against the "
-        "pictures that were fitted, noise included, “relight” under the true held-out lights. Of "
-        "real pictures a quarter is held out, and errors are relative. The clock does not run "
-        "meanwhile, nor while libraries and a start that is handed in are made.",
-        "A run of ours ends after so many iterations, one of a peer after so many evaluations, and "
-        "any after so many seconds.",
-        "At 512² the default is held against the others by when it reaches the reconstruction "
-        "error that the paper's recipe ends at.",
+        "evaluations or seconds have grown by 12 %, for all solvers by the same function; “recon” "
+        "against the pictures that were fitted, noise included, “relight” under the true held-out "
+        "lights. Of real pictures a quarter is held out, and errors are relative. The clock does "
+        "not run meanwhile, nor while libraries and a start that is handed in are made.",
+        "A run of ours ends after so many iterations, one of a peer after so many evaluations, "
+        "and any after so many seconds. At 512² the default is held against the others by when it "
+        "reaches the reconstruction error that the paper's recipe ends at.",
     ),
     jobs=1,  # times mean something only if nothing else runs
     timed=True,

@@ -1,4 +1,4 @@
-"""Error against run time as rows, tables, plots and CSV files."""
+"""Error against run time as rows, tables and plots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from pbrfit_evaluation.convergence.solvers import SOLVERS
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.suite import (
     Column,
-    Line,
     Mark,
     Panel,
     Plot,
@@ -111,26 +110,9 @@ def rows(results: Results[Task]) -> list[Row]:
     return made
 
 
-def csvs(results: Results[Task], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
-    """A line for every checkpoint."""
-    lines: list[Line] = []
-    for task, found in results.finished:
-        case = task.case
-        head = {"case": case.name, "size": case.size, "noise": case.noise, "lights": case.lights}
-        head |= {"condition": found["condition"], "solver": task.solver, "seed": task.seed}
-        lines += [head | point for point in found["points"]]
-    return {"curves.csv": lines}
-
-
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
-    """Errors at the end, times to errors, curves, and what the solvers are."""
-    cost = [Column("seconds"), Column("processor"), Column("evaluations")]
+    """Times to errors, curves, every figure, and what the solvers are."""
     done = [row for row in rows if row.scenes]
-    yield Section(
-        "Errors at the end",
-        "Medians over seeds.",
-        [Table.of(done, [*(Column(name, best="low") for name in QUANTITIES), *cost])],
-    )
     times = [
         Column(f"{cost}_to_{target}", f"{label} {COSTS[cost].partition(' ')[0]} s", "low")
         for target, label in (("near", "within 1 %:"), ("floor", "to the noise floor:"))
@@ -153,11 +135,9 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
             f"median {statistics.median(loads):.1f}; a quiet machine shows at most its number of "
             f"threads ({finished[0]['threads']} a run), and times from a busy one are of little "
             "use.",
-            figures=[
-                *(_plot(quantity, quantity, results, cases) for quantity in PLOTTED),
-                _plot("race", "recon", results, [max(cases, key=lambda case: case.size)]),
-            ],
+            figures=[_plot(quantity, results, cases) for quantity in PLOTTED],
         )
+    yield Section("At the end", "Medians over seeds.", [Table.of(done)])
     roster = [[s.name, s.what, s.why_not(results.options.model) or "ok"] for s in SOLVERS]
     yield Section("Solvers", tables=[Table(["solver", "what it is", "status"], roster)])
 
@@ -171,7 +151,7 @@ def _arrived(row: Row) -> bool:
     )
 
 
-def _plot(name: str, quantity: Quantity, results: Results[Task], cases: Sequence[Case]) -> Plot:
+def _plot(quantity: Quantity, results: Results[Task], cases: Sequence[Case]) -> Plot:
     panels = []
     for case in cases:
         shown: Quantity = "held_out" if case.folder else quantity
@@ -190,7 +170,7 @@ def _plot(name: str, quantity: Quantity, results: Results[Task], cases: Sequence
             y = f"{shown.replace('_', ' ')} RMSE"
             panels.append(Panel("lines", series, label, y, title=case.title, log="xy", marks=marks))
     return Plot(
-        name,
+        quantity,
         f"Error of {quantity}, of real pictures that of held-out ones, against wall time and "
         "against processor time, a line a seed.",
         panels,

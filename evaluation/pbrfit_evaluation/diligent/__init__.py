@@ -48,9 +48,6 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="diligent",
     title="Photometric stereo",
-    description="Fit objects whose normals were measured under some of their lamps, which are "
-    "told or not, and report the mean angle to the true normals beside least squares and "
-    "published figures.",
     protocol="pbrfit-diligent-1: mean angle in degrees over the mask; pictures evenly "
     f"chosen; relighting as of pbrfit-heldout-1 on at most {HELD_OUT} others; {{max_size}} pixels",
     parts=[Part.shown_by(figures, "diligent", cases, run)],
@@ -81,12 +78,11 @@ SUITE = Suite(
         "pictures": (PICTURES, PICTURES[1:2]),
         "max_size": (1024, 64),
     },
-    quick="a minute an object: eight small pictures",
     about=(
-        "Each object is seen under far lamps, one a picture. A fit is told all of them, their "
-        "directions, or nothing. Least squares (Woodham 1980) is told all; trimmed, it leaves out "
-        "a quarter of a pixel's samples at either end. Errors are mean angles to the true normals, "
-        "which nothing is told.",
+        "Mean angles between the normals of a fit and measured ones, of objects under far lamps, "
+        "one a picture. A fit is told all of the lamps, their directions, or nothing. Least "
+        "squares (Woodham 1980) is told all; trimmed, it leaves out a quarter of a pixel's "
+        "samples at either end.",
     ),
     timed=True,
 )

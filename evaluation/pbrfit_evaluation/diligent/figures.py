@@ -157,7 +157,7 @@ def _errors(results: Of, name: str) -> bytes | None:
     return as_png(sheet([row])) if row else None
 
 
-def csvs(results: Of, _: object) -> Mapping[str, bytes]:
+def files(results: Of) -> Mapping[str, bytes]:
     """With `--mat` the normals of the most pictures, for the pages that take submissions."""
     return {
         f"{task.source.name}-{task.way}.mat": _mat(values)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pbrfit_evaluation.everyday import figures
 from pbrfit_evaluation.everyday.disturbances import DISTURBANCES
 from pbrfit_evaluation.everyday.measure import GRID, run
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Part, Suite
 
@@ -18,11 +17,8 @@ FEW = tuple(name for name in DISTURBANCES if "444" not in name and "75" not in n
 SUITE = Suite(
     name="everyday",
     title="Everyday pictures",
-    description="Fit scenes whose ground truth is known after what cameras and files do to "
-    "pictures: 8 bits, JPEG, clipping, hot samples, a bad picture, tone curves, vignetting, an "
-    "unknown or wrong field of view; errors as multiples of those of clean float pictures.",
     protocol=f"pbrfit-everyday-2: {SCORES}; {{size}} pixels, {{effort}}",
-    parts=[Part.shown_by(figures, "everyday", GRID.cases, run, csvs=csvs)],
+    parts=[Part.shown_by(figures, "everyday", GRID.cases, run)],
     options=(
         *GRID.options(
             *(FIRST_SEED, "--disturbances", FEW),
@@ -30,11 +26,11 @@ SUITE = Suite(
         ),
     ),
     effort=GRID.effort(FEW) | {"scenes": (18, 2), "size": (64, 24)},
-    quick="two minutes: two small scenes",
     about=(
-        "Scenes of 16 pictures, mean radiance 0.4, with white noise of 0.01 in float32, and what "
-        "cameras and files do to such pictures; fits with all defaults. docs/everyday.md says what "
-        "each case is.",
+        "Fits of scenes whose ground truth is known after what cameras and files do to pictures: "
+        "8 bits, JPEG, clipping, hot samples, a bad picture, tone curves, vignetting, an unknown "
+        "or wrong field of view. Scenes have 16 pictures of mean radiance 0.4 with white noise of "
+        "0.01 in float32; fits have all defaults. docs/everyday.md says what each case is.",
     ),
     timed=True,
 )

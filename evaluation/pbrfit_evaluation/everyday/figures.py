@@ -12,14 +12,7 @@ from pbrfit_evaluation.everyday.measure import GRID, PICTURED, covered
 from pbrfit_evaluation.grid.figures import MAPS, Bar, Metrics, Of, pictures
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
-from pbrfit_evaluation.suite import (
-    Column,
-    Row,
-    Section,
-    Table,
-    Verdict,
-    digits,
-)
+from pbrfit_evaluation.suite import Row, Section, Table, Verdict, digits
 
 ERRORS = (*MAPS, "relight")
 
@@ -138,52 +131,19 @@ def _fov_verdicts(results: Of) -> Iterator[Verdict]:
 
 
 def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
-    """The tables, and maps."""
-    if not any(row.metrics for row in of_rows):
-        return
+    """Every figure, and maps."""
     yield Section(
-        "Multiples",
-        "Mean errors over those of the reference; of JPEG over those of float pictures with white "
-        "noise of the same RMS, of a view 90° wide over those with the field of view known.",
-        [_multiples(of_rows)],
-    )
-    columns = [
-        *(Column(name) for name in ERRORS),
-        Column("processor", "seconds"),
-        Column("scale_error", "scale error"),
-        Column("scale_deviation", "stated"),
-        Column("scale_covered", "within two"),
-        Column("refined", "normals refined"),
-        Column("fov_error", "field of view, largest error"),
-    ]
-    yield Section(
-        "Errors, seconds and the scale",
-        "RMSE; relight is of pictures under held-out lights, mean radiance 0.4. Seconds are of one "
-        "processor. Scale: the mean error of the scale of albedo, the mean of its stated "
+        "Figures",
+        "RMSE; relight is of pictures under held-out lights, mean radiance 0.4. Multiples are of "
+        "means over those of the reference; of JPEG over those of float pictures with white noise "
+        "of the same RMS, of a view 90° wide over those with the field of view known. Seconds are "
+        "of one processor. Scale: the mean error of the scale of albedo, the mean of its stated "
         "deviation, and the share of channels and scenes in which the error is within two "
         "deviations.",
-        [Table.of([row for row in of_rows if row.metrics], columns)],
+        [Table.of(of_rows)],
     )
     labels = {name: TITLES[name] for name in PICTURED}
     caption = "One scene: a picture, the maps that were found, and the true ones in the first row."
     sheets = pictures(results, labels, caption, "everyday-maps", by="condition")
     if sheets:
         yield Section("Maps", figures=sheets)
-
-
-BARS = {TITLES[name]: bar for name, bar in MOST.items()}
-
-
-def _multiples(of_rows: Sequence[Row]) -> Table:
-    lines = []
-    for row in of_rows:
-        bar, worst = BARS.get(row.name), row.metrics.get("worst_multiple")
-        verdict = row.status if row.status != "ok" else ""
-        if bar is not None and worst is not None:
-            verdict = "holds" if worst <= bar else "missed"
-        maps, rest = (
-            [row.metrics.get(f"{name}_multiple") for name in names]
-            for names in (MAPS, ("relight", "processor"))
-        )
-        lines.append([row.name, *maps, worst, bar, verdict, *rest])
-    return Table(["", *MAPS, "worst", "at most", "", "relight", "seconds"], lines)

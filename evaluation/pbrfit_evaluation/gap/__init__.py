@@ -1,10 +1,8 @@
-"""The gap between reflection models and the integrals of BRDFs, and Cycles.
+"""The gap between reflection models and the integral of the BRDF that renderers use, and Cycles.
 
-Models are compared with brute-force integration of a BRDF, so what is measured is the model alone:
-no fit, no pictures, no noise. Against the integral of its own BRDF (`brute_force.py` has the
-paper's, `principled.py` the other) that is what the model's approximations cost; against the BRDF
-that renderers use it is what the model is worth to them. `spheres.py` compares with pictures by one
-such renderer.
+Models are compared with brute-force integration (`principled.py`), so what is measured is the model
+alone: no fit, no pictures, no noise. `brute_force.py` has the paper's own BRDF, which tells what of
+the gap is its closed form. `spheres.py` compares with pictures by a renderer.
 """
 
 from __future__ import annotations
@@ -45,11 +43,8 @@ def sphere_cases(options: Options) -> list[Sphere]:
 SUITE = Suite(
     name="gap",
     title="The gap of the reflection models",
-    description="Compare the models that pbrfit fits with brute-force integration of BRDFs, over "
-    "roughness, view angle and SH band, and with spheres rendered by Blender Cycles.",
-    protocol="pbrfit-gap-2: SH responses of two BRDFs by quadrature, the principled one and the "
-    "paper's (eqs. 1, 3-5); spheres seen from far away under random lights turned in every way; "
-    "spheres by Cycles; {effort}",
+    protocol="pbrfit-gap-3: SH responses of the principled BRDF by quadrature; spheres seen from "
+    "far away under random lights turned in every way; spheres by Cycles; {effort}",
     parts=[
         Part.shown_by(figures, "integrals", cases, run),
         Part.shown_by(figures, "cycles", sphere_cases, spheres.run, "sphere_"),
@@ -64,13 +59,13 @@ SUITE = Suite(
         "rings": (20, 10),
         "lights": (64, 16),
     },
-    quick="a coarser table, without Cycles",
     about=(
-        "The principled integral is that of the BRDF of Blender's Principled, which glTF and game "
-        "engines share but for Fresnel's term of dielectrics. The paper integral is that of the "
-        "paper's eqs. 3-5; the tabulated one what the principled model's table stands for.",
+        "The models that pbrfit fits beside brute-force integration of BRDFs, over roughness, "
+        "view angle and SH band, and beside spheres rendered by Blender Cycles. The principled "
+        "integral is that of the BRDF of Blender's Principled, which glTF and game engines share "
+        "but for Fresnel's term of dielectrics.",
         "A response is the size of what comes back of light in one SH band l: 1 for a perfect "
-        "mirror, and for l = 0 the directional albedo. A distance is the size of the difference of "
-        "two responses, which counts a lobe that points the wrong way too.",
+        "mirror, and for l = 0 the directional albedo. Relative RMSE is of the radiance of "
+        "spheres under random lights turned in every way, over its RMS.",
     ),
 )

@@ -1,16 +1,15 @@
-"""The gap as rows, tables, heat maps, curves and CSV files."""
+"""The gap as rows, tables, heat maps and curves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 import numpy as np
 
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.job import Distribution
-from pbrfit_evaluation.gap.measure import COMPARED, INTEGRATED, MATERIALS, Array, Case
+from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Array, Case
 from pbrfit_evaluation.gap.spheres import (
     ALBEDOS,
     INTEGRALS,
@@ -21,7 +20,6 @@ from pbrfit_evaluation.gap.spheres import (
 )
 from pbrfit_evaluation.suite import (
     HeatMap,
-    Line,
     Panel,
     Plot,
     Results,
@@ -35,109 +33,46 @@ from pbrfit_evaluation.suite import (
 NAMES = [material.name for material in MATERIALS]
 
 
-@dataclass(frozen=True, eq=False)
-class Gap:
-    """A model beside a BRDF. M materials, R roughnesses, V view angles.
-
-    `true`, `found`, their `ratio` and `distance` are responses (M, R, V, 4); `signal` and `error`
-    (M, R) are root mean square radiance of a sphere and its error.
-    """
-
-    reference: str
-    model: str
-    true: Array
-    found: Array
-    distance: Array
-    signal: Array
-    error: Array
-    quadrature_error: float
-
-    @property
-    def ratio(self) -> Array:
-        """Response of the model over the true one."""
-        return np.asarray(self.found / self.true)
-
-    @property
-    def overall_rmse(self) -> Array:
-        """(M,): error of spheres of all roughnesses together, relative to their signal."""
-        error = np.mean(np.square(self.error), axis=-1)
-        return np.asarray(np.sqrt(error / np.mean(np.square(self.signal), axis=-1)))
+def _stacked(results: Results[Case], *path: str) -> Array:
+    """(M, R, ...): an array at a path of names, of M materials and R roughnesses."""
+    found: list[Any] = [of for _, of in results.finished]
+    for name in path:
+        found = [of[name] for of in found]
+    return np.stack([np.array(of) for of in found], axis=1)
 
 
-def gaps(results: Results[Case]) -> Iterator[Gap]:
-    """Every model against every BRDF, over the roughnesses that were finished."""
-
-    def stacked(values: Sequence[Any], *names: str) -> list[Array]:
-        return [np.stack([np.array(of[name]) for of in values], axis=1) for name in names]
-
-    for reference, (_, models) in COMPARED.items() if results.finished else ():
-        values = [of[reference] for _, of in results.finished]
-        true, signal = stacked(values, "true", "signal")
-        worst = max(of["quadrature_error"] for of in values)
-        for model in models:
-            of_model = [of["models"][model] for of in values]
-            found, distance, error = stacked(of_model, "found", "distance", "error")
-            yield Gap(reference, model, true, found, distance, signal, error, worst)
+def _ratio(results: Results[Case], model: str) -> Array:
+    """(M, R, V, 4): responses of a model over the true ones."""
+    return np.asarray(_stacked(results, "models", model, "found") / _stacked(results, "true"))
 
 
 def rows(results: Results[Case]) -> list[Row]:
-    """A row for each model, BRDF and material."""
+    """A row for each model and material."""
     made = []
-    for gap in gaps(results):
-        overall, ratio = gap.overall_rmse, gap.ratio
+    for model in COMPARED if results.finished else ():
+        error, signal = _stacked(results, "models", model, "error"), _stacked(results, "signal")
+        overall = np.sqrt(np.square(error).mean(axis=1) / np.square(signal).mean(axis=1))
+        ratio = _ratio(results, model)
+        worst = max(of["quadrature_error"] for _, of in results.finished)
         for m, material in enumerate(MATERIALS):
             metrics: dict[str, float | None] = {"relative_rmse": float(overall[m])}
             for band in range(4):
                 metrics[f"least_ratio_{band}"] = float(ratio[m, ..., band].min())
                 metrics[f"largest_ratio_{band}"] = float(ratio[m, ..., band].max())
-                metrics[f"largest_distance_{band}"] = float(gap.distance[m, ..., band].max())
-            metrics["quadrature_error"] = gap.quadrature_error
-            name = f"{gap.model} model / {gap.reference} integral, {material.key}"
+            metrics["quadrature_error"] = worst
+            name = f"{model} model, {material.key}"
             made.append(Row(name, 0, None, metrics, status=results.status("roughnesses")))
     return made
 
 
-def csvs(results: Results[Case], _: Sequence[Row]) -> Mapping[str, Sequence[Line]]:
-    """Every response."""
-    points = [(case.r, n_dot_v) for case, _ in results.finished for n_dot_v in case.n_dot_v]
-    lines = [
-        {
-            "reference": gap.reference,
-            "model": gap.model,
-            "material": MATERIALS[m].key,
-            "r": points[i][0],
-            "n_dot_v": points[i][1],
-            "band": band,
-            **{name: float(of[m, i, band]) for name, of in table.items()},
-        }
-        for gap in gaps(results)
-        for table in [
-            {
-                name: getattr(gap, name).reshape(len(MATERIALS), -1, 4)
-                for name in ("true", "found", "ratio", "distance")
-            }
-        ]
-        for m, i, band in np.ndindex(*table["true"].shape)
-    ]
-    return {"gap.csv": lines}
-
-
 def sections(results: Results[Case], rows: Sequence[Row]) -> Iterator[Section]:
-    """All figures, spheres over roughness, and heat maps of the paper's model."""
-    shown = ["relative_rmse", "least_ratio_0", "largest_ratio_0"]
-    shown += [f"largest_distance_{band}" for band in range(4)]
+    """Spheres over roughness, and heat maps of the paper's model."""
     if not rows:
         return
-    yield Section(
-        "Each model against each integral",
-        "Relative RMSE: of the radiance of spheres under random lights turned in every way, "
-        "relative to its RMS, all roughnesses together. Ratios and distances of responses by SH "
-        f"band, over the whole table. “{INTEGRATED}” is the paper's BRDF without the "
-        "approximations of its closed form: no better form of it would come closer.",
-        [Table.of(rows, [*shown, "quadrature_error"])],
-    )
-    against = {gap.model: gap for gap in gaps(results) if gap.reference == "principled"}
-    relative = {model: (gap.error / gap.signal).tolist() for model, gap in against.items()}
+    signal = _stacked(results, "signal")
+    relative = {
+        model: (_stacked(results, "models", model, "error") / signal).tolist() for model in COMPARED
+    }
     r = [case.r for case, _ in results.finished]
     lines: list[list[Value]] = [
         [name, model, *of[m]] for m, name in enumerate(NAMES) for model, of in relative.items()
@@ -160,7 +95,7 @@ def sections(results: Results[Case], rows: Sequence[Row]) -> Iterator[Section]:
             Plot("spheres", "Error of spheres over roughness.", panels, columns=4, share_y="all")
         ],
     )
-    ratio, n_dot_v = against["paper"].ratio, results.finished[0][0].n_dot_v
+    ratio, n_dot_v = _ratio(results, "paper"), results.finished[0][0].n_dot_v
     yield Section(
         "By roughness and view angle: paper model / principled integral",
         "Of dielectrics, lobe and diffuse term together, which in part make up for each other. "

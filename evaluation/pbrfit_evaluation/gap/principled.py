@@ -64,18 +64,15 @@ class Choices:
     """What the BRDF might be otherwise.
 
     `multiple`: light between facets; without it, M = 1. `fresnel` of the dielectric lobe: Fresnel's
-    "equations"; Schlick's "fit"; or the fit "scaled" by κ.
+    "equations", or Schlick's "fit".
     """
 
     multiple: bool = True
-    fresnel: Literal["equations", "fit", "scaled"] = "equations"
+    fresnel: Literal["equations", "fit"] = "equations"
 
 
 BRDF = Choices()
 """The BRDF above."""
-
-TABULATED = Choices(fresnel="scaled")
-"""What `kernel.shade(..., model="principled")` has in its table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +107,7 @@ class PrincipledResponse:
         """(16,): the dielectric lobe without light between facets."""
         if self.choices.fresnel == "equations":
             return self.glass
-        fit = F0_DIELECTRIC * self.base + self.grazing
-        return fit * self.glass[0] / fit[0] if self.choices.fresnel == "scaled" else fit
+        return F0_DIELECTRIC * self.base + self.grazing
 
     def weights(self, albedo: Array, metallic: Array) -> Array:
         """(..., 3, 16) as `kernel.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""

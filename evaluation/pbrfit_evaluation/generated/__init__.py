@@ -10,7 +10,6 @@ from pbrfit_evaluation.generated import figures
 from pbrfit_evaluation.generated.measure import run
 from pbrfit_evaluation.generated.ways import FEW, GRID, by_cycles
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import count, cycles_cache, option
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Options, Part, Suite
@@ -38,12 +37,8 @@ def cases(options: Options) -> list[Case]:
 SUITE = Suite(
     name="generated",
     title="From one photograph, with stand-in pictures",
-    description="Render textured rooms under many lights, damage the pictures as a generator "
-    "would (tone curves, drift, repainting, another room), and fit them with and without review, "
-    "alignment, robust weights and exposure handling, and by commands from photograph to Blender. "
-    "Without Blender Cycles (make cycles-env) and with --quick our own renderer makes the rooms.",
     protocol=f"pbrfit-generated-1: {SCORES}; {{size}} pixels, {{pictures}} pictures, {{effort}}",
-    parts=[Part.shown_by(figures, "generated", cases, run, csvs=csvs)],
+    parts=[Part.shown_by(figures, "generated", cases, run)],
     options=(
         *GRID.options(FIRST_SEED, "--ways", FEW, scenes="rooms"),
         count("--pictures", "N", "a room, the photograph among them"),
@@ -51,12 +46,14 @@ SUITE = Suite(
         option("--no-cycles", action="store_true", help="only our renderer, even with Cycles"),
     ),
     effort=GRID.effort(FEW) | {"scenes": (4, 1), "size": (64, 64), "pictures": (13, 7)},
-    quick="a minute: one small room by our renderer",
     about=(
         "Textured rooms under soft lights, by Cycles with all light transport, stand for a "
-        "photograph and for pictures that a generator made of it. Levels of damage build upon "
-        "each other. Normals and segments are true unless a row says otherwise.",
-        "Brackets are 95 % intervals of means over rooms. The constant guess has roughness 0.5, "
-        "metallic 0 and the mean of the true albedo.",
+        "photograph and for pictures that a generator made of it: tone curves, drift, repainting, "
+        "another room. Fits with and without review, alignment, robust weights and exposure "
+        "handling, and by commands from photograph to Blender. Without Blender Cycles (make "
+        "cycles-env) and with --quick our own renderer makes the rooms.",
+        "Levels of damage build upon each other. Normals and segments are true unless a row says "
+        "otherwise. Brackets are 95 % intervals of means over rooms. The constant guess has "
+        "roughness 0.5, metallic 0 and the mean of the true albedo.",
     ),
 )

@@ -29,6 +29,7 @@ from pbrfit_evaluation.generated.stand_ins import Array, codes, room, segments_o
 from pbrfit_evaluation.generated.ways import NORMALS_OFF, WAYS
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.normal_errors import filled
 from pbrfit_evaluation.normals.disturbances import disturbed
 from pbrfit_evaluation.panels import of_result, packed
 from pbrfit_evaluation.review.measure import review
@@ -122,7 +123,7 @@ def through_files(
         (at / "pictures").mkdir()
         for i, picture in enumerate(codes(pictures)):
             Image.fromarray(picture).save(at / ("photo.png" if i == 0 else f"pictures/{i:02d}.png"))
-        write_normals(at / "normals.exr", everywhere(scene))
+        write_normals(at / "normals.exr", filled(scene.normals, scene.valid))
         Image.fromarray(segments_of(scene)).save(at / "segments.png")
         told = ["--normals", str(at / "normals.exr"), "--segments", str(at / "segments.png")]
         told += ["--depth", "none", "--fov", f"{scene.fov:g}"]
@@ -163,15 +164,6 @@ def command(*words: object) -> None:
 def scaled_error(found: Array, true: Array) -> float:
     """RMSE after the best factor a channel."""
     return metrics.rmse(metrics.scaled_per_channel(found, true), true)
-
-
-def everywhere(scene: Scene) -> Array:
-    """Normals, outside the mask those of the nearest pixel inside."""
-    from scipy.ndimage import distance_transform_edt
-
-    nearest = distance_transform_edt(~scene.valid, return_distances=False, return_indices=True)
-    found: Array = np.asarray(scene.normals, np.float64)[tuple(nearest)]
-    return found
 
 
 def away_from_edges(result: Result, scene: Scene) -> Result:

@@ -1,4 +1,4 @@
-"""What suites of a `Grid` make of their records: rows, bars, sheets of maps and the CSV file."""
+"""What suites of a `Grid` make of their records: rows, bars and sheets of maps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pbrfit_evaluation.grid import Case, Grid
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.panels import beside_truth, unpacked
-from pbrfit_evaluation.suite import Line, Picture, Results, Row, Verdict, flat
+from pbrfit_evaluation.suite import Picture, Results, Row, Verdict
 
 Of = Results[Case]
 Metrics = Mapping[str, float | None]
@@ -120,14 +120,3 @@ def pictures(
         shown = [one.removeprefix("true ") for one in first if one.startswith("true ")]
         found.append(Picture(sheet, caption, beside_truth(kept, shown, "picture")))
     return found
-
-
-def csvs(results: Of, _: object) -> dict[str, list[Line]]:
-    """A line a case: what it is, and every number and word that was found."""
-    names = ("condition", "way", "kind", "model", "seed")
-    lines: list[Line] = [
-        {name: getattr(case, name) for name in names}
-        | {name.removeprefix("scores/"): value for name, value in flat(values)}
-        for case, values in results.finished
-    ]
-    return {"scenes.csv": lines}

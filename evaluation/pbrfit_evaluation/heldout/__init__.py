@@ -37,9 +37,6 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="heldout",
     title="Held-out pictures",
-    description="Fit materials to some pictures of each set, then only the light of the others, "
-    "and report how well the values of their files are explained: by default, with other flags, "
-    "by the paper's recipe, and without materials.",
     protocol="pbrfit-heldout-1: materials from the kept pictures, light of the held-out ones; RMSE "
     "over RMS of all held-out pictures together, in values of the files, samples that are clipped "
     "left out; {held_out} of at most {pictures} pictures held out at a time, {folds} folds, "
@@ -62,17 +59,17 @@ SUITE = Suite(
         "pictures": (32, 6),
         "max_size": (192, 32),
     },
-    quick="minutes: few small pictures, one fold, few ways",
     about=(
-        "Materials are fitted to the kept pictures. Then only the light of each held-out picture "
-        "is fitted. What is left of the values in its file, as they are stored, is the error: so "
-        "ways compare that read the files by different tone curves. It is also taken with one far "
-        "lamp and constant ambient light, whatever light a way found.",
+        "Materials are fitted to the kept pictures of each set, then only the light of each "
+        "held-out picture. What is left of the values in its file, as they are stored, is the "
+        "error: so ways compare that read the files by different tone curves. It is also taken "
+        "with one far lamp and constant ambient light, whatever light a way found.",
         "Regret is the error of the default over the least of the default, its flags and the "
-        "paper's recipe. "
-        "“Lambert, rank 3” is a matt surface under unknown lamps, “known lamps” photometric stereo "
-        "by least squares; the nearest and the sum of kept pictures have a factor a channel. All "
-        "of these read the files both as sRGB and as linear; the better counts.",
+        "paper's recipe. “Lambert, rank 3” is a matt surface under unknown lamps, “known lamps” "
+        "photometric stereo by least squares; the nearest and the sum of kept pictures have a "
+        "factor a channel. All of these read the files both as sRGB and as linear; the better "
+        "counts. Relightable images (PTM, HSH, PCA) are told the lamp of a held-out picture where "
+        "it is known, else where a fit finds it.",
         "A small error does not prove maps right: several materials may explain the same pictures.",
     ),
 )

@@ -1,9 +1,9 @@
-"""Held-out pictures as rows, verdicts, tables and a CSV file."""
+"""Held-out pictures as rows, verdicts and tables."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ from pbrfit.report.html import Cell
 from pbrfit_evaluation.heldout.light import Score, relative_error
 from pbrfit_evaluation.heldout.measure import IN_WORDS, OURS, WAYS, Task, Way
 from pbrfit_evaluation.heldout.public_sets import Source
-from pbrfit_evaluation.suite import Line, Results, Row, Section, Table, Value, Verdict, digits
+from pbrfit_evaluation.suite import Results, Row, Section, Table, Value, Verdict, digits
 
 MEAN_REGRET, WORST_REGRET = 1.05, 1.25
 """Bars of the default's regret: geometric mean over sets, and any set."""
@@ -133,19 +133,8 @@ def verdicts(results: Of, _: object) -> Iterator[Verdict]:
     yield Verdict("regret, worst set", worst, WORST_REGRET, where)
 
 
-def csvs(results: Of, _: object) -> dict[str, list[Line]]:
-    """Every held-out picture as every way has it."""
-    lines: list[Line] = [
-        {"set": task.source.name, "way": task.way, "fold": task.fold, "light": light, **score}
-        for task, values in results.finished
-        for light in ("own", "lamp")
-        for score in values.get(light) or ()
-    ]
-    return {"pictures.csv": lines}
-
-
-def sections(results: Of, _: Sequence[Row]) -> Iterator[Section]:
-    """The default beside the other ways, errors by set, what it chose, and what the sets are."""
+def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
+    """The default beside the other ways, errors by set, and every figure."""
     of_sets = sets(results)
     if any(one.errors for one in of_sets):
         if any("default" in one.errors for one in of_sets):
@@ -154,30 +143,14 @@ def sections(results: Of, _: Sequence[Row]) -> Iterator[Section]:
             "Errors",
             "RMSE over RMS of the held-out pictures, in values of their files; 1 is that of "
             "black. The least of each set is bold.",
-            [_by_way([(one.source.name, one.errors) for one in of_sets])],
-        )
-        yield Section(
-            "PSNR",
-            "The same errors in dB, white being 1. Relightable images (PTM, HSH, PCA) are told the "
-            "lamp of a held-out picture where it is known, else where a fit finds it.",
-            [_by_way([(one.source.name, one.psnr) for one in of_sets], mean=False, best=max)],
-        )
-    if any(one.under_lamp for one in of_sets):
-        yield Section(
-            "Errors under a lamp",
-            "The same materials, each held-out picture explained by one far lamp and constant "
-            "ambient light.",
-            [_by_way([(one.source.name, one.under_lamp) for one in of_sets])],
-        )
-    angles = [(one.source.name, _angles(one.results)) for one in of_sets]
-    if any(of for _, of in angles):
-        yield Section(
-            "Normals",
-            "Median angle to the true normals, which no way is given, in degrees.",
-            [_by_way([(name, of) for name, of in angles if of], mean=False)],
+            [_by_way(of_sets)],
         )
     yield Section(
-        "The sets", "Regret, light, encoding and seconds of the default.", [_what(of_sets)]
+        "Figures",
+        "Own: the same errors. Lamp: those of the same materials, each held-out picture explained "
+        "by one far lamp and constant ambient light. PSNR is in dB, white being 1. Angles are to "
+        "true normals, which no way is given, in degrees.",
+        [Table.of(rows)],
     )
 
 
@@ -198,47 +171,20 @@ def _in_short(of_sets: Sequence[OfSet]) -> Table:
     return Table(["default", "found"], lines)
 
 
-def _by_way(
-    of_sets: Sequence[tuple[str, Mapping[Way, float]]],
-    *,
-    mean: bool = True,
-    best: Callable[[Iterable[float]], float] = min,
-) -> Table:
+def _by_way(of_sets: Sequence[OfSet]) -> Table:
     """A line a set, a column a way; at last geometric means, of ways that all sets have."""
-    ways = [way for way in WAYS if any(way in of for _, of in of_sets)]
+    ways = [way for way in WAYS if any(way in one.errors for one in of_sets)]
     lines: list[list[Value]] = []
-    for name, of in of_sets:
+    for one in of_sets:
+        of = one.errors
         cells = [
-            Cell(digits(of[way]), "best" if of[way] == best(of.values()) else "number", of[way])
+            Cell(digits(of[way]), "best" if of[way] == min(of.values()) else "number", of[way])
             if way in of
             else None
             for way in ways
         ]
-        lines.append([name, *cells])
-    if mean:
-        all_of = {way: [of[way] for _, of in of_sets if way in of] for way in ways}
-        means = [geometric_mean(of) if len(of) == len(of_sets) else None for of in all_of.values()]
-        lines.append([f"geometric mean of {len(of_sets)} sets", *means])
+        lines.append([one.source.name, *cells])
+    all_of = {way: [one.errors[way] for one in of_sets if way in one.errors] for way in ways}
+    means = [geometric_mean(of) if len(of) == len(of_sets) else None for of in all_of.values()]
+    lines.append([f"geometric mean of {len(of_sets)} sets", *means])
     return Table(["set", *(IN_WORDS[way] for way in ways)], lines)
-
-
-def _angles(of_set: Of) -> dict[Way, float]:
-    found = {way: of_set.of(way=way).mean("normals", "median").mean for way in WAYS}
-    return {way: angle for way, angle in found.items() if not math.isnan(angle)}
-
-
-def _what(of_sets: Sequence[OfSet]) -> Table:
-    lines: list[list[Value]] = []
-    for one in of_sets:
-        source, default = one.source, one.results.of(way="default")
-        sizes = ["{} × {}".format(*v["size"]) for _, v in one.results.finished if "size" in v]
-        chosen = [values["chosen"] for _, values in default.finished]
-        told = [
-            ", ".join(sorted({str(of_fold[name] or "as read") for of_fold in chosen}))
-            for name in ("light", "response")
-        ]
-        seconds = [default.mean(name).mean for name in ("seconds", "processor")]
-        about: list[Value] = [source.name, source.about, float(source.pictures), *sizes[:1]]
-        lines.append([*(about if sizes else [*about, None]), one.regret, *told, *seconds])
-    head = ["set", "what it is", "pictures", "size", "regret", "light", "encoding"]
-    return Table([*head, "seconds", "processor seconds"], lines)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pbrfit._core import InputError
 from pbrfit.commands.arguments import add_threads
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.normals import figures
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES
 from pbrfit_evaluation.normals.measure import exact, rooms, run
@@ -35,13 +34,10 @@ def of_exact(options: Options) -> list[Case]:
 SUITE = Suite(
     name="normals",
     title="Wrong normals, refined",
-    description="Disturb the normals of scenes whose ground truth is known, by 1 to 25 degrees, "
-    "and fit them with and without refinement: errors of materials, relighting and normals; and "
-    "without noise.",
     protocol="pbrfit-normals-1, {effort}",
     parts=[
-        Part.shown_by(figures, "rooms", cases, run, "room_", csvs=csvs),
-        Part.shown_by(figures, "exact", of_exact, run, "exact_", csvs=csvs),
+        Part.shown_by(figures, "rooms", cases, run, "room_"),
+        Part.shown_by(figures, "exact", of_exact, run, "exact_"),
     ],
     options=(
         add_threads,
@@ -68,8 +64,9 @@ SUITE = Suite(
     },
     about=(
         "What wrong normals cost, and how much of it comes back when they are refined together "
-        "with materials and lights. docs/benchmarks/normals.md says what each part measures, and "
-        f"what must hold. Judged is “{figures.JUDGED}”, the default; without noise “on”.",
+        "with materials and lights: scenes whose ground truth is known, their normals disturbed "
+        "by 1 to 25 degrees, with noise and without. docs/benchmarks/normals.md says what each "
+        "part measures, and what must hold. Judged is “auto”, the default; without noise “on”.",
     ),
     timed=True,
 )

@@ -11,7 +11,7 @@ from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
 from pbrfit_evaluation.normals.measure import MAPS, REFINE, TRUE, exact, rooms, turn_of
-from pbrfit_evaluation.suite import Column, Mark, Panel, Plot, Row, Section, Series, Table, Verdict
+from pbrfit_evaluation.suite import Mark, Panel, Plot, Row, Section, Series, Table, Verdict
 
 MAPS_AND_RELIGHT = (*MAPS, "relight")
 METRICS = ("recon", *MAPS_AND_RELIGHT)
@@ -106,19 +106,13 @@ def room_verdicts(results: Of, _: object) -> Iterator[Verdict]:
 
 def room_sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     """Errors; what is won back; error against θ."""
-    shares = [f"{metric}_won_back" for metric in MAPS_AND_RELIGHT]
-    angles = [Column(f"angle_{angle}", f"angle, {angle},\ndegrees") for angle in ANGLES]
-    fitted = [row for row in rows if "angle_left" in row.metrics]
     plots = [_room_plot(results)] if results.finished else []
     yield Section(
         "Errors against the disturbance",
         "“Aligned” is the mean angle after the best turn of all normals together. Won back is "
         "(not refined - refined) / (not refined - floor), of means over scenes; the floor is the "
         "fit without refinement at true normals. scenes.csv says why auto decided as it did.",
-        [
-            Table.of(rows, [*METRICS, *angles, "seconds"]),
-            Table.of(fitted, [*shares, Column("angle_left", "residual angle"), "share_refined"]),
-        ],
+        [Table.of(rows)],
         plots,
     )
 
@@ -185,8 +179,3 @@ def exact_verdicts(results: Of, _: object) -> Iterator[Verdict]:
                 f"not: {', '.join(missed)}" if missed else "",
                 at_least=True,
             )
-
-
-def exact_sections(_: Of, rows: Sequence[Row]) -> list[Section]:
-    """The table; what each scene has is in scenes.csv."""
-    return [Section("Without noise", tables=[Table.of(rows)])]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import get_args
 
 from pbrfit.acquire.weights import Device
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import count, cycles_cache, option
 from pbrfit_evaluation.peers import figures, marigold, rgbx
 from pbrfit_evaluation.peers.measure import GRID, Task, work
@@ -39,13 +38,10 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="peers",
     title="Peers that see one picture",
-    description="Marigold-IID and RGB-X find materials in one picture of synthetic scenes, our "
-    "fit in all pictures; errors of the maps and of pictures relit with them. A peer whose "
-    "packages (pbrfit[diffusion]) or weights are missing is left out, and the report says why.",
     protocol="pbrfit-peers-2: synthetic rooms; peers see one picture, the most evenly lit, in "
     "8-bit sRGB with its 98th percentile at white, our fit all pictures, with noise of 0.01, and "
     f"normals as an estimator gives them, with which all are relit; {SCORES.partition(': ')[2]}",
-    parts=[Part.shown_by(figures, "peers", cases, work, csvs=csvs, alone=True)],
+    parts=[Part.shown_by(figures, "peers", cases, work)],
     options=(
         *GRID.options(FIRST_SEED, scenes="how many"),
         count("--cycles-scenes", "K", "rendered by Blender Cycles, where it is set up"),
@@ -79,8 +75,10 @@ SUITE = Suite(
         "steps": (None, 4),
         "longer_side": (1000, 256),
     },
-    quick="few small scenes, short fits, few sampler steps",
     about=(
+        "Marigold-IID and RGB-X find materials in one picture of synthetic scenes, our fit in all "
+        "pictures. A peer whose packages (pbrfit[diffusion]) or weights are missing is left out, "
+        "and the report says why.",
         "A peer sees neither normals nor other lights; what it has is what it learnt from other "
         "scenes. So this is no race: it says what several pictures are worth beside one. A single "
         "picture cannot tell how bright the lamp was, so albedo and relit pictures are also "
@@ -90,4 +88,5 @@ SUITE = Suite(
         "real rooms, have never seen. The rooms by Cycles have both, and no depth is given.",
     ),
     timed=True,
+    jobs=1,  # a network may fill the GPU
 )

@@ -8,14 +8,11 @@ from dataclasses import fields, replace
 from pbrfit_evaluation.grid.figures import Of, pictures
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.peers.measure import GRID, WAYS
-from pbrfit_evaluation.scores import Scores, better
+from pbrfit_evaluation.scores import Scores
 from pbrfit_evaluation.suite import Column, Row, Section, Table
 
-SHOWN = (
-    *("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled"),
-    *("albedo_psnr", "albedo_ssim", "relight_psnr"),
-)
-"""Columns of the table."""
+SHOWN = ("albedo", "albedo_scaled", "roughness", "metallic", "relight", "relight_scaled")
+"""Columns of the tables."""
 
 
 def rows(results: Of) -> list[Row]:
@@ -25,19 +22,11 @@ def rows(results: Of) -> list[Row]:
 
 def sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     """Errors, and the maps of the first scenes."""
-    columns = [Column(name, best=better(name)) for name in SHOWN]
-    yield Section(
-        "Errors",
-        "RMSE unless a column says otherwise, linear values; PSNR in dB and SSIM in sRGB. "
-        "Intervals of 95 % over scenes.",
-        [Table.of(rows, columns)],
-    )
-    few = columns[:6]
-    plain = [
-        replace(row, metrics={one.metric: row.metrics.get(one.metric) for one in few})
-        for row in rows
-    ]
-    yield Section("In short", "RMSE without intervals.", [Table.of(plain, few)])
+    columns = [Column(name, best="low") for name in SHOWN]
+    told = "RMSE, linear values. Intervals of 95 % over scenes."
+    yield Section("Errors", told, [Table.of(rows, columns)])
+    plain = [replace(row, metrics={one: row.metrics.get(one) for one in SHOWN}) for row in rows]
+    yield Section("In short", "RMSE without intervals.", [Table.of(plain, columns)])
     labels = {key: way.words for key, way in WAYS.items()}
     sheets = pictures(results, labels, "The first scene: the truth, and what was found.")
     if sheets:

@@ -49,7 +49,7 @@ class Outcome:
     rows: Sequence[Row]
     verdicts: Sequence[Verdict]
     sections: Sequence[Section]
-    csvs: Mapping[str, Sequence[Line] | bytes]
+    files: Mapping[str, Sequence[Line] | bytes]
     failed: Sequence[Record]
 
 
@@ -61,7 +61,7 @@ def write(folder: Path, suite: Suite, options: argparse.Namespace, found: Outcom
     )
     texts = (_titled(section, one) for section in sections for one in section.tables)
     (folder / f"{suite.name}.md").write_text("\n".join(texts), encoding="utf-8")
-    for name, lines in found.csvs.items():
+    for name, lines in found.files.items():
         if isinstance(lines, bytes):
             (folder / name).write_bytes(lines)
             continue

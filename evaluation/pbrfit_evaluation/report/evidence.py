@@ -112,14 +112,15 @@ def _public(summary: Mapping[str, Any]) -> dict[str, Any]:
     """The summary without private rows, and without lines of tables that are of these or a case."""
     private = summary.get("private", ())
 
-    def told(line: str) -> bool:
-        first = _BORDER.split(line)[1].strip()
-        return first not in private and not any(first.startswith(f"{of}-") for of in private)
+    def told(table: str) -> str:
+        lines, first = [], ""
+        for line in table.splitlines(keepends=True):
+            first = _BORDER.split(line)[1].strip() or first  # nameless lines are of the last name
+            if first not in private and not any(first.startswith(f"{of}-") for of in private):
+                lines.append(line)
+        return "".join(lines)
 
-    tables = [
-        {**table, "markdown": "".join(filter(told, table["markdown"].splitlines(keepends=True)))}
-        for table in summary["tables"]
-    ]
+    tables = [{**table, "markdown": told(table["markdown"])} for table in summary["tables"]]
     rows = [row for row in summary["rows"] if row["name"] not in private]
     rest = {key: value for key, value in summary.items() if key != "private"}
     return {**rest, "rows": rows, "tables": tables}

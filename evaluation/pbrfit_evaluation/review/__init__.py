@@ -40,9 +40,6 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="review",
     title="What the review of generated pictures finds",
-    description="Render scenes under many lights, damage some of the pictures on purpose, and "
-    "count how many of them the review of `pbrfit generate` finds and how many honest ones it "
-    "refuses. Without Blender Cycles (make cycles-env) only our own renders are judged.",
     protocol="pbrfit-review-1: share of damaged pictures refused, and of honest ones",
     parts=[Part.shown_by(figures, "review", cases, work)],
     options=(
@@ -54,11 +51,11 @@ SUITE = Suite(
         ),
     ),
     effort={"first_seed": (6000, 6000), "size": (512, 256), "pictures": (16, 8), "sets": (3, 1)},
-    quick="two scenes of 256 pixels",
     about=(
         "Renders of one view under many lights stand for the photograph and for pictures that a "
         "generator made of it. Some are damaged on purpose, five in each set. The review judges "
-        "each against the photograph and then all together, as in `pbrfit generate`.",
-        "Pictures are 8-bit sRGB. Cycles casts hard shadows.",
+        "each against the photograph and then all together, as in `pbrfit generate`. Pictures are "
+        "8-bit sRGB. Without Blender Cycles (make cycles-env), which casts hard shadows, only our "
+        "own renders are judged.",
     ),
 )

@@ -1,4 +1,4 @@
-"""The review's rates as rows, verdicts, tables and a CSV file."""
+"""The review's rates as rows, verdicts and tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 from pbrfit_evaluation.review.damage import REPAINTS, WHAT
 from pbrfit_evaluation.review.measure import Task
-from pbrfit_evaluation.suite import Line, Results, Row, Section, Table, Value, Verdict
+from pbrfit_evaluation.suite import Results, Row, Section, Table, Value, Verdict
 
 LEAST_CAUGHT = 0.95
 MOST_REFUSED = 0.05
@@ -110,7 +110,7 @@ def verdicts(results: Results[Task], _: Sequence[Row]) -> list[Verdict]:
 
 
 def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
-    """Rates together, by damage and by source."""
+    """Rates together and by damage."""
     columns = ("refused", "pictures", "share")
     yield Section("Rates", "With intervals of 95 %.", [Table.of(rows, columns)])
     damages: list[list[Value]] = [
@@ -120,26 +120,3 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
     ]
     table = Table(["damage", "what it is", "share caught", "of"], damages)
     yield Section("By damage", tables=[table])
-    sources: list[list[Value]] = []
-    for name in dict.fromkeys(task.source for task, _ in results.finished):
-        some = results.of(source=name)
-        sources.append([name, float(len(some.finished)), *map(str, _rates(some).values())])
-    table = Table(["source", "scenes", *_rates(results)], sources)
-    yield Section("By source", "Caught or refused of how many.", [table])
-
-
-def csvs(results: Results[Task], _: Sequence[Row]) -> dict[str, list[Line]]:
-    """Every picture."""
-    lines: list[Line] = [
-        {
-            "source": task.source,
-            "seed": task.seed,
-            "damage": one["damage"],
-            "among damaged": one["among_damaged"],
-            "amount": f"{one['amount']:.4g}",
-            "refused by": " ".join(one["refused"]),
-            "alone": one["alone"],
-        }
-        for task, one in _pictures(results)
-    ]
-    return {"pictures.csv": lines}

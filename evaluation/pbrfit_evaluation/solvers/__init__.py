@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import count
 from pbrfit_evaluation.solvers import figures
 from pbrfit_evaluation.solvers.measure import GRID, run
@@ -14,10 +13,8 @@ FIRST_SEED = 1000
 SUITE = Suite(
     name="solvers",
     title="The second-order solver",
-    description="Fit rooms with gauss-newton and lbfgsb, without noise to the last digits, and "
-    "with noise, and hold the figures against what they must be.",
     protocol="pbrfit-solvers-1, {effort}",
-    parts=[Part.shown_by(figures, "solvers", GRID.cases, run, csvs=csvs)],
+    parts=[Part.shown_by(figures, "solvers", GRID.cases, run)],
     options=(
         *GRID.options(FIRST_SEED, scenes="of every condition (default: as each needs)"),
         count("--iterations", "K", "of a fit"),
@@ -26,7 +23,8 @@ SUITE = Suite(
     | {"scenes": ((67, 10), (2, 1)), "size": (128, 32), "iterations": (500, 100)},
     about=(
         "Whether the second-order solver “gauss-newton” reaches what it is there for, beside "
-        "“lbfgsb”, scipy's L-BFGS-B. docs/solvers.md says what is measured, and what must hold.",
+        "“lbfgsb”, scipy's L-BFGS-B, in rooms without noise, to the last digits, and with noise. "
+        "docs/solvers.md says what is measured, and what must hold.",
     ),
     jobs=1,
     timed=True,

@@ -1,4 +1,4 @@
-"""Rows, verdicts and tables; what must be reached is in docs/solvers.md."""
+"""Rows and verdicts; what must be reached is in docs/solvers.md."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
 from pbrfit_evaluation.solvers.measure import GRID, NOISE, RESIDUAL
-from pbrfit_evaluation.suite import Row, Section, Table, Verdict
+from pbrfit_evaluation.suite import Row, Verdict
 
 EXACT_SHARE = 64 / 67
 """Share of the rooms without noise that have to be exact, at least."""
@@ -89,12 +89,3 @@ def _highest(what: str, above: Mapping[int, float], bar: float) -> Iterator[Verd
         worst = max(above, key=lambda seed: above[seed])
         many = f"above in {sum(value > bar for value in above.values())} of {len(above)}"
         yield Verdict(what, above[worst], bar, f"seed {worst}; {many}")
-
-
-def sections(_: Of, rows: Sequence[Row]) -> Iterator[Section]:
-    """Means; what each room has is in scenes.csv."""
-    noisy = {GRID.conditions[key] for key in NOISE}
-    for title, of_noise in (("Exact: pictures without noise", False), ("Noise", True)):
-        shown = [row for row in rows if (row.name in noisy) == of_noise]
-        if shown:
-            yield Section(title, tables=[Table.of(shown)])

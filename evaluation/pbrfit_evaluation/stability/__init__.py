@@ -17,8 +17,6 @@ def cases(options: Options) -> list[Task]:
 SUITE = Suite(
     name="stability",
     title="Numerical stability",
-    description="Check loss and gradient against float64 references, and state a bound for every "
-    "figure.",
     # Under one name, with the same effort and seed, the same is measured in the same way.
     protocol="pbrfit-stability-1, {effort}",
     parts=[Part.shown_by(figures, "stability", cases, run)],
@@ -28,7 +26,6 @@ SUITE = Suite(
     ),
     effort={
         "fast objective": ((393_216,), (8_192,)),  # pixels of a kind
-        "branch points": ((64, 201), (32, 41)),  # pixels, points of a scan
         "cancellation": ((65_536,), (4_096,)),  # pixels
         "accumulated error": (
             (10, 65_536, 32),
@@ -37,11 +34,11 @@ SUITE = Suite(
         "tiny numbers": ((65_536,), (8_192,)),  # pixels
         "stiff fits": ((48, 16, 300), (10, 5, 20)),  # size, pictures, iterations
     },
-    quick="seconds instead of minutes: fewer pixels",
     jobs=1,
     about=(
-        "pbrfit computes what depends on a material alone in float64, and the products with lights "
-        "and residuals, which are nearly all of the work, in float32. This page says how far the "
+        "Loss and gradient against float64 references, and a bound for every figure. pbrfit "
+        "computes what depends on a material alone in float64, and the products with lights and "
+        "residuals, which are nearly all of the work, in float32. This page says how far the "
         "results are from exact ones, and where they stop meaning anything. Every figure is the "
         "worst of all that was tried; u = 2⁻²⁴ = 6·10⁻⁸ is the largest relative error of one "
         "rounding to float32.",

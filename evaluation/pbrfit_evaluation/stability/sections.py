@@ -13,14 +13,12 @@ import numpy as np
 
 from pbrfit.threads import one_blas_thread
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.stability import branches, objective, stiff_fits
+from pbrfit_evaluation.stability import objective, stiff_fits
 from pbrfit_evaluation.stability.measure import ROUNDING, Figure, worst
 from pbrfit_evaluation.stability.objective import ALIKE, MANY, ONE_SIGN, RANDOM
 
-# Of band weights, which tests hold to golden values; of the loss relative to itself, of entries of
-# the gradient relative to their natural scale, of blocks of it relative to their norm, of sums of
-# equal terms.
-BAND_BOUND = 1e-14
+# Of the loss relative to itself, of entries of the gradient relative to their natural scale, of
+# blocks of it relative to their norm, of sums of equal terms.
 LOSS_BOUND = 5e-7
 ENTRY_BOUND = 2e-6
 BLOCK_BOUND = 1e-6
@@ -29,9 +27,6 @@ EQUAL_TERMS_BOUND = 256 * ROUNDING
 _BLOCK = "error over norm of the block"
 _ENTRY = "worst entry over its natural scale"
 _TERMS = "worst entry over its terms"
-_NOISE = "fast objective, noise of the"
-_STEPS = "largest change from step to step"
-
 
 Measure = Callable[..., Values]
 """Random numbers, threads and the section's sizes -> `rows`: what was found, by case and key;
@@ -70,28 +65,6 @@ SECTIONS = {
                 for of in ("albedo", "roughness", "metallic")
             },
             "lights_entry_error": (f"gradient by lights: {_ENTRY}", 5e-7),
-        },
-    ),
-    "branch points": Section(
-        branches.measure,
-        "Formulas change at r = 0.4, at the ends r = 0 and 1, and where n·v is clamped, at 10⁻⁴. "
-        "Here all pixels cross such a point together. A jump in value or slope there would stop a "
-        "line search.",
-        "Weights may jump by no more than the error of the bands, relative to the sum of the "
-        "terms' sizes. At the clamp weights may go with the cosine, of "
-        "which the step is 10⁻¹¹ and the rounding some 10⁻¹²; a jump would stay as the step "
-        "shrinks. Float32 makes the objective a staircase whose steps no smaller change of x can "
-        "resolve: 8 u, as away from branch points.",
-        {
-            "weight_jump": (
-                "float64 weights across r = 0, 0.4, 1: change less slope times step",
-                BAND_BOUND,
-            ),
-            "clamp_jump": ("float64 weights across n·v = 10⁻⁴: change", 2e-11),
-            "fast_loss_noise": (f"{_NOISE} loss, relative", LOSS_BOUND),
-            "fast_loss_jump": (f"{_NOISE} loss, relative: {_STEPS}", LOSS_BOUND),
-            "fast_gradient_noise": (f"{_NOISE} slope, over its natural scale", LOSS_BOUND),
-            "fast_gradient_jump": (f"{_NOISE} slope, likewise: {_STEPS}", LOSS_BOUND),
         },
     ),
     "cancellation": Section(

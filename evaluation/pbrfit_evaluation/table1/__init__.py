@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from pbrfit._core import InputError
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import absolute, count, cycles_cache, model_option, option
 from pbrfit_evaluation.rooms.textures import load_textures
@@ -58,10 +57,8 @@ def cases(options: Options) -> list[Case]:
 SUITE = Suite(
     name="table1",
     title="Table 1 on scenes whose ground truth is known",
-    description="Render scenes, decompose them with and without priors and by the paper's recipe, "
-    "and compare with the ground truth, in the setups of the paper's Table 1.",
     protocol=PROTOCOL,
-    parts=[Part.shown_by(figures, "table1", cases, run, csvs=csvs)],
+    parts=[Part.shown_by(figures, "table1", cases, run)],
     options=(
         model_option("is fitted, and what our renderer renders with"),
         *GRID.options(FIRST_SEED, "--rows", scenes=f"at most {MOST_SCENES}"),
@@ -87,11 +84,11 @@ SUITE = Suite(
         cycles_cache,
     ),
     effort=GRID.effort() | {"scenes": (67, 4), "slow_scenes": (20, 0), "size": (64, 32)},
-    quick="two minutes: few and small scenes, without Cycles, refined normals, large pictures",
     about=(
-        "Figures are means over scenes, with 95 % intervals by bootstrap over scenes in brackets; "
-        "the best of the fits of a setup is bold. The paper's numbers are of other scenes: "
-        "context, no comparison.",
+        "Scenes whose ground truth is known, in the setups of the paper's Table 1, decomposed "
+        "with and without priors and by the paper's recipe. Figures are means over scenes, with "
+        "95 % intervals by bootstrap over scenes in brackets; the best of the fits of a setup is "
+        "bold. The paper's numbers are of other scenes: context, no comparison.",
         "The paper's recipe, as we read it, is one run of scipy's L-BFGS-B from the mean picture, "
         "roughness 0.5 and metallic 0.1. The constant guess has roughness 0.5, metallic 0 and the "
         "mean of the true albedo, with the lights that then fit best. Ours refines normals in one "

@@ -9,7 +9,7 @@ from pbrfit.model.reflection import Model
 from pbrfit_evaluation.grid.figures import Of, pictures
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.options import models
-from pbrfit_evaluation.scores import Scores, better
+from pbrfit_evaluation.scores import Scores
 from pbrfit_evaluation.suite import Column, Section, Table, Value, digits, dots
 from pbrfit_evaluation.suite import Row as Figures
 from pbrfit_evaluation.table1.measure import GRID
@@ -22,15 +22,6 @@ EXACT = 1e-6
 
 LEAST_SHOWN = 1e-3
 """RMSE at which the plot's axes begin."""
-
-FACTS = {
-    "metal_share": "share of\nmetal pixels",
-    "condition": "condition\nof the lights",
-    "normals_mean": "normals off by,\nmean, degrees",
-    "refined_mean": "refined to,\ndegrees",
-    "refined_scenes": "share of\nscenes refined",
-}
-"""About the scenes of a setup."""
 
 
 def rows(results: Of) -> list[Figures]:
@@ -50,13 +41,7 @@ def rows(results: Of) -> list[Figures]:
 
 
 def sections(results: Of, rows: Sequence[Figures]) -> Iterator[Section]:
-    """Tables, the plot, the setups and the first scene of each."""
-    effort = ("seconds", "evaluations")
-    rest = [
-        Column(name, best=None if name in effort else better(name))
-        for name in METRICS
-        if name not in COLUMNS
-    ]
+    """Tables, the plot and the first scene of each setup."""
     labels = {way.words: way.words for way in WAYS.values()}
     caption = f"With intervals. What is exact stands at {LEAST_SHOWN:g}."
     plots = (
@@ -70,13 +55,13 @@ def sections(results: Of, rows: Sequence[Figures]) -> Iterator[Section]:
         "paper reports of its own scenes.",
         [_in_short(rows, model) for model in models(results.options)],
     )
+    rest = [name for name in METRICS if name not in COLUMNS]
     yield Section(
         "More of the same results",
         "Errors on metal pixels alone; albedo and relit pictures after the best factor a channel, "
-        "which pictures barely fix; PSNR in dB and SSIM; and the effort.",
+        "which pictures barely fix; and the effort.",
         [Table.of([row for row in rows if row.scenes], rest)],
     )
-    yield Section("The setups", tables=[_setups(results)])
     labels = {key: way.words for key, way in WAYS.items()}
     examples = pictures(results, labels, "The first scene: the truth, and what was found.")
     if examples:
@@ -106,15 +91,3 @@ def _shown(value: float | None) -> str:
     if value is None or value != value:
         return "–"
     return "exact" if value < EXACT else digits(value)
-
-
-def _setups(results: Of) -> Table:
-    """What each setup is, of the first model: worlds are the same for all."""
-    ours = results.of(way="default", model=models(results.options)[0])
-    lines: list[list[Value]] = []
-    for key, title in GRID.conditions.items():
-        if key in results.options.conditions:
-            of = ours.of(condition=key)
-            facts = (of.mean("facts", name).mean for name in FACTS)
-            lines.append([title, BY_KEY[key].what, *facts])
-    return Table(["setup", "what it is", *FACTS.values()], lines)

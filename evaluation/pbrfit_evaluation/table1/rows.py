@@ -1,4 +1,4 @@
-"""The rows of Table 1: what each changes about the base, and what the paper found there."""
+"""The rows of Table 1, which docs/table1.md describes: what each changes about the base."""
 
 from __future__ import annotations
 
@@ -38,8 +38,6 @@ class Row:
     ----------
     key, name
         For files, and for people.
-    what
-        What sets it apart, in a sentence.
     scene
         Kind of scene.
     renderer
@@ -66,7 +64,6 @@ class Row:
 
     key: str
     name: str
-    what: str
     scene: Literal["furnished", "detailed"] = "furnished"
     renderer: Renderer = "own"
     light: Literal["panorama", "points"] = "panorama"
@@ -91,83 +88,31 @@ def _paper(*errors: float) -> dict[str, float]:
 
 
 ROWS = (
-    Row(
-        "base",
-        "Base",
-        "Our renderer, SH3 lights, true normals, true field of view.",
-        paper=_paper(0.001, 0.065, 0.232, 0.186, 0.166),
-    ),
-    Row(
-        "base-large",
-        "Base, four times as wide and high",
-        "As before, with sixteen times the pixels.",
-        enlarged=4,
-    ),
-    Row(
-        "sh2",
-        "SH2 decomposition",
-        "The base pictures, explained by lights of order 2.",
-        sh_order=2,
-        paper=_paper(0.002, 0.064, 0.242, 0.147, 0.154),
-    ),
+    Row("base", "Base", paper=_paper(0.001, 0.065, 0.232, 0.186, 0.166)),
+    Row("base-large", "Base, four times as wide and high", enlarged=4),
+    Row("sh2", "SH2 decomposition", sh_order=2, paper=_paper(0.002, 0.064, 0.242, 0.147, 0.154)),
     Row(
         "normals",
         "Predicted normals",
-        "The base pictures with normals as a learned estimator gives them.",
         normals="predicted",
         paper=_paper(0.016, 0.160, 0.341, 0.446, 0.201),
     ),
     Row(
         "normals-refined",
         "Predicted normals, refined",
-        "The same scenes and normals, refined where the pictures say that they are wrong.",
         normals="predicted",
         refine_normals="auto",
         ways=REFINED,
     ),
-    Row(
-        "fov90",
-        "FOV 90",
-        "The base pictures, with a field of view of 90 degrees where 60 is true.",
-        fov=90.0,
-        paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143),
-    ),
-    Row(
-        "other-model",
-        "Pictures of the other model",
-        "The base scenes, rendered with the other reflection model than the one that is fitted.",
-        swapped=True,
-    ),
-    Row(
-        "detailed",
-        "Detailed scenes",
-        "Our renderer, the rooms with textures on everything.",
-        scene="detailed",
-    ),
-    Row(
-        "cycles-brdf",
-        "Cycles, panorama: BRDF alone",
-        "Cycles, a panorama that encodes the SH3 light, nothing blocks or reflects it.",
-        renderer="cycles",
-        transport="brdf",
-    ),
-    Row(
-        "cycles-shadows",
-        "Cycles, panorama: and shadows",
-        "As before, but furniture, floor and the walls in view block the light.",
-        renderer="cycles",
-        transport="shadows",
-    ),
-    Row(
-        "cycles-panorama",
-        "Cycles, panorama",
-        "As before, and light bounces: all that a path tracer does.",
-        renderer="cycles",
-    ),
+    Row("fov90", "FOV 90", fov=90.0, paper=_paper(0.004, 0.091, 0.283, 0.194, 0.143)),
+    Row("other-model", "Pictures of the other model", swapped=True),
+    Row("detailed", "Detailed scenes", scene="detailed"),
+    Row("cycles-brdf", "Cycles, panorama: BRDF alone", renderer="cycles", transport="brdf"),
+    Row("cycles-shadows", "Cycles, panorama: and shadows", renderer="cycles", transport="shadows"),
+    Row("cycles-panorama", "Cycles, panorama", renderer="cycles"),
     Row(
         "cycles-points-unshadowed",
         "Cycles, point lights without shadows",
-        "Direct light of lamps without size inside the room.",
         renderer="cycles",
         light="points",
         transport="brdf",
@@ -175,7 +120,6 @@ ROWS = (
     Row(
         "cycles-points",
         "Cycles, point lights",
-        "As before, with shadows.",
         renderer="cycles",
         light="points",
         transport="shadows",
@@ -184,7 +128,6 @@ ROWS = (
     Row(
         "cycles-detailed",
         "Detailed scenes, Cycles, panorama",
-        "The rooms with textures, rendered with all that a path tracer does.",
         scene="detailed",
         renderer="cycles",
         paper=_paper(0.043, 0.222, 0.334, 0.435, 0.210),
@@ -192,8 +135,6 @@ ROWS = (
     Row(
         "regularized",
         "Regularised",
-        "The base pictures, explained with priors; the paper's on roughness and metallic have the "
-        "true segments.",
         ways=REGULARIZED,
         paper=_paper(0.010, 0.066, 0.241, 0.248, 0.160),
     ),

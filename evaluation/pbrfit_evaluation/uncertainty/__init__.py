@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit_evaluation.everyday.disturbances import KINDS
-from pbrfit_evaluation.grid.figures import csvs
 from pbrfit_evaluation.options import option, several
 from pbrfit_evaluation.suite import Part, Suite
 from pbrfit_evaluation.uncertainty import figures
@@ -19,13 +18,9 @@ QUICK = ("clean", "noise", "fov-90")
 SUITE = Suite(
     name="uncertainty",
     title="Is the uncertainty right?",
-    description="Fit scenes whose ground truth is known, such as the model has them and such as "
-    "it does not: wrong normals, field of view, order of the lights or reflection model, files of "
-    "8 bits, shadows, bounced light, lamps. Compare errors with standard deviations, intervals "
-    "and verdicts.",
     protocol="pbrfit-uncertainty-2: values of maps within their deviations and intervals, RMSE of "
     "maps by their verdicts; {size} pixels, model {model}, {effort}",
-    parts=[Part.shown_by(figures, "uncertainty", GRID.cases, run, csvs=csvs)],
+    parts=[Part.shown_by(figures, "uncertainty", GRID.cases, run)],
     options=(
         *GRID.options(FIRST_SEED, "--rows", QUICK),
         several("--kinds", "KIND", KINDS, what="of the scenes, in turn", default="furnished"),
@@ -42,13 +37,11 @@ SUITE = Suite(
         "scenes": (10, 1),
         "size": (64, 32),
     },
-    quick="half a minute: one small scene, three rows",
     about=(
         "Rooms with known materials, 16 pictures each, fitted with all defaults. In some rows the "
-        "pictures are as the model has them, in others something is wrong that no fit knows of. "
-        "A posterior is right where the errors of its values are as large as it says, whatever is "
-        "wrong.",
-        "docs/uncertainty.md says what must hold. A demand that does not hold is shown as such.",
+        "pictures are as the model has them, in others something is wrong that no fit knows of: "
+        "normals, field of view, order of the lights or reflection model, files of 8 bits, "
+        "shadows, bounced light, lamps. A posterior is right where the errors of its values are "
+        "as large as it says, whatever is wrong. docs/uncertainty.md says what must hold.",
     ),
-    timed=True,
 )

@@ -15,11 +15,9 @@ from pbrfit.result.verdict import (
     USABLE_ERROR,
     USABLE_MAX,
 )
-from pbrfit_evaluation.everyday.measure import covered
 from pbrfit_evaluation.grid.figures import Metrics, Of
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.suite import (
-    Column,
     Mark,
     Panel,
     Plot,
@@ -44,34 +42,26 @@ USABLE_RIGHT, UNDETERMINED_WRONG = 0.95, 0.1
 """Share of the maps called usable whose error is so small, at least; and of those called not
 determined whose error is that of a rough guide or better, at most."""
 
-SCALES_COVERED = 0.9
-"""Share of the scales whose error is within two deviations, at least."""
-
-TIME = 0.1
-"""Seconds after the fits over those of the fits, at most."""
-
 LEAST_ERROR = 1e-3
 """RMSE below which maps are drawn at it: far below all that verdicts tell apart."""
 
-METRICS = ("within_1", "within_2", "in_interval", "deviation")
+METRICS = ("within_1", "within_2", "in_interval", "deviation", "rmse", "guess", "expected_error")
 
 
 # ------------------------------------------------------------------------------------------ rows
 
 
 def rows(results: Of) -> list[Row]:
-    """A row a condition: of each map means over scenes; the scale, and seconds."""
+    """A row a condition: of each map means over scenes."""
 
     def more(_: str, __: str, of: Of) -> Metrics:
-        maps = {
+        return {
             f"{name}_{key}": value
             for name in PARAMETERS
             for key, value in _of_map(of, name).items()
         }
-        seconds = {"seconds": of.average("seconds", "fit"), "after_share": _after_share(of)}
-        return {**maps, "scale_within_2": _share(_scales_within(of)), **seconds}
 
-    return grid_rows(GRID, results, (), more)
+    return grid_rows(GRID, results, ("seconds",), more)
 
 
 def _conditions(results: Of) -> Iterator[tuple[Condition, Of]]:
@@ -82,42 +72,16 @@ def _conditions(results: Of) -> Iterator[tuple[Condition, Of]]:
 
 
 def _of_map(of: Of, name: str) -> dict[str, float | None]:
-    path = ("said", name)
-    errors, guesses = of.numbers(*path, "rmse"), of.numbers(*path, "guess")
-    return {
-        **of.metrics(["within_2"], *path),
-        **{key: of.average(*path, key) for key in METRICS if key != "within_2"},
-        "rmse": _mean(errors),
-        "guess": _mean(guesses),
-        "over_guess": _mean(errors) / _mean(guesses) if any(guesses) else math.nan,
-        "expected_error": of.average(*path, "expected_error"),
-    }
-
-
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if values else math.nan
-
-
-def _share(flags: Sequence[bool]) -> float:
-    return _mean([float(flag) for flag in flags])
-
-
-def _scales_within(of: Of) -> list[bool]:
-    """Of each channel of each scene, whether the error of the scale is within two deviations."""
-    return [flag for _, values in of.finished for flag in covered(values["scale"])]
-
-
-def _after_share(of: Of) -> float:
-    """Seconds after the fits over those of the fits, of scenes where they can be told apart."""
-    fits, after = (of.numbers("seconds", name) for name in ("fit", "after"))
-    return sum(after) / sum(fits) if fits else math.nan
+    means = {key: of.average("said", name, key) for key in METRICS}
+    over = means["rmse"] / means["guess"] if means["guess"] else math.nan
+    return {**means, **of.metrics(["within_2"], "said", name), "over_guess": over}
 
 
 # -------------------------------------------------------------------------------------- verdicts
 
 
 def verdicts(results: Of, of_rows: Sequence[Row]) -> Iterator[Verdict]:
-    """What coverage, errors, levels, the scale and seconds have to be."""
+    """What coverage, errors and levels have to be."""
     for row in of_rows:
         yield from _row_verdicts(row)
     said = confusion(results)
@@ -125,17 +89,6 @@ def verdicts(results: Of, of_rows: Sequence[Row]) -> Iterator[Verdict]:
     yield _of_said(f"“{LEVELS[0]}” and right", usable[0], usable.sum(), USABLE_RIGHT, at_least=True)
     wrong = undetermined[:-1].sum()
     yield _of_said(f"“{LEVELS[-1]}” and wrong", wrong, undetermined.sum(), UNDETERMINED_WRONG)
-    shares = {c.title: _share(_scales_within(of)) for c, of in _conditions(results)}
-    worst = min(shares, key=lambda title: shares[title], default="")
-    yield Verdict(
-        "share of scales of albedo, of all channels and scenes, within two deviations",
-        _share(_scales_within(results)),
-        SCALES_COVERED,
-        f"least: {worst}, {digits(shares[worst])}" if worst else "",
-        at_least=True,
-    )
-    what = "seconds after the fit (uncertainty and final errors) over those of the fit"
-    yield Verdict(what, _after_share(results), TIME)
 
 
 def _row_verdicts(row: Row) -> Iterator[Verdict]:
@@ -168,68 +121,27 @@ def _of_said(
     return Verdict(f"share of maps called {what}", count / total, bar, where, at_least=at_least)
 
 
-def confusion(results: Of, *names: str) -> Array:
-    """(3, 3): how many maps were called each level (rows) and by their error are each (columns).
-
-    Of some maps, by default all.
-    """
+def confusion(results: Of) -> Array:
+    """(3, 3): how many maps were called each level (rows) and by their error are each (columns)."""
     found = np.zeros((len(LEVELS), len(LEVELS)))
     for _, values in results.finished:
-        for name in names or PARAMETERS:
-            one = values["said"][name]
+        for one in values["said"].values():
             found[LEVELS.index(one["said"]), LEVELS.index(one["deserved"])] += 1
     return found
 
 
 # --------------------------------------------------------------------------------- what is shown
 
-COLUMNS = (
-    Column("within_1", "within 1\ndeviation"),
-    Column("within_2", "within 2"),
-    Column("in_interval", "in the\ninterval"),
-    Column("rmse", "RMSE"),
-    Column("expected_error", "RMSE\nexpected"),
-    Column("guess", "RMSE of\nthe guess"),
-    Column("over_guess", "RMSE over\nthe guess's"),
-    Column("deviation", "deviation,\nmedian"),
-)
-
 
 def sections(results: Of, of_rows: Sequence[Row]) -> Iterator[Section]:
-    """Tables of the maps, verdicts, and the scale with seconds."""
+    """Coverage and errors in short, and the plot of verdicts."""
     yield Section(
         "In short",
         "Errors within two deviations, and RMSE in brackets, of each map.",
         [_in_short(of_rows)],
     )
-    yield Section(
-        "Coverage and errors",
-        "Means over scenes; of Gaussian errors 68 % are within one deviation and 95 % within two. "
-        "The interval is from the 2.5 % to the 97.5 % quantile. The guess is one material "
-        "everywhere: the true mean albedo, roughness 0.5, metallic 0. RMSE expected is what the "
-        "verdict rests on.",
-        [_of_one_map(of_rows, name) for name in PARAMETERS],
-    )
-    if not results.finished:
-        return
-    yield Section(
-        "Verdicts",
-        "Each map of each scene counts once: what it was called, and what it is by its true error.",
-        [_confusions(results)],
-        [_expected(results)],
-    )
-    columns = (
-        Column("scale_within_2", "scales within 2\ndeviations"),
-        Column("seconds", "seconds\nof a fit"),
-        Column("after_share", "after it,\nby those"),
-    )
-    yield Section(
-        "Scale of albedo and seconds",
-        "The scale is what true albedo has to be multiplied by to be nearest to the found one, "
-        "a channel at a time. Seconds after a fit are those of the uncertainty and of the final "
-        "errors together.",
-        [Table.of(of_rows, columns)],
-    )
+    if results.finished:
+        yield Section("Verdicts", figures=[_expected(results)])
 
 
 def _in_short(of_rows: Sequence[Row]) -> Table:
@@ -242,26 +154,6 @@ def _in_short(of_rows: Sequence[Row]) -> Table:
         for row in of_rows
     ]
     return Table(["", "scenes", *PARAMETERS], lines)
-
-
-def _of_one_map(of_rows: Sequence[Row], name: str) -> Table:
-    def own(row: Row) -> Row:
-        prefix = f"{name}_"
-        kept = {k.removeprefix(prefix): v for k, v in row.metrics.items() if k.startswith(prefix)}
-        return Row(row.name, row.scenes, None, kept, status=row.status)
-
-    return Table.of([own(row) for row in of_rows], COLUMNS, f"{name.capitalize()}.")
-
-
-def _confusions(results: Of) -> Table:
-    """How many maps were called what, by map and in all."""
-    lines: list[Sequence[Value]] = []
-    for title, names in (*((name, (name,)) for name in PARAMETERS), ("all maps", PARAMETERS)):
-        for said, counts in zip(LEVELS, confusion(results, *names), strict=True):
-            first = title if said == LEVELS[0] else ""
-            lines.append([first, said, *map(float, counts)])
-    deserved = ["error of\na usable map", "of a\nrough guide", "larger"]
-    return Table(["", "called", *deserved], lines)
 
 
 def _expected(results: Of) -> Plot:

@@ -5,7 +5,6 @@ Shares and sums are over values: of albedo each channel of each pixel.
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, deserved
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday.disturbances import truth_of
-from pbrfit_evaluation.everyday.measure import scales
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.recipes import constant_guess
@@ -36,25 +34,14 @@ def run(case: Case, threads: int) -> Values:
 
     Returns
     -------
-    `said`: by name, see `calibration`, with `guess`, the RMSE of the constant guess, and the
-    verdict. `scale`: by channel, see `scale_errors`. `seconds`: of the fit, `fit`, and of what
-    comes after it, `after`: the uncertainty and the final errors; empty where lamps were found,
-    whose fit has its uncertainty in it.
+    `scores`, and `said`: by name, see `calibration`, with `guess`, the RMSE of the constant guess,
+    and the verdict.
     """
     assert case.model is not None
     scene = made(case.condition, case.kind, case.seed, case.size, case.model, threads)
-    importlib.import_module("scipy.optimize")  # loading it is no part of a fit
     options = {"refine_normals": "auto", **CONDITIONS[case.condition].options}
     result, found = measured(case, GRID.ways[case.way], scene, threads, **options)
-    fit, wall = found["scores"]["seconds"], found["scores"]["wall"]
-    seconds = {"fit": fit, "after": wall - fit}
-    seconds = {} if result.lamps is not None else seconds
-    return {
-        **found,
-        "said": said(result, scene),
-        "scale": scales(result, scene),
-        "seconds": seconds,
-    }
+    return {**found, "said": said(result, scene)}
 
 
 def said(result: Result, scene: Scene) -> dict[str, Any]:
