@@ -21,7 +21,6 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from pbrfit.model.geometry import angles_between, positions
 from pbrfit_evaluation.normal_errors import Array, Floats, smooth
 
 BLUR = 0.75
@@ -83,21 +82,6 @@ def _blurred(values: Array, known: NDArray[np.bool_], width: float) -> Array:
         gaussian_filter(of, width, mode="constant") for of in (values * known, known.astype(float))
     )
     return np.asarray(np.where(known, total, 1.0) / np.where(known, weight, 1.0))
-
-
-def off(found: Floats, true: Floats, valid: NDArray[np.bool_]) -> float:
-    """Mean relative error of depth over valid pixels, after the best common factor (a median)."""
-    ratio = (found / true)[valid]
-    return float(np.nanmean(np.abs(ratio / np.nanmedian(ratio) - 1)))
-
-
-def normals_off(depth: Floats, normals: Floats, fov: float, valid: NDArray[np.bool_]) -> float:
-    """Median angle in degrees between the normals of a depth map and given ones."""
-    points = positions(depth, fov)
-    across = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
-    with np.errstate(invalid="ignore"):
-        facing = -across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return float(np.nanmedian(angles_between(facing, normals)[valid]))
 
 
 def estimated(depth: Floats, seed: int, *, noise: float = NOISE) -> Array:

@@ -79,12 +79,3 @@ def joined(
                 within[a] = max(within[a], within[b], difference)
     roots = np.array([root(node) for node in range(count)])
     return np.unique(roots, return_inverse=True)[1].astype(np.int32) + 1
-
-
-def purity(found: NDArray[np.integer[Any]], true: NDArray[np.integer[Any]]) -> float:
-    """Share of pixels (P,) that are of the object that has most of their segment."""
-    _, segment = np.unique(found, return_inverse=True)
-    _, thing = np.unique(true, return_inverse=True)
-    shared = np.zeros((segment.max() + 1, thing.max() + 1))
-    np.add.at(shared, (segment, thing), 1)
-    return float(shared.max(axis=1).sum() / len(found))

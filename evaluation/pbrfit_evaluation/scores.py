@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.result import metrics, relighting
 from pbrfit.result.result import Result
@@ -14,11 +12,8 @@ from pbrfit.scene.scene import Scene
 
 PROTOCOL = (
     "pbrfit-scores-1: RMSE over valid pixels and channels, linear values; relight under the true "
-    "held-out lights; metal = true metallic >= 0.5; scaled = after the best factor a channel"
+    "held-out lights; scaled = after the best factor a channel"
 )
-
-METAL = 0.5
-"""Pixels whose true metallic is at least this are metal."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +28,6 @@ class Scores:
     roughness: float
     metallic: float
     relight: float | None
-    roughness_on_metal: float | None
-    metallic_on_metal: float | None
     albedo_scaled: float
     relight_scaled: float | None
     seconds: float
@@ -52,7 +45,6 @@ def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
     found, true = result.materials, truth.materials
     errors = result.metrics
     valid = scene.valid
-    metal = np.where(valid, true.metallic, 0.0) >= METAL
     scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
     relight = relight_scaled = None
     if truth.relight_images is not None and truth.relight_lighting is not None:
@@ -65,17 +57,9 @@ def score(result: Result, scene: Scene, threads: int = 0) -> Scores:
         albedo=metrics.rmse(found.albedo, true.albedo),
         roughness=metrics.rmse(found.roughness, true.roughness),
         metallic=metrics.rmse(found.metallic, true.metallic),
-        roughness_on_metal=_on(metal, found.roughness, true.roughness),
-        metallic_on_metal=_on(metal, found.metallic, true.metallic),
         albedo_scaled=metrics.rmse(scaled, true.albedo),
         relight=relight,
         relight_scaled=relight_scaled,
         seconds=result.seconds,
         evaluations=result.evaluations,
     )
-
-
-def _on(
-    pixels: NDArray[np.bool_], found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]]
-) -> float | None:
-    return metrics.rmse(found[pixels], true[pixels]) if pixels.any() else None

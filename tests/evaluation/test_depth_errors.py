@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evaluation_tasks import depth_off, normals_off
 from pbrfit.model.geometry import view_directions
 from pbrfit_evaluation import depth_errors
 from pbrfit_evaluation.depth_errors import (
@@ -14,8 +15,6 @@ from pbrfit_evaluation.depth_errors import (
     ROUGH,
     disturbed,
     estimated,
-    normals_off,
-    off,
 )
 
 SIZE, FOV = 64, 60.0
@@ -48,15 +47,15 @@ def test_normals_of_depth_are_those_of_its_surface() -> None:
 
 def test_a_common_factor_is_no_error() -> None:
     depth = plane((0.3, 0.4, 1.0))[0]
-    assert off(1.7 * depth, depth, ALL) < 1e-12
-    assert off(depth + 0.3 * step(), depth, ALL) > 0.01
+    assert depth_off(1.7 * depth, depth, ALL) < 1e-12
+    assert depth_off(depth + 0.3 * step(), depth, ALL) > 0.01
 
 
 def test_depth_is_off_as_networks_are() -> None:
     depth, normals = plane((0.1, 0.3, 1.0))
     rngs = [np.random.default_rng(seed) for seed in range(30)]
     found = [disturbed(depth, rng) for rng in rngs]
-    assert 0.03 < np.mean([off(one, depth, ALL) for one in found]) < 0.06
+    assert 0.03 < np.mean([depth_off(one, depth, ALL) for one in found]) < 0.06
     assert 8 < np.mean([normals_off(one, normals, FOV, ALL) for one in found]) < 18
     rough = disturbed(depth, np.random.default_rng(0), noise=ROUGH)
     assert normals_off(rough, normals, FOV, ALL) > 30

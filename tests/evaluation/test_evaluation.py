@@ -240,26 +240,21 @@ def at_the_truth(scene: Scene, iterations: int) -> Result:
 
 def test_true_materials_have_no_errors(scene: Scene) -> None:
     found = scores.score(at_the_truth(scene, 0), scene)
-    for name in ("recon", "albedo", "roughness", "metallic", "relight", "metallic_on_metal",
-                 "roughness_on_metal", "albedo_scaled", "relight_scaled"):  # fmt: skip
+    for name in ("recon", "albedo", "roughness", "metallic", "relight", "albedo_scaled",
+                 "relight_scaled"):  # fmt: skip
         assert getattr(found, name) <= 1e-12
     assert found.evaluations == 1
 
 
 def test_scores_of_known_errors(scene: Scene) -> None:
-    """Albedo twice the truth under half the light, and metallic off by 0.25 on metal only."""
+    """Albedo twice the truth under half the light."""
     true = truth_of(scene).materials
-    metal = true.metallic >= 0.5
-    wrong = Materials(
-        0.5 * true.albedo, true.roughness + 0.125, np.where(metal, 0.75, true.metallic)
-    )
+    wrong = Materials(0.5 * true.albedo, true.roughness + 0.125, 0.25 + 0.5 * true.metallic)
     found = scores.score(replace(at_the_truth(scene, 0), materials=wrong), scene)
     assert found.albedo == pytest.approx(0.5 * np.sqrt(np.mean(np.square(true.albedo))))
     assert found.albedo_scaled <= 1e-12
     assert found.roughness == pytest.approx(0.125)
-    assert found.roughness_on_metal == pytest.approx(0.125)
-    assert found.metallic_on_metal == pytest.approx(0.25)
-    assert found.metallic == pytest.approx(0.25 * np.sqrt(metal.mean()))
+    assert found.metallic == pytest.approx(np.sqrt(np.mean((0.25 - 0.5 * true.metallic) ** 2)))
     assert known(found.relight) > known(found.relight_scaled) > 0
 
 
@@ -274,14 +269,11 @@ def test_pixels_outside_the_mask_never_enter(scene: Scene) -> None:
     assert known(found.relight) <= 1e-12
 
 
-def test_scores_without_held_out_pictures_or_metal(scene: Scene) -> None:
+def test_scores_without_held_out_pictures(scene: Scene) -> None:
     truth = truth_of(scene)
-    true = truth.materials
-    dielectric = replace(true, metallic=np.zeros_like(true.metallic))
-    less = replace(scene, truth=Truth(dielectric, truth.lighting))
+    less = replace(scene, truth=Truth(truth.materials, truth.lighting))
     found = scores.score(pbrfit.decompose(less, iterations=0, priors=None), less)
     assert found.relight is None
-    assert found.metallic_on_metal is None
 
 
 def test_constant_guess_and_paper_start_by_hand(scene: Scene) -> None:

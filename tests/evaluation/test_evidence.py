@@ -110,7 +110,13 @@ def test_a_benchmark_records_its_tables(docs: Path) -> None:
 
 def test_private_rows_stay_out(docs: Path, out: Path) -> None:
     rows = [Row("secret", 1, None, {"x": 1.0}, private=True), Row("open", 1, None, {"x": 2.0})]
-    times = [["secret", 3.25], ["", 1.25], ["secret-2", 0.25], ["open", 4.5], ["mean of 2", 3.75]]
+    times: list[list[Any]] = [
+        ["secret", 3.25],
+        ["", 1.25],
+        ["secret-2", 0.25],
+        ["open", 4.5],
+        ["mean of 2", 3.75],
+    ]
     table = markdown(Table(["set", "ms"], times))
     write_summary(out, "p", rows, command="race", tables={"Times": table})
     assert json.loads((out / "summary.json").read_text("utf-8"))["private"] == ["secret"]

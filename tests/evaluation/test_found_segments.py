@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
+from evaluation_tasks import purity
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.found_segments import LEAST, found_segments, joined, purity
+from pbrfit_evaluation.found_segments import LEAST, found_segments, joined
 
 SIZE = 32
 
@@ -65,12 +65,6 @@ def test_regions_of_furniture_are_of_one_thing() -> None:
     found = found_segments(room)
     assert len(np.unique(found)) < 120
     assert purity(found[room.valid], room.segments[room.valid]) > 0.85
-
-
-def test_purity_by_hand() -> None:
-    found, true = np.array([1, 1, 1, 2, 2]), np.array([7, 7, 9, 9, 9])
-    assert purity(found, true) == pytest.approx(0.8)
-    assert purity(np.ones(5, int), true) == pytest.approx(0.6)
 
 
 def test_a_chain_is_joined_where_it_is_alike() -> None:

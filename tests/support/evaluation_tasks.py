@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pbrfit.model.geometry import angles_between, positions
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit.synthetic.geometry import trace
@@ -78,3 +79,26 @@ def own_room(case: Any, _: int) -> Scene:
     rays = -made.views.reshape(-1, 3)
     distance = trace(of.primitives, of.eye, rays @ of.turn.T).distance.reshape(made.valid.shape)
     return replace(made, depth=distance * made.views[..., 2])
+
+
+def depth_off(found: Any, true: Any, valid: Any) -> float:
+    """Mean relative error of depth over valid pixels, after the best common factor (a median)."""
+    ratio = (found / true)[valid]
+    return float(np.nanmean(np.abs(ratio / np.nanmedian(ratio) - 1)))
+
+
+def normals_off(depth: Any, normals: Any, fov: float, valid: Any) -> float:
+    """Median angle in degrees between the normals of a depth map and given ones."""
+    points = positions(depth, fov)
+    across = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    with np.errstate(invalid="ignore"):
+        facing = -across / np.linalg.norm(across, axis=-1, keepdims=True)
+    return float(np.nanmedian(angles_between(facing, normals)[valid]))
+
+
+def purity(found: Any, true: Any) -> float:
+    """Share of pixels (P,) that are of the object that has most of their segment."""
+    segment, thing = (np.unique(ids, return_inverse=True)[1] for ids in (found, true))
+    shared = np.zeros((segment.max() + 1, thing.max() + 1))
+    np.add.at(shared, (segment, thing), 1)
+    return float(shared.max(axis=1).sum() / len(found))

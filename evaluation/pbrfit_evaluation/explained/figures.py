@@ -15,7 +15,6 @@ from pbrfit_evaluation.suite import Column, Row, Section, Table
 
 ERRORS = (*MAPS, "relight")
 METRICS = (*ERRORS, "recon", "seconds")
-FACTS = ("depth_off", "normals_off", "segments", "purity")
 CHOICES = ("none", "occlusion", "bounce")
 
 
@@ -33,18 +32,17 @@ def geometry_rows(results: Of) -> list[Row]:
     """A row a setup and variant; one that was not run says why."""
 
     def more(_: str, way: str, of: Of) -> Metrics:
-        found = {name: of.mean("facts", name).mean for name in FACTS}
-        if "transport" in OF_GEOMETRY[way].options:
-            chosen = [values["choice"] for _, values in of.finished]
-            found |= {f"chose_{one}": chosen.count(one) / len(chosen) for one in CHOICES}
-        return found
+        if "transport" not in OF_GEOMETRY[way].options:
+            return {}
+        chosen = [values["choice"] for _, values in of.finished]
+        return {f"chose_{one}": chosen.count(one) / len(chosen) for one in CHOICES}
 
     return grid_rows(GEOMETRY, results, METRICS, more)
 
 
 def geometry_sections(results: Of, found: Sequence[Row]) -> Iterator[Section]:
-    """Errors, how far what was given is off, what was chosen, and maps."""
-    rest = ("recon", "seconds", *FACTS, *(f"chose_{one}" for one in CHOICES))
+    """Errors, what was chosen, and maps."""
+    rest = ("recon", "seconds", *(f"chose_{one}" for one in CHOICES))
     columns = [*(Column(name, best="low") for name in ERRORS), *map(Column, rest)]
     yield Section("Errors", "RMSE, linear values.", [Table.of(found, columns)])
     yield from _sheets(GEOMETRY, results)

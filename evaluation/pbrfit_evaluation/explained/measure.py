@@ -14,7 +14,7 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
-from pbrfit_evaluation.depth_errors import ROUGH, estimated, normals_off, off
+from pbrfit_evaluation.depth_errors import ROUGH, estimated
 from pbrfit_evaluation.explained.variants import (
     OF_GEOMETRY,
     OF_LAMPS,
@@ -23,7 +23,7 @@ from pbrfit_evaluation.explained.variants import (
     WITHOUT,
     Variant,
 )
-from pbrfit_evaluation.found_segments import found_segments, purity
+from pbrfit_evaluation.found_segments import found_segments
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.table1 import measure as table1
@@ -54,19 +54,18 @@ LAMPS = _grid(("points-shadows", "points"), OF_LAMPS, tuple(OF_LAMPS))
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
-    """Errors, facts about what was given, the lamps, what was chosen, and perhaps maps.
+    """Errors, how far lamps are off, what was chosen, and perhaps maps.
 
     Cycles renders the principled model, which is fitted unless a variant says otherwise.
     """
     exact, lamps = room(case, threads)
     variant = VARIANTS[case.way]
-    scene, facts = told(exact, variant, case.seed)
+    scene = told(exact, variant, case.seed)
     if variant.lamps:
         scene = replace(scene, lamps=lamps)
     result, found = measured(case, variant, scene, threads, model="principled")
     return {
         **found,
-        "facts": facts,
         "lamps": {} if lamps is None else lamps_off(result.lamps, lamps, exact),
         "choice": result.transport.kind,
     }
@@ -102,16 +101,10 @@ def lamps_off(found: Lamps | None, true: Lamps, scene: Scene) -> dict[str, float
     return off
 
 
-def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, float]]:
-    """What a fit is told of a room, and how far that is from the truth.
-
-    Facts are the mean relative error of the depth, the median angle of its normals in degrees, the
-    number of segments and the share of pixels that are of the object that has most of their
-    segment.
-    """
-    true, valid = exact.depth, exact.valid
+def told(exact: Scene, variant: Variant, seed: int) -> Scene:
+    """What a fit is told of a room."""
+    true = exact.depth
     assert true is not None
-    assert exact.segments is not None
     segments: NDArray[Any] | None = exact.segments
     if variant.segments == "found":
         segments = found_segments(exact)
@@ -127,11 +120,4 @@ def told(exact: Scene, variant: Variant, seed: int) -> tuple[Scene, dict[str, fl
             depth = estimated(true, seed, noise=ROUGH)
         case "integrated":
             depth = depth_from_normals(exact.normals, exact.fov, segments=segments)
-    facts = {}
-    if depth is not None:
-        facts["depth_off"] = off(depth, true, valid)
-        facts["normals_off"] = normals_off(depth, exact.normals, exact.fov, valid)
-    if segments is not None:
-        facts["segments"] = float(len(np.unique(segments[valid])))
-        facts["purity"] = purity(segments[valid], exact.segments[valid])
-    return replace(exact, segments=segments, depth=depth), facts
+    return replace(exact, segments=segments, depth=depth)

@@ -15,7 +15,7 @@ from pbrfit_evaluation.suite import Mark, Panel, Plot, Row, Section, Series, Tab
 
 MAPS_AND_RELIGHT = (*MAPS, "relight")
 METRICS = ("recon", *MAPS_AND_RELIGHT)
-ANGLES = ("mean", "median", "aligned")
+ANGLES = ("mean", "median")
 
 JUDGED = "auto"
 """What people get who say nothing."""
@@ -109,7 +109,7 @@ def room_sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     plots = [_room_plot(results)] if results.finished else []
     yield Section(
         "Errors against the disturbance",
-        "“Aligned” is the mean angle after the best turn of all normals together. Won back is "
+        "Won back is "
         "(not refined - refined) / (not refined - floor), of means over scenes; the floor is the "
         "fit without refinement at true normals. scenes.csv says why auto decided as it did.",
         [Table.of(rows)],
@@ -160,8 +160,10 @@ def exact_rows(results: Of) -> list[Row]:
     """A row a disturbance."""
 
     def more(_: str, __: str, of: Of) -> Metrics:
-        angles = {f"angle_{name}": of.average("angle", name) for name in ("mean", "aligned")}
-        return {**angles, "came_back": of.average("came_back")}
+        return {
+            "angle_mean": of.average("angle", "mean"),
+            "came_back": of.average("came_back"),
+        }
 
     return grid_rows(exact(results.options), results, MAPS, more)
 

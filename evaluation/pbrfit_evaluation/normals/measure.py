@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import CHOICES
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.normal_errors import Array, Floats, angle_errors
+from pbrfit_evaluation.normal_errors import Floats, angle_errors
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, disturbed
 from pbrfit_evaluation.recipes import Way
 from pbrfit_evaluation.suite import Options
@@ -105,22 +104,5 @@ def came_back(values: dict[str, Any]) -> bool:
 
 
 def off(found: Floats, true: Floats, valid: NDArray[np.bool_]) -> dict[str, float]:
-    """Angles between normals (H, W, 3) and the true ones over valid pixels, in degrees.
-
-    "aligned" is the mean after the turn of all normals together that brings them nearest to the
-    true ones. Such a turn is hard to see, because lights can turn along.
-    """
-    found, true = found[valid], true[valid]
-    return angle_errors(found, true) | {"aligned": float(aligned_angles(found, true).mean())}
-
-
-def aligned_angles(found: Floats, true: Floats) -> Array:
-    """Angles of unit vectors (P, 3) after the turn that brings them nearest in least squares.
-
-    With H = Σ f tᵀ = U S Vᵀ it is R = V diag(1, 1, det VUᵀ) Uᵀ (Kabsch 1976). Where several turns
-    are as good, such as for vectors that are all equal, it is one of them.
-    """
-    u, _, vt = np.linalg.svd(np.asarray(found, np.float64).T @ np.asarray(true, np.float64))
-    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
-    turn = (vt.T * handed) @ u.T
-    return angles_between(found @ turn.T, true)
+    """Angles between normals (H, W, 3) and the true ones over valid pixels, in degrees."""
+    return angle_errors(found[valid], true[valid])

@@ -55,13 +55,6 @@ def sections(results: Of, rows: Sequence[Figures]) -> Iterator[Section]:
         "paper reports of its own scenes.",
         [_in_short(rows, model) for model in models(results.options)],
     )
-    rest = [name for name in METRICS if name not in COLUMNS]
-    yield Section(
-        "More of the same results",
-        "Errors on metal pixels alone; albedo and relit pictures after the best factor a channel, "
-        "which pictures barely fix; and the effort.",
-        [Table.of([row for row in rows if row.scenes], rest)],
-    )
     labels = {key: way.words for key, way in WAYS.items()}
     examples = pictures(results, labels, "The first scene: the truth, and what was found.")
     if examples:

@@ -16,13 +16,10 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.scene.arrays import unit_normals
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import World, draw, make_scene
-from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation import cycles, grid
 from pbrfit_evaluation.grid import Grid, measured
-from pbrfit_evaluation.normal_errors import angle_errors
 from pbrfit_evaluation.recipes import OTHER
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
-from pbrfit_evaluation.scores import METAL
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1.normals import estimated
 from pbrfit_evaluation.table1.rows import BY_KEY, WAYS, Row
@@ -74,16 +71,11 @@ class Case(grid.Case):
 
 
 def run(case: Case, threads: int) -> dict[str, Any]:
-    """Scores, facts about the scene, and perhaps maps."""
+    """Scores, and perhaps maps."""
     row = BY_KEY[case.condition]
-    exact = room(case, threads)
-    scene, facts = as_given(exact, case)
+    scene = as_given(room(case, threads), case)
     options: dict[str, Any] = {"sh_order": row.sh_order, "refine_normals": row.refine_normals}
-    result, found = measured(case, WAYS[case.way], scene, threads, **options)
-    if row.refine_normals != "off":
-        facts |= _off("refined", result.normals, exact)
-        facts["refined_scenes"] = float(result.refinement.refined)
-    return {**found, "facts": facts}
+    return measured(case, WAYS[case.way], scene, threads, **options)[1]
 
 
 def room(case: Case, threads: int) -> Scene:
@@ -137,27 +129,12 @@ def _textures(folder: Path | None) -> tuple[MaterialSet, ...] | None:
     return None if folder is None else tuple(load_textures(folder))
 
 
-def as_given(scene: Scene, case: Case) -> tuple[Scene, dict[str, float]]:
-    """What the decomposition is given, which may be wrong; and facts about the truth."""
-    row, truth = BY_KEY[case.condition], scene.truth
-    assert truth is not None
-    valid = scene.valid
-    facts = {"metal_share": float(np.mean(truth.materials.metallic[valid] >= METAL))}
-    if truth.lighting is not None:
-        facts["condition"] = condition(truth.lighting)
+def as_given(scene: Scene, case: Case) -> Scene:
+    """What the decomposition is given, which may be wrong."""
+    row = BY_KEY[case.condition]
     if row.normals == "predicted":
-        normals = _predicted(scene, case)
-        facts |= _off("normals", normals, scene)
-        scene = replace(scene, normals=normals)
-    if row.fov != scene.fov:
-        scene = replace(scene, fov=row.fov)
-    return scene, facts
-
-
-def _off(name: str, normals: NDArray[np.float64], scene: Scene) -> dict[str, float]:
-    """Angles of some normals to those of a scene, in degrees: mean and median."""
-    off = angle_errors(normals[scene.valid], scene.normals[scene.valid])
-    return {f"{name}_{of}": angle for of, angle in off.items()}
+        scene = replace(scene, normals=_predicted(scene, case))
+    return scene if row.fov == scene.fov else replace(scene, fov=row.fov)
 
 
 def predicted_files(folder: Path, seed: int) -> list[Path]:
