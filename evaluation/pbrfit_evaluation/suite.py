@@ -30,10 +30,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, field
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
+import numpy as np
+
 from pbrfit.report.html import Cell
 from pbrfit.report.notation import scientific
 from pbrfit_evaluation.jobs import Record, Values
-from pbrfit_evaluation.tables import Mean, mean_with_interval
 
 Options = argparse.Namespace
 """As given on the command line, with `effort` filled in; `options.effort` is "full" or "quick"."""
@@ -51,6 +52,48 @@ C = TypeVar("C", bound=Case)
 
 
 # ------------------------------------------------------------------------------ what is measured
+
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Mean:
+    """Mean over `count` scenes and its bootstrap interval.
+
+    `low` and `high` are NaN for a single scene, all three without any.
+    """
+
+    mean: float
+    low: float
+    high: float
+    count: int
+
+
+def mean_with_interval(values: Iterable[float]) -> Mean:
+    """Mean of the numbers that are finite, with a percentile bootstrap interval of 95 %.
+
+    Scenes are drawn again with replacement, 2000 times from a fixed seed (Efron 1979), so the
+    interval says how far the mean depends on which scenes happened to be in the set.
+    """
+    from scipy.stats import bootstrap
+
+    finite = np.array([value for value in values if math.isfinite(value)], dtype=np.float64)
+    if not finite.size:
+        return Mean(math.nan, math.nan, math.nan, 0)
+    mean = float(finite.mean())
+    if finite.size == 1:
+        return Mean(mean, math.nan, math.nan, 1)
+    found = bootstrap(
+        (finite,),
+        np.mean,
+        n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    interval = found.confidence_interval
+    return Mean(mean, float(interval.low), float(interval.high), finite.size)
 
 
 @dataclass(frozen=True)

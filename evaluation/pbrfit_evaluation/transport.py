@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from pbrfit_evaluation.explained import figures
-from pbrfit_evaluation.explained.measure import GEOMETRY, run
-from pbrfit_evaluation.explained.variants import TRUE, WITHOUT
+from pbrfit_evaluation.explained.measure import GEOMETRY, TRUE, WITHOUT, run
 from pbrfit_evaluation.options import count, cycles_cache
 from pbrfit_evaluation.scores import PROTOCOL as SCORES
 from pbrfit_evaluation.suite import Part, Suite

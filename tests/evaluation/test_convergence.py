@@ -239,7 +239,8 @@ def test_torch_optimisers_descend_and_count(name: str) -> None:
     assert 60 <= last["evaluations"] <= 90
     assert reason.startswith(str(last["evaluations"]))
     assert last["recon"] < 0.5 * first["recon"]
-    assert all(np.isfinite(list(at.values())).all() for at in tracker.points)
+    known = [[v for name, v in at.items() if name != "held_out"] for at in tracker.points]
+    assert np.isfinite(known).all()
     other = Tracker(partial(measure, scene, threads=1))
     assert "time limit" in BY_NAME[name].run(scene, Budget(0, 10**6, 0.0), other, 1)
 

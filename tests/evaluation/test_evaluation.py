@@ -22,8 +22,10 @@ from evaluation_tasks import Task, work
 from pbrfit import InputError, Materials, Result, Scene
 from pbrfit.scene.arrays import Truth
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation import jobs, recipes, scores, tables
+from pbrfit_evaluation import jobs, recipes, scores
 from pbrfit_evaluation.jobs import Record
+from pbrfit_evaluation.report import write_csv
+from pbrfit_evaluation.suite import mean_with_interval
 from processes import alive, until
 from scene_files import known, lights_of, truth_of
 
@@ -140,29 +142,29 @@ def test_an_interrupted_run_keeps_what_is_done(tmp_path: Path) -> None:
 
 def test_mean_and_interval() -> None:
     values = np.random.default_rng(0).normal(3.0, 0.5, size=400)
-    found = tables.mean_with_interval([*values, math.nan])
+    found = mean_with_interval([*values, math.nan])
     assert found.count == 400
     assert found.mean == pytest.approx(values.mean())
     half = 1.96 * values.std() / 20  # what it tends to for many values
     assert found.low == pytest.approx(values.mean() - half, abs=0.15 * half)
     assert found.high == pytest.approx(values.mean() + half, abs=0.15 * half)
-    assert tables.mean_with_interval(list(values)) == found  # the same draws every time
+    assert mean_with_interval(list(values)) == found  # the same draws every time
 
 
 def test_mean_of_few() -> None:
-    one = tables.mean_with_interval([2.0])
+    one = mean_with_interval([2.0])
     assert (one.mean, one.count) == (2.0, 1)
     assert math.isnan(one.low)
-    none = tables.mean_with_interval([math.nan])
+    none = mean_with_interval([math.nan])
     assert none.count == 0
     assert math.isnan(none.mean)
-    same = tables.mean_with_interval([1.0, 1.0])
+    same = mean_with_interval([1.0, 1.0])
     assert (same.low, same.mean, same.high) == (1.0, 1.0, 1.0)
 
 
 def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
-    tables.write_csv(path, ("a", "b"), [(0.1 + 0.2, None), (np.float64(1e-9), math.nan), ("x,", 3)])
+    write_csv(path, ("a", "b"), [(0.1 + 0.2, None), (np.float64(1e-9), math.nan), ("x,", 3)])
     with path.open(newline="", encoding="utf-8") as file:
         rows = [["0.30000000000000004", ""], ["1e-09", ""], ["x,", "3"]]
         assert list(csv.reader(file)) == [["a", "b"], *rows]

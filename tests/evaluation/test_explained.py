@@ -24,8 +24,18 @@ from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.cycles.export import export
 from pbrfit_evaluation.explained import figures, measure
 from pbrfit_evaluation.explained.figures import CHOICES
-from pbrfit_evaluation.explained.measure import GEOMETRY, LAMPS, ROWS, lamps_off, told
-from pbrfit_evaluation.explained.variants import HARMONICS, NEAR, OF_GEOMETRY, OF_LAMPS, VARIANTS
+from pbrfit_evaluation.explained.measure import (
+    GEOMETRY,
+    HARMONICS,
+    LAMPS,
+    NEAR,
+    OF_GEOMETRY,
+    OF_LAMPS,
+    ROWS,
+    VARIANTS,
+    lamps_off,
+    told,
+)
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.table1 import measure as table1

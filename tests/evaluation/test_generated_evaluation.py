@@ -20,13 +20,13 @@ from pbrfit_evaluation.generated.measure import given, reviewed
 from pbrfit_evaluation.generated.stand_ins import (
     LEVELS,
     Room,
-    codes,
     drifted,
     room,
     stand_ins,
     toned,
 )
 from pbrfit_evaluation.generated.ways import FEW, WAYS
+from pbrfit_evaluation.review.pictures import codes
 from scene_files import run
 
 SEED, SIZE, PICTURES = 8701, 48, 13

@@ -19,11 +19,10 @@ from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.normal_errors import LOWEST_COSINE
+from pbrfit_evaluation.normal_errors import LOWEST_COSINE, as_estimated, estimated
 from pbrfit_evaluation.table1 import measure
 from pbrfit_evaluation.table1.figures import METRICS, rows
 from pbrfit_evaluation.table1.measure import Case
-from pbrfit_evaluation.table1.normals import disturbed, estimated
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
 from scene_files import known, run
 
@@ -46,7 +45,7 @@ def given(row: str, **more: Any) -> Scene:
 def errors_of(size: int, seed: int) -> NDArray[np.float64]:
     scene = make_scene("room", size=size, lights=2, held_out=1, seed=seed)
     rng = np.random.default_rng(seed)
-    found = disturbed(scene.normals, scene.views, known(scene.segments), rng)
+    found = as_estimated(scene.normals, scene.views, known(scene.segments), rng)
     np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
     facing = np.einsum("...i,...i->...", found, scene.views)
     assert facing.min() >= 0.9 * LOWEST_COSINE
@@ -65,7 +64,7 @@ def test_simulated_normals_err_as_published_estimators_do() -> None:
 def test_neighbours_err_alike() -> None:
     scene = make_scene("room", size=64, lights=2, held_out=1, seed=203)
     segments = known(scene.segments)
-    found = disturbed(scene.normals, scene.views, segments, np.random.default_rng(0))
+    found = as_estimated(scene.normals, scene.views, segments, np.random.default_rng(0))
     error = found - scene.normals
     inside = segments[:, 1:] == segments[:, :-1]
     step = np.linalg.norm(error[:, 1:] - error[:, :-1], axis=-1)[inside]

@@ -112,28 +112,34 @@ class Tracker:
 
     Joint steps of Gauss-Newton count as no evaluation, so seconds tell them apart.
 
-    A solver calls `start` when its clock starts, and `visit` whenever it has a state, with the
-    clock stopped.
+    A solver calls `start` when its clock starts, and `visit` whenever it has a state. `seconds` and
+    processor seconds leave out what is done `off_the_clock`, such as measuring.
     """
 
     def __init__(self, errors: Callable[[Materials, Array], Mapping[str, float]]) -> None:
         self._errors = errors
         self._next_evaluations = self._next_seconds = 0.0
-        self._began = time.process_time()
         self.points: list[Point] = []
+        self.start()
 
     def start(self) -> None:
-        """From here on processor seconds count."""
-        self._began = time.process_time()
+        """From here on seconds count."""
+        self._began, self._processor_began = time.perf_counter(), time.process_time()
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since the start."""
+        return time.perf_counter() - self._began
 
     @contextmanager
     def off_the_clock(self) -> Iterator[None]:
-        """What is done inside takes no processor seconds."""
-        before = time.process_time()
+        """What is done inside takes no seconds."""
+        before, processor = time.perf_counter(), time.process_time()
         try:
             yield
         finally:
-            self._began += time.process_time() - before
+            self._began += time.perf_counter() - before
+            self._processor_began += time.process_time() - processor
 
     def visit(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
         """Measure, if it is time to."""
@@ -148,7 +154,7 @@ class Tracker:
         self._measure(seconds, iteration, evaluations, state)
 
     def _measure(self, seconds: float, iteration: int, evaluations: int, state: State) -> None:
-        processor = time.process_time() - self._began
+        processor = time.process_time() - self._processor_began
         cost = {"seconds": seconds, "processor": processor}
         cost |= {"iteration": iteration, "evaluations": evaluations}
         with self.off_the_clock():

@@ -76,14 +76,12 @@ def fit(
     x, light_unit = objective.start(), LIGHT_UNIT[optimiser]
     problem = Problem(scene, objective, x, light_unit)
     _choose_threads(problem, threads)
-    clock = _Clock()
     tracker.start()
     if not problem.compiled:  # else it would be compiled again
         problem = Problem(scene, objective, x, light_unit)
     run = _lbfgs if optimiser == "lbfgs" else _adam
-    iterations, evaluations, reason = run(problem, budget, tracker, clock)
-    clock.stop()
-    tracker.end(clock.seconds, iterations, evaluations, problem.state)
+    iterations, evaluations, reason = run(problem, budget, tracker)
+    tracker.end(tracker.seconds, iterations, evaluations, problem.state)
     return reason
 
 
@@ -153,50 +151,27 @@ def _choose_threads(problem: Problem, threads: int) -> None:
     torch.set_num_threads(min(times, key=lambda count: times[count]))
 
 
-class _Clock:
-    """Wall time that can be stopped for measuring."""
-
-    def __init__(self) -> None:
-        self._before = 0.0
-        self._since: float | None = time.perf_counter()
-
-    @property
-    def seconds(self) -> float:
-        running = 0.0 if self._since is None else time.perf_counter() - self._since
-        return self._before + running
-
-    def stop(self) -> None:
-        self._before, self._since = self.seconds, None
-
-    def go_on(self) -> None:
-        self._since = time.perf_counter()
-
-
-def _adam(
-    problem: Problem, budget: Budget, tracker: Tracker, clock: _Clock
-) -> tuple[int, int, str]:
+def _adam(problem: Problem, budget: Budget, tracker: Tracker) -> tuple[int, int, str]:
     """Iterations, evaluations, and why it ended."""
     import torch
 
     optimiser = torch.optim.Adam(problem.unknowns, lr=ADAM_RATE, betas=(0.9, ADAM_BETA2), eps=1e-12)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, budget.evaluations)
     for step in range(budget.evaluations):
-        if clock.seconds >= budget.seconds:
+        if tracker.seconds >= budget.seconds:
             return step, step, f"time limit of {budget.seconds:g} s reached"
         loss = problem.evaluate(problem.samples)
         if step == 0:
-            _visit(problem, tracker, clock, 0, 1)
+            tracker.visit(tracker.seconds, 0, 1, problem.state)
         elif not math.isfinite(float(loss.detach())):
             return step, step, "the loss is not finite"
         optimiser.step()
         schedule.step()
-        _visit(problem, tracker, clock, step + 1, step + 1)
+        tracker.visit(tracker.seconds, step + 1, step + 1, problem.state)
     return budget.evaluations, budget.evaluations, f"{budget.evaluations} steps done"
 
 
-def _lbfgs(
-    problem: Problem, budget: Budget, tracker: Tracker, clock: _Clock
-) -> tuple[int, int, str]:
+def _lbfgs(problem: Problem, budget: Budget, tracker: Tracker) -> tuple[int, int, str]:
     """Iterations, evaluations, and why it ended."""
     import torch
 
@@ -218,21 +193,19 @@ def _lbfgs(
         if repeated:
             # Each call of `step` begins by evaluating again where the last one ended. That is a
             # price of looking in on it, not of the method: off the clock and not counted.
-            clock.stop()
             with tracker.off_the_clock():
                 loss = problem.evaluate(problem.samples)
-            clock.go_on()
             repeated = False
             return loss
         evaluations += 1
         loss = problem.evaluate(problem.samples)
         if evaluations == 1:
-            _visit(problem, tracker, clock, 0, 1)
+            tracker.visit(tracker.seconds, 0, 1, problem.state)
         return loss
 
     iterations = 0
     while evaluations < budget.evaluations:
-        if clock.seconds >= budget.seconds:
+        if tracker.seconds >= budget.seconds:
             return iterations, evaluations, f"time limit of {budget.seconds:g} s reached"
         before = evaluations
         for group in optimiser.param_groups:
@@ -244,13 +217,5 @@ def _lbfgs(
             return iterations, evaluations, "no step lowers the loss further"
         if not bool(torch.isfinite(problem.maps).all()):
             return iterations, evaluations, "the unknowns are not finite"
-        _visit(problem, tracker, clock, iterations, evaluations)
+        tracker.visit(tracker.seconds, iterations, evaluations, problem.state)
     return iterations, evaluations, f"{evaluations} evaluations done"
-
-
-def _visit(
-    problem: Problem, tracker: Tracker, clock: _Clock, iteration: int, evaluations: int
-) -> None:
-    clock.stop()
-    tracker.visit(clock.seconds, iteration, evaluations, problem.state)
-    clock.go_on()

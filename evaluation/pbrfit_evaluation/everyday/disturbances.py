@@ -19,11 +19,11 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.io.color import encode_srgb
 from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.recipes import lit_anew
+from pbrfit_evaluation.review.pictures import codes
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
@@ -251,7 +251,7 @@ def _of_another_view(scene: Scene, said: str) -> Scene:
     """With the field of view that is given: the true one, a wrong one, or none."""
     if said == "wrong":
         return replace(scene, fov=FOV_WRONG)
-    return _read_back(scene, say_fov=False) if said == "unknown" else scene
+    return read_back(scene, say_fov=False) if said == "unknown" else scene
 
 
 # ---------------------------------------------------------------------------------------- files
@@ -282,7 +282,7 @@ def in_files(scene: Scene, write: Write, *, say_fov: bool = True) -> Scene:
     # Held-out lights and pictures are not those of the files, and need no exposure.
     truth = replace(truth, lighting=truth.lighting / white)
     images = (scene.images / white).astype(np.float32)
-    return replace(_read_back(replace(scene, images=images), write, say_fov=say_fov), truth=truth)
+    return replace(read_back(replace(scene, images=images), write, say_fov=say_fov), truth=truth)
 
 
 def _with_noise_of(clean: Scene, write: Write, rng: Generator) -> Scene:
@@ -295,7 +295,7 @@ def _with_noise_of(clean: Scene, write: Write, rng: Generator) -> Scene:
     return replace(clean, images=pictures.astype(np.float32))
 
 
-def _read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True) -> Scene:
+def read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True) -> Scene:
     """As `Scene.load` reads it from a folder, with its ground truth as it was.
 
     Pictures are float32 EXR, or what `write` makes of their sRGB codes. A folder need not say the
@@ -308,8 +308,7 @@ def _read_back(scene: Scene, write: Write | None = None, *, say_fov: bool = True
             for name, picture in zip(scene.names, scene.images, strict=True):
                 path = folder / "images" / name
                 path.with_suffix(".exr").unlink()
-                shown = np.clip(np.nan_to_num(picture), 0.0, 1.0)
-                write(path, np.round(255 * encode_srgb(shown)).astype(np.uint8))
+                write(path, codes(np.nan_to_num(picture)))
         settings = folder / "scene.toml"
         if not say_fov:
             lines = settings.read_text(encoding="utf-8").splitlines(keepends=True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pbrfit_evaluation.explained.measure import GEOMETRY, LAMPS
-from pbrfit_evaluation.explained.variants import (
+from pbrfit_evaluation.explained.measure import (
+    GEOMETRY,
+    LAMPS,
     OF_GEOMETRY,
 )
 from pbrfit_evaluation.grid import Grid

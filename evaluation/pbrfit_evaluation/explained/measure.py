@@ -1,10 +1,10 @@
-"""One room by Cycles, explained in one way."""
+"""One room by Cycles, and what a fit is given of its geometry and lamps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +15,80 @@ from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.depth_errors import ROUGH, estimated
-from pbrfit_evaluation.explained.variants import (
-    OF_GEOMETRY,
-    OF_LAMPS,
-    TRUE,
-    VARIANTS,
-    WITHOUT,
-    Variant,
-)
 from pbrfit_evaluation.found_segments import found_segments
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.normal_errors import unit
+from pbrfit_evaluation.recipes import GUESS, Way
 from pbrfit_evaluation.table1 import measure as table1
 from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
+
+Depth = Literal["none", "true", "network", "rough", "integrated"]
+"""The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""
+
+Segments = Literal["true", "found", "none"]
+"""The true ones; those of `found_segments`."""
+
+
+@dataclass(frozen=True)
+class Variant(Way):
+    """A way to explain a room, with what the fit is given.
+
+    Attributes
+    ----------
+    depth, segments
+        As they are called above.
+    lamps
+        Whether it is given the true ones.
+    """
+
+    depth: Depth = "none"
+    segments: Segments = "true"
+    lamps: bool = False
+
+
+CONSTANT = Variant(**vars(GUESS))
+
+WITHOUT, TRUE = "without", "true"
+"""The principled model without geometry, and with all that is true: what figures compare."""
+
+
+def _among(words: str, depth: Depth, segments: Segments = "true") -> Variant:
+    return Variant(words, {"transport": "auto"}, depth=depth, segments=segments)
+
+
+OF_GEOMETRY: Mapping[str, Variant] = {
+    "constant": CONSTANT,
+    "default": Variant("default model, no depth", {"model": None}),
+    WITHOUT: Variant("no depth"),
+    TRUE: _among("true depth", "true"),
+    "network": _among("depth of a network", "network"),
+    "rough": _among("rough depth", "rough"),
+    "integrated": _among("integrated normals", "integrated"),
+    "found": _among("true depth, found segments", "true", "found"),
+    "unsegmented": _among("true depth, no segments", "true", "none"),
+    "network-found": _among("depth of a network, found segments", "network", "found"),
+}
+
+HARMONICS, NEAR = "sh", "lamps-depth"
+"""The fit that knows no lamps, and the one that is given depth: what verdicts compare."""
+
+
+def _lit(words: str, light: str, depth: Depth = "none", *, lamps: bool = False) -> Variant:
+    return Variant(words, {"light": light}, depth=depth, lamps=lamps)
+
+
+OF_LAMPS: Mapping[str, Variant] = {
+    "constant": CONSTANT,
+    HARMONICS: _lit("environment light, no depth", "sh"),
+    "sh-depth": _lit("environment light, depth", "sh", "true"),
+    "lamps": _lit("lamps, no depth", "lamps"),
+    NEAR: _lit("lamps, depth", "lamps", "true"),
+    "auto": _lit("auto, no depth", "auto"),
+    "auto-depth": _lit("auto, depth", "auto", "true"),
+    "known": _lit("known lamps, depth", "lamps", "true", lamps=True),
+}
+
+VARIANTS = {**OF_GEOMETRY, **OF_LAMPS}
 
 ROWS: Mapping[str, tuple[str, str]] = {
     "brdf": ("cycles-brdf", "BRDF alone"),

@@ -25,7 +25,8 @@ from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.blender import rendered_export
 from pbrfit_evaluation.depth_errors import estimated
-from pbrfit_evaluation.generated.stand_ins import Array, codes, room, segments_of, stand_ins
+from pbrfit_evaluation.everyday.disturbances import read_back, write_png
+from pbrfit_evaluation.generated.stand_ins import Array, room, segments_of, stand_ins
 from pbrfit_evaluation.generated.ways import NORMALS_OFF, WAYS
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.jobs import Values
@@ -33,6 +34,7 @@ from pbrfit_evaluation.normal_errors import filled
 from pbrfit_evaluation.normals.disturbances import disturbed
 from pbrfit_evaluation.panels import of_result, packed
 from pbrfit_evaluation.review.measure import review
+from pbrfit_evaluation.review.pictures import codes
 from pbrfit_evaluation.scores import score
 
 
@@ -96,15 +98,7 @@ def given(scene: Scene, pictures: Array, *, as_files: bool) -> Scene:
     """The scene of these pictures; of 8-bit files, as `Scene.load` reads them, limits included."""
     names = tuple(f"{i:02d}" for i in range(len(pictures)))
     scene = replace(scene, images=pictures, names=names, limits=None)
-    if not as_files:
-        return scene
-    with TemporaryDirectory() as parent:
-        folder = Path(parent) / "scene"
-        replace(scene, truth=None).save(folder)
-        for name, picture in zip(names, pictures, strict=True):
-            (folder / "images" / f"{name}.exr").unlink()
-            Image.fromarray(codes(picture)).save(folder / "images" / f"{name}.png")
-        return replace(Scene.load(folder), truth=scene.truth)
+    return read_back(scene, write_png) if as_files else scene
 
 
 def through_files(

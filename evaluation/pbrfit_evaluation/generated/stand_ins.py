@@ -20,7 +20,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw, make_scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.review.damage import REPAINTS, bent, damaged, moved
-from pbrfit_evaluation.review.pictures import exposed
+from pbrfit_evaluation.review.pictures import camera, exposed
 
 Array = NDArray[np.float64]
 
@@ -113,12 +113,7 @@ def stand_ins(of: Room, level: Level, seed: int) -> tuple[Array, list[str]]:
             other = make_scene(KIND, size=width, lights=2, held_out=1, seed=seed + OTHER_SEED)
             pictures[i], kinds[i] = exposed(other.images[0].astype(np.float64), rng), "another"
         pictures[i] = toned(pictures[i], np.random.default_rng([seed, 7, i]))
-    return decode_srgb(codes(pictures) / 255), kinds
-
-
-def codes(linear: Array) -> NDArray[np.uint8]:
-    """What an 8-bit sRGB file holds of pictures."""
-    return np.round(255 * encode_srgb(np.clip(linear, 0, 1))).astype(np.uint8)
+    return camera(pictures), kinds
 
 
 def drifted(picture: Array, rng: Generator) -> Array:

@@ -10,7 +10,7 @@ correlated
 biased
     One ω of length θ for the whole picture, about an axis that is drawn evenly from all.
 estimator
-    The errors of a learned estimator (`evaluation.table1.normals`): outlines that are washed out,
+    The errors of a learned estimator (`normal_errors.as_estimated`): outlines that are washed out,
     whole objects turned, patches. All of it is made as much stronger or weaker as it takes for a
     mean angle of 1.25 θ, that of a correlated disturbance.
 
@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.normal_errors import Array, facing, filled, smooth, turned
-from pbrfit_evaluation.table1 import normals as estimator
+from pbrfit_evaluation.normal_errors import Array, as_estimated, facing, filled, smooth, turned
 
 DISTURBANCES = ("correlated", "biased", "estimator")
 
@@ -95,7 +94,7 @@ def _estimated(scene: Scene, normals: Array, views: Array, degrees: float, seed:
 
     def by(strength: float) -> Array:
         rng = np.random.default_rng(seed)  # the same errors at any strength
-        return estimator.disturbed(normals, views, segments, rng, strength=strength)
+        return as_estimated(normals, views, segments, rng, strength=strength)
 
     def above(strength: float) -> float:
         return float(angles_between(by(strength), normals)[valid].mean()) - aim

@@ -17,10 +17,10 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.normal_errors import estimated
 from pbrfit_evaluation.recipes import GUESS, Way, within
 from pbrfit_evaluation.suite import Options
 from pbrfit_evaluation.table1 import measure as table1
-from pbrfit_evaluation.table1.normals import estimated
 from pbrfit_evaluation.table1.rows import BY_KEY as ROWS
 
 PEERS = ("marigold", "rgbx")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import csv
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -26,7 +28,6 @@ from pbrfit_evaluation.suite import (
     Verdict,
     digits,
 )
-from pbrfit_evaluation.tables import write_csv
 
 PAGE = "report.html"
 
@@ -107,21 +108,7 @@ def lines(found: Outcome) -> list[str]:
             for v in found.verdicts
         ]
     tables = [table for section in found.sections for table in section.tables]
-    return _as_text(tables[0]) if tables else []
-
-
-def _as_text(table: Table) -> list[str]:
-    cells = [list(map(str, table.columns))]
-    cells += [[_cell(value).text.partition("\n")[0] for value in row] for row in table.rows]
-    numbers = _numeric(table)
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return [
-        "  ".join(
-            text.rjust(width) if number else text.ljust(width)
-            for text, width, number in zip(row, widths, numbers, strict=True)
-        ).rstrip()
-        for row in ([text.replace("\n", " ") for text in row] for row in cells)
-    ]
+    return markdown(tables[0]).splitlines() if tables else []
 
 
 def _opening(suite: Suite, options: argparse.Namespace, found: Outcome) -> list[str]:
@@ -182,6 +169,21 @@ def _failures(failed: Sequence[Record]) -> Iterable[Section]:
             ["case", "error"], [[record.key, Cell(record.error or "", "why")] for record in failed]
         )
         yield Section("What failed", "Failed cases are in no figure.", [table])
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write CSV with a header line; numbers in full precision, None and NaN as empty cells."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for row in rows:
+            writer.writerow([_text(cell) for cell in row])
+
+
+def _text(cell: object) -> str:
+    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+        return ""
+    return repr(float(cell)) if isinstance(cell, float) else str(cell)
 
 
 # ------------------------------------------------------------------------------------- the page

@@ -70,10 +70,14 @@ def relights(
     return View(np.stack([exposed(picture, rng) for picture in linear]), scene.segments)
 
 
+def codes(linear: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """What an 8-bit sRGB file holds of pictures."""
+    return np.round(255 * encode_srgb(np.clip(linear, 0, 1))).astype(np.uint8)
+
+
 def camera(linear: Array) -> NDArray[np.float64]:
     """What an 8-bit sRGB file keeps of a picture, decoded again."""
-    codes = np.round(255 * encode_srgb(np.clip(linear, 0, 1)))
-    return decode_srgb(codes / 255)
+    return decode_srgb(codes(linear) / 255)
 
 
 def _by_cycles(

@@ -8,6 +8,7 @@ precision, not the arithmetic that is under test.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +17,17 @@ from numpy.typing import NDArray
 
 from pbrfit import _core
 from pbrfit.model.reflection import Model, ggx_band_weights, shade, shade_vjp
-from pbrfit_evaluation.stability.measure import Array, ratio, worst_entry
+
+Array = NDArray[np.float64]
+
+Figure = tuple[float, str]
+"""The worst of all that was tried, and where it was found."""
+
+Rows = dict[str, dict[str, float]]
+"""What was found, by case and key."""
+
+ROUNDING = 2.0**-24
+"""u: the largest relative error of rounding to float32."""
 
 PIECE = 4096
 """Pixels at a time."""
@@ -191,6 +202,27 @@ class Compared:
 def compare(case: Case, threads: int) -> Compared:
     """Evaluate a case both ways."""
     return Compared(*case.problem(threads).value_and_grad(case.x), evaluate(case))
+
+
+def worst(figures: Mapping[str, float]) -> Figure:
+    """Value and name of the largest figure; one that is not a number beats them all."""
+    name = max(figures, key=lambda n: math.inf if math.isnan(figures[n]) else figures[n])
+    return float(figures[name]), name
+
+
+def ratio(error: float, size: float) -> float:
+    """Error relative to a size, where nothing is allowed of nothing."""
+    if error == 0:
+        return 0.0
+    return error / size if size else math.inf
+
+
+def worst_entry(errors: Array, scale: Array) -> float:
+    """Return the largest |error| over its entry's scale, where nothing is allowed of nothing."""
+    errors = np.abs(errors)
+    relative = np.divide(errors, scale, out=np.full_like(errors, np.inf), where=scale > 0)
+    relative[(errors == 0) & (scale == 0)] = 0
+    return float(relative.max())
 
 
 def _norm(values: Array) -> float:

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from pbrfit_evaluation.stability.double_precision import Case, Pixels
-from pbrfit_evaluation.stability.measure import Array
+from pbrfit_evaluation.stability.double_precision import Array, Case, Pixels
 
 NEAR = 1e-8
 """How near to a special value "near" is."""

@@ -11,14 +11,13 @@ from numpy.random import Generator
 from pbrfit._core import InputError
 from pbrfit.report.notation import scientific
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.stability.double_precision import Case, compare
+from pbrfit_evaluation.stability.double_precision import Case, Rows, compare, worst_entry
 from pbrfit_evaluation.stability.extreme_pixels import (
     KINDS,
     random_case,
     random_lights,
     random_pixels,
 )
-from pbrfit_evaluation.stability.measure import Rows, worst_entry
 
 PICTURES = 8
 """Of a problem."""

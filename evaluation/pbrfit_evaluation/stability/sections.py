@@ -14,7 +14,7 @@ import numpy as np
 from pbrfit.threads import one_blas_thread
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.stability import objective, stiff_fits
-from pbrfit_evaluation.stability.measure import ROUNDING, Figure, worst
+from pbrfit_evaluation.stability.double_precision import ROUNDING, Figure, worst
 from pbrfit_evaluation.stability.objective import ALIKE, MANY, ONE_SIGN, RANDOM
 
 # Of the loss relative to itself, of entries of the gradient relative to their natural scale, of

@@ -15,7 +15,7 @@ from pbrfit.result.options import Priors
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import levels
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.stability.measure import Array
+from pbrfit_evaluation.stability.double_precision import Array
 from pbrfit_evaluation.stability.stiff_scenes import StiffScene, stiff_scenes
 
 FITS: dict[str, tuple[str, Priors | None]] = {

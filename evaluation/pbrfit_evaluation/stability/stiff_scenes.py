@@ -16,7 +16,7 @@ from pbrfit.report.notation import scientific
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
-from pbrfit_evaluation.stability.measure import Array
+from pbrfit_evaluation.stability.double_precision import Array
 
 SEED = 300
 """Seeds below 400 served to design scenes; this one tunes nothing."""

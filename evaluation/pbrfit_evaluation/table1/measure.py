@@ -18,10 +18,10 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import World, draw, make_scene
 from pbrfit_evaluation import cycles, grid
 from pbrfit_evaluation.grid import Grid, measured
+from pbrfit_evaluation.normal_errors import estimated
 from pbrfit_evaluation.recipes import OTHER
 from pbrfit_evaluation.rooms.textures import MaterialSet, load_textures
 from pbrfit_evaluation.suite import Options
-from pbrfit_evaluation.table1.normals import estimated
 from pbrfit_evaluation.table1.rows import BY_KEY, WAYS, Row
 
 TRUE_FOV = 60.0
