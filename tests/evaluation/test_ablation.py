@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +15,11 @@ from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit_evaluation.ablation import cases, figures
 from pbrfit_evaluation.ablation.cases import TITLES, case, merged, shifted, varied
-from pbrfit_evaluation.ablation.measure import FEW, GRID, TABLE, WAYS
+from pbrfit_evaluation.ablation.measure import GRID, TABLE, WAYS
 from pbrfit_evaluation.grid.figures import Of
 from pbrfit_evaluation.recipes import PAPER_PRIORS
 from pbrfit_evaluation.scores import Scores
-from scene_files import held_out_of, known, lights_of, run, truth_of
+from scene_files import held_out_of, known, lights_of, truth_of
 
 SIZE, SEED = 24, 2000
 
@@ -156,23 +153,3 @@ def test_the_default_is_judged_and_failures_are_named() -> None:
     [held, *_] = figures.sections(results, list(rows.values()))
     assert held.tables[0].rows[0][0] == "default"
     assert held.tables[0].rows[0][1:] == pytest.approx([0.6, 0.12, 0.6, 0.6, 0.6, 0.6, "32 of 38"])
-
-
-@pytest.mark.slow
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    command = ("evaluate", "ablation", "--out", out, "--quick", "--jobs", "1",
-               "--first-seed", SEED, "--size", 12, "--iterations", 2)  # fmt: skip
-    assert run(*command) in (0, 1)
-    printed = capsys.readouterr()
-    assert "failed" not in printed.err
-    assert printed.out.count("over that without") == 37
-    names = {path.name for path in out.iterdir()}
-    files = {"records", "report.html", "ablation.md", "scenes.csv", "summary.json"}
-    assert names == {f"room-{name}.png" for name in TITLES} | files
-    with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
-        of = {(r["condition"], r["way"]): float(r["albedo"]) for r in csv.DictReader(file)}
-    assert len(of) == len(TITLES) * len(FEW)
-    rows = json.loads((out / "summary.json").read_text("utf-8"))["rows"]
-    by_name = {(row["name"], row["solver"]): row["metrics"] for row in rows}
-    assert by_name[TITLES["varying"], "default"]["albedo"] == of["varying", "default"]

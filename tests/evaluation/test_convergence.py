@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
-import json
 import math
 import time
 from dataclasses import replace
@@ -21,7 +19,6 @@ from pbrfit import Materials
 from pbrfit.fit.objective import Objective
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.lights import condition
-from pbrfit_evaluation import convergence
 from pbrfit_evaluation.convergence import figures
 from pbrfit_evaluation.convergence.cases import CASES, Case, Lights, make, trial, true_lighting
 from pbrfit_evaluation.convergence.measure import (
@@ -33,10 +30,10 @@ from pbrfit_evaluation.convergence.measure import (
     measure,
     median_reached,
 )
-from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Task, fit_with_ours
+from pbrfit_evaluation.convergence.solvers import BY_NAME, Task, fit_with_ours
 from pbrfit_evaluation.jobs import Record
 from pbrfit_evaluation.suite import Results, Verdict
-from scene_files import run, truth_of
+from scene_files import truth_of
 
 SMALL = Case("small", 12)
 
@@ -299,26 +296,3 @@ def test_speed_is_against_the_sooner_of_ours_and_against_the_peer() -> None:
     never = raced(lbfgsb_paper=CURVE, gauss_newton=(point(2, 0, 1, 0.5),))
     assert [(verdict.value, verdict.holds) for verdict in never] == [(0.0, False)]
     assert not raced(gauss_newton=CURVE)
-
-
-@pytest.mark.slow
-def test_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(CASES, "small", SMALL)
-    for name, value in {"cases": ("small",), "iterations": 12, "evaluations": 12}.items():
-        monkeypatch.setitem(convergence.SUITE.effort, name, (value, value))
-    out = tmp_path / "out"
-    assert run("evaluate", "convergence", "--out", out, "--quick") == 0
-    assert "lbfgsb-paper" in capsys.readouterr().out
-    curves = list(csv.DictReader((out / "points.csv").read_text(encoding="utf-8").splitlines()))
-    assert {row["solver"] for row in curves} == {s.name for s in SOLVERS if not s.why_not("paper")}
-    assert all(float(row["recon"]) > 0 for row in curves)
-    content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert content["protocol"] == "pbrfit-convergence-2, quick"
-    status = {row["solver"]: row["status"] for row in content["rows"]}
-    assert status == {solver.name: solver.why_not("paper") or "ok" for solver in SOLVERS}
-    last = [row for row in curves if row["solver"] == "default"][-1]
-    assert content["rows"][0]["metrics"]["albedo"] == pytest.approx(float(last["albedo"]))
-    assert "lbfgsb-paper" in (out / "report.html").read_text(encoding="utf-8")
-    assert all((out / f"{quantity}.png").exists() for quantity in figures.PLOTTED)

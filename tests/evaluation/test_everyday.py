@@ -5,8 +5,6 @@ How well disturbed scenes are fitted is not tested here: verdicts are on figures
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +13,11 @@ import pytest
 from PIL import Image
 
 from evaluation_tasks import recorded
-from pbrfit.cli import main
 from pbrfit.fit.decompose import decompose
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.reflection import render
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday import SUITE, disturbances, figures, measure
+from pbrfit_evaluation.everyday import disturbances, figures, measure
 from pbrfit_evaluation.everyday.disturbances import (
     BAD_PICTURE,
     NOISE,
@@ -259,30 +256,6 @@ def test_scales_are_within_two_deviations_in_nine_of_ten() -> None:
 @pytest.mark.parametrize(("error", "covered"), [(0.99e-6, True), (1.01e-6, False)])
 def test_rounding_is_no_error_of_the_scale(error: float, covered: bool) -> None:
     assert measure.covered({"red": {"error": error, "deviation": 1e-8}}) == [covered]
-
-
-@pytest.mark.slow
-def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    out = tmp_path / "out"
-    arguments = ["evaluate", "everyday", "--out", str(out), "--jobs", "1", "--scenes", "1",
-                 "--first-seed", str(SEED), "--size", "12",
-                 "--disturbances", "shifted", "fov-wrong"]  # fmt: skip
-    code = main(arguments)
-    assert "one picture shifted: error of the worst map" in capsys.readouterr().out
-    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    assert code == (1 if "not held" in [row["status"] for row in rows] else 0)
-    by_name = {row["name"]: row["metrics"] for row in rows}
-    assert by_name["90° wide, 60° given"]["fov_error"] > 0
-    assert by_name["float32, 1 % noise"]["worst_multiple"] == 1
-    files = {"report.html", "everyday.md", "everyday-maps.png", "scenes.csv"}
-    assert {path.name for path in out.iterdir()} == {*files, "records", "summary.json"}
-    with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
-        conditions = [line["condition"] for line in csv.DictReader(file)]
-    assert conditions == ["noise", "shifted", "fov-true", "fov-wrong"]
-    monkeypatch.setattr(measure, "disturbed", None)  # once more, from the records
-    again = [*arguments, "--resume", "--quiet"]
-    assert main(again) == code
-    assert SUITE.timed
 
 
 @pytest.mark.parametrize("seed", [7300, 7303, 7311])

@@ -173,16 +173,6 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert chosen.items() <= by_solver["true depth"]["metrics"].items()
 
 
-def test_command_without_cycles_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(cycles, "why_not", lambda: "no bpy")
-    out = tmp_path / "out"
-    assert run("evaluate", "transport", "--out", out, "--quick", "--jobs", 1) == 0
-    assert "no bpy" in (out / "report.html").read_text(encoding="utf-8")
-    capsys.readouterr()
-
-
 # ---------------------------------------------------------------------------------------- lamps
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ from pbrfit.export import export_result
 from pbrfit.io.color import encode_srgb
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.blender import rendered_export
-from pbrfit_evaluation.generated import figures
 from pbrfit_evaluation.generated.measure import given, reviewed
 from pbrfit_evaluation.generated.stand_ins import (
     LEVELS,
@@ -25,9 +23,7 @@ from pbrfit_evaluation.generated.stand_ins import (
     stand_ins,
     toned,
 )
-from pbrfit_evaluation.generated.ways import FEW, WAYS
 from pbrfit_evaluation.review.pictures import codes
-from scene_files import run
 
 SEED, SIZE, PICTURES = 8701, 48, 13
 
@@ -89,23 +85,6 @@ def test_the_review_refuses_a_picture_of_another_room(truth: Room) -> None:
     kept = reviewed(pictures)
     assert kept[0] == 0
     assert kinds.index("another") not in kept
-
-
-@pytest.mark.slow
-def test_the_suite_runs_and_is_written(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert run("evaluate", "generated", "--out", out, "--quick", "--jobs", 1) == 0
-    summary = json.loads((out / "summary.json").read_text())
-    rows = {row["name"].removesuffix(figures.OURS): row for row in summary["rows"]}
-    for key in FEW:
-        row = rows[WAYS[key].words]
-        assert row["scenes"] == 1
-        assert row["status"] == "ok"
-        assert 0 < row["metrics"]["albedo_scaled"] < 1
-    assert rows[WAYS["constant"].words]["metrics"]["kept"] == 7
-    assert (out / "maps.png").read_bytes().startswith(b"\x89PNG")
-    assert (out / "inputs.png").is_file()
-    assert "all together" in (out / "generated.md").read_text()
 
 
 @pytest.mark.skipif(bool(cycles.why_not()), reason=str(cycles.why_not()))

@@ -7,7 +7,6 @@ the way to the true ones, so that what the suite has to find is known.
 from __future__ import annotations
 
 import ast
-import csv
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -21,7 +20,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from evaluation_tasks import recorded
-from pbrfit.cli import main
 from pbrfit.fit.decompose import decompose
 from pbrfit.model.geometry import angles_between
 from pbrfit.result.refinement import Refinement
@@ -245,32 +243,6 @@ def test_most_scenes_must_come_back() -> None:
     assert (holds.value, holds.bar, holds.holds) == (3, 3, True)
     assert (fails.value, fails.bar, fails.holds) == (2, 3, False)
     assert fails.where == "not: 2, 3"
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("half_way")
-def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    out = tmp_path / "out"
-    arguments = ["evaluate", "normals", "--out", str(out), "--quick", "--jobs", "1",
-                 "--first-seed", "2003", "--degrees", "20", "--threads", "1", "--scenes", "1",
-                 "--size", "8", "--iterations", "1", "--disturbances", "biased"]  # fmt: skip
-    code = main(arguments)
-    assert "biased 20°: share of the albedo loss won back" in capsys.readouterr().out
-    rows = json.loads((out / "summary.json").read_text(encoding="utf-8"))["rows"]
-    assert code == (1 if "not held" in [row["status"] for row in rows] else 0)
-    by_name = {row["name"]: row for row in rows if row["solver"] != "not refined"}
-    angle = by_name["rooms: biased 20°: mean angle, after over before"]["metrics"]
-    assert angle["value"] == pytest.approx(0.5, abs=0.03)
-    assert by_name["biased 20°"]["metrics"]["angle_left"] == angle["value"]
-    assert {path.name for path in out.iterdir()} == {
-        "records", "report.html", "normals.md", "scenes.csv", "summary.json", "normals.png"
-    }  # fmt: skip
-    with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
-    assert {line["condition"] for line in lines} == {"true", "biased-20", "exact-biased"}
-    assert any(line["decision/why"] == "more than noise is left" for line in lines)
-    monkeypatch.setattr(measure, "make_scene", None)  # once more, from the records
-    assert main([*arguments, "--resume", "--quiet"]) == code
 
 
 def test_every_suite_says_whether_normals_are_refined() -> None:

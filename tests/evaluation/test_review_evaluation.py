@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +9,9 @@ import pytest
 
 from pbrfit.io.color import encode_srgb
 from pbrfit.registration import alignment
-from pbrfit_evaluation import review
 from pbrfit_evaluation.review.damage import AREA, REPAINTS, SEEN, damaged
 from pbrfit_evaluation.review.figures import Rate
 from pbrfit_evaluation.review.pictures import relights
-from scene_files import run
 
 VIEW = relights("furnished", "own", 2020, size=160, count=2)
 
@@ -50,24 +44,3 @@ def test_rates_and_their_intervals() -> None:
     # Wilson's interval of 1 in 10, as printed in Brown, Cai and DasGupta (2001).
     np.testing.assert_allclose(rate.interval(), (0.0179, 0.4042), atol=2e-4)
     assert np.isnan(Rate(0, 0).share)
-
-
-def test_the_suite_runs_and_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(review.SOURCES, "quick", (("textured", "own", 1),))
-    small = {**review.SUITE.effort, "size": (128, 128), "pictures": (6, 6)}
-    monkeypatch.setattr(review, "SUITE", replace(review.SUITE, effort=small))
-    out = tmp_path / "out"
-    code = run("evaluate", "review", "--out", out, "--quick", "--no-cycles", "--jobs", 1)
-    assert code in (0, 1)  # so few pictures may miss a bar
-    summary = json.loads((out / "summary.json").read_text())
-    rows = {row["name"]: row["metrics"] for row in summary["rows"]}
-    assert rows["all damage"]["pictures"] == 5
-    assert rows["honest"]["pictures"] == 6
-    assert rows["honest among damaged"]["pictures"] == 1
-    assert rows["swap"]["share"] == 1
-    with (out / "judged.csv").open() as file:
-        listed = list(csv.DictReader(file))
-    assert len(listed) == 12
-    assert {row["damage"] for row in listed} == {"honest", "shift", "warp", "swap", *REPAINTS[:2]}
-    assert min(int(row["seed"]) for row in listed) == 6000  # nothing was tuned from there on
-    assert "caught" in (out / "review.md").read_text()

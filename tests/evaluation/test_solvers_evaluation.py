@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from evaluation_tasks import recorded
-from pbrfit.cli import main
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.grid.figures import Of
 from pbrfit_evaluation.solvers import figures, measure
@@ -89,15 +85,3 @@ def test_noise_is_held_against_the_mark_and_lbfgsbs_maps() -> None:
     assert [v.holds for v in found] == [True, False, True]
     assert [v.value for v in found] == pytest.approx([5e-4, 1.03, 1.0], rel=1e-3)
     assert found[1].what == "noise 0.01, no priors: worst mean error, gauss-newton over lbfgsb"
-
-
-def test_the_command_runs_conditions(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    options: list[Any] = ["evaluate", "solvers", "--quick", "--quiet", "--scenes", "1", "--size"]
-    options += ["12", "--iterations", "3", "--out", str(out), "--conditions", "exact"]
-    assert main([*options, "--jobs", "1"]) == 1  # nothing holds after three iterations
-    rows = json.loads((out / "summary.json").read_text("utf-8"))["rows"]
-    by_name = {row["name"]: row for row in rows}
-    assert by_name["no noise: gauss-newton's residual over lbfgsb's"]["metrics"]["bar"] == 1
-    assert by_name["no noise"]["metrics"]["residual"] > 0
-    assert "exact,gauss-newton,1000,12,furnished," in (out / "scenes.csv").read_text("utf-8")

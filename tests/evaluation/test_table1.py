@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from dataclasses import replace
@@ -187,40 +186,3 @@ def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:
     assert known(found[0].paper)["albedo"] == 0.065
     assert found[-1].status == "not run: --quick leaves out what takes minutes"
     assert (found[-1].scenes, found[-1].metrics) == (0, {})
-
-
-@pytest.mark.slow
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    rows = ("--rows", "base", "normals", "normals-refined", "regularized", "cycles-panorama")
-    assert (
-        run("evaluate", "table1", "--out", out, "--quick", "--scenes", 2, *rows, *TINY, *PAPER) == 0
-    )
-    printed = capsys.readouterr()
-    assert "failed" not in printed.err
-    assert "not run: --quick leaves out what takes minutes" in printed.out
-    assert f"Look at {out / 'report.html'}" in printed.out
-    names = {path.name for path in out.iterdir()}
-    assert names == {
-        "records", "report.html", "table1.png", "table1.md", "scenes.csv",
-        "summary.json", "maps-base.png", "maps-normals.png", "maps-regularized.png",
-    }  # fmt: skip
-    content = json.loads((out / "summary.json").read_text("utf-8"))
-    status = {row["name"]: row["status"] for row in content["rows"]}
-    assert status["Base, paper"] == status["Regularised, paper"] == "ok"
-    assert status["Cycles, panorama, paper"] == "not run: --quick leaves out what takes minutes"
-    [base, *_] = [row for row in content["rows"] if row["name"] == "Base, paper"]
-    assert base["scenes"] == 2
-    assert base["paper"]["albedo"] == 0.065
-    with (out / "scenes.csv").open(newline="", encoding="utf-8") as file:
-        scenes = list(csv.DictReader(file))
-    ways = sum(len(BY_KEY[key].ways) for key in ("base", "normals", "regularized"))
-    assert len(scenes) == 2 * ways
-    titles = [table["title"] for table in content["tables"]]
-    assert {"The paper's columns", "In short"} <= set(titles)
-    albedo = [
-        float(s["albedo"]) for s in scenes if (s["condition"], s["way"]) == ("base", "default")
-    ]
-    assert base["metrics"]["albedo"] == pytest.approx(np.mean(albedo))
-    assert base["metrics"]["albedo_low"] <= base["metrics"]["albedo"]
-    assert all(math.isfinite(float(scene["relight"])) for scene in scenes)

@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,7 @@ from pbrfit_evaluation.uncertainty.figures import (
     USABLE_RIGHT,
 )
 from pbrfit_evaluation.uncertainty.measure import calibration
-from scene_files import lights_of, run, truth_of
+from scene_files import lights_of, truth_of
 
 SEED = 7
 
@@ -291,18 +290,3 @@ def test_pages_show_tables_and_the_plot_of_verdicts() -> None:
     sections = list(figures.sections(found, rows))
     [plot] = [one for section in sections for one in section.figures if isinstance(one, Plot)]
     assert draw(plot).startswith(b"\x89PNG")
-
-
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "uncertainty"
-    options = ("--quick", "--jobs", 1, "--size", 8, "--rows", "noise")
-    code = run("evaluate", "uncertainty", "--out", out, *options)
-    assert "noise: share of errors within two deviations" in capsys.readouterr().out
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    *bars, row = summary["rows"]
-    assert code == (0 if all(bar["status"] == "ok" for bar in bars) else 1)
-    assert row["scenes"] == 1
-    assert 0 <= row["metrics"]["roughness_within_1"] <= row["metrics"]["roughness_within_2"] <= 1
-    assert "said/albedo/said" in (out / "scenes.csv").read_text(encoding="utf-8")
-    for name in ("report.html", "scenes.csv", "verdicts.png"):
-        assert (out / name).stat().st_size > 1000
