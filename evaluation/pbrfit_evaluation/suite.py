@@ -28,27 +28,20 @@ import argparse
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass, field
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from pbrfit.report.html import Cell
 from pbrfit.report.notation import scientific
-from pbrfit_evaluation.jobs import Record, Values
+from pbrfit_evaluation.jobs import Record, Task, Values
 
 Options = argparse.Namespace
 """As given on the command line, with `effort` filled in; `options.effort` is "full" or "quick"."""
 
 
-class Case(Protocol):
-    """What is measured at a time: a frozen dataclass that can be pickled."""
-
-    @property
-    def key(self) -> str:
-        """Unique name, fit for a file."""
-
-
-C = TypeVar("C", bound=Case)
+C = TypeVar("C", bound=Task)
+"""A case: what is measured at a time."""
 
 
 # ------------------------------------------------------------------------------ what is measured

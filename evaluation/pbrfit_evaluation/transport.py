@@ -33,10 +33,9 @@ SUITE = Suite(
         "Rooms with furniture under panoramas of SH3 light, rendered by Blender Cycles: without "
         "shadows, with shadows, and with all that a path tracer does; fitted with and without "
         "their depth. Normals are true. A network's depth has smooth errors of scale and shift, "
-        "washed-out outlines and noise; found segments come from the pictures and normals alone. "
-        "Figures are means over rooms, with 95 % intervals by bootstrap over rooms in brackets. "
-        "The constant guess has roughness 0.5, metallic 0 and the mean of the true albedo, with "
-        "the lights that then fit best.",
+        "washed-out outlines and noise. Figures are means over rooms, with 95 % intervals by "
+        "bootstrap over rooms in brackets. The constant guess has roughness 0.5, metallic 0 and "
+        "the mean of the true albedo, with the lights that then fit best.",
     ),
     timed=True,
 )

@@ -252,35 +252,6 @@ def test_facts_of_a_broken_fit() -> None:
     assert facts["fits_overlooked"] == sum(np.count_nonzero(one == 0) for one in called)
 
 
-@pytest.mark.slow
-def test_the_command_holds_every_bound_and_writes_its_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "new" / "out"
-    assert run("evaluate", "stability", "--out", out, "--quick") == 0, capsys.readouterr().out
-    assert str(out / "report.html") in capsys.readouterr().out
-    content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert content["protocol"] == "pbrfit-stability-1, quick"
-    rows = content["rows"][-len(SECTIONS) :]
-    assert [row["name"] for row in rows] == list(SECTIONS)
-    exact = {"nonzero", "not_finite"}
-    for row in rows:
-        metrics = row["metrics"]
-        assert (row["status"], metrics["failed"]) == ("ok", 0)
-        for key, (_, most) in SECTIONS[row["name"]].bounds.items():
-            assert metrics.get(f"{key}_bound") == most
-            # What is bounded was measured: a rounding error that is exactly 0 was not.
-            if not key.startswith("fits_"):
-                assert (metrics[key] == 0) == (key in exact), key
-    fits = json.loads((out / "records" / "stiff-fits.json").read_text("utf-8"))["values"]["rows"]
-    names = [one.name for one in stiff_scenes(10, 5)]
-    assert list(fits) == [f"{name}; {fit}" for name in names for fit in stiff_fits.FITS]
-    flagged = "roughness:\nshare flagged\nor on a bound"
-    assert {fits[f"1 picture, its light known; {fit}"][flagged] for fit in stiff_fits.FITS} == {1.0}
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert all(kind in page for kind in KINDS)
-
-
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_nonsense_is_reported_and_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -94,11 +94,3 @@ def normals_off(depth: Any, normals: Any, fov: float, valid: Any) -> float:
     with np.errstate(invalid="ignore"):
         facing = -across / np.linalg.norm(across, axis=-1, keepdims=True)
     return float(np.nanmedian(angles_between(facing, normals)[valid]))
-
-
-def purity(found: Any, true: Any) -> float:
-    """Share of pixels (P,) that are of the object that has most of their segment."""
-    segment, thing = (np.unique(ids, return_inverse=True)[1] for ids in (found, true))
-    shared = np.zeros((segment.max() + 1, thing.max() + 1))
-    np.add.at(shared, (segment, thing), 1)
-    return float(shared.max(axis=1).sum() / len(found))

@@ -25,7 +25,6 @@ def rendered_export(
     *,
     samples: int = 256,
     threads: int = 1,
-    timeout: float = 600.0,
 ) -> NDArray[np.float64]:
     """Pictures (M, size, size, 3), linear Rec.709, of an exported square scene.
 
@@ -39,8 +38,8 @@ def rendered_export(
         Side of the pictures in pixels.
     panoramas
         EXR files of light, as `pbrfit export` writes them.
-    samples, threads, timeout
-        Light paths a pixel, threads of the renderer, seconds until it is stopped.
+    samples, threads
+        Light paths a pixel, threads of the renderer.
 
     Raises
     ------
@@ -61,6 +60,6 @@ def rendered_export(
         "turn": TURN,
     }
     (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
-    run_worker(find_python(), folder, timeout, worker=WORKER)
+    run_worker(find_python(), folder, 600.0, worker=WORKER)
     pictures = [np.load(folder / f"{number}.npy") for number in range(len(panoramas))]
     return np.stack(pictures)[..., :3].astype(np.float64)

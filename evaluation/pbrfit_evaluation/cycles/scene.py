@@ -55,7 +55,6 @@ def render_scene(
     distribution: Distribution = "MULTI_GGX",
     cache: Path | None = None,
     threads: int = 2,
-    timeout: float = 3600.0,
 ) -> Scene:
     """Render pictures of a world with Blender's path tracer.
 
@@ -90,8 +89,6 @@ def render_scene(
         whatever their number is.
     threads
         Of the renderer; the pixels do not depend on it.
-    timeout
-        Seconds after which the renderer is stopped.
 
     Returns
     -------
@@ -130,7 +127,7 @@ def render_scene(
         seed=seed % 2**31,
         distribution=distribution,
     )
-    found = rendered(job, cache=cache, threads=threads, timeout=timeout)
+    found = rendered(job, cache=cache, threads=threads)
     mask = inner_pixels(found.segments, found.normals, fov)
     if not mask.any():
         raise InputError(f"size: expected pixels away from edges, found none at {size}")

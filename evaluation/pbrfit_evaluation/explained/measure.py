@@ -15,7 +15,6 @@ from pbrfit.scene.integration import depth_from_normals
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.depth_errors import ROUGH, estimated
-from pbrfit_evaluation.found_segments import found_segments
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.recipes import GUESS, Way
@@ -25,9 +24,6 @@ from pbrfit_evaluation.table1.rows import BY_KEY as TABLE1
 Depth = Literal["none", "true", "network", "rough", "integrated"]
 """The true one; disturbed like a network's (`depth_errors`), or more; integrated from normals."""
 
-Segments = Literal["true", "found", "none"]
-"""The true ones; those of `found_segments`."""
-
 
 @dataclass(frozen=True)
 class Variant(Way):
@@ -35,14 +31,16 @@ class Variant(Way):
 
     Attributes
     ----------
-    depth, segments
-        As they are called above.
+    depth
+        As it is called above.
+    segments
+        Whether it is given the true ones.
     lamps
         Whether it is given the true ones.
     """
 
     depth: Depth = "none"
-    segments: Segments = "true"
+    segments: bool = True
     lamps: bool = False
 
 
@@ -52,7 +50,7 @@ WITHOUT, TRUE = "without", "true"
 """The principled model without geometry, and with all that is true: what figures compare."""
 
 
-def _among(words: str, depth: Depth, segments: Segments = "true") -> Variant:
+def _among(words: str, depth: Depth, *, segments: bool = True) -> Variant:
     return Variant(words, {"transport": "auto"}, depth=depth, segments=segments)
 
 
@@ -64,9 +62,7 @@ OF_GEOMETRY: Mapping[str, Variant] = {
     "network": _among("depth of a network", "network"),
     "rough": _among("rough depth", "rough"),
     "integrated": _among("integrated normals", "integrated"),
-    "found": _among("true depth, found segments", "true", "found"),
-    "unsegmented": _among("true depth, no segments", "true", "none"),
-    "network-found": _among("depth of a network, found segments", "network", "found"),
+    "unsegmented": _among("true depth, no segments", "true", segments=False),
 }
 
 HARMONICS, NEAR = "sh", "lamps-depth"
@@ -166,11 +162,7 @@ def told(exact: Scene, variant: Variant, seed: int) -> Scene:
     """What a fit is told of a room."""
     true = exact.depth
     assert true is not None
-    segments: NDArray[Any] | None = exact.segments
-    if variant.segments == "found":
-        segments = found_segments(exact)
-    elif variant.segments == "none":
-        segments = None
+    segments = exact.segments if variant.segments else None
     depth: NDArray[Any] | None = None
     match variant.depth:
         case "true":

@@ -18,7 +18,7 @@ SUITE = Suite(
     name="stability",
     title="Numerical stability",
     # Under one name, with the same effort and seed, the same is measured in the same way.
-    protocol="pbrfit-stability-1, {effort}",
+    protocol="pbrfit-stability-2, {effort}",
     parts=[Part.shown_by(figures, "stability", cases, run)],
     options=(
         option("--seed", type=whole_number, default=0, help="of pixels, lights, pictures"),
