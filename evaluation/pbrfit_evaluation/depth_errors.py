@@ -42,9 +42,7 @@ LEAST = 0.05
 """Share of the true depth that is left at least."""
 
 
-def disturbed(
-    depth: Floats, rng: Generator, *, noise: float = NOISE, strength: float = 1.0
-) -> Array:
+def disturbed(depth: Floats, rng: Generator, *, noise: float = NOISE) -> Array:
     """True depth with the errors of a network.
 
     Parameters
@@ -52,11 +50,9 @@ def disturbed(
     depth
         (H, W), distance along the camera's axis, in any unit; NaN = unknown.
     rng
-        Source of randomness; the same state gives the same errors at any strength.
+        Source of randomness.
     noise
         Standard deviation of the relative noise.
-    strength
-        Factor of the blur and of all deviations, but not of lengths.
 
     Returns
     -------
@@ -67,10 +63,10 @@ def disturbed(
     true = np.where(known, depth, 1.0).astype(np.float64)
     scale, shift = (smooth(depth.shape, WHOLE, rng) for _ in range(2))
     rough = smooth(depth.shape, NOISE_LENGTH / depth.shape[1], rng)
-    blurred = 1.0 / _blurred(1.0 / true, known, strength * BLUR)
-    moved = np.exp(strength * SCALE * scale) * blurred
-    moved += strength * SHIFT * np.median(true[known]) * shift
-    found = np.exp(strength * noise * rough) * moved
+    blurred = 1.0 / _blurred(1.0 / true, known, BLUR)
+    moved = np.exp(SCALE * scale) * blurred
+    moved += SHIFT * np.median(true[known]) * shift
+    found = np.exp(noise * rough) * moved
     return np.where(known, np.maximum(found, LEAST * true), np.nan)
 
 

@@ -265,7 +265,7 @@ class Table:
     def of(
         cls, rows: Sequence[Row], columns: Sequence[Column | str] = (), caption: str = ""
     ) -> Table:
-        """Rows of summary.json as a table, with intervals, the paper's figures and what went wrong.
+        """Rows of summary.json as a table, with intervals and what went wrong.
 
         `columns` are metrics, all of them by default. Among rows of one name the best of a column
         is bold.
@@ -281,7 +281,7 @@ class Table:
         head = ["", *(["scenes"] if scenes else []), *(["solver"] if solvers else [])]
         head += [one.heading or one.metric.replace("_", " ") for one in shown]
         made: list[Sequence[Value]] = []
-        for before, row, after in zip([None, *rows], rows, [*rows[1:], None], strict=False):
+        for before, row in zip([None, *rows], rows, strict=False):
             first = before is None or before.name != row.name
             alike = [other for other in rows if other.name == row.name and not other.guess]
             line: list[Value] = [row.name if first else ""]
@@ -290,12 +290,6 @@ class Table:
             line += [figure(row, one, alike) for one in shown]
             line += [Cell("" if row.status == "ok" else row.status, "note")] if status else []
             made.append(line)
-            if row.paper and (after is None or after.name != row.name):
-                paper = Cell("paper, other scenes", "note")
-                gap = len(head) - len(shown) - (2 if solvers else 1)
-                line = ["", *[""] * gap, paper] if solvers else [paper, *[""] * gap]
-                line += [row.paper.get(one.metric) for one in shown]
-                made.append([*line, ""] if status else line)
         return cls([*head, "status"] if status else head, made, caption)
 
 

@@ -244,7 +244,7 @@ def test_torch_optimisers_descend_and_count(name: str) -> None:
 
 def record(task: Task, points: Any) -> tuple[Task, Record]:
     """Of a run with these checkpoints; of one that failed without."""
-    found = {"points": points, "condition": 1000.0, "threads": 1, "load": 0.5}
+    found = {"points": points, "threads": 1, "load": 0.5}
     error = None if points else "OSError: full"
     return task, Record(task.key, found if points else None, error, 1.0)
 

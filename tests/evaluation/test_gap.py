@@ -15,7 +15,6 @@ from pbrfit.model.geometry import view_directions
 from pbrfit_evaluation.gap import measure, principled, spheres
 from pbrfit_evaluation.gap.brute_force import respond, view
 from pbrfit_evaluation.gap.measure import Case, Model, integrated, response
-from pbrfit_evaluation.gap.principled import BRDF, Choices
 
 Array = NDArray[np.float64]
 
@@ -111,14 +110,14 @@ def test_quadrature_agrees_with_a_plain_rule(
 @pytest.mark.parametrize("r", [0.02, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize("n_dot_v", [0.02, 0.3, 1.0])
 def test_white_furnace_of_the_principled_integral(r: float, n_dot_v: float) -> None:
-    def furnace(metallic: float, choices: Choices) -> float:
-        exact = principled.respond(r, n_dot_v, choices)
+    def furnace(metallic: float, *, multiple: bool = True) -> float:
+        exact = principled.respond(r, n_dot_v, multiple=multiple)
         weights = exact.weights(np.ones(3), np.array(metallic))
         return float(2 * math.sqrt(math.pi) * weights[0, 0])
 
     for metallic in (0.0, 0.4, 1.0):
-        assert furnace(metallic, BRDF) == pytest.approx(1, abs=1e-12)
-    assert furnace(1.0, Choices(multiple=False)) < 1 + 1e-6
+        assert furnace(metallic) == pytest.approx(1, abs=1e-12)
+    assert furnace(1.0, multiple=False) < 1 + 1e-6
 
 
 def test_the_integral_on_any_normals_is_that_of_the_pixels_own_frame() -> None:
@@ -130,7 +129,7 @@ def test_the_integral_on_any_normals_is_that_of_the_pixels_own_frame() -> None:
     normals, views = normals[facing], views[facing]
     count = len(normals)
     albedo, r, m = np.full((count, 3), 0.7), np.full(count, 0.4), np.full(count, 0.5)
-    found = spheres.integral(normals, views, albedo, r, m, BRDF)
+    found = spheres.integral(normals, views, albedo, r, m)
     light = rng.normal(size=16)
     for i in range(count):
         exact = principled.respond(0.4, float(normals[i] @ views[i])).weights(albedo[i], m[i])

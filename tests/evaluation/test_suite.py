@@ -320,11 +320,10 @@ def test_digits(value: float, text: str) -> None:
 
 
 def test_rows_as_a_table() -> None:
-    paper = {"albedo": 0.5}
     rows = [
-        Row("one", 2, "a", {"albedo": 0.25, "albedo_low": 0.125, "albedo_high": 0.5}, paper),
-        Row("one", 2, "b", {"albedo": 0.75, "ssim": 0.5}, paper),
-        Row("one", 2, "guess", {"albedo": 0.0}, paper, guess=True),
+        Row("one", 2, "a", {"albedo": 0.25, "albedo_low": 0.125, "albedo_high": 0.5}),
+        Row("one", 2, "b", {"albedo": 0.75, "ssim": 0.5}),
+        Row("one", 2, "guess", {"albedo": 0.0}, guess=True),
         Row("two", 0, None, {}, status="not run: why"),
     ]
     table = Table.of(rows, [Column("albedo", best="low"), Column("ssim", "SSIM", "high")])
@@ -334,7 +333,6 @@ def test_rows_as_a_table() -> None:
         "| one | 2 | a | **0.250 [0.125, 0.500]** | – |  |\n"
         "|  |  | b | 0.750 | **0.500** |  |\n"
         "|  |  | guess | 0 | – |  |\n"
-        "|  |  | paper, other scenes | 0.500 | – |  |\n"
         "| two | 0 |  | – | – | not run: why |\n"
     )
     assert list(Table.of(rows[:1]).columns) == ["", "scenes", "solver", "albedo"]

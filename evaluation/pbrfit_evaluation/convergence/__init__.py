@@ -10,9 +10,8 @@ from typing import Any
 
 from pbrfit._core import InputError
 from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
-from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation.convergence import figures
-from pbrfit_evaluation.convergence.cases import CASES, Case, chosen, trial, true_lighting
+from pbrfit_evaluation.convergence.cases import CASES, Case, chosen, trial
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Task
 from pbrfit_evaluation.heldout.sources import find_sources
@@ -69,11 +68,9 @@ def run(task: Task, threads: int) -> dict[str, Any]:
     scene, errors = trial(task.case, task.seed, threads)
     tracker = Tracker(errors)
     reason = solver.run(scene, task.budget, tracker, threads)
-    known = scene.truth is not None
     return {
         "points": tracker.points,
         "stop_reason": reason,
-        "condition": condition(true_lighting(scene)) if known else math.nan,
         "threads": threads,
         "load": load,
     }

@@ -76,7 +76,6 @@ def _ends(case: Case, solver: str, scenes: Sequence[Runs], found: Sequence[Value
         name: statistics.median(end[name] for end in last)
         for name in (*QUANTITIES, *COSTS, "evaluations")
     }
-    metrics["condition"] = statistics.median(values["condition"] for values in found)
     for target in ("near", "floor"):
         reached = [
             first_reached(runs[solver], case.judged, targets[target])

@@ -12,9 +12,7 @@ from pbrfit_evaluation.cycles.job import Distribution
 from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Array, Case
 from pbrfit_evaluation.gap.spheres import (
     ALBEDOS,
-    INTEGRALS,
     LEAST_COSINE,
-    NOISE,
     SUBSTANCES,
     Sphere,
 )
@@ -170,7 +168,6 @@ def _groups(results: Results[Sphere]) -> list[tuple[Distribution, str, Results[S
 
 def sphere_sections(results: Results[Sphere], rows: Sequence[Row]) -> Iterator[Section]:
     """The errors as a table and a plot."""
-    shown = ("paper", "principled", next(iter(INTEGRALS["GGX"])), NOISE)
     panels = [
         Panel(
             "lines",
@@ -181,7 +178,6 @@ def sphere_sections(results: Results[Sphere], rows: Sequence[Row]) -> Iterator[S
                     [max(found[name][1:]) for _, found in of.finished],
                 )
                 for name in (of.finished[0][1] if of.finished else ())
-                if name in shown
             ],
             "roughness r",
             "RMSE / mean",
@@ -196,9 +192,8 @@ def sphere_sections(results: Results[Sphere], rows: Sequence[Row]) -> Iterator[S
         "Against Cycles",
         "RMSE of what a model says of spheres by Blender's Cycles, without bounces, of known "
         f"material and light, over the mean radiance; pixels with n·v > {LEAST_COSINE:g}. No "
-        "figure can be below the noise of the renders. “Integrals” are by brute force, and tell "
-        "what Fresnel's equations are worth in the dielectric lobe, beside Schlick's fit. GGX is "
-        "Principled without light between facets; MULTI_GGX is Blender's default.",
+        "figure can be below the noise of the renders. GGX is Principled without light between "
+        "facets, of which there is an integral by brute force; MULTI_GGX is Blender's default.",
         [Table.of(rows)],
         [plot] if results.finished else [],
     )

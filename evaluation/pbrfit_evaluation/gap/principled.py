@@ -1,4 +1,4 @@
-"""The principled model's integral, by brute force, and what it might have been instead.
+"""The principled model's integral, by brute force.
 
 The BRDF is that of Blender's Principled and, but for the dielectric's Fresnel term, of glTF: GGX
 with height-correlated Smith masking over a Lambertian body. In the pixel's frame its weights are
@@ -32,7 +32,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,28 +58,13 @@ _LAMBERT[[0, 2, 6]] = [
 _RINGS = 32  # values of n·v in the mean over all of them
 
 
-@dataclass(frozen=True)
-class Choices:
-    """What the BRDF might be otherwise.
-
-    `multiple`: light between facets; without it, M = 1. `fresnel` of the dielectric lobe: Fresnel's
-    "equations", or Schlick's "fit".
-    """
-
-    multiple: bool = True
-    fresnel: Literal["equations", "fit"] = "equations"
-
-
-BRDF = Choices()
-"""The BRDF above."""
-
-
 @dataclass(frozen=True, eq=False)
 class PrincipledResponse:
     """Reflection of one (r, n·v) of SH light, in the pixel's own frame.
 
     `base`, `grazing`, `glass` are a, b and g above, (16,); `mean_albedo` is Ē. `error` is the
-    largest change of any of the integrals when the number of nodes is doubled.
+    largest change of any of the integrals when the number of nodes is doubled. `multiple`: whether
+    there is light between facets; without it, M = 1.
     """
 
     base: Array
@@ -88,7 +72,7 @@ class PrincipledResponse:
     glass: Array
     mean_albedo: float
     error: float
-    choices: Choices
+    multiple: bool
 
     @property
     def albedo(self) -> float:
@@ -97,30 +81,24 @@ class PrincipledResponse:
 
     def factor(self, f0: Array | float) -> Array:
         """M above, of lobes of any reflectance."""
-        if not self.choices.multiple:
+        if not self.multiple:
             return np.ones(np.shape(f0))
         mean_fresnel = f0 + (1 - np.asarray(f0)) / 21
         further = mean_fresnel * self.mean_albedo / (1 - mean_fresnel * (1 - self.mean_albedo))
         return np.asarray(1 + further * (1 - self.albedo) / self.albedo)
 
-    def _coat(self) -> Array:
-        """(16,): the dielectric lobe without light between facets."""
-        if self.choices.fresnel == "equations":
-            return self.glass
-        return F0_DIELECTRIC * self.base + self.grazing
-
     def weights(self, albedo: Array, metallic: Array) -> Array:
         """(..., 3, 16) as `kernel.shade` gives: albedo (..., 3) in [0, 1], metallic (...,)."""
         rho = np.asarray(albedo, dtype=np.float64)[..., None]
         m = np.asarray(metallic, dtype=np.float64)[..., None, None]
-        multiple, coat = self.factor(F0_DIELECTRIC), self._coat()
+        multiple = self.factor(F0_DIELECTRIC)
         metal = self.factor(rho) * (rho * self.base + self.grazing)
-        body = rho * (1 - multiple * _albedo(coat)) / np.pi * _LAMBERT
-        return np.asarray(m * metal + (1 - m) * (multiple * coat + body))
+        body = rho * (1 - multiple * _albedo(self.glass)) / np.pi * _LAMBERT
+        return np.asarray(m * metal + (1 - m) * (multiple * self.glass + body))
 
 
 def respond(
-    roughness: float, n_dot_v: float, choices: Choices = BRDF, nodes: int = NODES
+    roughness: float, n_dot_v: float, nodes: int = NODES, *, multiple: bool = True
 ) -> PrincipledResponse:
     """Integrate the BRDF at a roughness and a view angle, both in (0, 1].
 
@@ -130,7 +108,7 @@ def respond(
         If roughness or n·v lies outside its range.
     """
     (base, grazing, glass), error = _integrals(roughness, n_dot_v, nodes)
-    return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), error, choices)
+    return PrincipledResponse(base, grazing, glass, mean_albedo(roughness), error, multiple)
 
 
 @lru_cache(maxsize=4096)

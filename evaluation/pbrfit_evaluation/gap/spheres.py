@@ -8,7 +8,6 @@ difference is the noise that is left.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from pbrfit_evaluation.cycles.job import Distribution
 from pbrfit_evaluation.cycles.scene import inner_pixels
 from pbrfit_evaluation.cycles.spheres import FOV, relative_rmse, render_sphere, under, where_met
 from pbrfit_evaluation.gap.measure import MODELS, Array, Model
-from pbrfit_evaluation.gap.principled import Choices, respond
+from pbrfit_evaluation.gap.principled import respond
 
 ALBEDOS = (0.05, 0.5, 0.9)
 """Albedo of red, green and blue."""
@@ -33,14 +32,8 @@ LEAST_COSINE = 0.15
 
 NOISE = "noise of the renders"
 
-INTEGRALS: Mapping[Distribution, Mapping[str, Choices]] = {
-    "GGX": {"integral without light between facets": Choices(multiple=False)},
-    "MULTI_GGX": {
-        "integral": Choices(),
-        "integral, Schlick's Fresnel": Choices(fresnel="fit"),
-    },
-}
-"""What the model might be instead, to tell what each choice is worth."""
+WITHOUT = "integral without light between facets"
+"""What is compared beside the models where Cycles has no such light."""
 
 SUBSTANCES = {"metal": 1.0, "dielectric": 0.0, "half": 0.5}
 """Metallic by name; the last is metallic 0.5."""
@@ -80,8 +73,8 @@ def run(case: Sphere, threads: int = 2) -> dict[str, list[float]]:
     lights = random_lights(case.lights, np.random.default_rng(0))
     pictures, noise, normals, views = _pictures(case, metallic, lights, threads)
     models: dict[str, Model] = dict(MODELS)
-    for name, choices in INTEGRALS[case.distribution].items():
-        models[name] = partial(integral, choices=choices)
+    if case.distribution == "GGX":
+        models[WITHOUT] = partial(integral, multiple=False)
     count = len(normals)
     albedo = np.broadcast_to(np.array(ALBEDOS), (count, 3))
     found = {}
@@ -129,7 +122,7 @@ through that many is exact to 1e-6."""
 
 
 def integral(
-    normals: Array, views: Array, albedo: Array, r: Array, m: Array, choices: Choices
+    normals: Array, views: Array, albedo: Array, r: Array, m: Array, *, multiple: bool = True
 ) -> Array:
     """(P, 3, 16): weights by brute force, in the frame of the camera.
 
@@ -140,7 +133,7 @@ def integral(
     nodes = np.polynomial.chebyshev.chebpts1(_NODES)
     values = np.stack(
         [
-            respond(float(r[0]), cosine, choices).weights(albedo[0], m[0])
+            respond(float(r[0]), cosine, multiple=multiple).weights(albedo[0], m[0])
             for cosine in np.cos(widest / 2 * (1 + nodes)).tolist()
         ]
     )

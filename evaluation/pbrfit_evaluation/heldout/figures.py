@@ -37,26 +37,8 @@ class OfSet:
     @cached_property
     def errors(self) -> dict[Way, float]:
         """Error of the held-out pictures by a way's own kind of light, of ways without failures."""
-        return self._of_ways("own", error_of)
-
-    @cached_property
-    def under_lamp(self) -> dict[Way, float]:
-        """The same by one far lamp, of ways with materials."""
-        return self._of_ways("lamp", error_of)
-
-    @cached_property
-    def psnr(self) -> dict[Way, float]:
-        """PSNR in dB of the held-out pictures by a way's own kind of light, all together."""
-        return self._of_ways("own", psnr_of)
-
-    def _of_ways(self, light: str, figure: Callable[[Scores], float]) -> dict[Way, float]:
-        found = {}
-        for way in WAYS:
-            of = self.results.of(way=way)
-            scores = [one for _, values in of.finished for one in values.get(light) or ()]
-            if scores and not of.failed:
-                found[way] = figure(scores)
-        return found
+        found = {way: together(self.results.of(way=way), "own", error_of) for way in WAYS}
+        return {way: error for way, error in found.items() if error is not None}
 
     @property
     def regret(self) -> float:
@@ -64,6 +46,12 @@ class OfSet:
         ours = [error for way, error in self.errors.items() if way in OURS]
         default = self.errors.get("default", math.nan)
         return default / min(ours) if len(ours) > 1 else math.nan
+
+
+def together(of: Of, light: str, figure: Callable[[Scores], float]) -> float | None:
+    """A figure of all pictures by a kind of light; None without any, or where a fold failed."""
+    scores = [one for _, values in of.finished for one in values.get(light) or ()]
+    return figure(scores) if scores and not of.failed else None
 
 
 def error_of(scores: Scores) -> float:
@@ -96,8 +84,8 @@ def rows(results: Of) -> list[Row]:
             failed = next((record.error for record in of.failed), None)
             metrics = {
                 "own": one.errors.get(way),
-                "lamp": one.under_lamp.get(way),
-                "psnr": one.psnr.get(way),
+                "lamp": together(of, "lamp", error_of),
+                "psnr": together(of, "own", psnr_of),
                 "normals_mean": of.mean("normals", "mean").mean,
                 "normals_median": of.mean("normals", "median").mean,
                 "seconds": of.mean("seconds").mean,

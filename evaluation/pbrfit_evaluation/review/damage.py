@@ -17,17 +17,11 @@ Array = NDArray[np.float64]
 
 Kind = Literal["shift", "warp", "recolour", "recolour-object", "clone", "fill", "texture"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-REPAINTS: tuple[Kind, ...] = KINDS[2:]
+"""Moved as a whole; bent smoothly; an area, or one object, in another colour of about the same
+brightness; an area replaced by another part of the picture, filled smoothly from around it, or
+under coloured stripes in the light that was there."""
 
-WHAT: dict[Kind, str] = {
-    "shift": "moved as a whole, by 2 to 8 pixels",
-    "warp": "bent smoothly, by 3 to 8 pixels where it is most",
-    "recolour": "2 to 5 % of the area in another colour of about the same brightness",
-    "recolour-object": "one object, 2 to 25 % of the area, likewise",
-    "clone": "2 to 5 % of the area replaced by another part of the picture",
-    "fill": "2 to 5 % of the area filled smoothly from around it: something removed",
-    "texture": "2 to 5 % of the area under coloured stripes, in the light that was there",
-}
+REPAINTS: tuple[Kind, ...] = KINDS[2:]
 
 SHIFT = (2.0, 8.0)
 WARP = (3.0, 8.0)
@@ -52,7 +46,7 @@ def damaged(
     image
         (H, W, 3) linear, white = 1.
     kind
-        What is to be done, see `WHAT`.
+        What is to be done.
     segments
         (H, W) ids of objects, 0 = none.
     rng

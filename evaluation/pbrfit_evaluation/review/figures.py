@@ -9,9 +9,9 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from pbrfit_evaluation.review.damage import REPAINTS, WHAT
+from pbrfit_evaluation.review.damage import REPAINTS
 from pbrfit_evaluation.review.measure import Task
-from pbrfit_evaluation.suite import Results, Row, Section, Table, Value, Verdict
+from pbrfit_evaluation.suite import Results, Row, Section, Table, Verdict
 
 LEAST_CAUGHT = 0.95
 MOST_REFUSED = 0.05
@@ -25,11 +25,6 @@ GROUPS: dict[str, tuple[str, ...]] = {
 """What has to be caught, by the damages it is made of."""
 
 EVERY = tuple(damage for kinds in GROUPS.values() for damage in kinds)
-
-IN_WORDS: dict[str, str] = {
-    **{str(kind): what for kind, what in WHAT.items()},
-    "swap": "a picture of another room",
-}
 
 
 @dataclass(frozen=True)
@@ -109,14 +104,7 @@ def verdicts(results: Results[Task], _: Sequence[Row]) -> list[Verdict]:
     return [verdict for _, _, verdict in _judged(results)]
 
 
-def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
-    """Rates together and by damage."""
+def sections(_: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
+    """The rates; what each picture was is in judged.csv."""
     columns = ("refused", "pictures", "share")
     yield Section("Rates", "With intervals of 95 %.", [Table.of(rows, columns)])
-    damages: list[list[Value]] = [
-        [kind, what, of.share, float(of.pictures)]
-        for kind, what in IN_WORDS.items()
-        for of in [rate(results, kind)]
-    ]
-    table = Table(["damage", "what it is", "share caught", "of"], damages)
-    yield Section("By damage", tables=[table])

@@ -51,9 +51,8 @@ SECTIONS = {
         "norm of a block, and entry by entry to the natural scale: the same sum with every term "
         "replaced by its size, which is what rounding errors are proportional to.",
         "17 u of a whole: rounding of some 60 operations a number adds up at random to about √60 "
-        "u, twice that where terms cancel. 34 u of an entry: the worst of millions, still below "
-        "the 60 u or more that so many operations could add up to; 8 u of lights: sums over very "
-        "many pixels, in which roundings average out.",
+        "u, twice that where terms cancel. 34 u of an entry: the worst of millions; 8 u of lights: "
+        "sums over very many pixels, in which roundings average out.",
         {
             "loss_error": ("loss, relative error", BLOCK_BOUND),
             **{
