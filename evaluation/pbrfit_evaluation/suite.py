@@ -11,15 +11,15 @@ How to add a suite `speed`:
    are kept in `records/KEY.json`; `--resume` uses them again if case and code are the same.
 4. `figures(results)` makes the rows of summary.json from what was finished, which may be nothing.
 5. `verdicts(results, rows)` says what the figures must be; `sections(results, rows)` is what the
-   page shows beside them: tables, plots and pictures as data.
+   page shows beside them: tables as data, and PNGs of plots (`plots`) and maps.
 6. Sizes and counts stand in `effort`: name -> (full, with `--quick`); an option of the same name
    takes precedence. Files named `figures.py` do not count as code that records depend on.
 
 Suites of scenes whose truth is known are scenes × conditions × ways: `grid` has their cases, rows,
 bars and sheets.
 
-Nothing here draws, writes or measures: `commands` builds the command and runs it, `jobs` keeps
-records, `report` writes.
+Nothing here writes or measures: `commands` builds the command and runs it, `jobs` keeps records,
+`report` writes.
 """
 
 from __future__ import annotations
@@ -318,128 +318,8 @@ def digits(value: float) -> str:
 
 
 @dataclass(frozen=True)
-class Series:
-    """What a plot shows in one colour and marker.
-
-    Attributes
-    ----------
-    label
-        In the legend; a label has one look in the whole plot.
-    x, y
-        Coordinates. Of dots `y` are names, and those of a panel share an axis.
-    low, high
-        Interval of each: of y in lines, of x in dots.
-    look
-        Place in the palette (default: in order of appearance), to keep looks alike between plots.
-    """
-
-    label: str
-    x: Sequence[float]
-    y: Sequence[float] | Sequence[str]
-    _: KW_ONLY
-    low: Sequence[float] = ()
-    high: Sequence[float] = ()
-    look: int | None = None
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A line across a panel at a value of an axis."""
-
-    value: float
-    text: str = ""
-    axis: Literal["x", "y"] = "y"
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One pair of axes; labels have units.
-
-    `kind`: "lines" with markers, "points" alone; "dots" against names.
-    """
-
-    kind: Literal["lines", "points", "dots"]
-    series: Sequence[Series]
-    x: str = ""
-    y: str = ""
-    _: KW_ONLY
-    title: str = ""
-    log: Literal["", "x", "y", "xy"] = ""
-    marks: Sequence[Mark] = ()
-    x_range: tuple[float | None, float | None] = (None, None)
-    y_range: tuple[float | None, float | None] = (None, None)
-
-
-@dataclass(frozen=True)
-class HeatMap:
-    """Ratios (rows, columns) as colours with the number in each cell; the first row is on top.
-
-    The scale goes from 1/4 to 4 with 1 in its middle.
-    """
-
-    values: Sequence[Sequence[float]]
-    columns: Sequence[str]
-    rows: Sequence[str]
-    x: str = ""
-    y: str = ""
-    _: KW_ONLY
-    title: str = ""
-    scale: str = ""
-
-
-@dataclass(frozen=True)
-class Plot:
-    """Panels in a grid, written as NAME.png and into the page.
-
-    `share_x`, `share_y`: which panels have one axis, as matplotlib names it. `size`: of a panel in
-    inches, by default as it needs.
-    """
-
-    name: str
-    caption: str
-    panels: Sequence[Panel | HeatMap]
-    _: KW_ONLY
-    columns: int = 1
-    share_x: Literal["none", "all", "row", "col"] = "none"
-    share_y: Literal["none", "all", "row", "col"] = "none"
-    size: tuple[float, float] | None = None
-
-
-def dots(
-    name: str,
-    rows: Sequence[Row],
-    labels: Mapping[str, str],
-    metrics: Sequence[str],
-    caption: str = "With intervals.",
-    least: float = 0.0,
-) -> Plot:
-    """Rows as a plot: a panel a metric, a line a name, a colour a solver, by labels for these.
-
-    The paper's figures are shown beside them; what is below `least` stands at it.
-    """
-    shown, panels = [row for row in rows if row.scenes], []
-    for metric in metrics:
-        series = []
-        for look, (solver, label) in enumerate(labels.items()):
-            of = [row for row in shown if row.solver == solver]
-            mean, low, high = (
-                [max(row.metrics[f"{metric}{end}"] or math.nan, least) for row in of]
-                for end in ("", "_low", "_high")
-            )
-            names = [row.name for row in of]
-            series += [Series(label, mean, names, low=low, high=high, look=look)] if of else []
-        papers = {row.name: row.paper[metric] for row in shown if row.paper and metric in row.paper}
-        if papers:
-            label = "the paper's number (other scenes)"
-            series.append(Series(label, list(papers.values()), list(papers), look=7))
-        panels.append(Panel("dots", series, f"{metric} RMSE", log="x"))
-    size = (2.8, 0.8 + 0.15 * len(labels) * len({row.name for row in shown}))
-    return Plot(name, caption, panels, columns=len(metrics), share_y="all", size=size)
-
-
-@dataclass(frozen=True)
 class Picture:
-    """A PNG that is there already, such as a sheet of maps (`pbrfit.result.sheet`)."""
+    """A PNG: a plot (`plots`) or a sheet of maps (`pbrfit.result.sheet`)."""
 
     name: str
     caption: str
@@ -448,12 +328,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading of the page, what has to be said, tables, plots and pictures."""
+    """A heading of the page, what has to be said, tables and pictures."""
 
     title: str
     text: str = ""
     tables: Sequence[Table] = ()
-    figures: Sequence[Plot | Picture] = ()
+    figures: Sequence[Picture] = ()
 
 
 Line = Mapping[str, object]

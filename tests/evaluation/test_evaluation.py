@@ -126,7 +126,7 @@ def test_records_depend_on_the_code_of_both_packages_that_measures() -> None:
     }
     assert found >= {"fit/decompose.py", "scores.py", "table1/measure.py", "table1/rows.py"}
     assert any(name.startswith("_core.") for name in found)
-    others = ("report/html.py", "report/viewer", "report/plots.py", "suite.py", "table1/figures")
+    others = ("report/html.py", "report/viewer", "plots.py", "suite.py", "table1/figures")
     for name in others:
         assert not any(path.startswith(name) for path in found), name
 

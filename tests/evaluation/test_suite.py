@@ -25,21 +25,16 @@ from evaluation_tasks import Task, work
 from page_reader import Page
 from pbrfit.commands.arguments import add_threads
 from pbrfit.report.html import Cell
-from pbrfit_evaluation import commands, options, report
+from pbrfit_evaluation import commands, options, plots, report
 from pbrfit_evaluation.jobs import Record
-from pbrfit_evaluation.report.plots import draw
 from pbrfit_evaluation.suite import (
     Column,
-    HeatMap,
-    Mark,
     Options,
-    Panel,
     Part,
-    Plot,
+    Picture,
     Results,
     Row,
     Section,
-    Series,
     Suite,
     Table,
     Verdict,
@@ -343,36 +338,35 @@ def test_markdown_of_cells() -> None:
     assert report.markdown(table) == "| a | b c |\n| --- | ---: |\n| x \\| y | **1 [0, 2]** |\n"
 
 
-SERIES = [
-    Series("a", [1, 10, 100], [1, 2, 4], low=[0.5, 1, 2], high=[2, 4, 8]),
-    Series("b", [1, 10, 100], [4, 2, 1], look=5),
-]
-MARKS = [Mark(1, "bar"), Mark(2, axis="x")]
-NAMED = [Series("a", [1, 2], ["x", "y"], low=[0.5, 1], high=[2, 4]), Series("b", [1], ["y"])]
+@pytest.mark.parametrize("log", ["", "xy"])
+@pytest.mark.parametrize("count", [1, 3])
+def test_plots_show_something(count: int, log: str) -> None:
+    figure, grid = plots.panels(count, 2 if count > 1 else 1, sharey="row")
+    for axes in grid:
+        plots.draw(axes, [1, 10, 100], [1, 2, 4], 0, "a", low=[0.5, 1, 2], high=[2, 4, 8])
+        plots.draw(axes, [10], [3], 9, "b", joined=False, low=[2], high=[4])
+        plots.mark(axes, 2, "bar")
+        plots.mark(axes, 5, axis="x")
+        plots.dress(axes, "x / s", "y", "title", log)
+    assert [axes.get_ylabel() for axes in grid] == ["y", "", "y"][:count]
+    assert_drawn(plots.png(figure))
 
 
-@pytest.mark.parametrize(
-    "panel",
-    [
-        *(
-            Panel(kind, SERIES, "x / s", "y", log=log, marks=MARKS)
-            for kind in ("lines", "points")
-            for log in ("", "xy")
-        ),
-        Panel("dots", NAMED, "RMSE", log="x", marks=[Mark(1, "bar", "x")]),
-        Panel("dots", NAMED, "%", x_range=(0, 10)),
-        HeatMap([[0.0, 1.0], [4.0, 9.0]], ["a", "a long name"], ["c", "d"], scale="r"),
-    ],
-)  # fmt: skip
-def test_plots_show_something(panel: Panel | HeatMap) -> None:
-    for count, columns in ((1, 1), (3, 2)):
-        plot = Plot("p", "c", [replace(panel, title=str(i)) for i in range(count)], columns=columns)
-        picture = Image.open(io.BytesIO(draw(plot)))
-        assert len(picture.convert("RGB").getcolors(10**6) or ()) > 10
+def test_rows_and_ratios_are_drawn() -> None:
+    figure, [axes] = plots.panels(1, 1)
+    plots.heat_map(axes, [[0.0, 1.0], [4.0, 19.0]], ["a", "b"], ["c", "d"])
+    assert_drawn(plots.png(figure))
+    metrics = {"albedo": 0.25, "albedo_low": 0.125, "albedo_high": 0.5}
+    rows = [Row(name, 2, "a", metrics, {"albedo": 0.5}) for name in ("one", "two")]
+    assert_drawn(plots.dots(rows, {"a": "way a", "b": "way b"}, ["albedo"], 0.2))
+
+
+def assert_drawn(png: bytes) -> None:
+    assert len(Image.open(io.BytesIO(png)).convert("RGB").getcolors(10**6) or ()) > 10
 
 
 def test_a_page_holds_its_plots(tmp_path: Path) -> None:
-    plot = Plot("curve", "Error & time.", [Panel("lines", SERIES)])
+    plot = Picture("curve", "Error & time.", b"png")
     section = Section("A & B", "Said.\n\nTwice.", [Table(["n"], [[1.0], [None]])], [plot])
     found = report.Outcome([], [], [section], {}, [])
     report.write(tmp_path, SUITE, OPTIONS, found)

@@ -24,8 +24,7 @@ from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, Verdict
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday.disturbances import NOISE
 from pbrfit_evaluation.grid import Case
-from pbrfit_evaluation.report.plots import draw
-from pbrfit_evaluation.suite import Plot, Results, Row
+from pbrfit_evaluation.suite import Results, Row
 from pbrfit_evaluation.suite import Verdict as Bar
 from pbrfit_evaluation.uncertainty import conditions, figures, measure
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, NAMES, Name, made
@@ -288,5 +287,5 @@ def test_pages_show_tables_and_the_plot_of_verdicts() -> None:
     rows = figures.rows(found)
     assert [row.name for row in rows] == [one.title for one in CONDITIONS.values()]
     sections = list(figures.sections(found, rows))
-    [plot] = [one for section in sections for one in section.figures if isinstance(one, Plot)]
-    assert draw(plot).startswith(b"\x89PNG")
+    [plot] = [one for section in sections for one in section.figures]
+    assert plot.png.startswith(b"\x89PNG")

@@ -17,15 +17,13 @@ from pbrfit_evaluation.convergence.measure import (
 )
 from pbrfit_evaluation.convergence.solvers import SOLVERS
 from pbrfit_evaluation.jobs import Values
+from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.suite import (
     Column,
-    Mark,
-    Panel,
-    Plot,
+    Picture,
     Results,
     Row,
     Section,
-    Series,
     Table,
     Verdict,
 )
@@ -150,34 +148,24 @@ def _arrived(row: Row) -> bool:
     )
 
 
-def _plot(quantity: Quantity, results: Results[Task], cases: Sequence[Case]) -> Plot:
-    panels = []
-    for case in cases:
+def _plot(quantity: Quantity, results: Results[Task], cases: Sequence[Case]) -> Picture:
+    size = (5.5, 2.6)
+    figure, grid = panels(2 * len(cases), 2, size, sharex="col", sharey="row")
+    pairs = [(case, cost) for case in cases for cost in COSTS]
+    for axes, (case, cost) in zip(grid, pairs, strict=True):
         shown: Quantity = "held_out" if case.folder else quantity
-        marks = [Mark(case.floor, "noise")] if quantity == "recon" and case.floor else []
-        for cost, label in COSTS.items():
-            series = [
-                Series(
-                    solver.name,
-                    [max(point[cost], SOONEST) for point in values["points"]],
-                    [point[shown] for point in values["points"]],
-                    look=place,
-                )
-                for place, solver in enumerate(SOLVERS)
-                for _, values in results.of(solver=solver.name, case=case).finished
-            ]
-            y = f"{shown.replace('_', ' ')} RMSE"
-            panels.append(Panel("lines", series, label, y, title=case.title, log="xy", marks=marks))
-    return Plot(
-        quantity,
+        for place, solver in enumerate(SOLVERS):
+            for _, values in results.of(solver=solver.name, case=case).finished:
+                x = [max(point[cost], SOONEST) for point in values["points"]]
+                draw(axes, x, [point[shown] for point in values["points"]], place, solver.name)
+        if quantity == "recon" and case.floor:
+            mark(axes, case.floor, "noise")
+        dress(axes, COSTS[cost], f"{shown.replace('_', ' ')} RMSE", case.title, log="xy")
+    caption = (
         f"Error of {quantity}, of real pictures that of held-out ones, against wall time and "
-        "against processor time, a line a seed.",
-        panels,
-        columns=2,
-        share_x="col",
-        share_y="row",
-        size=(5.5, 2.6),
+        "against processor time, a line a seed."
     )
+    return Picture(quantity, caption, png(figure))
 
 
 # ------------------------------------------------------------------------------------- the race

@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, get_args
 
 import numpy as np
 
 from pbrfit_evaluation import cycles
 from pbrfit_evaluation.cycles.job import Distribution
-from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Array, Case
+from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, MODELS, Array, Case
 from pbrfit_evaluation.gap.spheres import (
     ALBEDOS,
     LEAST_COSINE,
+    NOISE,
     SUBSTANCES,
+    WITHOUT,
     Sphere,
 )
-from pbrfit_evaluation.suite import (
-    HeatMap,
-    Panel,
-    Plot,
-    Results,
-    Row,
-    Section,
-    Series,
-    Table,
-    Value,
-)
+from pbrfit_evaluation.plots import CELL, draw, dress, heat_map, panels, png
+from pbrfit_evaluation.suite import Picture, Results, Row, Section, Table, Value
 
 NAMES = [material.name for material in MATERIALS]
 
@@ -75,62 +68,42 @@ def sections(results: Results[Case], rows: Sequence[Row]) -> Iterator[Section]:
     lines: list[list[Value]] = [
         [name, model, *of[m]] for m, name in enumerate(NAMES) for model, of in relative.items()
     ]
-    panels = [
-        Panel(
-            "lines",
-            [Series(model, r, of[m]) for model, of in relative.items()],
-            "roughness r",
-            "relative RMSE",
-            title=name,
-            log="y",
-        )
-        for m, name in enumerate(NAMES)
-    ]
+    figure, grid = panels(len(NAMES), 4, sharey="all")
+    for axes, (m, name) in zip(grid, enumerate(NAMES), strict=True):
+        for place, (model, of) in enumerate(relative.items()):
+            draw(axes, r, of[m], place, model)
+        dress(axes, "roughness r", "relative RMSE", name, log="y")
     yield Section(
         "Spheres against the principled integral",
         tables=[Table(["material", "model", *(f"r = {x:g}" for x in r)], lines)],
-        figures=[
-            Plot("spheres", "Error of spheres over roughness.", panels, columns=4, share_y="all")
-        ],
+        figures=[Picture("spheres", "Error of spheres over roughness.", png(figure))],
     )
     ratio, n_dot_v = _ratio(results, "paper"), results.finished[0][0].n_dot_v
+    albedos = dict(zip(NAMES, ratio[..., 0], strict=True))
+    bands = {f"l = {band}": ratio[0, ..., band] for band in range(4)}
     yield Section(
         "By roughness and view angle: paper model / principled integral",
         "Of dielectrics, lobe and diffuse term together, which in part make up for each other. "
         "Where the true response is small a ratio says little. Orange: too bright, purple: too "
         "dark.",
         figures=[
-            Plot(
-                name,
-                caption,
-                [
-                    HeatMap(
-                        of[::-1].tolist(),
-                        [f"{x:g}" for x in n_dot_v],
-                        [f"{x:g}" for x in r][::-1],
-                        "n·v",
-                        "roughness r",
-                        title=title,
-                        scale="ratio",
-                    )
-                    for title, of in maps
-                ],
-                columns=2,
-            )
-            for name, caption, maps in (
-                (
-                    "albedo",
-                    "Directional albedo (l = 0), ratio.",
-                    zip(NAMES, ratio[..., 0], strict=True),
-                ),
-                (
-                    "ratio",
-                    "The lobe alone (F = 1), ratio of responses.",
-                    [(f"l = {band}", ratio[0, ..., band]) for band in range(4)],
-                ),
-            )
+            Picture("albedo", "Directional albedo (l = 0), ratio.", _maps(albedos, n_dot_v, r)),
+            Picture(
+                "ratio", "The lobe alone (F = 1), ratio of responses.", _maps(bands, n_dot_v, r)
+            ),
         ],
     )
+
+
+def _maps(ratios: Mapping[str, Array], n_dot_v: Sequence[float], r: Sequence[float]) -> bytes:
+    """Heat maps of ratios (R, V) by title, large r on top."""
+    size = (1.6 + CELL * len(n_dot_v), 1.0 + 0.7 * CELL * len(r))
+    figure, grid = panels(len(ratios), 2, size)
+    for axes, (title, of) in zip(grid, ratios.items(), strict=True):
+        heat_map(axes, of[::-1], [f"{x:g}" for x in n_dot_v], [f"{x:g}" for x in r][::-1])
+        axes.set_title(title, loc="left", fontsize=10)
+        axes.set(xlabel="n·v", ylabel="roughness r")
+    return png(figure)
 
 
 # ------------------------------------------------------------------------------------- on Cycles
@@ -168,26 +141,16 @@ def _groups(results: Results[Sphere]) -> list[tuple[Distribution, str, Results[S
 
 def sphere_sections(results: Results[Sphere], rows: Sequence[Row]) -> Iterator[Section]:
     """The errors as a table and a plot."""
-    panels = [
-        Panel(
-            "lines",
-            [
-                Series(
-                    name,
-                    [case.r for case, _ in of.finished],
-                    [max(found[name][1:]) for _, found in of.finished],
-                )
-                for name in (of.finished[0][1] if of.finished else ())
-            ],
-            "roughness r",
-            "RMSE / mean",
-            title=f"{substance}, {distribution}",
-            log="y",
-        )
-        for distribution, substance, of in _groups(results)
-    ]
+    groups = _groups(results)
+    figure, grid = panels(len(groups), len(SUBSTANCES), sharey="all")
+    for axes, (distribution, substance, of) in zip(grid, groups, strict=True):
+        for place, name in enumerate((*MODELS, WITHOUT, NOISE)):
+            of_name = [(case.r, max(v[name][1:])) for case, v in of.finished if name in v]
+            if of_name:
+                draw(axes, *zip(*of_name, strict=True), place, name)
+        dress(axes, "roughness r", "RMSE / mean", f"{substance}, {distribution}", log="y")
     caption = "The larger error of albedos 0.5 and 0.9."
-    plot = Plot("cycles", caption, panels, columns=len(SUBSTANCES), share_y="all")
+    plot = Picture("cycles", caption, png(figure))
     yield Section(
         "Against Cycles",
         "RMSE of what a model says of spheres by Blender's Cycles, without bounces, of known "

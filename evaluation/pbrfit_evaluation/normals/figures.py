@@ -11,7 +11,8 @@ from pbrfit_evaluation.grid.figures import Bar, Metrics, Of, by_seed
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.grid.figures import verdicts as of_bars
 from pbrfit_evaluation.normals.measure import MAPS, REFINE, TRUE, exact, rooms, turn_of
-from pbrfit_evaluation.suite import Mark, Panel, Plot, Row, Section, Series, Table, Verdict
+from pbrfit_evaluation.plots import draw, dress, mark, panels, png
+from pbrfit_evaluation.suite import Picture, Row, Section, Table, Verdict
 
 MAPS_AND_RELIGHT = (*MAPS, "relight")
 METRICS = ("recon", *MAPS_AND_RELIGHT)
@@ -117,40 +118,32 @@ def room_sections(results: Of, rows: Sequence[Row]) -> Iterator[Section]:
     )
 
 
-def _room_plot(results: Of) -> Plot:
+def _room_plot(results: Of) -> Picture:
     """A row of panels a disturbance, a panel an error, a line a fit."""
     conditions = rooms(results.options).conditions
     paths = {f"{m}, RMSE": ("scores", m) for m in MAPS_AND_RELIGHT}
     paths["mean angle, degrees"] = ("angle", "mean")
-    panels = []
-    for kind in dict.fromkeys(turn_of(one)[0] for one in conditions if one != TRUE):
+    kinds = dict.fromkeys(turn_of(one)[0] for one in conditions if one != TRUE)
+    of_panels = [(kind, title) for kind in kinds for title in paths]
+    figure, grid = panels(len(of_panels), len(paths), (2.9, 2.7), sharex="all", sharey="col")
+    for axes, (kind, title) in zip(grid, of_panels, strict=True):
         # Turns of 0 degrees are the same whatever they are called.
         shown = [one for one in conditions if turn_of(one)[0] in (kind, TRUE)]
-        for title, path in paths.items():
-            series = []
-            for look, (way, refine) in enumerate(REFINE.items()):
-                found = {
-                    turn_of(one)[1]: values
-                    for one in shown
-                    if (values := results.of(condition=one, way=way).numbers(*path))
-                }
-                low, high = ([float(np.percentile(v, p)) for v in found.values()] for p in (10, 90))
-                means = [float(np.mean(values)) for values in found.values()]
-                series.append(
-                    Series(refine.words, list(found), means, low=low, high=high, look=look)
-                )
-            x, y = "θ of the disturbance, degrees", f"{kind}: error"
-            floor = results.of(condition=TRUE, way="off").average(*path)
-            marks = [Mark(floor, "floor")] if floor == floor else []
-            panels.append(Panel("lines", series, x, y, title=title, marks=marks))
+        for place, (way, refine) in enumerate(REFINE.items()):
+            found = {
+                turn_of(one)[1]: values
+                for one in shown
+                if (values := results.of(condition=one, way=way).numbers(*paths[title]))
+            }
+            low, high = ([float(np.percentile(v, p)) for v in found.values()] for p in (10, 90))
+            means = [float(np.mean(values)) for values in found.values()]
+            draw(axes, list(found), means, place, refine.words, low=low, high=high)
+        floor = results.of(condition=TRUE, way="off").average(*paths[title])
+        if floor == floor:
+            mark(axes, floor, "floor")
+        dress(axes, "θ of the disturbance, degrees", f"{kind}: error", title)
     caption = "Means over scenes; bands from the 10th to the 90th percentile of scenes."
-    return Plot(
-        *("normals", caption, panels),
-        columns=len(paths),
-        share_x="all",
-        share_y="col",
-        size=(2.9, 2.7),
-    )
+    return Picture("normals", caption, png(figure))
 
 
 # ----------------------------------------------------------------------------------------- exact

@@ -14,12 +14,10 @@ from pathlib import Path
 from pbrfit.report import html
 from pbrfit.report.html import Cell, paragraph, png_address
 from pbrfit_evaluation.jobs import Record
-from pbrfit_evaluation.report.plots import draw
 from pbrfit_evaluation.report.summary import machine, write_summary
 from pbrfit_evaluation.suite import (
     Line,
     Picture,
-    Plot,
     Row,
     Section,
     Suite,
@@ -199,12 +197,11 @@ def _page(folder: Path, title: str, opening: Sequence[str], sections: Sequence[S
     return html.document(title, "\n".join(body))
 
 
-def _figure(folder: Path, figure: Plot | Picture) -> str:
-    png = figure.png if isinstance(figure, Picture) else draw(figure)
-    (folder / f"{figure.name}.png").write_bytes(png)
+def _figure(folder: Path, figure: Picture) -> str:
+    (folder / f"{figure.name}.png").write_bytes(figure.png)
     caption = escape(figure.caption)
     return (
-        f'<figure><img src="{png_address(png)}" alt="{caption}">'
+        f'<figure><img src="{png_address(figure.png)}" alt="{caption}">'
         f"<figcaption>{caption}</figcaption></figure>"
     )
 

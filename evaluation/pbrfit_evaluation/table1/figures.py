@@ -9,8 +9,9 @@ from pbrfit.model.reflection import Model
 from pbrfit_evaluation.grid.figures import Of, pictures
 from pbrfit_evaluation.grid.figures import rows as grid_rows
 from pbrfit_evaluation.options import models
+from pbrfit_evaluation.plots import dots
 from pbrfit_evaluation.scores import Scores
-from pbrfit_evaluation.suite import Column, Section, Table, Value, digits, dots
+from pbrfit_evaluation.suite import Column, Picture, Section, Table, Value, digits
 from pbrfit_evaluation.suite import Row as Figures
 from pbrfit_evaluation.table1.measure import GRID
 from pbrfit_evaluation.table1.rows import BY_KEY, COLUMNS, WAYS
@@ -44,9 +45,9 @@ def sections(results: Of, rows: Sequence[Figures]) -> Iterator[Section]:
     """Tables, the plot and the first scene of each setup."""
     labels = {way.words: way.words for way in WAYS.values()}
     caption = f"With intervals. What is exact stands at {LEAST_SHOWN:g}."
-    plots = (
-        [dots("table1", rows, labels, COLUMNS, caption, LEAST_SHOWN)] if results.finished else []
-    )
+    plots = []
+    if results.finished:
+        plots = [Picture("table1", caption, dots(rows, labels, COLUMNS, LEAST_SHOWN))]
     columns = [Column(name, best="low") for name in COLUMNS]
     yield Section("The paper's columns", "RMSE, linear values.", [Table.of(rows, columns)], plots)
     yield Section(

@@ -17,18 +17,8 @@ from pbrfit.result.verdict import (
 )
 from pbrfit_evaluation.grid.figures import Metrics, Of
 from pbrfit_evaluation.grid.figures import rows as grid_rows
-from pbrfit_evaluation.suite import (
-    Mark,
-    Panel,
-    Plot,
-    Row,
-    Section,
-    Series,
-    Table,
-    Value,
-    Verdict,
-    digits,
-)
+from pbrfit_evaluation.plots import draw, dress, mark, panels, png
+from pbrfit_evaluation.suite import Picture, Row, Section, Table, Value, Verdict, digits
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, GROUPS, Condition
 from pbrfit_evaluation.uncertainty.measure import GRID, Array
 
@@ -156,39 +146,30 @@ def _in_short(of_rows: Sequence[Row]) -> Table:
     return Table(["", "scenes", *PARAMETERS], lines)
 
 
-def _expected(results: Of) -> Plot:
+def _expected(results: Of) -> Picture:
     """Expected and true errors of the maps of all scenes."""
-    panels = []
-    for name in PARAMETERS:
-        series = []
-        for look, group in enumerate(GROUPS):
+    figure, grid = panels(len(PARAMETERS), len(PARAMETERS), (3.3, 2.9))
+    for axes, name in zip(grid, PARAMETERS, strict=True):
+        for place, group in enumerate(GROUPS):
             found = [
                 values["said"][name]
                 for condition, of in _conditions(results)
                 if condition.group == group
                 for _, values in of.finished
             ]
-            if found:
-                x, y = (
-                    [max(one[key], LEAST_ERROR) for one in found]
-                    for key in ("expected_error", "rmse")
-                )
-                series.append(Series(group, x, y, look=look))
-        marks = [Mark(limit[name], axis="x") for limit in (USABLE_MAX, ROUGH_MAX)]
-        marks += [Mark(limit[name], axis="y") for limit in (USABLE_ERROR, ROUGH_ERROR)]
-        panels.append(
-            Panel(
-                *("points", series, "RMSE expected", "RMSE"),
-                title=name,
-                log="xy",
-                marks=marks,
-                x_range=(LEAST_ERROR, 1.0),
-                y_range=(LEAST_ERROR, 1.0),
+            x, y = (
+                [max(one[key], LEAST_ERROR) for one in found] for key in ("expected_error", "rmse")
             )
-        )
+            if found:
+                draw(axes, x, y, place, group, joined=False)
+        for axis, limits in (("x", (USABLE_MAX, ROUGH_MAX)), ("y", (USABLE_ERROR, ROUGH_ERROR))):
+            for limit in limits:
+                mark(axes, limit[name], axis=axis)
+        axes.set(xlim=(LEAST_ERROR, 1.0), ylim=(LEAST_ERROR, 1.0))
+        dress(axes, "RMSE expected", "RMSE", name, log="xy")
     caption = (
         "A point a scene. Lines: errors up to which a map is usable, or a rough guide, and "
         "expected ones up to which it is called so; right verdicts are in the squares along the "
         f"diagonal. What is below {LEAST_ERROR:g} is drawn there."
     )
-    return Plot("verdicts", caption, panels, columns=len(PARAMETERS), size=(3.3, 2.9))
+    return Picture("verdicts", caption, png(figure))
