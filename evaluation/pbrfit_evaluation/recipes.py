@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,15 @@ from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
+T = TypeVar("T")
+
+
+def known(value: T | None) -> T:
+    """A value that synthetic scenes always have, such as their truth and its lights."""
+    assert value is not None
+    return value
+
+
 OTHER: dict[Model, Model] = {"paper": "principled", "principled": "paper"}
 """By a model the one that it is not."""
 
@@ -35,14 +44,13 @@ def lit_anew(scene: Scene, materials: Materials, lighting: Array, relight_lighti
 
     Its pictures have the usual mean radiance, and lights and held-out pictures that exposure.
     """
-    assert scene.truth is not None
     model = chosen_model(None, scene.model)
     rendered = partial(render, materials, scene.normals, fov=scene.fov, model=model)
     images = rendered(lighting)
     exposure = MEAN_RADIANCE / np.nanmean(images)
     lighting, relight_lighting = exposure * lighting, exposure * relight_lighting
     truth = replace(
-        scene.truth,
+        known(scene.truth),
         materials=materials,
         lighting=lighting,
         relight_images=rendered(relight_lighting),

@@ -14,7 +14,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit_evaluation.ablation import cases, figures
-from pbrfit_evaluation.ablation.cases import TITLES, case, merged, shifted, varied
+from pbrfit_evaluation.ablation.cases import TITLES, case, merged, shifted
 from pbrfit_evaluation.ablation.measure import GRID, TABLE, WAYS
 from pbrfit_evaluation.grid.figures import Of
 from pbrfit_evaluation.recipes import PAPER_PRIORS
@@ -73,16 +73,6 @@ def test_roughness_varies_inside_segments_and_nothing_else_does() -> None:
     assert max(deviations) <= cases.SPREAD[1] + 1e-12
     assert np.median(deviations) >= cases.SPREAD[0]
     assert max(means) < 0.05
-
-
-def test_patterns_are_the_same_at_any_size() -> None:
-    fine, coarse = np.ones((60, 60), np.uint16), np.ones((20, 20), np.uint16)
-    found = [
-        varied(np.full(ids.shape, 0.5), ids, np.random.default_rng(3)) for ids in (fine, coarse)
-    ]
-    # Pixel centres of the coarse picture are those of every third pixel, from the second.
-    sampled = found[0][1::3, 1::3]
-    assert np.corrcoef(sampled.ravel(), found[1].ravel())[0, 1] > 0.999999
 
 
 def test_shifted_by_one_pixel_right_and_down() -> None:

@@ -5,12 +5,10 @@ How well disturbed scenes are fitted is not tested here: verdicts are on figures
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from evaluation_tasks import recorded
 from pbrfit.fit.decompose import decompose
@@ -139,16 +137,6 @@ def test_a_jpeg_has_a_twin_with_noise_of_its_rms(said: Any) -> None:
     assert of_white.std() == pytest.approx(np.sqrt(np.mean(of_jpeg**2)), rel=0.02)
     assert white.images.dtype == np.float32
     assert white.limits is None
-
-
-def test_jpeg_files_have_the_quality_and_the_chroma_that_are_said(tmp_path: Path) -> None:
-    codes = np.random.default_rng(1).integers(0, 256, (16, 16, 3)).astype(np.uint8)
-    for said, factors in (("90-444", (1, 1)), ("75-420", (2, 2))):
-        disturbances.jpeg(said)(tmp_path / said, codes)
-        with Image.open(tmp_path / f"{said}.jpg") as picture:
-            assert picture.layer[0][1:3] == factors  # type: ignore[attr-defined]
-            # Of quality 50 the first entry is 16; 90 and 75 have a fifth and a half of it.
-            assert picture.quantization[0][0] == {90: 3, 75: 8}[int(said[:2])]  # type: ignore[attr-defined]
 
 
 def test_views_are_90_degrees_wide_whatever_is_said() -> None:

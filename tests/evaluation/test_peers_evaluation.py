@@ -3,41 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pbrfit.model.materials import Materials
 from pbrfit_evaluation.peers import measure
 from pbrfit_evaluation.recipes import within
-from scene_files import room, run
-
-
-@pytest.mark.slow
-def test_what_cannot_run_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    nowhere = tmp_path / "nowhere"
-    arguments = ("--quick", "--scenes", 1, "--size", 24, "--jobs", 1)
-    weights = ("--marigold", nowhere, "--rgbx", nowhere)
-    assert run("evaluate", "peers", "--out", out, *arguments, *weights) == 0
-    rows = json.loads((out / "summary.json").read_text())["rows"]
-    assert [row["solver"] for row in rows] == 2 * [way.words for way in measure.WAYS.values()]
-    assert {row["status"] for row in rows[4:6]} == {"not run: --quick leaves Cycles out"}
-    fit, guess, *others = rows[:4]
-    assert fit["status"] == guess["status"] == "ok"
-    assert 0 < fit["metrics"]["albedo"] < guess["metrics"]["albedo"]
-    for row in others:
-        assert row["scenes"] == 0
-        assert row["metrics"] == {}
-        # Packages are missing, or else the weights.
-        assert "pip install 'pbrfit[diffusion]'" in row["status"] or str(nowhere) in row["status"]
-    told = capsys.readouterr()
-    assert told.out.count("not run: ") == 6
-    assert "failed" not in told.err
-    assert "not run" in (out / "report.html").read_text()
-    assert len((out / "scenes.csv").read_text().splitlines()) == 3
+from scene_files import room
 
 
 def test_peers_are_shown_the_most_evenly_lit_picture() -> None:

@@ -14,7 +14,7 @@ from pbrfit.model.reflection import DEFAULT_MODEL, Model
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit.synthetic.patterns import Pattern, checker, clouds, patches, stripes
-from pbrfit_evaluation.recipes import lit_anew
+from pbrfit_evaluation.recipes import known, lit_anew
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
@@ -74,26 +74,23 @@ def case(
     scene = make_scene(
         "room", size=size, lights=PICTURES, held_out=PICTURES, seed=seed, model=model
     )
-    assert scene.truth is not None
-    assert scene.segments is not None
+    truth, segments = known(scene.truth), known(scene.segments)
     # The first four are make_scene's own, and the fourth is its noise.
     streams = np.random.SeedSequence(seed).spawn(6)
     noise_rng, pattern_rng, merging_rng = map(np.random.default_rng, streams[3:])
 
-    materials = scene.truth.materials
+    materials = truth.materials
     if name == "varying":
-        roughness = varied(materials.roughness, scene.segments, pattern_rng)
+        roughness = varied(materials.roughness, segments, pattern_rng)
         materials = replace(materials, roughness=roughness)
-    assert scene.truth.lighting is not None
-    assert scene.truth.relight_lighting is not None
-    made = lit_anew(scene, materials, scene.truth.lighting, scene.truth.relight_lighting)
+    made = lit_anew(scene, materials, known(truth.lighting), known(truth.relight_lighting))
     images = made.images + noise_rng.normal(scale=noise, size=made.images.shape)
     made = replace(made, images=images)
     match name:
         case "shifted":
-            return replace(made, segments=shifted(scene.segments))
+            return replace(made, segments=shifted(segments))
         case "merged":
-            return replace(made, segments=merged(scene.segments, merging_rng))
+            return replace(made, segments=merged(segments, merging_rng))
         case "none":
             return replace(made, segments=None)
     return made

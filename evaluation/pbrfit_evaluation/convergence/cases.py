@@ -19,7 +19,7 @@ from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit_evaluation.convergence.measure import held_out_errors, measure
 from pbrfit_evaluation.heldout.measure import split
 from pbrfit_evaluation.heldout.sources import find_sources, opened
-from pbrfit_evaluation.recipes import OTHER
+from pbrfit_evaluation.recipes import OTHER, known
 from pbrfit_evaluation.suite import Options
 
 Array = NDArray[np.float64]
@@ -112,9 +112,7 @@ def make(case: Case, seed: int) -> Scene:
 
 def true_lighting(scene: Scene) -> Array:
     """Lights of the scene's pictures, (N, 16, 3), which it was made with."""
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    return scene.truth.lighting
+    return known(known(scene.truth).lighting)
 
 
 Errors = Callable[[Materials, Array], Mapping[str, float]]

@@ -18,7 +18,7 @@ from pbrfit.result import metrics
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.heldout.light import harmonics, target
 from pbrfit_evaluation.heldout.measure import Split
-from pbrfit_evaluation.recipes import within
+from pbrfit_evaluation.recipes import known, within
 
 Array = NDArray[np.float64]
 
@@ -60,10 +60,7 @@ def measure(
     factor a channel; `relight` of the maps under the true held-out lights. Maps of float32 solvers
     may leave [0, 1] by a rounding: they are clipped first.
     """
-    truth = scene.truth
-    assert truth is not None
-    assert truth.relight_images is not None
-    assert truth.relight_lighting is not None
+    truth = known(scene.truth)
     true = truth.materials
     found = within(materials, scene.valid)
 
@@ -72,13 +69,14 @@ def measure(
         return render(found, scene.normals, lights, scene.fov, threads, model=model)
 
     scaled = metrics.scaled_per_channel(found.albedo, true.albedo)
+    relit = rendered(known(truth.relight_lighting))
     return {
         "recon": metrics.rmse(rendered(lighting), scene.images),
         "albedo": metrics.rmse(found.albedo, true.albedo),
         "albedo_scaled": metrics.rmse(scaled, true.albedo),
         "roughness": metrics.rmse(found.roughness, true.roughness),
         "metallic": metrics.rmse(found.metallic, true.metallic),
-        "relight": metrics.rmse(rendered(truth.relight_lighting), truth.relight_images),
+        "relight": metrics.rmse(relit, known(truth.relight_images)),
         "held_out": math.nan,
     }
 

@@ -19,10 +19,9 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from PIL import Image
 
-from pbrfit.scene.arrays import Truth
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit_evaluation.recipes import lit_anew
+from pbrfit_evaluation.recipes import known, lit_anew
 from pbrfit_evaluation.review.pictures import codes
 
 Array = NDArray[np.float64]
@@ -219,12 +218,6 @@ def made(kind: str, seed: int, size: int, noise: float = 0.0, **more: Any) -> Sc
     return replace(scene, images=scene.images.astype(np.float32))
 
 
-def truth_of(scene: Scene) -> Truth:
-    """What is true of a synthetic scene."""
-    assert scene.truth is not None
-    return scene.truth
-
-
 def _white(scene: Scene) -> float:
     """Radiance that an exposure of the pictures makes white."""
     return float(np.quantile(scene.images[:, scene.valid], UNCLIPPED))
@@ -237,10 +230,9 @@ def grey(scene: Scene, rng: Generator) -> Scene:
     """
 
     def mean(values: Floats | None) -> Array:
-        assert values is not None
-        return np.repeat(values.mean(axis=-1, keepdims=True, dtype=np.float64), 3, axis=-1)
+        return np.repeat(known(values).mean(axis=-1, keepdims=True, dtype=np.float64), 3, axis=-1)
 
-    colored = truth_of(scene)
+    colored = known(scene.truth)
     materials = replace(colored.materials, albedo=mean(colored.materials.albedo))
     lit = lit_anew(scene, materials, mean(colored.lighting), mean(colored.relight_lighting))
     pictures = lit.images + mean(NOISE * rng.standard_normal(lit.images.shape))
@@ -277,10 +269,9 @@ def jpeg(said: str) -> Write:
 
 def in_files(scene: Scene, write: Write, *, say_fov: bool = True) -> Scene:
     """Exposed, encoded as sRGB of 8 bits, written, and read; held-out pictures stay."""
-    white, truth = _white(scene), truth_of(scene)
-    assert truth.lighting is not None
+    white, truth = _white(scene), known(scene.truth)
     # Held-out lights and pictures are not those of the files, and need no exposure.
-    truth = replace(truth, lighting=truth.lighting / white)
+    truth = replace(truth, lighting=known(truth.lighting) / white)
     images = (scene.images / white).astype(np.float32)
     return replace(read_back(replace(scene, images=images), write, say_fov=say_fov), truth=truth)
 

@@ -19,10 +19,10 @@ from pbrfit_evaluation.everyday.disturbances import (
     Disturbance,
     Floats,
     disturbed,
-    truth_of,
     twin_of,
 )
 from pbrfit_evaluation.grid import Case, Grid, measured
+from pbrfit_evaluation.recipes import known
 
 CHANNELS = ("red", "green", "blue")
 
@@ -62,7 +62,7 @@ def run(case: Case, _: int) -> dict[str, Any]:
 def scales(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
     """`scale_errors` of a result with an uncertainty and a scene with ground truth."""
     assert result.uncertainty is not None
-    found, true = result.materials.albedo, truth_of(scene).materials.albedo
+    found, true = result.materials.albedo, known(scene.truth).materials.albedo
     deviations = result.uncertainty.albedo_scale
     return scale_errors(found[scene.valid], true[scene.valid], deviations)
 

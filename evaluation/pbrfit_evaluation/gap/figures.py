@@ -147,7 +147,8 @@ def sphere_sections(results: Results[Sphere], rows: Sequence[Row]) -> Iterator[S
         for place, name in enumerate((*MODELS, WITHOUT, NOISE)):
             of_name = [(case.r, max(v[name][1:])) for case, v in of.finished if name in v]
             if of_name:
-                draw(axes, *zip(*of_name, strict=True), place, name)
+                r, errors = zip(*of_name, strict=True)
+                draw(axes, r, errors, place, name)
         dress(axes, "roughness r", "RMSE / mean", f"{substance}, {distribution}", log="y")
     caption = "The larger error of albedos 0.5 and 0.9."
     plot = Picture("cycles", caption, png(figure))

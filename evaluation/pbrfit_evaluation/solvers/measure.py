@@ -11,7 +11,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.grid import Case, Grid, measured
-from pbrfit_evaluation.recipes import Array, Way
+from pbrfit_evaluation.recipes import Array, Way, known
 from pbrfit_evaluation.suite import Options
 
 NOISE = {"noise-0.004": 0.004, "noise-0.01": 0.01}
@@ -32,9 +32,8 @@ MAPS = ("albedo", "roughness", "metallic")
 
 
 def _truth(scene: Scene) -> tuple[Materials, Array]:
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    return scene.truth.materials, scene.truth.lighting
+    truth = known(scene.truth)
+    return truth.materials, known(truth.lighting)
 
 
 _NONE = {"priors": None}

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.model.materials import Materials
-from pbrfit.model.reflection import chosen_model, render
 from pbrfit.report.notation import scientific
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit.synthetic.exposure import MEAN_RADIANCE
+from pbrfit_evaluation.recipes import known, lit_anew
 from pbrfit_evaluation.stability.double_precision import Array
 
 SEED = 300
@@ -50,9 +49,8 @@ class StiffScene:
 def stiff_scenes(size: int, pictures: int) -> list[StiffScene]:
     """All of them, size × size pixels; so many pictures where the name does not say how many."""
     room = make_scene("room", size=size, lights=pictures, held_out=1, seed=SEED)
-    assert room.truth is not None
-    assert room.truth.lighting is not None
-    true, lights = room.truth.materials, room.truth.lighting
+    truth = known(room.truth)
+    true, lights = truth.materials, known(truth.lighting)
     plain = _rendered(room, true, lights)
     ones, smooth = np.ones_like(true.metallic), np.full_like(true.roughness, NEARLY_SMOOTH)
     block, dot = np.zeros((2, size, size), dtype=bool)
@@ -68,7 +66,7 @@ def stiff_scenes(size: int, pictures: int) -> list[StiffScene]:
             for condition in CONDITIONS
         },
         "all lights equal": _rendered(room, true, equal),
-        "1 picture, its light known": _first(plain, 1, known=True),
+        "1 picture, its light known": _first(plain, 1, lit=True),
         "2 pictures": _first(plain, 2),
         "3 pictures": _first(plain, 3),
         "all metal": _rendered(room, replace(true, metallic=ones), lights),
@@ -101,26 +99,20 @@ def _of_condition(lighting: Array, condition: float) -> Array:
 
 def _rendered(room: Scene, materials: Materials, lighting: Array) -> Scene:
     """The room with its pictures rendered anew, in the usual mean radiance, rounded to float32."""
-    assert room.truth is not None
-    images = render(
-        *(materials, room.normals, lighting, room.fov), model=chosen_model(None, room.model)
-    )
-    exposure = MEAN_RADIANCE / images.mean()
-    truth = replace(room.truth, materials=materials, lighting=exposure * lighting)
-    return replace(room, images=(exposure * images).astype(np.float32), truth=truth)
+    lit = lit_anew(room, materials, lighting, known(known(room.truth).relight_lighting))
+    return replace(lit, images=lit.images.astype(np.float32))
 
 
-def _first(scene: Scene, count: int, *, known: bool = False) -> Scene:
+def _first(scene: Scene, count: int, *, lit: bool = False) -> Scene:
     """The first pictures alone, perhaps with their lights."""
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    lighting = scene.truth.lighting[:count]
+    truth = known(scene.truth)
+    lighting = known(truth.lighting)[:count]
     return replace(
         scene,
         images=scene.images[:count],
         names=scene.names[:count],
-        lighting=lighting if known else None,
-        truth=replace(scene.truth, lighting=lighting),
+        lighting=lighting if lit else None,
+        truth=replace(truth, lighting=lighting),
     )
 
 

@@ -30,12 +30,11 @@ from pbrfit_evaluation.everyday.disturbances import (
     grey,
     in_files,
     jpeg,
-    truth_of,
     write_png,
 )
 from pbrfit_evaluation.normal_errors import unit
 from pbrfit_evaluation.normals.disturbances import MEAN_OF_THETA, disturbed
-from pbrfit_evaluation.recipes import OTHER
+from pbrfit_evaluation.recipes import OTHER, known
 
 Array = NDArray[np.float64]
 
@@ -148,9 +147,8 @@ def _with_little_noise(pictures: Array, rng: Generator) -> NDArray[np.float32]:
 
 def _among_surfaces(scene: Scene, *, bounces: bool, rng: Generator, threads: int) -> Scene:
     """Light that surfaces block, and perhaps reflect to others, at the same mean radiance."""
-    truth = truth_of(scene)
-    lighting = truth.lighting
-    assert lighting is not None
+    truth = known(scene.truth)
+    lighting = known(truth.lighting)
     scenery = Scenery(_depth(scene), scene.normals, scene.valid, scene.segments, scene.fov)
     pictures = scenery.render(
         truth.materials,
@@ -167,9 +165,8 @@ def _among_surfaces(scene: Scene, *, bounces: bool, rng: Generator, threads: int
 
 def _under_lamps(scene: Scene, rng: Generator, threads: int) -> Scene:
     """Every picture under one lamp, far ones and near ones in turn, and its light as ambient."""
-    truth = truth_of(scene)
-    lighting = truth.lighting
-    assert lighting is not None
+    truth = known(scene.truth)
+    lighting = known(truth.lighting)
     model = chosen_model(None, scene.model)
     depth = _depth(scene)
     rendered = partial(

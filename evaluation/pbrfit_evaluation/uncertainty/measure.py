@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, deserved
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation.everyday.disturbances import truth_of
 from pbrfit_evaluation.grid import Case, Grid, measured
 from pbrfit_evaluation.jobs import Values
-from pbrfit_evaluation.recipes import constant_guess
+from pbrfit_evaluation.recipes import constant_guess, known
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, made
 
 Array = NDArray[np.float64]
@@ -46,13 +45,16 @@ def run(case: Case, threads: int) -> Values:
 
 def said(result: Result, scene: Scene) -> dict[str, Any]:
     """`calibration` of each map of a result, with the constant guess and the verdict."""
-    known, true, guess = result.uncertainty, truth_of(scene).materials, constant_guess(scene)
-    assert known is not None
+    told, true, guess = (
+        known(result.uncertainty),
+        known(scene.truth).materials,
+        constant_guess(scene),
+    )
     found: dict[str, Any] = {}
     for name in PARAMETERS:
-        maps = (result.materials, true, known.deviation, known.low, known.high, guess)
+        maps = (result.materials, true, told.deviation, told.low, told.high, guess)
         values = [np.asarray(getattr(of, name)[scene.valid], np.float64).ravel() for of in maps]
-        of_map, verdict = calibration(*values[:5]), known.verdicts[name]
+        of_map, verdict = calibration(*values[:5]), told.verdicts[name]
         found[name] = {
             **of_map,
             "guess": _rms(values[5] - values[1]),
