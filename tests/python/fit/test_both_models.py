@@ -64,7 +64,7 @@ def test_lbfgsb_descends() -> None:
 
 
 def test_the_default_fit_learns_a_material_prior_and_comes_near_the_truth() -> None:
-    scene = room("principled", size=32, noise=0.01)
+    scene = room("principled", size=24, noise=0.01)
     result = decompose(scene, refine_normals="off", light="sh", uncertainty=False)
     assert "prior material" not in " ".join(result.left_out)
     assert result.metrics["recon_rmse"] < 0.0105

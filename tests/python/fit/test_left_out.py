@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -203,20 +202,6 @@ def test_a_pixel_without_weight_is_as_if_masked() -> None:
     assert without_priors(b) == [f"{outside} pixels without a usable sample"]
 
 
-def test_weights_and_mask_are_counted_apart() -> None:
-    mask = np.ones((SIZE, SIZE), bool)
-    mask[0] = False
-    weights = np.ones((N, SIZE, SIZE))
-    weights[:, :2] = 0  # half of them outside the mask already
-    weights[0, 5, :3] = 0
-    scene = dataclasses.replace(in_color(), mask=mask, weights=weights)
-    assert without_priors(pbrfit.decompose(scene, iterations=1)) == [
-        "16 pixels outside the mask",
-        "16 pixels without a usable sample",
-        "9 values of weight 0 at other pixels",
-    ]
-
-
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_the_reconstruction_error_is_weighted(channels: tuple[int, ...]) -> None:
     weights = some_weights(0, *channels)
@@ -280,23 +265,3 @@ def test_a_pixel_of_vanishing_weight_does_no_harm(solver: Solver) -> None:
     for name in ("albedo", "roughness", "metallic"):
         assert np.isfinite(getattr(result, name)[result.mask]).all()
     assert np.isfinite(result.lighting).all()
-
-
-def test_a_scene_with_weights_is_saved_with_them(tmp_path: Path) -> None:
-    scene = in_color()
-    weights = np.ones((N, SIZE, SIZE))
-    weights[:, 1] = 0  # no data at all
-    weights[2, 5, 6] = 0  # one bad sample, written as it is
-    weights[0, 7, 8] = 0  # one that a file must not hold, written as 0
-    images = scene.images.copy()
-    images[0, 7, 8, 0] = np.nan
-    scene = dataclasses.replace(scene, images=images, weights=weights)
-    scene.save(tmp_path / "scene")
-    loaded = pbrfit.Scene.load(tmp_path / "scene")
-    assert loaded.weights is not None
-    np.testing.assert_array_equal(loaded.weights, scene.weights)
-    np.testing.assert_array_equal(loaded.valid, scene.valid)
-    assert loaded.images[0, 7, 8, 0] == 0
-    result = pbrfit.decompose(scene, iterations=2)
-    result.save(tmp_path / "result", scene=scene)
-    np.testing.assert_array_equal(pbrfit.Result.load(tmp_path / "result").mask, scene.valid)

@@ -102,7 +102,7 @@ def test_em_finds_a_planted_mixture() -> None:
 @pytest.mark.usefixtures("uncompared")
 def test_segments_that_are_a_pixel_off_bend_no_lights() -> None:
     """Pixels of none of their segment's materials take no part: with them albedo is off by 0.29."""
-    scene = make_scene("room", size=48, lights=12, noise=0.01, seed=3102, held_out=1)
+    scene = make_scene("room", size=32, lights=12, noise=0.01, seed=3102, held_out=1)
     assert scene.segments is not None
     moved = dataclasses.replace(scene, segments=np.roll(scene.segments, 1, axis=(0, 1)))
     options: dict[str, Any] = {"refine_normals": "off", "uncertainty": False}

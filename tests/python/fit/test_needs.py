@@ -67,6 +67,9 @@ def test_a_scene_that_has_all_leaves_out_nothing() -> None:
 
 
 HALF = np.arange(SIZE**2).reshape(SIZE, SIZE) % 2 == 0
+BELOW = np.repeat([[False], [True]], [1, SIZE - 1], axis=0).repeat(SIZE, axis=1)
+WEIGHTS = np.ones((N, SIZE, SIZE))
+WEIGHTS[:, :2] = WEIGHTS[0, 5, :3] = 0
 KNOWN = "lights and their gradient: known, so only materials were fitted"
 
 
@@ -75,6 +78,15 @@ KNOWN = "lights and their gradient: known, so only materials were fitted"
     [
         (scene(mask=HALF), {}, ("32 pixels outside the mask",)),
         (scene(weights=HALF), {}, ("32 pixels without a usable sample",)),
+        (
+            scene(mask=BELOW, weights=WEIGHTS),
+            {},
+            (
+                f"{SIZE} pixels outside the mask",
+                f"{SIZE} pixels without a usable sample",
+                "9 values of weight 0 at other pixels",
+            ),
+        ),
         (
             grey(),
             {},

@@ -172,24 +172,14 @@ KINDS = [
 ]
 
 
-EVERY_KIND = [
-    # Of few pixels, slopes of the principled table's splines may all but cancel.
-    *zip(KINDS, itertools.repeat("principled"), itertools.repeat((301, 5))),
-    *zip(
-        KINDS,
-        itertools.repeat("paper"),
-        itertools.cycle([(2, 3), (301, 5), (129, 19), (301, 5), (129, 19)]),
-    ),
-]
-
-
-@pytest.mark.parametrize(("kind", "model", "size"), EVERY_KIND, ids=str)
-def test_every_kind_of_problem(kind: Kind, model: Model, size: tuple[int, int]) -> None:
-    pixels, pictures = size
-    case = Seen(kind, pixels, pictures)
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+def test_every_kind_of_problem(kind: Kind) -> None:
+    """Of the principled model; tests/rust/objective.rs has every kind of the paper's."""
+    # Of few pixels, slopes of the table's splines may all but cancel.
+    case = Seen(kind, 301, 5)
     problem = case.fast()
     assert (problem.channels, problem.coefficients) == (kind.channels, kind.coefficients)
-    case.check(model)
+    case.check("principled")
 
 
 @pytest.mark.parametrize("free_normals", [False, True])
@@ -222,7 +212,7 @@ def test_loss_vanishes_at_the_truth(pictures: int) -> None:
 @pytest.mark.parametrize("weights", [None, 2, 3])
 @pytest.mark.parametrize("sh_order", [2, 3])
 @pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize(("pixels", "pictures"), [(1, 1), (300, 3), (5000, 4)])
+@pytest.mark.parametrize(("pixels", "pictures"), [(1, 1), (1300, 3)])
 def test_light_equations(
     pixels: int, pictures: int, channels: int, sh_order: int, weights: int | None
 ) -> None:

@@ -24,7 +24,7 @@ from pbrfit.result.differences import PALETTE, WHITE, turned
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, CHOICES, NOT_ASKED, Refinement, hindrance
 from pbrfit.synthetic import make_scene
 from refined import LARGEST, degrees_of, refined
-from scene_files import run, truth_of
+from scene_files import run
 
 SIZE = 12
 
@@ -52,11 +52,8 @@ def test_two_pictures_cannot_determine_normals_and_three_can() -> None:
     lighting = np.ones((1, 16, 3))
     one = scene(images=made.images[:1], lighting=lighting)
     assert hindrance(one) == "a single picture does not determine normals, which takes at least 3"
-
-
-def test_known_lights_do_not_hinder() -> None:
-    made = make_scene("room", size=SIZE, lights=3, held_out=1)
-    assert hindrance(scene(lighting=truth_of(made).lighting)) is None
+    # Known lights do not hinder.
+    assert hindrance(scene(lighting=np.ones((3, 16, 3)))) is None
     assert hindrance(scene(2, lighting=np.ones((2, 16, 3)))) is not None
 
 
@@ -362,11 +359,3 @@ def test_the_page_says_why_normals_are_as_given(result: Result, tmp_path: Path) 
     page = page_of(off, tmp_path / "page.html")
     assert "The normals were" not in page.text
     assert "as given, in camera space" in page.text
-
-
-def test_given_normals_that_all_face_the_camera_stay_a_doubt(
-    result: Result, tmp_path: Path
-) -> None:
-    facing = np.where(result.mask[..., None], [0.0, 0.0, 1.0], np.nan)
-    flat = dataclasses.replace(result, given_normals=facing)
-    assert "all given normals face the camera" in page_of(flat, tmp_path / "page.html").text

@@ -74,7 +74,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
         ]
 
     pixels, whole = of_pixels(1, example.everything), of_all(1)
-    for threads in (2, 3, 5):
+    for threads in (2, 5):
         again = [*of_pixels(threads, example.everything), *of_all(threads)]
         for one, other in zip(again, [*pixels, *whole], strict=True):
             np.testing.assert_array_equal(one, other)
@@ -125,7 +125,7 @@ def test_of_fits_at_the_same_time_after_which_blas_has_its_threads_again() -> No
     scene = make_scene("room", size=16, lights=3, held_out=1, seed=3, noise=0.01)
     with threadpool_limits(2, user_api="blas"):
         alone = decompose(scene).albedo
-        with ThreadPoolExecutor(4) as pool:
-            for found in pool.map(lambda _: decompose(scene), range(4)):
+        with ThreadPoolExecutor(2) as pool:
+            for found in pool.map(lambda _: decompose(scene), range(2)):
                 np.testing.assert_array_equal(found.albedo, alone)
         assert set(of_blas()) == {2}

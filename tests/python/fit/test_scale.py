@@ -99,7 +99,7 @@ def test_without_priors_the_scale_is_within_its_deviation(seed: int) -> None:
 
 
 def test_pictures_without_noise_leave_no_doubt() -> None:
-    scene = room(302, size=24, noise=0.0)
+    scene = room(302, size=16, noise=0.0)
     result = decompose(scene)
     assert np.abs(relative_scale(result.lighting, scene)).max() <= 1e-4
     assert result.uncertainty is not None

@@ -11,10 +11,8 @@ from shared_system import PIXELS, REACH, Dense, Seen, System, accuracy, close, d
 
 KINDS = {
     "plain": System(),
-    "damped": System(damping=0.3),
     "held at bounds": System(bounds=True),
     "held at bounds, with prior and damped": System(bounds=True, prior=True, damping=1e-3),
-    "with prior": System(prior=True),
     "with prior, known metallic": System(prior=True, metallic=0.3),
     "clusters": System(prior=True, clusters=5),
     "one cluster, damped, known metallic, mono": System(
@@ -25,19 +23,13 @@ KINDS = {
     ),
     "clusters, free normals": System(prior=True, clusters=4, free_normals=True, damping=1e-3),
     "clusters, known lights": System(prior=True, clusters=3, known_lights=True),
-    "mono": System(mono=True),
     "mono, damped, weighted": System(mono=True, damping=1e-2, weights=2),
-    "known metallic": System(metallic=0.0, damping=0.1),
-    "grey": System(channels=1, damping=1e-3),
     "grey, order 2, known metallic, weighted": System(
         channels=1, sh_order=2, metallic=0.6, weights=2, prior=True
     ),
     "order 2": System(sh_order=2, damping=1e-3),
-    "weights of pixels": System(weights=2),
-    "weights of samples": System(weights=3, bounds=True),
     "known lights": System(known_lights=True),
     "free normals": System(free_normals=True, damping=1e-3),
-    "free normals, with prior": System(free_normals=True, prior=True),
     "free normals, held at bounds, mono": System(
         free_normals=True, bounds=True, mono=True, damping=1e-2
     ),
@@ -47,7 +39,6 @@ KINDS = {
     "free normals, grey, with prior, known metallic": System(
         free_normals=True, channels=1, sh_order=2, metallic=0.6, weights=2, prior=True
     ),
-    "free normals, grey": System(free_normals=True, channels=1, damping=1e-2),
 }
 
 

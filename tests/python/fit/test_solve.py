@@ -69,7 +69,7 @@ def test_the_truth_stays_where_it_is(kind: Any, solver: Solver) -> None:
 @pytest.mark.usefixtures("uncompared")
 @pytest.mark.parametrize(("solver", "noise"), [("lbfgsb", 0.0), ("gauss-newton", 0.01)])
 def test_known_lights_are_kept_and_make_better_maps(solver: Solver, noise: float) -> None:
-    scene = room(32, lights=6, noise=noise)
+    scene = room(24, lights=6, noise=noise)
     known = dataclasses.replace(scene, lighting=truth_of(scene).lighting)
     free, fixed = (
         pbrfit.decompose(s, solver=solver, iterations=150, **PLAIN) for s in (scene, known)
@@ -92,7 +92,7 @@ def test_roughness_zero_is_a_stationary_point() -> None:
 
 
 @every_solver
-@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.4])
+@pytest.mark.parametrize("seconds", [0.0, 0.2])
 def test_time_limit_keeps_the_best_so_far(solver: Solver, seconds: float) -> None:
     scene = room(32, noise=0.01)
     options: dict[str, Any] = {"solver": solver, "iterations": 100_000, "priors": None}

@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 
 from pbrfit import InputError, Result, Scene, Status, decompose
-from pbrfit.io import images
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
@@ -284,16 +283,6 @@ def test_a_result_of_arrays_names_no_scene(result: Result, tmp_path: Path) -> No
         file.write_text(json.dumps(content | {"scene": scene}), encoding="utf-8")
         with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
             Result.load(tmp_path / "out")
-
-
-def test_an_uncertainty_without_its_layers_is_refused(result: Result, tmp_path: Path) -> None:
-    result.save(tmp_path / "out")
-    of_maps = tmp_path / "out" / "materials.exr"
-    layers = images.read_channels(of_maps)
-    without = {name: of for name, of in layers.items() if not name.startswith("uncertainty")}
-    images.write_exr(of_maps, without)
-    with pytest.raises(InputError, match="expected channel uncertainty"):
-        Result.load(tmp_path / "out")
 
 
 def test_depth_of_the_scene_goes_through_fit_and_file(tmp_path: Path) -> None:
