@@ -18,7 +18,7 @@ from pbrfit.acquire.depth.offset import with_offset
 from pbrfit.io import images
 from pbrfit.model import geometry
 from pbrfit.scene.depth import compared
-from scene_files import world
+from scene_files import known, world
 
 Array = NDArray[np.float64]
 
@@ -40,9 +40,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def read_back(folder: Path) -> NDArray[np.floating[Any]]:
-    depth = Scene.load(folder).depth
-    assert depth is not None
-    return depth
+    return known(Scene.load(folder).depth)
 
 
 def off(found: NDArray[Any], true: Array) -> Array:
@@ -140,8 +138,7 @@ def test_depth_of_normals(folder: Path) -> None:
     said = done("depth", folder, "--from", "normals")
     assert "in a unit of its own: normals tell depth up to a factor" in said
     scene = Scene.load(folder)
-    assert scene.depth is not None
-    assert compared(scene.depth, surface()[1], FOV).depth < 5
+    assert compared(known(scene.depth), surface()[1], FOV).depth < 5
 
 
 def test_fusing_removes_noise(folder: Path, tmp_path: Path) -> None:

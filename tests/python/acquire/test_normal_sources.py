@@ -22,7 +22,7 @@ from pbrfit.model.depth_normals import from_depth
 from pbrfit.model.geometry import angles_between, facing_away, view_directions
 from pbrfit.result.metrics import display, white_of
 from pbrfit.scene.scene import Scene
-from scene_files import LIGHTS, SIZE, room, world, write_folder
+from scene_files import LIGHTS, SIZE, known, room, world, write_folder
 
 Array = NDArray[np.float64]
 
@@ -138,8 +138,7 @@ def test_depth_files(tmp_path: Path) -> None:
     assert found.weights is None
     assert found.record["kind"] == "z"
     images.write_exr(path, {"depth.Z": np.where(np.arange(64) < 9, 99 * z.max(), z)})
-    weights = estimate(f"depth:{path}", np.zeros((48, 64, 3), np.uint8), fov=60.0).weights
-    assert weights is not None  # a far plane
+    weights = known(estimate(f"depth:{path}", np.zeros((48, 64, 3), np.uint8), fov=60.0).weights)
     np.testing.assert_array_equal(np.sign(weights), np.broadcast_to(np.arange(64) >= 9, z.shape))
     smaller = estimate(f"depth:{path}", np.zeros((24, 32, 3), np.uint8), fov=60.0)
     assert smaller.normals.shape == (24, 32, 3)
@@ -229,8 +228,7 @@ def test_pixels_without_a_normal_have_no_weight(tmp_path: Path) -> None:
     normals[4, 5] = np.nan
     path = write_map(tmp_path / "n.exr", normals)
     found = estimate(str(path), np.zeros((SIZE, SIZE, 3), np.uint8), fov=60)
-    assert found.weights is not None
-    assert np.argwhere(found.weights == 0).tolist() == [[2, 3], [4, 5]]
+    assert np.argwhere(known(found.weights) == 0).tolist() == [[2, 3], [4, 5]]
     assert (found.normals[[2, 4], [3, 5]] == [0, 0, 1]).all()
     nowhere = np.zeros((SIZE, SIZE), bool)
     nowhere[2, 3] = True
@@ -345,8 +343,7 @@ def test_uncertainty_is_kept_beside_the_normals(folder: Path) -> None:
     from pbrfit.scene.completion import add_normals
 
     uncertainty = np.linspace(0, 20, SIZE * SIZE).reshape(SIZE, SIZE)
-    weights = weights_of(uncertainty, None)
-    assert weights is not None
+    weights = known(weights_of(uncertainty, None))
     paths = add_normals(folder, room().normals, uncertainty=uncertainty, weights=weights)
     assert [path.name for path in paths] == ["normals.exr", "weights.exr"]
     channels = images.read_channels(folder / "normals.exr")
@@ -354,12 +351,11 @@ def test_uncertainty_is_kept_beside_the_normals(folder: Path) -> None:
     read = read_normals(folder / "normals.exr").vectors
     np.testing.assert_allclose(read, room().normals, atol=1e-7)
     scene = Scene.load(folder, fov=60)
-    assert scene.weights is not None
     expected = np.broadcast_to(weights[..., None], (LIGHTS, SIZE, SIZE, 3))
-    np.testing.assert_array_equal(scene.weights, expected)
+    np.testing.assert_array_equal(known(scene.weights), expected)
     with pytest.raises(InputError, match="normals: expected shape"):
         add_normals(folder, room().normals[1:], overwrite=True)
-    assert dataclasses.replace(room(), weights=scene.weights).valid.all()
+    assert dataclasses.replace(room(), weights=known(scene.weights)).valid.all()
 
 
 def test_normals_that_cannot_be_written_cost_none_that_are_there(

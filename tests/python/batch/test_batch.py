@@ -40,7 +40,7 @@ from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
 from pbrfit.synthetic import make_scene
 from processes import alive, until, waiting_at
-from scene_files import FORMATS, SIZE, room, run, write_folder
+from scene_files import FORMATS, SIZE, known, lights_of, room, run, write_folder
 
 FEW = ("--iterations", 0)
 
@@ -81,8 +81,7 @@ def test_names_that_are_no_utf_8_come_back_as_they_were(tmp_path: Path) -> None:
     arguments = ("decompose", tmp_path / "scenes", "--out", tmp_path / "o o", *FEW, "--resume")
     for status in ("done", "kept"):
         assert statuses(done(*arguments, "--json")) == dict.fromkeys(names, status)
-    source = Result.load(tmp_path / "o o" / names[0]).source
-    assert source is not None
+    source = known(Result.load(tmp_path / "o o" / names[0]).source)
     assert source.path == tmp_path / "scenes" / names[0]
 
 
@@ -94,8 +93,7 @@ def test_processes_give_the_same_bits_as_one_after_the_other(folder: Path, tmp_p
         done("decompose", folder, "--out", tmp_path / out, *FEW, *how)
         assert sorted(path.name for path in (tmp_path / out).iterdir()) == sorted(NAMES)
     for name in NAMES:
-        source = Result.load(tmp_path / "pool" / name).source
-        assert source is not None
+        source = known(Result.load(tmp_path / "pool" / name).source)
         assert source.path == folder / name
         for file in ("materials.exr", "lighting.json"):
             found = (tmp_path / out / name / file for out in ("alone", "pool"))
@@ -156,8 +154,7 @@ def test_an_interrupted_batch_leaves_whole_results_and_no_process(
         start_new_session=True,
         env=waiting_at("two/mask.png", tmp_path / "waiting"),
     )
-    assert batch.stdout is not None
-    ended = [json.loads(batch.stdout.readline())["status"] for _ in range(2)]
+    ended = [json.loads(known(batch.stdout).readline())["status"] for _ in range(2)]
     assert sorted(ended) == ["done", "kept"]
     children = Path(f"/proc/{batch.pid}/task/{batch.pid}/children")
     workers = [int(one) for one in children.read_text().split()] if children.exists() else []
@@ -274,9 +271,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     weights = np.linspace(1, 2, scene.images[..., 0].size).reshape(scene.images.shape[:3])
     replace(scene, mask=mask, weights=weights.astype(np.float32)).save(folder / "scene")
     write_weights(folder / "scene" / "weights.exr", weights.astype(np.float32), scene.names)
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    Lighting(scene.names, scene.truth.lighting).save(folder / "scene" / "lighting.json")
+    Lighting(scene.names, lights_of(scene)).save(folder / "scene" / "lighting.json")
     decompose_scene(SceneTask(folder / "scene", folder / "out", READING, OPTIONS), 0)
     return folder
 

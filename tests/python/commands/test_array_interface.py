@@ -25,6 +25,7 @@ from pbrfit import DirectionalLight, InputError, Materials, Objective, Priors, R
 from pbrfit.model import lighting as sh_lights
 from pbrfit.result import metrics
 from pbrfit.synthetic import make_scene
+from scene_files import known, truth_of
 
 EXAMPLES = os.environ.get("PBRFIT_EXAMPLES")
 
@@ -176,8 +177,7 @@ def pixel_arguments() -> dict[str, Any]:
 
 
 def maps() -> dict[str, Any]:
-    true = room().truth
-    assert true is not None
+    true = known(room().truth)
     materials = true.materials
     return {
         "albedo": np.asarray(materials.albedo, np.float64),
@@ -188,14 +188,13 @@ def maps() -> dict[str, Any]:
 
 def scene_arguments() -> dict[str, Any]:
     scene = room()
-    assert scene.truth is not None
     return {
         "images": np.asarray(scene.images, np.float64),
         "normals": np.asarray(scene.normals),
         "fov": 60.0,
         "mask": np.ones((SIZE, SIZE), bool),
         "segments": np.asarray(scene.segments),
-        "lighting": scene.truth.lighting,
+        "lighting": truth_of(scene).lighting,
         "weights": np.ones((LIGHTS, SIZE, SIZE)),
         "normal_sigma": np.ones((SIZE, SIZE)),
         "names": np.array(["a", "b", "c"]),

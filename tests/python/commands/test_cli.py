@@ -48,8 +48,8 @@ def without_priors(left_out: list[str]) -> list[str]:
 # decompose
 
 
-@pytest.mark.parametrize("form", FORMATS)
-def test_decompose_every_format(tmp_path: Path, form: str) -> None:
+@pytest.mark.parametrize("form", ["float EXR", "JPEG"])
+def test_decompose_tells_what_it_read(tmp_path: Path, form: str) -> None:
     suffix, _, _, color = FORMATS[form]
     folder, out = write_folder(tmp_path / "scene", form), tmp_path / "out"
     found = ran("decompose", folder, "--out", out, *FEW)

@@ -24,7 +24,7 @@ from pbrfit.model.lighting import Lighting, rotated
 from pbrfit.result.relighting import specular_enhanced
 from pbrfit.result.relit_files import ANIMATIONS, write_animation
 from relit import ball, fitted, shaded_ball
-from scene_files import Argument, run, write_exr, write_folder, write_hdr
+from scene_files import Argument, known, run, write_exr, write_folder, write_hdr
 from under_lamps import ball_under_lamps
 
 Array = NDArray[np.floating[Any]]
@@ -483,8 +483,7 @@ def test_a_picture_s_own_light_is_shown_again(room: Path, lamps: Path, tmp_path:
 def test_a_near_lamp_is_as_bright_as_asked_at_the_middle(deep: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.exr"
     result = Result.load(deep)
-    middle = result.middle
-    assert middle is not None
+    middle = known(result.middle)
     lamp = ("--lamp", "-0.5,1,-0.25", "--color", "2,1,1")
     facts = said(done("relight", deep, *lamp, "--no-shadows", "--out", out))
     away = np.array((-0.5, 1, -0.25)) - middle

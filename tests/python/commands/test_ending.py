@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pbrfit.ending import SIGNALS
-from scene_files import tree
+from scene_files import known, tree
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 
@@ -83,8 +83,7 @@ def running(script: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n", process.communicate(timeout=PATIENCE)
+        assert known(process.stdout).readline() == "ready\n", process.communicate(timeout=PATIENCE)
         yield process
     finally:
         process.kill()

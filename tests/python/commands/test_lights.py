@@ -16,7 +16,7 @@ from pbrfit.io.images import read_data
 from pbrfit.model.geometry import angles_between
 from pbrfit.report import lamp_sheet as drawn
 from pbrfit.scene.ball import Ball
-from scene_files import write_exr, write_folder, write_integers
+from scene_files import known, write_exr, write_folder, write_integers
 
 SIZE = (90, 120)
 BALL = Ball(62.0, 41.0, 24.0)
@@ -43,8 +43,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_ball_gives_lamps_that_the_scene_reads(tmp_path: Path, kind: str) -> None:
     scene, preview = with_ball(tmp_path / "scene", kind), tmp_path / "preview.png"
     said = done("lights", scene, "--preview", preview)
-    lamps = Scene.load(scene).lamps
-    assert lamps is not None
+    lamps = known(Scene.load(scene).lamps)
     assert angles_between(lamps.places, LAMPS).max() < 3
     assert not lamps.colored
     lines = said.splitlines()
@@ -71,8 +70,7 @@ def test_a_given_circle_and_an_albedo_give_colours(tmp_path: Path) -> None:
     circle = f"{BALL.x},{BALL.y},{BALL.radius}"
     said = done("lights", scene, "--circle", circle, "--ball", "matt", "--albedo", "0.5")
     assert "3 far lamps, colours known, from a matt ball at 62.0,41.0,24.0 (X,Y,R, as given" in said
-    lamps = Scene.load(scene).lamps
-    assert lamps is not None
+    lamps = known(Scene.load(scene).lamps)
     np.testing.assert_allclose(lamps.colors, np.tile(COLOR, (3, 1)), rtol=0.05)
     twice = ("--circle", circle, "--circle", circle)
     assert done("lights", scene, *twice, "--overwrite", "--quiet") == ""
@@ -97,8 +95,7 @@ def test_a_file_is_converted(folder: Path, tmp_path: Path) -> None:
         "  light_02      0.0°       0.0°",
         f"look at them: {preview}",
     ]
-    lamps = Scene.load(folder).lamps
-    assert lamps is not None
+    lamps = known(Scene.load(folder).lamps)
     np.testing.assert_allclose(lamps.places, [(0, 0.6, 0.8), (0.6, 0, 0.8), (0, 0, 1)])
     with Image.open(preview) as picture:
         assert picture.size == (744, 744)

@@ -19,7 +19,7 @@ from pbrfit.result.result import Result
 from pbrfit.scene.folder import SCENE_FOLDER
 from pbrfit.scene.options import Source
 from pbrfit.synthetic import make_scene
-from scene_files import Argument, tree, write_folder
+from scene_files import Argument, tree, truth_of, write_folder
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 
@@ -79,13 +79,12 @@ def test_nothing_is_written_where_a_scene_is_read(
 
 def test_a_saved_scene_holds_nothing_of_others(tmp_path: Path) -> None:
     made = make_scene("furnished", size=8, lights=3, held_out=1)
-    assert made.truth is not None
     scene = dataclasses.replace(
         made,
         mask=np.arange(64).reshape(8, 8) > 0,
         weights=np.ones((8, 8), np.float32),
         depth=np.ones((8, 8), np.float32),
-        lighting=made.truth.lighting,
+        lighting=truth_of(made).lighting,
     )
     scene.save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {

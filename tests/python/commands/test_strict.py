@@ -13,7 +13,7 @@ from command_runs import Ran, ran
 from pbrfit.fit.decompose import decompose
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, USABLE_MAX, Verdict, level_of
-from scene_files import write_folder
+from scene_files import known, write_folder
 
 FEW = ("--iterations", 0, "--quiet")
 LIMIT = USABLE_MAX["albedo"]
@@ -28,8 +28,7 @@ def errors(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
         result = decompose(scene, *arguments, **options)
         expected = dict.fromkeys(PARAMETERS, 0.5) | {"albedo": of_albedo[scene.source.path.name]}
         verdicts = {n: Verdict(level_of(n, error), error) for n, error in expected.items()}
-        assert result.uncertainty is not None
-        return replace(result, uncertainty=replace(result.uncertainty, verdicts=verdicts))
+        return replace(result, uncertainty=replace(known(result.uncertainty), verdicts=verdicts))
 
     monkeypatch.setattr("pbrfit.fit.decompose.decompose", fit)
     return of_albedo

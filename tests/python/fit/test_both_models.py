@@ -13,7 +13,7 @@ from pbrfit import Objective, Scene, decompose
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.result.verdict import ROUGH_MAX
 from pbrfit.synthetic import make_scene
-from scene_files import truth_of
+from scene_files import known, truth_of
 from scene_kinds import all_pixels, known_lights
 from tiled import in_tiles
 
@@ -93,8 +93,7 @@ def test_deviations_are_of_the_size_of_the_errors(model: Model) -> None:
     scene = room(model, size=16, noise=0.01)
     true = truth_of(scene).materials
     result = decompose(known_lights(scene), priors=None)
-    found = result.uncertainty
-    assert found is not None
+    found = known(result.uncertainty)
     assert found.noise == pytest.approx(0.01, rel=0.1)
     inside = (result.roughness > 0) & (result.roughness < 1)
     told = inside & (found.deviation.roughness <= ROUGH_MAX["roughness"])

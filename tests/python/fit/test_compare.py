@@ -19,6 +19,7 @@ from pbrfit.result.refinement import FROM_PICTURES
 from pbrfit.result.verdict import FOV_CONTRADICTED
 from pbrfit.synthetic import make_scene
 from planted_lamps import far, planted, setup, without_colors
+from scene_files import known
 
 Array = NDArray[np.float64]
 
@@ -39,8 +40,7 @@ def choose(scene: Scene, **options: Any) -> Choice:
 
 
 def compared(choice: Choice) -> list[str]:
-    assert choice.held_out is not None
-    return [one.what for one in choice.held_out.candidates]
+    return [one.what for one in known(choice.held_out).candidates]
 
 
 # --- Planted scenes ---
@@ -74,8 +74,7 @@ def test_the_curve_of_files_is_told_by_left_out_pictures(curve: Curve) -> None:
 def test_a_fit_goes_on_with_that_curve(curve: Curve) -> None:
     scene = coded(room(size=16), curve)
     found = decompose(scene, uncertainty=False)
-    assert found.camera is not None
-    assert found.camera.response == curve
+    assert known(found.camera).response == curve
     assert ("left out are explained better" in found.assumed.get("color", "")) == (
         curve == "linear"
     )
@@ -87,8 +86,7 @@ def test_lamps_are_found_where_lamps_light_the_pictures() -> None:
     choice = choose(planted(far(9), size=10, model="paper").scene, priors=None, robust="none")
     assert choice.explanation.light == "lamps"
     assert compared(choice)[0].startswith("a lamp in each picture")
-    assert choice.found is not None
-    np.testing.assert_array_equal(choice.found.lamps.pictures, np.arange(9))
+    np.testing.assert_array_equal(known(choice.found).lamps.pictures, np.arange(9))
 
 
 @pytest.mark.slow
@@ -96,8 +94,7 @@ def test_lamps_are_found_where_lamps_light_the_pictures() -> None:
 def test_a_fit_goes_on_with_those_lamps(normals_known: bool) -> None:
     truth = planted(far(8), size=32, normals_known=normals_known)
     found = decompose(truth.scene, model="principled", uncertainty=False)
-    assert found.lamps is not None
-    assert truth.directions_off(found.lamps).max() < (1 if normals_known else 5)
+    assert truth.directions_off(known(found.lamps)).max() < (1 if normals_known else 5)
 
 
 @pytest.mark.slow
@@ -107,16 +104,14 @@ def test_a_wrong_field_of_view_is_contradicted_and_a_right_one_is_not(
 ) -> None:
     scene = replace(room(32, noise=0.003, fov=90.0), fov=told)
     found = decompose(scene, refine_normals="off")
-    assert found.camera is not None
-    assert found.uncertainty is not None
     assert found.fov == told
-    doubts = {one.cause for one in found.uncertainty.verdicts.values()}
+    doubts = {one.cause for one in known(found.uncertainty).verdicts.values()}
     assert (doubts == {FOV_CONTRADICTED}) == contradicted
-    assert found.camera.contradicted == contradicted
+    assert known(found.camera).contradicted == contradicted
     said = [one for one in caplog.messages if "field of view" in one]
     assert len(said) == contradicted
     if contradicted:
-        assert found.camera.figures["other_fov_degrees"] == pytest.approx(90.0, abs=3.0)
+        assert known(found.camera).figures["other_fov_degrees"] == pytest.approx(90.0, abs=3.0)
         assert found.assumed["fov"].startswith("60 degrees, given; the pictures fit far better")
         assert found.assumed["fov"] in said[0]
 

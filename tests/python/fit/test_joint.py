@@ -18,6 +18,7 @@ from pbrfit.fit.normal_equations import as_in_x, solver_of
 from pbrfit.fit.pixels import fit_all, place, retry_outliers, taken
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.synthetic import make_scene
+from scene_files import known
 from scene_kinds import FREE_LIGHTS, all_pixels, at_truth, objective_of, sum_sq_at
 
 Array = NDArray[np.float64]
@@ -42,9 +43,7 @@ def noisy() -> Scene:
 
 def fitted(objective: Objective, x: Array, prior: GaussianPrior | None = None) -> Array:
     """Sums of squares when all pixels of x have their best materials."""
-    sum_sq = fit_all(objective, x, starts=2, steps=100, prior=prior)
-    assert sum_sq is not None
-    return sum_sq
+    return known(fit_all(objective, x, starts=2, steps=100, prior=prior))
 
 
 def joint_fit(objective: Objective, priors: str = "alone", **options: Any) -> JointFit:
@@ -98,8 +97,7 @@ def moved(fit: JointFit, by: Array) -> float:
 
 def gradient_of(fit: JointFit) -> Array:
     """What the solver of the step is given."""
-    system = fit._system()
-    assert system is not None
+    system = known(fit._system())
     return system[0]
 
 
@@ -151,8 +149,7 @@ def test_conjugate_gradients_solve_the_dense_system(
     end = fit.lights.mean.size
     matrix[:end, :end] += fit.lights.matrix()
     if fit.offsets is not None:
-        assert fit.prior is not None
-        own = settings.OFFSET_PRECISION_SHARE * fit.prior.cluster_precision
+        own = settings.OFFSET_PRECISION_SHARE * known(fit.prior).cluster_precision
         np.einsum("ii->i", matrix)[end:] += own.ravel()
     gradient = gradient_of(fit)
     expected = -np.linalg.solve(matrix, gradient)
@@ -237,8 +234,7 @@ def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
     wrong = taken(objective, x, caught)
     wrong[:, 3:] = 1 - np.round(wrong[:, 3:])  # rough for smooth, metal for none
     place(objective, x, caught, wrong)
-    sum_sq = fit_all(objective, x, starts=0)
-    assert sum_sq is not None
+    sum_sq = known(fit_all(objective, x, starts=0))
     still = caught[sum_sq[caught] > EXACT**2 * 36]
     assert len(still) >= 5  # a descent alone does not free all
     retry_outliers(objective, x, sum_sq)

@@ -19,7 +19,7 @@ from pbrfit.fit.priors.mixture import FittedPrior, fit_prior, with_lights
 from pbrfit.fit.settings import OFFSET_PRECISION_SHARE
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
-from scene_files import lights_of, truth_of
+from scene_files import known, lights_of, truth_of
 from scene_kinds import KINDS, all_pixels, objective_of, of_kind, sum_sq_at
 
 Array = NDArray[np.float64]
@@ -103,8 +103,7 @@ def test_em_finds_a_planted_mixture() -> None:
 def test_segments_that_are_a_pixel_off_bend_no_lights() -> None:
     """Pixels of none of their segment's materials take no part: with them albedo is off by 0.29."""
     scene = make_scene("room", size=32, lights=12, noise=0.01, seed=3102, held_out=1)
-    assert scene.segments is not None
-    moved = dataclasses.replace(scene, segments=np.roll(scene.segments, 1, axis=(0, 1)))
+    moved = dataclasses.replace(scene, segments=np.roll(known(scene.segments), 1, axis=(0, 1)))
     options: dict[str, Any] = {"refine_normals": "off", "uncertainty": False}
     true, off = (pbrfit.decompose(one, **options).metrics for one in (scene, moved))
     for name in ("albedo_rmse", "roughness_rmse", "metallic_rmse"):
@@ -141,9 +140,7 @@ def with_prior(
     variance = lights.misfit.of_likelihood
     if lights.shared is not None:
         x = with_lights(objective, x, 1.0, variance, lights.shared)
-    found = fit_prior(objective, x, 1.0, variance, counted_once=once)
-    assert found is not None
-    return found
+    return known(fit_prior(objective, x, 1.0, variance, counted_once=once))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -174,8 +171,7 @@ def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
     np.testing.assert_allclose(twice[1].precision, 2 * once[1].precision)
     assert np.median(unsure[1].precision) < 9 * np.median(once[1].precision)
     # Held for the same pixels and lights it is the same prior.
-    again = once[3].applied(objective, once[0], lambda: False)
-    assert again is not None
+    again = known(once[3].applied(objective, once[0], lambda: False))
     np.testing.assert_allclose(again[1].mean, once[1].mean, atol=1e-9)
     np.testing.assert_array_equal(again[1].precision, once[1].precision)
     assert fitted.strength == 1.0
@@ -213,8 +209,7 @@ def test_time_may_run_out_before_all_pixels_have_a_prior(room: Scene, looks: int
     before, left = x.copy(), iter([False] * looks)
     stop = lambda: next(left, True)  # noqa: E731
     alone = lights.misfit.of_likelihood
-    assert lights.shared is not None
-    lit = with_lights(objective, x, 1.0, alone, lights.shared, stop)
+    lit = with_lights(objective, x, 1.0, alone, known(lights.shared), stop)
     assert fit_prior(objective, lit, 1.0, alone, stop, counted_once=False) is None
     np.testing.assert_array_equal(x, before)
 

@@ -21,6 +21,7 @@ from pbrfit.io.color import encode_srgb
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.result.metrics import rmse
 from pbrfit.synthetic import make_scene
+from scene_files import known, truth_of
 
 SIGMA = 0.01
 
@@ -69,8 +70,7 @@ def test_what_jpeg_did_is_known_from_its_tables(tmp_path: Path) -> None:
     scene = Scene.load(tmp_path / "scene")
     assert scene.file_noise is not None
     assert 0.1 < scene.file_correlation < 0.5
-    assert made.truth is not None
-    true, both = made.truth.materials.albedo, (scene, replace(scene, file_noise=None))
+    true, both = truth_of(made).materials.albedo, (scene, replace(scene, file_noise=None))
     found, blind = (rmse(decompose(of, uncertainty=False).albedo, true) for of in both)
     assert found < 0.75 * blind
 
@@ -84,8 +84,7 @@ def test_each_picture_has_its_own_variance() -> None:
     assert ratio[5] == pytest.approx(16, rel=0.1)
     assert np.delete(ratio, 5) == pytest.approx(np.ones(11), rel=0.25)
     assert not model.is_even
-    weights = model.weights(objective, x)
-    assert weights is not None
+    weights = known(model.weights(objective, x))
     assert weights.max() <= 1
     assert weights[5].mean() == pytest.approx(weights[4].mean() / 16, rel=0.15)
     remark = model.remarks(tuple(map(str, range(12))), None)
@@ -124,8 +123,7 @@ def test_outliers_show_in_the_tails_and_weigh_nothing() -> None:
     assert np.sqrt(model.variances * objective.scale**2) == pytest.approx(
         np.full(12, SIGMA), rel=0.2
     )
-    weights = model.weights(objective, x)
-    assert weights is not None
+    weights = known(model.weights(objective, x))
     assert weights[is_hot].max() < 0.01 * weights[~is_hot].mean()
 
 
@@ -134,8 +132,7 @@ def test_limits_count_where_the_model_is_on_the_wrong_side() -> None:
     limits = np.zeros(scene.images.shape, np.uint8)
     limits[0, :4], limits[1, :4] = AT_LEAST, AT_MOST
     objective, x = at_truth(replace(scene, limits=limits))
-    weights = estimated(objective, x).weights(objective, x)
-    assert weights is not None
+    weights = known(estimated(objective, x).weights(objective, x))
     everything = np.arange(objective.pixels, dtype=np.uint64)
     residuals = objective.problem.residuals(objective.for_core(x), everything)
     for picture, sign in ((0, -1), (1, 1)):
@@ -178,8 +175,7 @@ def test_fits_stand_bad_samples_and_pictures(kind: str, size: int) -> None:
         images[4] = noisy(size=size, seed=9).images[4]
     else:
         images[4] = np.random.default_rng(2).normal(0, SIGMA, images[4].shape)
-    assert scene.truth is not None
-    truth = scene.truth.materials.albedo
+    truth = truth_of(scene).materials.albedo
     options: dict[str, Any] = {"refine_normals": "off", "align": "off", "light": "sh"}
     options |= {"uncertainty": False, "priors": Priors(material=1)}
     errors = {}

@@ -22,6 +22,7 @@ from pbrfit.result.camera import Camera
 from pbrfit.result.options import Response
 from pbrfit.scene.correction import Correction
 from pbrfit.synthetic import make_scene
+from scene_files import known
 from scene_kinds import at_truth
 
 Array = NDArray[np.float64]
@@ -41,8 +42,7 @@ def minimum(objective: Objective, x: Array, lights: LightPrior, rounds: int = 4)
     """Where pixels and lights have settled; x changes."""
     shared = SharedFit(lights)
     for _ in range(rounds):
-        sum_sq = fit_all(objective, x, starts=0)
-        assert sum_sq is not None
+        sum_sq = known(fit_all(objective, x, starts=0))
         fit = shared.joint_fit(objective, x, sum_sq)
         minimize(fit, 20, 1e-4)
     return fit
@@ -93,8 +93,7 @@ def test_a_field_of_view_that_nobody_told_is_found(fov: float, seed: int) -> Non
     assert found.camera is not None
     assert found.camera.how == "fitted"
     assert found.fov == found.camera.fov_degrees == pytest.approx(fov, abs=2.0)
-    assert found.camera.fov_sigma is not None
-    assert abs(found.fov - fov) < 4 * found.camera.fov_sigma < 4
+    assert abs(found.fov - fov) < 4 * known(found.camera.fov_sigma) < 4
     assert found.assumed["fov"] == found.camera.in_words()
     assert found.assumed["fov"].endswith("degrees, fitted")
 
@@ -116,9 +115,8 @@ def test_what_pictures_do_not_say_the_lens_prior_does() -> None:
     scene = Scene(images=scene.images[:, :1, :1], normals=scene.normals[:1, :1])
     found = decompose(scene, refine_normals="off", **FAST)
     sigma = np.degrees(np.sin(np.radians(60)) * settings.LOG_FOCAL_LENGTH_SIGMA)
-    assert found.camera is not None
-    assert found.camera.fov_degrees == pytest.approx(60)
-    assert found.camera.fov_sigma == pytest.approx(sigma)
+    assert known(found.camera).fov_degrees == pytest.approx(60)
+    assert known(found.camera).fov_sigma == pytest.approx(sigma)
 
 
 def test_directions_that_lights_take_but_for_rounding_are_left_to_the_prior() -> None:
@@ -201,11 +199,9 @@ def test_a_tone_curve_is_undone_where_it_is_asked_for() -> None:
         make_scene("furnished", size=64, lights=16, noise=0.01, seed=301, held_out=2), CURVE
     )
     held, found = (decompose(scene, response=response, **FAST) for response in ("auto", "fit"))
-    assert held.camera is not None
-    assert held.camera.correction is None
+    assert known(held.camera).correction is None
     assert found.camera is not None
-    assert found.camera.correction is not None
-    assert found.camera.correction.numbers[0] == pytest.approx(-0.1, abs=0.03)
+    assert known(found.camera.correction).numbers[0] == pytest.approx(-0.1, abs=0.03)
     assert "response" in found.assumed
     assert found.metrics["albedo_rmse"] < 0.8 * held.metrics["albedo_rmse"]
     assert Camera.from_json(found.camera.as_json()) == found.camera
@@ -219,9 +215,7 @@ def test_a_tone_curve_of_clipped_pictures_is_undone_too() -> None:
     highest = np.quantile(scene.images[:, scene.valid], 0.93)
     clipped = replace(scene, images=np.minimum(scene.images, highest))
     found = decompose(clipped, response="fit", **FAST)
-    assert found.camera is not None
-    assert found.camera.correction is not None
-    assert found.camera.correction.numbers[0] == pytest.approx(-0.1, abs=0.04)
+    assert known(known(found.camera).correction).numbers[0] == pytest.approx(-0.1, abs=0.04)
 
 
 @pytest.mark.parametrize("response", ["auto", "fit", "linear"])

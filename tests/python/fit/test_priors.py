@@ -20,7 +20,7 @@ from pbrfit.fit.priors.penalties import penalties, tied_neighbours
 from pbrfit.result.options import Priors, prior_names
 from pbrfit.scene.arrays import consecutive_labels
 from pbrfit.synthetic import make_scene
-from scene_files import lights_of, truth_of
+from scene_files import known, lights_of, truth_of
 
 Array = NDArray[np.float64]
 
@@ -181,8 +181,7 @@ def smooth_maps(size: int) -> tuple[ParameterLayout, Array]:
     values = np.zeros(of.size)
     wave = 0.5 + 0.3 * np.sin(3 * x + 2 * y)
     values[of.roughness] = wave[of.valid]
-    assert of.metallic is not None
-    values[of.metallic] = wave[of.valid] ** 2
+    values[known(of.metallic)] = wave[of.valid] ** 2
     return of, values
 
 

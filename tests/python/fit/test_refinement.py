@@ -24,7 +24,7 @@ from pbrfit.result.differences import PALETTE, WHITE, turned
 from pbrfit.result.refinement import CHANGE_DEGREES_MIN, CHOICES, NOT_ASKED, Refinement, hindrance
 from pbrfit.synthetic import make_scene
 from refined import LARGEST, degrees_of, refined
-from scene_files import run
+from scene_files import known, run
 
 SIZE = 12
 
@@ -78,8 +78,7 @@ def test_two_pictures_leave_normals_as_given(asked: str, caplog: pytest.LogCaptu
 
 
 def test_the_change_is_the_angle_between_given_and_refined_normals(result: Result) -> None:
-    change = result.normal_change
-    assert change is not None
+    change = known(result.normal_change)
     np.testing.assert_allclose(change[result.mask], degrees_of(result.mask)[result.mask], atol=1e-9)
     assert (change[result.mask] == 0).any()
     assert np.isnan(change[~result.mask]).all()
@@ -161,17 +160,14 @@ def test_refined_normals_are_saved_and_read_back(result: Result, tmp_path: Path)
     }
     loaded = Result.load(tmp_path / "out")
     assert loaded.refinement == result.refinement
-    assert loaded.given_normals is not None
-    assert result.given_normals is not None
     for found, saved in (
-        (loaded.given_normals, result.given_normals),
+        (known(loaded.given_normals), known(result.given_normals)),
         (loaded.normals, result.normals),
     ):
         np.testing.assert_array_equal(found, saved.astype(np.float32))
     # What was not changed is still the same to the bit, and counts as such.
-    assert loaded.normal_change is not None
     unchanged = degrees_of(result.mask) == 0
-    assert (loaded.normal_change[result.mask & unchanged] == 0).all()
+    assert (known(loaded.normal_change)[result.mask & unchanged] == 0).all()
     loaded.save(tmp_path / "again")
     for name in ("materials.exr", "result.json"):
         again = (tmp_path / "again" / name).read_bytes()

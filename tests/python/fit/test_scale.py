@@ -14,6 +14,7 @@ from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.result.result import Result
 from pbrfit.synthetic import make_scene
+from scene_files import known, lights_of, truth_of
 
 uncompared = pytest.mark.usefixtures("uncompared")
 
@@ -27,18 +28,15 @@ def room(seed: int, size: int = 32, noise: float = 0.01) -> Scene:
 
 def relative_scale(lighting: np.ndarray, scene: Scene) -> np.ndarray:
     """(3,): ln of the scale of lights over that of the true ones, weighed by irradiance."""
-    assert scene.truth is not None
-    assert scene.truth.lighting is not None
-    true, weights = scene.truth.lighting, scale.IRRADIANCE[:, None] ** 2
+    true, weights = lights_of(scene), scale.IRRADIANCE[:, None] ** 2
     along = (weights * lighting * true).sum(axis=(0, 1))
     return np.asarray(np.log(along / (weights * true**2).sum(axis=(0, 1))))
 
 
 def reference(scene: Scene) -> tuple[int, int, float]:
     """The brightest dielectric pixel, and the mean true albedo of the 3 × 3 around it."""
-    assert scene.truth is not None
-    metallic = maximum_filter(scene.truth.materials.metallic, 5, mode="constant", cval=1)
-    albedo = uniform_filter(scene.truth.materials.albedo.mean(axis=-1), 3)
+    metallic = maximum_filter(truth_of(scene).materials.metallic, 5, mode="constant", cval=1)
+    albedo = uniform_filter(truth_of(scene).materials.albedo.mean(axis=-1), 3)
     row, column = np.unravel_index(np.where(metallic == 0, albedo, 0).argmax(), albedo.shape)
     return int(column), int(row), float(albedo[row, column])
 
@@ -70,9 +68,8 @@ def test_lights_have_no_bias_beyond_their_deviation(noisy: list[tuple[Scene, Res
 def test_lights_are_as_far_off_as_is_said() -> None:
     scene = room(303)
     result = decompose(scene)
-    assert result.uncertainty is not None
     assert result.assumed["scale"].endswith("with the material prior")
-    stated = np.array(result.uncertainty.albedo_scale)
+    stated = np.array(known(result.uncertainty).albedo_scale)
     assert (np.abs(relative_scale(result.lighting, scene)) <= 3 * stated).all()
     assert stated.max() <= 0.2
 
@@ -80,11 +77,9 @@ def test_lights_are_as_far_off_as_is_said() -> None:
 @uncompared
 def test_known_lights_have_a_scale() -> None:
     scene = room(301)
-    assert scene.truth is not None
-    result = decompose(replace(scene, lighting=scene.truth.lighting))
+    result = decompose(replace(scene, lighting=truth_of(scene).lighting))
     assert result.assumed["scale"] == "by the known lights"
-    assert result.uncertainty is not None
-    assert result.uncertainty.albedo_scale == (0, 0, 0)
+    assert known(result.uncertainty).albedo_scale == (0, 0, 0)
 
 
 @uncompared
@@ -93,17 +88,15 @@ def test_without_priors_the_scale_is_within_its_deviation(seed: int) -> None:
     scene = room(seed)
     result = decompose(scene, priors=None)
     assert result.assumed["scale"].endswith("without priors")
-    assert result.uncertainty is not None
     error = relative_scale(result.lighting, scene)
-    assert (np.abs(error) <= 2 * np.array(result.uncertainty.albedo_scale)).all()
+    assert (np.abs(error) <= 2 * np.array(known(result.uncertainty).albedo_scale)).all()
 
 
 def test_pictures_without_noise_leave_no_doubt() -> None:
     scene = room(302, size=16, noise=0.0)
     result = decompose(scene)
     assert np.abs(relative_scale(result.lighting, scene)).max() <= 1e-4
-    assert result.uncertainty is not None
-    assert max(result.uncertainty.albedo_scale) <= 1e-3
+    assert max(known(result.uncertainty).albedo_scale) <= 1e-3
 
 
 @uncompared
@@ -111,8 +104,7 @@ def test_a_grey_scene_has_one_scale() -> None:
     scene = room(303, size=16)
     grey = replace(scene, images=np.repeat(scene.images[..., :1], 3, axis=-1), truth=None)
     result = decompose(grey)
-    assert result.uncertainty is not None
-    assert len(set(result.uncertainty.albedo_scale)) == 1
+    assert len(set(known(result.uncertainty).albedo_scale)) == 1
 
 
 @uncompared
@@ -131,8 +123,7 @@ def test_a_white_reference_fixes_the_scale(priors: Priors) -> None:
     np.testing.assert_allclose(around(result, column, row), value, rtol=1e-3)
     assert "reference" in result.assumed["scale"]
     assert "9 pixels" in result.assumed["scale"]
-    assert result.uncertainty is not None
-    deviation = np.array(result.uncertainty.albedo_scale)
+    deviation = np.array(known(result.uncertainty).albedo_scale)
     assert (deviation >= settings.WHITE_TOLERANCE).all()
     assert (deviation <= 3 * settings.WHITE_TOLERANCE).all()
 
@@ -160,8 +151,7 @@ def test_tiles_have_the_scale_of_their_subset() -> None:
     assert "reference" in found.scale
     inside = found.materials.albedo[row - 1 : row + 2, column - 1 : column + 2]
     np.testing.assert_allclose(inside.mean(axis=(0, 1)), value, rtol=0.05)
-    assert found.uncertainty is not None
-    assert min(found.uncertainty.albedo_scale) >= settings.WHITE_TOLERANCE
+    assert min(known(found.uncertainty).albedo_scale) >= settings.WHITE_TOLERANCE
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from pbrfit.io.images import read_channels, write_exr
 from pbrfit.result.uncertainty import Uncertainty, layer_names
 from pbrfit.result.verdict import PARAMETERS
 from pbrfit.synthetic import make_scene
-from scene_files import truth_of
+from scene_files import known, truth_of
 from scene_kinds import at_truth
 
 Array = NDArray[np.float64]
@@ -151,8 +151,7 @@ def test_noise_has_its_degrees_of_freedom() -> None:
 
 def test_a_value_on_a_bound_may_be_off_on_the_other_side() -> None:
     _, objective, x = scene_and_x()
-    metallic = objective.layout.metallic
-    assert metallic is not None
+    metallic = known(objective.layout.metallic)
     x[metallic] = 0.0
     found = estimated(objective, x)
     inside = objective.layout.valid
@@ -186,9 +185,8 @@ def test_what_no_picture_shows_is_as_unsure_as_a_guess() -> None:
 
 def test_fewer_samples_than_unknowns_determine_nothing() -> None:
     scene, _, _ = scene_and_x(known_lights=True)
-    assert scene.lighting is not None
     one = dataclasses.replace(
-        scene, images=scene.images[:1], lighting=scene.lighting[:1], names=(), truth=None
+        scene, images=scene.images[:1], lighting=known(scene.lighting)[:1], names=(), truth=None
     )
     objective = Objective(one)
     found = estimated(objective, np.full(objective.size, 0.4))
@@ -270,8 +268,7 @@ def test_deviations_grow_with_the_noise_alone() -> None:
     scene, objective, x = scene_and_x()
     brighter = Objective(dataclasses.replace(scene, images=10 * scene.images, truth=None))
     one, ten = estimated(objective, x), estimated(brighter, x)
-    assert one.noise is not None
-    assert ten.noise == pytest.approx(10 * one.noise, rel=1e-5)
+    assert ten.noise == pytest.approx(10 * known(one.noise), rel=1e-5)
     np.testing.assert_allclose(
         stacked(ten.deviation, brighter), stacked(one.deviation, objective), rtol=1e-3
     )
@@ -295,10 +292,8 @@ def with_uncertainty() -> pbrfit.Result:
 def test_a_result_folder_keeps_it(tmp_path: Path) -> None:
     result = with_uncertainty()
     result.save(tmp_path / "out")
-    loaded = pbrfit.Result.load(tmp_path / "out").uncertainty
-    saved = result.uncertainty
-    assert loaded is not None
-    assert saved is not None
+    loaded = known(pbrfit.Result.load(tmp_path / "out").uncertainty)
+    saved = known(result.uncertainty)
     for name, layer in saved.layers().items():
         np.testing.assert_array_equal(
             loaded.layers()[name].astype(np.float32), layer.astype(np.float32), err_msg=name

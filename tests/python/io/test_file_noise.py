@@ -18,7 +18,7 @@ from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.io.resampling import averaged_channels
 from pbrfit.synthetic import make_scene
-from scene_files import write_exr, write_folder, write_normals
+from scene_files import known, write_exr, write_folder, write_normals
 
 Array = NDArray[np.floating[Any]]
 
@@ -36,9 +36,8 @@ def codes_of(linear: Array) -> NDArray[np.uint8]:
 
 
 def noise_of(picture: images.Picture, size: tuple[int, int] | None = None) -> FileNoise:
-    assert picture.stored is not None
     height, width = picture.pixels.shape[:2]
-    return picture.stored.noise(size or (height, width))
+    return known(picture.stored).noise(size or (height, width))
 
 
 # Rounding
@@ -195,8 +194,7 @@ def test_the_noise_floor_of_scenes(tmp_path: Path) -> None:
     assert floats.noise_floor(0) is None
     assert "encoding" not in floats.assumed
     scene = Scene.load(folder)
-    floor = scene.noise_floor(1)
-    assert floor is not None
+    floor = known(scene.noise_floor(1))
     assert floor.shape == scene.images.shape[1:]
     assert floor.dtype == np.float32
     assert scene.assumed["encoding"] == "8-bit PNG"

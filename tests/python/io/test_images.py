@@ -26,6 +26,7 @@ from pbrfit._core import InputError
 from pbrfit.io import color, images
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.io.resampling import averaged_channels
+from scene_files import known
 
 RNG = np.random.default_rng(0)
 RGB8: NDArray[np.uint8] = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
@@ -126,8 +127,7 @@ def test_integer_files_are_read_to_the_last_bit(tmp_path: Path, name: str) -> No
     limits = limits_of(rgb, 1, np.iinfo(rgb.dtype).max - 1)
     np.testing.assert_array_equal(picture.limits, limits if limits.any() else None)
     assert picture.alpha is None
-    assert picture.stored is not None
-    assert picture.stored.codes.dtype == codes.dtype
+    assert known(picture.stored).codes.dtype == codes.dtype
     assert picture.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert picture.taken.focal_length_35mm is None
     if name == "8-bit.png":
@@ -168,8 +168,7 @@ def test_only_the_ends_of_lossless_files_are_limits_and_more_of_jpeg(tmp_path: P
     np.testing.assert_array_equal(of_jpeg, np.stack([limits_of(stored, 1, 250)] * 3, axis=-1))
     grey16 = np.array([[0, 1, 65534, 65535]], dtype=np.uint16)
     images.write_png(tmp_path / "b.png", grey16, tag="srgb")
-    of_16_bits = images.read_picture(tmp_path / "b.png").limits
-    assert of_16_bits is not None
+    of_16_bits = known(images.read_picture(tmp_path / "b.png").limits)
     assert of_16_bits[0, :, 0].tolist() == [AT_MOST, 0, 0, AT_LEAST]
 
 
@@ -178,8 +177,7 @@ def test_an_exr_file_can_say_its_limits(tmp_path: Path) -> None:
     channels = dict.fromkeys("RGB", plane) | {f"limits.{c}": limits for c in "RGB"}
     images.write_exr(tmp_path / "a.exr", channels)
     picture = images.read_picture(tmp_path / "a.exr")
-    assert picture.limits is not None
-    assert picture.limits[0, :, 1].tolist() == [0, AT_LEAST, AT_MOST]
+    assert known(picture.limits)[0, :, 1].tolist() == [0, AT_LEAST, AT_MOST]
     images.write_exr(tmp_path / "a.exr", channels | {"limits.G": limits + 1})
     with pytest.raises(InputError, match="expected 0, 1 or 2 in channels limits"):
         images.read_picture(tmp_path / "a.exr")
@@ -277,9 +275,7 @@ def test_a_part_averaged_while_it_is_read_is_the_mean_of_what_is_read_whole(
         np.testing.assert_array_equal(found.limits, expected)
         assert 0 < np.count_nonzero(expected) < expected.size
     if kind == "RGBA":
-        assert found.alpha is not None
-        assert whole.alpha is not None
-        np.testing.assert_array_equal(found.alpha, whole.alpha[used])
+        np.testing.assert_array_equal(known(found.alpha), known(whole.alpha)[used])
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
@@ -368,10 +364,9 @@ def test_a_display_p3_profile_is_converted(tmp_path: Path) -> None:
     np.testing.assert_allclose(tagged.pixels, named.pixels, atol=1e-4)
     assert tagged.pixels.min() < -0.01  # colours outside Rec.709 are kept
     # In Rec.709 P3 red is 1.22 R − 0.22 G, green −0.04 R + 1.04 G: clipped R bounds either way.
-    assert tagged.limits is not None
     only_red = (RGB8[..., 0] == 255) & ((RGB8[..., 1:] > 0) & (RGB8[..., 1:] < 255)).all(axis=-1)
     assert only_red.any()
-    assert (tagged.limits[only_red][:, :2] == [AT_LEAST, AT_MOST]).all()
+    assert (known(tagged.limits)[only_red][:, :2] == [AT_LEAST, AT_MOST]).all()
 
 
 def test_a_gamma_profile_with_acescg_primaries_at_16_bits(tmp_path: Path) -> None:
@@ -841,7 +836,7 @@ def test_cut_off_files_are_errors(tmp_path: Path, name: str) -> None:
         images.read_picture(path)
     path.write_bytes(data)
     images.read_picture(path)
-    lengths = {*range(0, len(data), max(1, len(data) // 300)), *range(len(data) - 12, len(data))}
+    lengths = {*range(0, len(data), max(1, len(data) // 100)), *range(len(data) - 12, len(data))}
     # Behind the strips of a TIFF may come padding, and a deflated strip ends in 6 bytes (end of
     # block, checksum) that no pixel needs; there a cut may do no harm.
     needed = strips_end(data) - 6 if name.startswith("tif") else len(data)

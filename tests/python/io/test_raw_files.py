@@ -20,6 +20,7 @@ from pbrfit.io import images, raw_files
 from pbrfit.io.color import REC709, rgb_to_xyz
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from raw_writer import write_dng
+from scene_files import known
 
 H, W = 12, 16
 HEAD = b"II*\0\x08\0\0\0\0\0"
@@ -109,26 +110,22 @@ def test_it_is_developed_to_linear_light_that_no_picture_s_content_changes(
     assert picture.color == "linear Rec.709, camera white balance 2, 1, 1.5 (raw file, LibRaw)"
     assert (picture.stored is None, picture.limits, picture.alpha) == (False, None, None)
     assert picture.taken.focal_length_35mm is None
-    assert picture.stored is not None
-    assert picture.stored.in_words() == "16-bit RAW"
+    assert known(picture.stored).in_words() == "16-bit RAW"
 
 
 def test_codes_at_the_end_are_limits(raw: FakeRaw, tmp_path: Path) -> None:
     raw.developed[1, 2] = (65535, 0, 7)
-    limits = images.read_picture(written(tmp_path)).limits
-    assert limits is not None
+    limits = known(images.read_picture(written(tmp_path)).limits)
     assert limits[1, 2].tolist() == [AT_LEAST, AT_MOST, 0]
     assert np.count_nonzero(limits) == 2
-    high = images.read_picture(written(tmp_path), code_range=(0, 100)).limits
-    assert high is not None
+    high = known(images.read_picture(written(tmp_path), code_range=(0, 100)).limits)
     np.testing.assert_array_equal(high == AT_LEAST, raw.developed > 25700)
 
 
 def test_a_clipped_sample_bounds_the_colours_around_it(raw: FakeRaw, tmp_path: Path) -> None:
     raw.raw_image_visible[4, 6] = 990  # red, 0.99 of the white level
     raw.raw_image_visible[8, 8] = 989
-    limits = images.read_picture(written(tmp_path)).limits
-    assert limits is not None
+    limits = known(images.read_picture(written(tmp_path)).limits)
     expected = np.zeros((H, W, 3), int)
     expected[2:7, 4:9, 0] = AT_LEAST
     np.testing.assert_array_equal(limits, expected)
@@ -137,8 +134,7 @@ def test_a_clipped_sample_bounds_the_colours_around_it(raw: FakeRaw, tmp_path: P
 def test_clipped_channels_bound_colours_they_are_taken_from(raw: FakeRaw, tmp_path: Path) -> None:
     raw.color_matrix[0, :3] = (1.5, -0.5, 0.0)
     raw.raw_image_visible[5, 6] = 1000  # the second green
-    limits = images.read_picture(written(tmp_path)).limits
-    assert limits is not None
+    limits = known(images.read_picture(written(tmp_path)).limits)
     assert limits[5, 6].tolist() == [AT_MOST, AT_LEAST, 0]
 
 
@@ -147,8 +143,7 @@ def test_without_a_matrix_of_the_file_it_follows_from_that_of_xyz(raw: FakeRaw) 
     raw.color_matrix[:] = 0
     to_linear = np.linalg.inv(rgb_to_xyz(REC709))
     raw.rgb_xyz_matrix[:3] = np.diag([3.0, 2.0, 1.0]) @ to_linear
-    matrix = raw_files._matrix(raw)
-    assert matrix is not None
+    matrix = known(raw_files._matrix(raw))
     np.testing.assert_allclose(matrix, np.eye(3), atol=1e-12)
     raw.rgb_xyz_matrix[:] = 0
     assert raw_files._matrix(raw) is None
@@ -161,8 +156,7 @@ def test_clipped_samples_are_turned_as_the_picture_is(
     shape = (W, H, 3) if flip & 4 else (H, W, 3)
     raw = use(monkeypatch, FakeRaw(np.full(shape, 9, np.uint16), flip))
     raw.raw_image_visible[4, 6] = 1000
-    limits = images.read_picture(written(tmp_path)).limits
-    assert limits is not None
+    limits = known(images.read_picture(written(tmp_path)).limits)
     rows, columns = np.nonzero(limits[..., 0])
     assert ((rows.min() + rows.max()) / 2, (columns.min() + columns.max()) / 2) == place
 
@@ -264,9 +258,8 @@ def test_a_white_card_is_grey_by_its_share_of_white_level(tmp_path: Path, orient
         inside = seen == level
         middle = np.median(picture.pixels[inside], axis=0)
         np.testing.assert_allclose(middle, level, rtol=2e-3)
-    assert picture.limits is not None
-    assert (picture.limits[seen == 4.0] == AT_LEAST).all()
-    assert not picture.limits[seen == 0.25].any()
+    assert (known(picture.limits)[seen == 4.0] == AT_LEAST).all()
+    assert not known(picture.limits)[seen == 0.25].any()
     assert picture.color.startswith("linear Rec.709, camera white balance 2, 1, 1.25")
 
 

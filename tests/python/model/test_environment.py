@@ -95,7 +95,7 @@ def test_a_grey_panorama_is_reflected_as_a_furnace_has_it(model: Model) -> None:
             assert off(found, expected) < 0.01
 
 
-@pytest.mark.parametrize("name", ["matt", "glossy plastic", "metal, r = 0.5", "metal, r = 0.2"])
+@pytest.mark.parametrize("name", ["glossy plastic", "metal, r = 0.5", "metal, r = 0.2"])
 def test_reflections_of_lamps_are_those_of_all_pixels(name: str) -> None:
     pixels = lamps()
     ball = sphere(*SURFACES[name], FEW)
@@ -122,7 +122,7 @@ def test_light_is_never_negative_and_the_same_on_any_threads(model: Model) -> No
     for first, second in zip(one.levels(), many.levels(), strict=True):
         np.testing.assert_array_equal(first, second)
         assert first.min() >= 0
-    count = 5000
+    count = 2000
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     views = np.tile([0.0, 0.0, 1.0], (count, 1))

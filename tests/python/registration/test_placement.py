@@ -22,7 +22,7 @@ from pbrfit.result.metrics import rmse
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from planted_lamps import far, planted
-from scene_files import write_integers
+from scene_files import known, write_integers
 
 MOVED = 2
 """The picture that is moved."""
@@ -98,7 +98,7 @@ def test_a_shift_of_a_larger_picture_is_in_its_own_pixels() -> None:
 
 
 @pytest.mark.parametrize("kind", ["furnished", "detailed", "room", "textured", "spheres"])
-@pytest.mark.parametrize("lights", [2, 3, 8])
+@pytest.mark.parametrize("lights", [2, 8])
 def test_light_alone_displaces_nothing(kind: str, lights: int) -> None:
     for seed in (31, 32):
         found = register(scene(kind, lights=lights, seed=seed))
@@ -163,8 +163,7 @@ def test_resampling_gives_back_a_band_limited_picture() -> None:
     image = picture(rows, columns).astype(np.float32)
     one = Scene(images=np.stack([image, image]), normals=np.tile([0.0, 0, 1], (40, 50, 1)))
     back = put_back(one, Registration((Placement("picture_00", by), Placement("picture_01"))))
-    assert back.weights is not None
-    inside = back.weights[0] > 0
+    inside = known(back.weights)[0] > 0
     assert 0.85 < inside.mean() < 0.97
     inside[:4] = inside[-4:] = inside[:, :4] = inside[:, -4:] = False  # splines end there
     expected = picture(rows + there[0], columns + there[1])
@@ -180,11 +179,10 @@ def test_what_touches_an_unused_sample_has_no_weight() -> None:
     half = [Placement(name) for name in one.names]
     half[MOVED] = Placement(one.names[MOVED], affine(0.5, 0))
     back = put_back(replace(one, images=images, weights=weights), Registration(tuple(half)))
-    assert back.weights is not None
-    row = back.weights[MOVED, 20]
+    row = known(back.weights)[MOVED, 20]
     assert (row[[29, 30]] == 0).all()
     assert (row[[28, 31]] > 0).all()
-    assert (back.weights[MOVED, :, -1] == 0).all()
+    assert (known(back.weights)[MOVED, :, -1] == 0).all()
     assert np.isfinite(back.images).all()
 
 
@@ -194,9 +192,8 @@ def test_sharp_edges_between_pixels_weigh_little() -> None:
     one = Scene(images=np.stack([step, step]), normals=np.tile([0.0, 0, 1], (40, 40, 1)))
     by = Placement("picture_00", affine(0.5, 0))
     back = put_back(one, Registration((by, Placement("picture_01"))))
-    assert back.weights is not None
-    assert back.weights[0, 20, 18:22].min() < 0.2
-    assert back.weights[0, 20, 5:12].min() > 0.95
+    assert known(back.weights)[0, 20, 18:22].min() < 0.2
+    assert known(back.weights)[0, 20, 5:12].min() > 0.95
 
 
 def test_a_camera_in_the_hand_is_put_to_the_middle() -> None:
@@ -238,10 +235,8 @@ def test_what_files_did_goes_with_the_pictures_that_are_left(tmp_path: Path) -> 
     read = Scene.load(tmp_path / "scene")
     left = aligned(read)
     assert "light_02 is left out" in left.assumed["alignment"]
-    assert read.file_noise is not None
-    assert left.file_noise == read.file_noise[:MOVED] + read.file_noise[MOVED + 1 :]
-    sigma = left.noise_floor(2)
-    assert sigma is not None
+    assert left.file_noise == known(read.file_noise)[:MOVED] + known(read.file_noise)[MOVED + 1 :]
+    sigma = known(left.noise_floor(2))
     assert np.nanmedian(sigma) < 1e-4 < np.nanmedian(left.noise_floor(3))  # type: ignore[arg-type]
 
 

@@ -323,8 +323,7 @@ def test_a_scene_that_is_gone_is_said_and_its_pictures_are_not_shown(
     assert not [alt for alt in alts if alt.startswith(("Picture", "Residual", "Map of the true"))]
     result = Result.load(tmp_path / "result")
     assert result.metrics["recon_rmse"] in found.values
-    assert result.source is not None
-    away = dataclasses.replace(result.source, path=Path("/gone/with \udcff"))  # no UTF-8
+    away = dataclasses.replace(known(result.source), path=Path("/gone/with \udcff"))  # no UTF-8
     odd = written(dataclasses.replace(result, source=away), tmp_path / "odd.html")
     assert "The scene folder with \ufffd is no longer where it was." in odd.text
     unknown = dataclasses.replace(result, source=None)  # as of earlier versions

@@ -38,6 +38,7 @@ from relight_view import (
     room,
     tiles_of,
 )
+from scene_files import known
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, CDPSession, Page
@@ -519,8 +520,7 @@ def test_the_lamp_goes_where_the_pointer_is(view: View, furnished: Result) -> No
     view.go(f"{address}&ambient=0.1")
     view.saved()
     # A mark shows where it is.
-    mark = view.page.locator(".relight-lamp").bounding_box()
-    assert mark is not None
+    mark = known(view.page.locator(".relight-lamp").bounding_box())
     box = view.box()
     place = [(mark[a] + mark["width"] / 2 - box[a]) / box["width"] for a in ("x", "y")]
     assert place == pytest.approx([0.5, 0.25], abs=0.005)
@@ -655,8 +655,7 @@ def test_a_picture_is_compared_up_to_a_border_that_moves(view: View, furnished: 
     before = view.page.locator(".relight-before")
     assert before.is_visible()
     box = view.box()
-    middle = border.bounding_box()
-    assert middle is not None
+    middle = known(border.bounding_box())
     assert middle["x"] + middle["width"] / 2 == pytest.approx(box["x"] + box["width"] / 2, abs=1)
     border.focus()
     view.page.keyboard.press("ArrowRight")
@@ -773,8 +772,7 @@ def test_one_finger_moves_the_lamp_on_a_phone_and_two_zoom(
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     tools = page.locator(".relight-tools .tool:visible, .chip span")
     assert min(tools.evaluate_all("(all) => all.map((e) => e.offsetHeight)")) >= 44
-    box = page.locator(".relight-canvas").bounding_box()
-    assert box is not None
+    box = known(page.locator(".relight-canvas").bounding_box())
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     session = context.new_cdp_session(page)
     fingers(session, "touchStart", [(x, y)])

@@ -16,6 +16,7 @@ from pbrfit.result.sheet import FONT, MARGIN, PANEL_SIDE, Panel, Row, caption_he
 from pbrfit.result.verdict import LEVELS, MARKS, PARAMETERS, Verdict
 from pbrfit.synthetic import make_scene
 from refined import degrees_of, refined
+from scene_files import known
 
 LINE = caption_height(PANEL_SIDE[0])
 TITLE = round(1.5 * LINE)
@@ -108,10 +109,9 @@ def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() ->
 
 def with_verdicts(result: Result, cause: str) -> Result:
     """A result whose maps have all levels."""
-    assert result.uncertainty is not None
     levels = zip(PARAMETERS, LEVELS, strict=True)
     verdicts = {name: Verdict(level, 0.1, cause) for name, level in levels}
-    uncertainty = dataclasses.replace(result.uncertainty, verdicts=verdicts)
+    uncertainty = dataclasses.replace(known(result.uncertainty), verdicts=verdicts)
     return dataclasses.replace(result, uncertainty=uncertainty)
 
 
@@ -155,8 +155,7 @@ def test_refined_normals_add_a_row_and_a_key() -> None:
 
 def test_the_change_of_normals_is_white_where_they_are_as_given() -> None:
     result = refined(whole()[1])
-    assert result.normal_change is not None
-    indices = differences.turned(result.normal_change).indices()
+    indices = differences.turned(known(result.normal_change)).indices()
     unchanged = degrees_of(result.mask) == 0
     np.testing.assert_array_equal(indices == differences.WHITE, unchanged)
     # The same place on the scale as a difference of that many radians.

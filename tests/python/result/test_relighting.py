@@ -102,7 +102,7 @@ def test_a_light_lights_the_surfaces_that_face_it(
 
 @pytest.mark.parametrize(
     ("column", "row", "side"),
-    [(0.75, 0.5, "right"), (0.25, 0.5, "left"), (0.5, 0.03, "up"), (0.5, 0.97, "down")],
+    [(0.75, 0.5, "right"), (0.5, 0.03, "up")],
 )
 def test_a_panorama_lights_its_side(sphere: Result, column: float, row: float, side: str) -> None:
     for light in (panorama.project(spot(column, row)), Environment(spot(column, row))):

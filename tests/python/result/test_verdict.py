@@ -198,9 +198,8 @@ def test_one_verdict_everywhere(
 
 
 def test_causes_are_not_spoken_of_where_there_are_none(result: Result, tmp_path: Path) -> None:
-    assert result.uncertainty is not None
     good = {name: Verdict("usable", 0.01) for name in PARAMETERS}
-    uncertainty = dataclasses.replace(result.uncertainty, verdicts=good)
+    uncertainty = dataclasses.replace(known(result.uncertainty), verdicts=good)
     of_good = dataclasses.replace(result, uncertainty=uncertainty)
     _, chips = chips_of(of_good, tmp_path / "page.html")
     for name, chip in zip(PARAMETERS, chips, strict=True):

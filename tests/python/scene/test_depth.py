@@ -20,7 +20,7 @@ from pbrfit.model.depth_normals import from_depth
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.depth import compared, reduced
-from scene_files import world
+from scene_files import known, world
 
 SIZE = 48
 FOV = 60.0
@@ -112,8 +112,7 @@ def test_without_perspective_inverse_depth_is_refused_too() -> None:
     depth = np.broadcast_to(4 + x * np.tan(angle), (SIZE, SIZE))
     normals = np.broadcast_to([np.sin(angle), 0, np.cos(angle)], (SIZE, SIZE, 3))
     made = scene(depth, normals, fov=0)
-    assert made.depth is not None
-    assert compared(made.depth, made.normals, 0).depth < 0.01
+    assert compared(known(made.depth), made.normals, 0).depth < 0.01
     with pytest.raises(InputError, match="found inverse depth"):
         scene(1 / depth, normals, fov=0)
 
@@ -203,13 +202,12 @@ def test_depth_is_read_by_its_channel(tmp_path: Path, channel: str) -> None:
 
 def test_depth_of_numpy_is_read(tmp_path: Path) -> None:
     folder, made = saved(tmp_path / "scene")
-    assert made.depth is not None
-    np.save(folder / "depth.npy", made.depth)
+    np.save(folder / "depth.npy", known(made.depth))
     for read in (Scene.load, scene_folder.digests):
         with pytest.raises(InputError, match=r"one file with depth, found depth.exr, depth.npy"):
             read(folder)
     (folder / "depth.exr").unlink()
-    np.testing.assert_array_equal(Scene.load(folder).depth, made.depth)
+    np.testing.assert_array_equal(Scene.load(folder).depth, known(made.depth))
     assert "depth.npy" in scene_folder.digests(folder)
 
 
@@ -230,21 +228,18 @@ def test_files_with_unusable_depth_are_named(tmp_path: Path) -> None:
 def test_depth_follows_a_smaller_size(tmp_path: Path) -> None:
     folder, made = saved(tmp_path / "scene")
     read = Scene.load(folder, max_size=48)
-    assert made.depth is not None
-    assert read.depth is not None
-    np.testing.assert_array_equal(read.depth, reduced(made.depth, (48, 48)))
+    np.testing.assert_array_equal(known(read.depth), reduced(known(made.depth), (48, 48)))
     # Still the depth of the surfaces that the averaged normals are of.
-    assert compared(read.depth, read.normals, FOV).depth < 1
+    assert compared(known(read.depth), read.normals, FOV).depth < 1
 
 
 def test_a_part_of_a_scene_has_its_part_of_the_depth() -> None:
     depth, normals = furnished()
     whole = scene(depth, normals)
-    assert whole.depth is not None
     for rows in (slice(10, 40), slice(1, None, 3)):
         window = Window(rows, slice(5, 90, 1))
         part = cut(whole, window)
-        np.testing.assert_array_equal(part.depth, window.of(whole.depth))
+        np.testing.assert_array_equal(part.depth, window.of(known(whole.depth)))
     assert cut(scene(None, normals), window).depth is None
 
 
@@ -262,8 +257,7 @@ def test_inspect_tells_what_the_depth_is_like(tmp_path: Path) -> None:
     folder, made = saved(tmp_path / "scene")
     said = done("inspect", folder)
     [line] = [one for one in said.splitlines() if one.startswith("depth ")]
-    depth = made.depth
-    assert depth is not None
+    depth = known(made.depth)
     assert line == (
         f"depth             depth.exr, {np.nanmin(depth):.3g} to {np.nanmax(depth):.3g}, unknown "
         "in 0.0 % of the mask; its normals 0.0 degrees (median) from the given ones"

@@ -16,7 +16,7 @@ from pbrfit.fit.objective import Objective
 from pbrfit.fit.settings import MEAN_RADIANCE
 from pbrfit.scene.exposure import EXPOSURE_RANGE, LEAST_EXPOSURE, mean_radiance, relative_exposures
 from pbrfit.synthetic import make_scene
-from scene_files import lights_of, truth_of
+from scene_files import known, lights_of, truth_of
 
 pytestmark = pytest.mark.usefixtures("uncompared")
 
@@ -88,8 +88,7 @@ def test_pictures_of_no_light_are_left_to_the_objective() -> None:
 def test_the_loss_is_that_of_inverse_square_weights() -> None:
     scene = brighter(made(noise=0.02), 2, 16.0)
     objective = Objective(scene, threads=1)
-    exposures = objective.exposures
-    assert exposures is not None
+    exposures = known(objective.exposures)
     maps, lighting = truth_of(scene).materials, lights_of(scene)
     assert lighting is not None
     x = objective.pack(maps.albedo, maps.roughness, maps.metallic, lighting)

@@ -18,7 +18,7 @@ from pbrfit.io import images
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.options import ReadOptions
 from pbrfit.scene.reading import PERSPECTIVE_OFF, read_pictures
-from scene_files import LIGHTS, SIZE, room, write_exr, write_folder, write_integers
+from scene_files import LIGHTS, SIZE, known, room, write_exr, write_folder, write_integers
 
 NAMES = [f"{i + 1:03d}" for i in range(LIGHTS)]
 
@@ -63,8 +63,7 @@ def test_only_listed_pictures_count_and_lamps_have_their_order(tmp_path: Path) -
     scene = Scene.load(as_diligent(tmp_path / "bear"))
     assert scene.names == ("10", "x", "9")
     assert "the 3 that filenames.txt lists; 1 more left out; linear" in scene.assumed["layout"]
-    assert scene.lamps is not None
-    np.testing.assert_array_equal(scene.lamps.places, np.eye(3))
+    np.testing.assert_array_equal(known(scene.lamps).places, np.eye(3))
     assert (scene.assumed["color"], scene.response) == ("linear (as asked for)", None)
     (tmp_path / "bear" / "filenames.txt").write_text("10.png\n../bear/x.png\n")
     with pytest.raises(InputError, match=r"filenames.txt: expected names of pictures beside it"):
@@ -122,9 +121,8 @@ def test_a_result_reads_the_named_pictures_again_as_they_were_read(tmp_path: Pat
     few = ("--iterations", 1, "--quiet", "--crop", "2,4,12,8")
     done("decompose", *pictures, "--out", out, *few)
     result = Result.load(out)
-    assert result.source is not None
-    assert result.source.files == ("images/light_00.exr", "images/light_01.exr")
-    assert result.source.options == ReadOptions(crop=(2, 4, 12, 8))
+    assert known(result.source).files == ("images/light_00.exr", "images/light_01.exr")
+    assert known(result.source).options == ReadOptions(crop=(2, 4, 12, 8))
     assert result.mask.shape == (8, 12)
     page = tmp_path / "page.html"
     write_report(result, page)
@@ -147,9 +145,7 @@ def test_a_crop_is_of_pictures_and_all_maps(tmp_path: Path) -> None:
     np.testing.assert_array_equal(part.normals, whole.normals[window])
     for name in ("valid", "depth"):
         np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[window])
-    assert part.weights is not None
-    assert whole.weights is not None
-    np.testing.assert_array_equal(part.weights, whole.weights[:, *window])
+    np.testing.assert_array_equal(known(part.weights), known(whole.weights)[:, *window])
     assert Scene.load(folder, crop=(4, 2, 12, 8), max_size=6).images.shape[1:3] == (4, 6)
     alone = read_pictures(folder, ReadOptions(crop=(4, 2, 12, 8)))[0]
     assert alone.pixels.shape[1:3] == (SIZE, SIZE)
@@ -204,9 +200,8 @@ def test_equal_pictures_are_named_once(tmp_path: Path, caplog: pytest.LogCapture
     assert scene.names == ("a copy", "light_00", "light_02")
     assert scene.assumed["duplicates"] == "equal pictures count once: a copy.png, light_01.png"
     assert scene.assumed["duplicates"] in caplog.text
-    assert scene.lamps is not None
     np.testing.assert_allclose(
-        scene.lamps.places[:, 1], np.array([3, 0, 2]) / np.hypot(1, [3, 0, 2])
+        known(scene.lamps).places[:, 1], np.array([3, 0, 2]) / np.hypot(1, [3, 0, 2])
     )
     assert scene_folder.digests(folder) == scene.inputs
 
@@ -248,9 +243,8 @@ def test_pictures_are_divided_by_a_flat_field_frame(tmp_path: Path, each: bool) 
     np.testing.assert_array_equal(scene.valid, used)
     ratio = (scene.images / room().images)[:, used]  # a factor a channel, as a pixel is left out
     np.testing.assert_allclose(ratio, np.broadcast_to(ratio[:, :1], ratio.shape), rtol=1e-4)
-    assert scene.weights is not None
     for i, name in enumerate(names):
-        share = scene.weights[i][used] / uneven(name)[used]
+        share = known(scene.weights)[i][used] / uneven(name)[used]
         np.testing.assert_allclose(share, np.broadcast_to(share[0], share.shape), rtol=1e-4)
     assert "left out that are clipped or black" in scene.assumed["flat field"]
     assert (scene.response, scene_folder.digests(folder)) == (None, scene.inputs)

@@ -19,7 +19,7 @@ from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.folder import digests
-from scene_files import LIGHTS, SIZE, room, write_exr, write_folder
+from scene_files import LIGHTS, SIZE, known, room, write_exr, write_folder
 from scene_files import run as run_command
 
 Y, X = np.mgrid[0.95:-0.95:48j, -0.95:0.95:48j]
@@ -217,8 +217,7 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
         assert ("whole numbers, in the unit of the file" in said) == (unit == 1)
         assert f"{SIZE} pixels of 0" in said
         assert f"depth.exr: {2520 * unit:g} to" in said
-        found = Scene.load(folder).depth
-        assert found is not None
+        found = known(Scene.load(folder).depth)
         np.testing.assert_allclose(found, np.where(depth > 0, unit * depth, np.nan), rtol=1e-6)
     assert "unit: expected m, cm, mm or a number above 0, found 0" in refused(
         "depth", folder, "--from", path, "--overwrite", "--unit", 0
@@ -230,8 +229,9 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
         (folder / "scene.toml").write_text(settings + toml)
         store(folder / "depth.png", depth)
         scene = Scene.load(folder, fov=60)
-        assert scene.depth is not None
-        np.testing.assert_allclose(scene.depth, np.where(depth > 0, unit * depth, np.nan), 1e-6)
+        np.testing.assert_allclose(
+            known(scene.depth), np.where(depth > 0, unit * depth, np.nan), 1e-6
+        )
         assert ("times 0.001" in scene.assumed["depth"]) == (unit < 1)
     (folder / "depth.png").unlink()
     (folder / "scene.toml").write_text(settings + 'depth_unit = "mm"\n')
@@ -273,14 +273,12 @@ def test_a_far_plane_is_unknown(far: float, unknown: bool, fov: float) -> None:
     depth = np.where(BALL, 3.0 - 0.4 * NORMALS[..., 2], far)
     depth[24, 24] = 3.0
     scene = Scene(np.ones((2, 48, 48, 3), np.float32), NORMALS, fov, depth=depth)
-    assert scene.depth is not None
-    np.testing.assert_array_equal(np.isnan(scene.depth), ~BALL & unknown)
+    np.testing.assert_array_equal(np.isnan(known(scene.depth)), ~BALL & unknown)
     assert ("left out" in scene.assumed.get("depth", "")) == unknown
     single = Scene(
         np.ones((2, 48, 48, 3), np.float32), NORMALS, fov, depth=np.where(depth == far, 3, depth)
     )
-    assert single.depth is not None
-    assert np.isfinite(single.depth).all()
+    assert np.isfinite(known(single.depth)).all()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -295,8 +293,7 @@ def test_single_samples_that_are_no_numbers_are_left_out(
         write_exr(path, picture)
     scene = Scene.load(folder)
     assert np.argwhere(~scene.valid).tolist() == [[4, 5]]
-    assert scene.weights is not None
-    assert np.argwhere(scene.weights[1] == 0).tolist() == [
+    assert np.argwhere(known(scene.weights)[1] == 0).tolist() == [
         [2, 3, 1],
         *([4, 5, c] for c in range(3)),
     ]

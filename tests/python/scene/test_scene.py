@@ -14,6 +14,7 @@ from pbrfit.io.color import Conversion, Curve, decode_srgb
 from pbrfit.io.file_noise import FileNoise
 from pbrfit.model.lamps import Lamps
 from pbrfit.synthetic import make_scene
+from scene_files import known
 
 H, W, N = 3, 4, 2
 FACING = np.broadcast_to([0.0, 0.0, 1.0], (H, W, 3))
@@ -225,8 +226,7 @@ def test_weights_are_kept_for_each_value(shape: tuple[int, ...], kind: Any) -> N
     np.testing.assert_array_equal(made.weights, expected)
     np.testing.assert_array_equal(weights, given)
     np.testing.assert_array_equal(made.valid, (expected > 0).any(axis=(0, 3)))
-    again = scene(weights=made.weights).weights
-    assert again is not None
+    again = known(scene(weights=made.weights).weights)
     np.testing.assert_array_equal(again, expected)
     assert (again.strides[0] == 0, again.strides[3] == 0) == (given.ndim == 2, given.ndim < 4)
 
@@ -253,8 +253,7 @@ def test_a_value_without_weight_leaves_the_other_channels() -> None:
     made = scene(images=images, weights=weights)
     assert made.valid.all()
     assert made.samples(1)[0].tolist() == [0, 1, 1]
-    told = made.channel_weights(1)
-    assert told is not None
+    told = known(made.channel_weights(1))
     assert told[0, 0].tolist() == [0, 1, 1]
     weights[1, 0, 0] = 1
     with pytest.raises(InputError, match="picture_01: expected finite pixels"):
@@ -277,8 +276,7 @@ def test_how_far_off_normals_are_is_kept_in_degrees() -> None:
     for unsound in (np.nan, -1.0, np.inf, 1e300):
         sigma = np.full((H, W), 2.5)
         sigma[1, 2], sigma[0, 0] = unsound, 0.0
-        found = scene(mask=mask, normal_sigma=sigma).normal_sigma
-        assert found is not None
+        found = known(scene(mask=mask, normal_sigma=sigma).normal_sigma)
         assert found.dtype == np.float32
         np.testing.assert_array_equal(found[mask], sigma[mask].astype(np.float32))
         assert np.isnan(found[~mask]).all()
@@ -388,10 +386,8 @@ def test_a_scene_of_some_pictures_has_what_is_theirs() -> None:
     assert found.names == ("c", "a")
     for name in ("images", "weights", "limits", "lighting"):
         np.testing.assert_array_equal(getattr(found, name), getattr(all_of, name)[[2, 0]])
-    assert found.lamps is not None
-    np.testing.assert_array_equal(found.lamps.places, np.eye(3)[[2, 0]])
-    assert found.truth is not None
-    np.testing.assert_array_equal(found.truth.lighting, found.lighting)
+    np.testing.assert_array_equal(known(found.lamps).places, np.eye(3)[[2, 0]])
+    np.testing.assert_array_equal(known(found.truth).lighting, found.lighting)
     assert found.segments is all_of.segments
 
 
@@ -401,10 +397,9 @@ def test_masked_values_of_pictures_have_no_weight() -> None:
     images[1, 0, 1, 2] = np.ma.masked
     found = scene(images=images)
     assert not isinstance(found.images, np.ma.MaskedArray)
-    assert found.weights is not None
     expected = np.ones(plain.images.shape)
     expected[1, 0, 1, 2] = 0
-    np.testing.assert_array_equal(found.weights, expected)
+    np.testing.assert_array_equal(known(found.weights), expected)
     assert scene(images=np.ma.array(plain.images)).weights is None
 
 

@@ -30,6 +30,7 @@ from scene_files import (
     LIGHTS,
     SIZE,
     held_out_of,
+    known,
     lights_of,
     room,
     truth_of,
@@ -239,8 +240,7 @@ def test_pictures_as_stored(folder: Path, caplog: pytest.LogCaptureFixture) -> N
     """By the option, else by scene.toml; the dark frame too, and what a network is shown."""
     paths = retag(folder, {"light_01": {0x112: 3}, "light_02": {0x112: 6}})
     turned, kept = Scene.load(folder), Scene.load(folder, orientation="as-stored")
-    assert kept.source is not None
-    assert kept.source.options.orientation == "as-stored"
+    assert known(kept.source).options.orientation == "as-stored"
     stored = [images.read_picture(path, orientation="as-stored").pixels for path in paths]
     np.testing.assert_array_equal(kept.images, stored)
     np.testing.assert_array_equal(turned.images[1], kept.images[1, ::-1, ::-1])
@@ -395,8 +395,7 @@ def test_one_clipped_value_bounds_what_it_is_averaged_into(folder: Path) -> None
     write_codes(folder, codes)
     for size in (8, 5, 3):
         scene = Scene.load(folder, max_size=size)
-        assert scene.limits is not None
-        expected = np.zeros_like(scene.limits)
+        expected = np.zeros_like(known(scene.limits))
         for picture, row, column, channels, limit in (
             (2, 15, 0, slice(None), AT_MOST),
             (2, 14, 1, 2, AT_LEAST),
@@ -407,7 +406,7 @@ def test_one_clipped_value_bounds_what_it_is_averaged_into(folder: Path) -> None
                 slice(at * size // SIZE, -(-(at + 1) * size // SIZE)) for at in (row, column)
             )
             expected[picture, rows, columns, channels] = limit
-        np.testing.assert_array_equal(scene.limits, expected)
+        np.testing.assert_array_equal(known(scene.limits), expected)
 
 
 def test_clipped_floats_are_found_beside_integers(folder: Path) -> None:
@@ -419,9 +418,8 @@ def test_clipped_floats_are_found_beside_integers(folder: Path) -> None:
     image = np.minimum(rng.random((SIZE, SIZE, 3)), 0.8)
     write_exr(folder / "images" / f"{room().names[0]}.exr", image)
     scene = Scene.load(folder)
-    assert scene.limits is not None
-    np.testing.assert_array_equal(scene.limits[0] == AT_LEAST, image == 0.8)
-    assert np.argwhere(scene.limits[1:]).tolist() == [[0, 5, 6, c] for c in range(3)]
+    np.testing.assert_array_equal(known(scene.limits)[0] == AT_LEAST, image == 0.8)
+    assert np.argwhere(known(scene.limits)[1:]).tolist() == [[0, 5, 6, c] for c in range(3)]
 
 
 @pytest.mark.parametrize("form", ["png", "tif"])
@@ -432,8 +430,7 @@ def test_integers_that_were_clipped_below_white_are_found(folder: Path, form: st
         (folder / "images" / f"{name}.exr").unlink(missing_ok=True)
         codes = np.minimum(rng.integers(20, 240, (SIZE, SIZE, 3)), 150).astype(np.uint8)
         Image.fromarray(codes).save(folder / "images" / f"{name}.{form}")
-    found = Scene.load(folder).limits
-    assert found is not None
+    found = known(Scene.load(folder).limits)
     np.testing.assert_array_equal(found[-1] == AT_LEAST, codes == 150)
     assert Scene.load(folder, code_range=(0, 255)).limits is None
 
@@ -466,8 +463,7 @@ def in_all_channels(weights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
 def test_weights_for_all_pictures_alike(folder: Path) -> None:
     images.write_exr(folder / "weights.exr", {"Y": some_weights()})
     scene = Scene.load(folder)
-    assert scene.weights is not None
-    np.testing.assert_array_equal(scene.weights, in_all_channels([some_weights()] * LIGHTS))
+    np.testing.assert_array_equal(known(scene.weights), in_all_channels([some_weights()] * LIGHTS))
     assert not scene.valid[3, 4]
     assert np.count_nonzero(~scene.valid) == 1
     assert "weights.exr" in scene.inputs
@@ -495,10 +491,9 @@ def test_weights_for_each_picture_by_name(folder: Path) -> None:
     colors = {f"{names[1]}.{color}": i * weights for i, color in enumerate("BGR", start=1)}
     images.write_exr(folder / "weights.exr", {**channels, **colors})
     scene = Scene.load(folder)
-    assert scene.weights is not None
     expected = in_all_channels([own[name] for name in names]).copy()
     expected[1] *= [3, 2, 1]
-    np.testing.assert_array_equal(scene.weights, expected)
+    np.testing.assert_array_equal(known(scene.weights), expected)
     assert scene.assumed["weights"].startswith("weights.exr, for each channel of each picture: ")
     for wrong in ({f"{names[1]}.R": weights}, {**colors, f"{names[1]}.Y": weights}):
         images.write_exr(folder / "weights.exr", {**channels, **wrong})
@@ -514,8 +509,7 @@ def test_weights_and_limits_are_apart(folder: Path) -> None:
     images.write_exr(folder / "weights.exr", {"Y": some_weights()})
     scene = Scene.load(folder)
     np.testing.assert_array_equal(scene.weights, in_all_channels([some_weights()] * LIGHTS))
-    given = scene.channel_weights(1, slice(5, 6))
-    assert given is not None
+    given = known(scene.channel_weights(1, slice(5, 6)))
     np.testing.assert_array_equal(given[0, 6], 0)
     np.testing.assert_array_equal(given[0, 7], some_weights()[5, 7])
 
@@ -529,11 +523,10 @@ def test_averaged_samples_have_the_weight_of_their_variance(folder: Path) -> Non
     images.write_exr(folder / "weights.exr", {"Y": weights})
     write_mask(folder / "mask.png", white)
     scene = Scene.load(folder, max_size=SIZE // 2)
-    assert scene.weights is not None
     expected = np.ones((SIZE // 2, SIZE // 2))
     expected[0, 0] = 4 / (1 / 0.5 + 1 / 0.25 + 1 + 1)
     expected[1, 1] = expected[2, 2] = 0
-    np.testing.assert_allclose(scene.weights[0, ..., 1], expected, rtol=1e-6)
+    np.testing.assert_allclose(known(scene.weights)[0, ..., 1], expected, rtol=1e-6)
     assert not scene.valid[2, 2]
 
 
@@ -749,8 +742,7 @@ def test_ids_that_do_not_fit_are_numbered_anew(tmp_path: Path, bad: int) -> None
     segments[0] = 7
     scene = Scene(images=room().images, normals=room().normals, segments=segments)
     scene.save(tmp_path / "scene")
-    found = Scene.load(tmp_path / "scene").segments
-    assert found is not None
+    found = known(Scene.load(tmp_path / "scene").segments)
     first, second = (1, 2) if bad < 7 else (2, 1)
     np.testing.assert_array_equal(found, first * (segments == bad) + second * (segments == 7))
 
@@ -907,9 +899,8 @@ def test_uncertainty_of_normals_is_read_averaged_and_saved(folder: Path, tmp_pat
     assert scene.assumed["normals"] == (
         "normals.exr, opengl axes, camera space, uncertain by 0 to 20 degrees, median 10"
     )
-    small = Scene.load(folder, max_size=SIZE // 2).normal_sigma
+    small = known(Scene.load(folder, max_size=SIZE // 2).normal_sigma)
     expected = uncertainty.reshape(SIZE // 2, 2, SIZE // 2, 2).mean(axis=(1, 3))
-    assert small is not None
     np.testing.assert_allclose(small, expected, rtol=1e-6)
 
     mask = np.ones((SIZE, SIZE), bool)
@@ -938,7 +929,6 @@ def test_uncertainty_of_normals_that_means_nothing_is_refused(folder: Path, bad:
         Scene.load(folder)
     white = np.isfinite(uncertainty) & (uncertainty > 0)
     write_mask(folder / "mask.png", white)
-    sigma = Scene.load(folder, max_size=SIZE // 2).normal_sigma
-    assert sigma is not None
+    sigma = known(Scene.load(folder, max_size=SIZE // 2).normal_sigma)
     assert np.isnan(sigma[1, 1])
     assert np.isfinite(sigma).sum() == sigma.size - 1

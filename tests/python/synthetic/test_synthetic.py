@@ -324,7 +324,7 @@ def test_scene_does_not_depend_on_the_resolution() -> None:
 @pytest.mark.parametrize("fov", [20.0, 90.0, 150.0])
 @pytest.mark.parametrize("kind", ALL_KINDS)
 def test_the_shell_is_closed(kind: str, fov: float) -> None:
-    for seed in range(5 if kind in KINDS else 2):
+    for seed in range(2):
         view = build(kind, 24, np.random.default_rng(seed), fov)
         assert view.segments.min() >= 1
         assert np.sum(view_directions(24, 24, fov) * view.normals, axis=-1).min() > 0
@@ -359,7 +359,7 @@ def arrays(scene: Scene) -> dict[str, NDArray[Any]]:
 @pytest.mark.parametrize("kind", ALL_KINDS)
 def test_same_seed_same_bytes(kind: str) -> None:
     first, again, other = (
-        arrays(make_scene(kind, size=24, lights=4, held_out=2, noise=0.01, seed=seed))
+        arrays(make_scene(kind, size=12, lights=4, held_out=2, noise=0.01, seed=seed))
         for seed in (7, 7, 8)
     )
     for name in first:
