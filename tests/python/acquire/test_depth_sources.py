@@ -49,9 +49,6 @@ def off(found: NDArray[Any], true: Array) -> Array:
     return np.asarray(np.abs(np.expm1(log - np.median(log))))
 
 
-# Offset
-
-
 @pytest.mark.parametrize("disparity", [False, True])
 @pytest.mark.parametrize("error_degrees", [0.0, 8.0])
 def test_normals_tell_the_offset_of_relative_depth(disparity: bool, error_degrees: float) -> None:
@@ -92,9 +89,6 @@ def test_members_that_differ_by_factor_and_offset_are_the_same_answer() -> None:
     noise = np.random.default_rng(2).normal(size=(10, *first.shape))
     mean = aligned_mean([first, *(2 * (first + 0.3 * one) + 1 for one in noise)])
     assert np.abs(mean - first).mean() < 0.15
-
-
-# The command
 
 
 @pytest.mark.parametrize("kind", ["z", "ray", "disparity"])

@@ -39,9 +39,6 @@ def unit(*components: float) -> Array:
     return np.asarray(np.array(components) / np.linalg.norm(components))
 
 
-# --- Depth ---
-
-
 @pytest.mark.parametrize("fov", [20.0, 60.0, 120.0])
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("kind", ["z", "ray", "disparity"])
@@ -175,9 +172,6 @@ def test_depth_files_that_cannot_be_used(tmp_path: Path) -> None:
             estimate(f"depth:{tmp_path / name}", shown, fov=60.0)
 
 
-# --- Files ---
-
-
 def write_map(path: Path, normals: Array) -> Path:
     images.write_exr(path, {name: normals[..., i] for i, name in enumerate("XYZ")})
     return path
@@ -236,9 +230,6 @@ def test_pixels_without_a_normal_have_no_weight(tmp_path: Path) -> None:
         estimate(str(path), np.zeros((SIZE, SIZE, 3), np.uint8), fov=60, mask=nowhere)
 
 
-# --- Uncertainty ---
-
-
 def test_the_spread_of_an_ensemble_is_that_of_its_members() -> None:
     rng = np.random.default_rng(0)
     sigma = np.radians(3.0)  # root mean square angle: two components of sigma/sqrt(2) each
@@ -281,9 +272,6 @@ def test_weights_of_uncertain_normals() -> None:
         np.testing.assert_allclose(found, np.array(expected), rtol=1e-6)
     assert weights_of(None, np.ones((2, 2), bool)) is None
     assert weights_of(None, None) is None
-
-
-# --- The command ---
 
 
 @pytest.fixture
@@ -374,9 +362,6 @@ def test_normals_that_cannot_be_written_cost_none_that_are_there(
         scene_completion.add_normals(folder, room().normals, overwrite=True)
     assert (folder / "normals.png").exists()
     assert (folder / "weights.exr").exists()
-
-
-# --- The picture a network is shown ---
 
 
 def test_a_network_is_shown_the_mean_of_all_pictures_or_one_by_name(folder: Path) -> None:

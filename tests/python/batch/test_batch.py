@@ -85,9 +85,6 @@ def test_names_that_are_no_utf_8_come_back_as_they_were(tmp_path: Path) -> None:
     assert source.path == tmp_path / "scenes" / names[0]
 
 
-# Processes
-
-
 def test_processes_give_the_same_bits_as_one_after_the_other(folder: Path, tmp_path: Path) -> None:
     for out, how in (("alone", ()), ("pool", ("--jobs", 2))):
         done("decompose", folder, "--out", tmp_path / out, *FEW, *how)
@@ -212,9 +209,6 @@ def test_a_cluster_needs_dask(folder: Path, tmp_path: Path) -> None:
     assert line.endswith("pip install 'pbrfit[cluster]' gets it\n")
     assert line.count("\n") == 1
     assert not (tmp_path / "out").exists()
-
-
-# Resuming
 
 
 def test_what_is_finished_is_kept_and_the_rest_is_done(folder: Path, tmp_path: Path) -> None:
@@ -398,9 +392,6 @@ def test_a_damaged_or_outdated_result_is_made_again(result: Path, key: str, valu
         assert not is_kept(result)
 
 
-# The place
-
-
 def test_two_batches_do_not_write_to_one_place(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with place.of_batch(out) as temporaries:
@@ -467,9 +458,6 @@ def test_a_scene_that_is_no_longer_wanted_is_given_up(folder: Path, tmp_path: Pa
     with pytest.raises(OSError, match="which a running batch has and all its workers see"):
         decompose_scene(replace(task), 0, show)
     assert not (tmp_path / "out" / "one").exists()
-
-
-# Memory
 
 
 def as_it_is(_: Path) -> None:

@@ -39,7 +39,6 @@ profile = settings(
 
 SIZE, LIGHTS = 4, 3
 
-# --- Strange arrays ---
 
 DTYPES: tuple[Any, ...] = (
     *("?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", ">f4", ">f8", "g"),
@@ -140,9 +139,6 @@ def strange(draw: st.DrawFn, value: Any) -> Any:
     if kind in ("layout", "several") and array.ndim:
         return LAYOUTS[draw(st.sampled_from(sorted(LAYOUTS)))](array)
     return array
-
-
-# --- What is called ---
 
 
 @functools.cache

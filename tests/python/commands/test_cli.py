@@ -45,9 +45,6 @@ def without_priors(left_out: list[str]) -> list[str]:
     return [entry for entry in left_out if not entry.startswith(("prior", "surroundings", "lamps"))]
 
 
-# decompose
-
-
 @pytest.mark.parametrize("form", ["float EXR", "JPEG"])
 def test_decompose_tells_what_it_read(tmp_path: Path, form: str) -> None:
     suffix, _, _, color = FORMATS[form]
@@ -164,9 +161,6 @@ def test_only_an_earlier_output_is_replaced(folder: Path, command: str, inside: 
     assert sorted(path.name for path in precious.iterdir()) == before
 
 
-# Several scenes
-
-
 @pytest.fixture
 def scenes(tmp_path: Path) -> Path:
     for name in ("one", "two"):
@@ -187,9 +181,6 @@ def test_equal_names_and_taken_outputs_are_refused_before_any_work(
     said = refused("decompose", scenes, "--out", out, *FEW)
     assert f"{out / 'two'}: expected a folder that does not exist yet" in said
     assert not (out / "one").exists()
-
-
-# The other commands
 
 
 def test_inspect_tells_facts_and_writes_only_the_preview(folder: Path, tmp_path: Path) -> None:
@@ -365,9 +356,6 @@ def test_demo(tmp_path: Path) -> None:
     assert ran("demo", out, "--size", 8, "--lights", 3, *FEW, *again) == Ran(0, "", "")
     for folder in (out / "result", out / "scene" / "truth"):
         assert not Lighting.load(folder / "lighting.json").coefficients[:, 9:].any()
-
-
-# Usage
 
 
 def test_version_as_a_module() -> None:

@@ -250,9 +250,6 @@ def test_float32_holds_no_infinity(room: Path, tmp_path: Path) -> None:
     assert found.max() == np.finfo(np.float32).max
 
 
-# Turntables
-
-
 def test_frames_in_a_folder(room: Path, tmp_path: Path) -> None:
     out = tmp_path / "frames"
     turn = ("relight", room, "--light", "-30,20", "--out", out, "--turntable")
@@ -311,9 +308,6 @@ def test_animations(room: Path, tmp_path: Path, suffix: str, kind: str) -> None:
             else:
                 np.testing.assert_array_equal(found, expected)
     assert out.stat().st_mode & 0o777 == (folder / "frame_0000.png").stat().st_mode & 0o777
-
-
-# Refusals
 
 
 def of_lights(**changes: Any) -> Callable[[Path], None]:

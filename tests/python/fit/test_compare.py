@@ -43,9 +43,6 @@ def compared(choice: Choice) -> list[str]:
     return [one.what for one in known(choice.held_out).candidates]
 
 
-# --- Planted scenes ---
-
-
 def test_harmonics_that_leave_nothing_end_the_comparison() -> None:
     choice = choose(room())
     assert choice.explanation == Explanation(None, "sh", 1.0, "auto")
@@ -116,9 +113,6 @@ def test_a_wrong_field_of_view_is_contradicted_and_a_right_one_is_not(
         assert found.assumed["fov"] in said[0]
 
 
-# --- Left-out pictures ---
-
-
 @pytest.mark.parametrize("light", ["sh", "lamps"])
 def test_left_out_pictures_do_not_touch_the_fit_of_the_others(
     light: LightKind, monkeypatch: pytest.MonkeyPatch
@@ -178,9 +172,6 @@ def test_pictures_that_say_nothing_are_never_left_out() -> None:
         weights[0, :pixels] = 1
         few = replace(scene, weights=weights.reshape(8, 12, 12))
         assert [out for _, out in compare._Comparison(few, setup())._folds] == [out]
-
-
-# --- Scores ---
 
 
 def explained(kind: Explanation, errors: Array, rounding: float = 0.0) -> LeftOut:
@@ -253,9 +244,6 @@ def test_rounding_is_noise_of_float32_and_up_to_twice_the_deviation_of_files(
     rmse = settings.EXACT_RMSE * settings.MEAN_RADIANCE
     assert explained(SH, rmse * shared).is_noise == noise
     assert explained(SH, 2 * shared / 255, rounding=1 / 255**2).is_noise == noise
-
-
-# --- Nothing to compare ---
 
 
 def test_nothing_is_compared_where_it_cannot_be_or_all_is_told() -> None:

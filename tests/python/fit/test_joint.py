@@ -101,9 +101,6 @@ def gradient_of(fit: JointFit) -> Array:
     return system[0]
 
 
-# --- The system ---
-
-
 def test_lights_that_no_pixel_sees_stay() -> None:
     found = solver_of(np.diag([1.0, 0.0, 2.0]), 0.0)(np.array([1.0, 0.0, 2.0]))
     np.testing.assert_allclose(found, [1, 0, 1], atol=1e-9)
@@ -174,9 +171,6 @@ def test_what_pieces_say_is_summed(noisy: Scene, monkeypatch: pytest.MonkeyPatch
     np.testing.assert_array_equal(again.x, after)
 
 
-# --- Steps ---
-
-
 @each_prior
 @each_kind
 def test_each_step_lowers_the_sum(noisy: Scene, kind: str, priors: str) -> None:
@@ -224,9 +218,6 @@ def test_a_step_that_is_stopped_is_not_taken(
     np.testing.assert_array_equal(fit.sum_sq, before[1])
 
 
-# --- Pixels that stand out ---
-
-
 def test_a_pixel_in_a_wrong_minimum_is_freed(room: Scene) -> None:
     objective = Objective(room)
     x = at_truth(objective, room)
@@ -249,9 +240,6 @@ def test_where_nothing_stands_out_nothing_is_tried_again(noisy: Scene) -> None:
     retry_outliers(objective, x, sum_sq)
     np.testing.assert_array_equal(x, before)
     assert (sum_sq == 1.0).all()
-
-
-# --- Whole fits ---
 
 
 def test_progress_is_told_of_every_joint_step(room: Scene) -> None:

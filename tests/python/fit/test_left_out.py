@@ -63,9 +63,6 @@ def assert_same_bits(a: pbrfit.Result, b: pbrfit.Result) -> None:
     assert a.metrics == pytest.approx(b.metrics, rel=1e-13)  # weighted means round differently
 
 
-# --- Grey ---
-
-
 def test_grey_pictures_are_fitted_like_colour_pictures_of_equal_channels() -> None:
     scene = in_grey()
     # Beside the last digit of float32, but no longer exactly equal.
@@ -104,9 +101,6 @@ def test_known_lights_in_colour_make_three_channels() -> None:
     assert Objective(dataclasses.replace(scene, lighting=lighting)).channels == 3
 
 
-# --- Order 2, metallic, known lights ---
-
-
 def test_scenes_of_order_two_are_explained_without_band_three() -> None:
     scene = in_color(sh_order=2)
     start = (truth_of(scene).materials, lights_of(scene))
@@ -141,9 +135,6 @@ def test_given_metallic_explains_pictures_of_it(metallic: float) -> None:
     assert result.metrics["recon_rmse"] <= 1e-7
     wrong = pbrfit.decompose(scene, **options, metallic=1 - metallic)
     assert wrong.metrics["recon_rmse"] > 1e-3
-
-
-# --- Weights ---
 
 
 @pytest.mark.slow

@@ -26,9 +26,6 @@ def noisy() -> Scene:
     return make_scene("room", size=24, lights=8, noise=0.01, seed=2001, held_out=2)
 
 
-# --- Every s-th row and column ---
-
-
 def level_of(valid: NDArray[np.bool_], at_most: int) -> Level:
     whole: Any = SimpleNamespace(layout=SimpleNamespace(valid=valid), restricted=lambda _: None)
     return Level.of(whole, at_most)
@@ -86,9 +83,6 @@ def test_patches_are_squares_that_cover_a_level_once(height: int, width: int) ->
         assert (here == here[:, :1]).all()
 
 
-# --- Even shares ---
-
-
 @pytest.mark.parametrize("count", [0, 5, 19_999, 20_000, 20_001, 23_456, 1 << 20])
 def test_evenly_spaced_indices_are_distinct_and_favour_no_column(count: int) -> None:
     most = 20_000
@@ -117,9 +111,6 @@ def test_evenly_spaced_over_labels() -> None:
     assert (of_labels == 1).sum() >= 40
     np.testing.assert_array_equal(evenly_spaced_over(labels, 10**5), np.arange(10_000))
     assert len(evenly_spaced_over(np.arange(1000), 100)) == 100
-
-
-# --- The objective of some pixels ---
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -58,9 +58,6 @@ def off_grey(deviation: float) -> NDArray[np.float64]:
     return np.asarray(np.random.default_rng(0).normal(size=(N, 16, 1)) * colors)
 
 
-# --- What is left out ---
-
-
 def test_a_scene_that_has_all_leaves_out_nothing() -> None:
     assert needs(scene()) == ()
     assert chosen_priors(ParameterLayout.of(scene()), ALL) == ALL
@@ -158,9 +155,6 @@ def test_idle_priors_have_no_weight(of: pbrfit.Scene, idle: set[str]) -> None:
     assert {name for name in prior_names() if getattr(found, name) == 0} == idle
     penalties = Objective(of, priors=found).penalties
     assert [p.name for p in penalties] == [p.name for p in Objective(of, priors=ALL).penalties]
-
-
-# --- Rules ---
 
 
 def test_deviation_from_grey_by_hand() -> None:

@@ -142,8 +142,6 @@ class Seen(Example):
             assert error <= share * norm, f"{name} misses by {error:.3g}, norm {norm:.3g}"
 
 
-# --- Against the reference ---
-
 SIZES = [
     # pixels, pictures: around a vector, around one and more blocks of 128
     *((pixels, 3) for pixels in (1, 15, 16, 17, 127, 128, 129, 255, 256, 257, 300, 513)),
@@ -238,9 +236,6 @@ def test_residuals_of_chosen_pixels() -> None:
     assert case.fast().residuals(case.x(), chosen[:0]).shape == (5, 0, 3)
 
 
-# --- Arrays and threads of the caller ---
-
-
 def test_calls_from_several_python_threads() -> None:
     case = Seen(pixels=2000)
     problem = case.fast(2)
@@ -269,9 +264,6 @@ def test_arrays_of_the_caller_stay_the_callers() -> None:
     kept = before[1].copy()
     before[1][:] = 0
     np.testing.assert_array_equal(problem.value_and_grad(x)[1], kept)
-
-
-# --- Refusals ---
 
 
 GOOD = Seen(Kind(), 20, 2)

@@ -70,9 +70,6 @@ def test_a_turn_that_all_normals_have_in_common_costs_next_to_nothing() -> None:
     assert 300 * cost_of(prior, common, 1.0) < cost_of(prior, scattered, 1.0)
 
 
-# ----------------------------------------------------------------------------------------- sigma
-
-
 def chain(steps: Array) -> tuple[NDArray[np.intp], Array]:
     """A picture of one row whose neighbours differ by `steps` (P − 1, 2)."""
     return np.arange(len(steps) + 1)[None], np.concatenate([np.zeros((1, 2)), steps.cumsum(axis=0)])
@@ -147,9 +144,6 @@ def test_pixels_without_neighbours_tell_nothing_of_sigma() -> None:
     assert prior.fitted(offsets, np.ones(3)).sigma == 0.11
     np.testing.assert_array_equal(prior.conditional(offsets, 1.0)[0], 0)
     assert (prior.conditional(offsets, 1.0)[1] > 0).all()
-
-
-# ---------------------------------------------------------------------------------- neighbourhood
 
 
 def test_neighbours_across_an_edge_need_not_be_alike() -> None:

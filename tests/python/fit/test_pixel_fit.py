@@ -253,9 +253,6 @@ def test_more_starts_never_end_higher() -> None:
     assert (ends[-1] < ends[0] * (1 - 1e-3)).any()
 
 
-# --- With normals ---
-
-
 def away(example: Example, degrees: float) -> Array:
     """Tangent offsets (P, 2) at which normals are so far from the true ones."""
     angle = np.random.default_rng(1).uniform(0, 2 * np.pi, (example.pixels, 1))
@@ -349,6 +346,3 @@ def test_a_stiff_prior_draws_tangent_offsets_to_its_mean() -> None:
     found, _ = fit(example, example.x(), mean=mean, precision=precision, **STEPS)
     # A decrease of 1e-14 of what there was to begin with is taken for rounding.
     np.testing.assert_allclose(found[:, -2:], 0.5 * example.offsets, atol=1e-7)
-
-
-# --- Arguments ---

@@ -107,9 +107,6 @@ def slow_values(of: ParameterLayout, x: Array) -> dict[str, float]:
     return found
 
 
-# --- Values and gradients ---
-
-
 @every_layout
 def test_values_are_those_of_the_definition(name: str) -> None:
     of = LAYOUTS[name]
@@ -222,9 +219,6 @@ def test_exposure_and_number_of_pictures_do_not_change_monochrome() -> None:
     assert found[1:] == pytest.approx(found[:1] * 2, rel=1e-6)
 
 
-# --- Segment ids ---
-
-
 @pytest.mark.parametrize(
     "ids",
     [
@@ -253,9 +247,6 @@ def test_more_segments_than_16_bits_hold() -> None:
     assert found["smoothness"] == pytest.approx(0.3 * pairs * 1e-4)
 
 
-# --- Priors ---
-
-
 @pytest.mark.parametrize("name", prior_names())
 @pytest.mark.parametrize("weight", [-1e-9, np.nan, np.inf, "1", "auto", True, [1.0], 1j])
 def test_unusable_weights_are_named(name: str, weight: Any) -> None:
@@ -272,9 +263,6 @@ def test_weights_are_plain_numbers() -> None:
     assert set(dataclasses.astuple(Priors.none())) == {0.0}
     assert Priors().monochrome is None
     assert Priors().material is None
-
-
-# --- In the objective ---
 
 
 def scene_of(**options: Any) -> pbrfit.Scene:
@@ -294,9 +282,6 @@ def test_the_loss_is_data_and_penalties() -> None:
     assert loss == pytest.approx(data + sum(values), rel=1e-14)
     np.testing.assert_allclose(by_loss, by_data + gradient, rtol=1e-14, atol=1e-18)
     assert objective.data_value_and_grad(x)[0] == data
-
-
-# --- One light for all channels ---
 
 
 def test_known_lights_in_colour_are_refused_by_mono_light() -> None:

@@ -81,9 +81,6 @@ def same(one: Result, other: Result) -> None:
     assert one.metrics == other.metrics
 
 
-# --------------------------------------------------------------------------------- what is found
-
-
 @pytest.fixture(scope="module")
 def room() -> Scene:
     return right(20, 8)
@@ -172,9 +169,6 @@ def test_asked_for_or_not_no_more_is_left_than_by_the_given_ones(options: dict[s
         np.testing.assert_array_equal(on.normals, scene.normals)
 
 
-# ------------------------------------------------------------------------------------- few means
-
-
 @pytest.mark.parametrize("limit", [0.0, 1e-3, 0.05, 0.3])
 def test_a_short_time_leaves_a_finite_answer_that_says_so(limit: float) -> None:
     scene = small()
@@ -233,9 +227,6 @@ def test_true_normals_are_found_again(asked: RefineNormals, size: int) -> None:
     if asked == "auto":
         assert not found.refinement.refined
         same(found, decompose(scene, refine_normals="off", **options))
-
-
-# --------------------------------------------------------------------------------- other options
 
 
 @pytest.mark.slow

@@ -42,9 +42,6 @@ def result() -> Result:
     return refined(decompose(scene(), iterations=5))
 
 
-# ----------------------------------------------------------------------------------------- decision
-
-
 def test_two_pictures_cannot_determine_normals_and_three_can() -> None:
     made = scene(3)
     assert hindrance(made) is None
@@ -72,9 +69,6 @@ def test_two_pictures_leave_normals_as_given(asked: str, caplog: pytest.LogCaptu
     said = [record.getMessage() for record in caplog.records]
     # Who asks for it by name is told before the fit; by default it is in the summary.
     assert said == ([f"normals are not refined: {reason}"] if asked == "on" else [])
-
-
-# ------------------------------------------------------------------------------------------- result
 
 
 def test_the_change_is_the_angle_between_given_and_refined_normals(result: Result) -> None:
@@ -226,9 +220,6 @@ def test_missing_layers_of_given_normals_are_named(result: Result, tmp_path: Pat
         Result.load(tmp_path / "out")
 
 
-# --------------------------------------------------------------------------------------- downstream
-
-
 def test_relighting_and_export_take_the_refined_normals(result: Result, tmp_path: Path) -> None:
     light, given = result.lighting[0], result.given_normals
     assert given is not None
@@ -247,9 +238,6 @@ def test_relighting_and_export_take_the_refined_normals(result: Result, tmp_path
         normal_x[result.mask], result.normals[..., 0][result.mask].astype(np.float32)
     )
     assert "normal_given.X" in part.channels
-
-
-# ----------------------------------------------------------------------------------------- commands
 
 
 def folder_of(path: Path, pictures: int, **changes: Any) -> Path:
@@ -304,9 +292,6 @@ def test_inspect_says_whether_normals_can_be_refined_and_how_far_off_they_are(
     said = capsys.readouterr().out
     assert "normal error      7.2 degrees (median), 7.2 (95 %), from uncertainty.Y\n" in said
     assert "refine normals    possible\n" in said
-
-
-# ----------------------------------------------------------------------------------------- the page
 
 
 def page_of(result: Result, path: Path) -> Page:

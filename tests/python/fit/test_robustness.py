@@ -37,9 +37,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-# Same bits
-
-
 def comparable(out: Path) -> dict[str, Any]:
     """Contents of a result folder, timings apart."""
     content: dict[str, Any] = {
@@ -111,9 +108,6 @@ def test_materials_do_not_depend_on_exposure_by_a_power_of_2(exponent: int, solv
     np.testing.assert_array_equal(result.history["loss"], reference.history["loss"])
     recon = reference.history["recon_rmse"] * factor
     np.testing.assert_array_equal(result.history["recon_rmse"], recon)
-
-
-# Stops when told
 
 
 def test_a_time_limit_ends_with_a_whole_result(scene: Path, tmp_path: Path) -> None:
@@ -192,8 +186,6 @@ def test_a_signal_stops_within_a_second_and_leaves_what_was_there(
     assert found == ({f"out/{part}" for part in parts} if old else set())
     assert old or not list(tmp_path.iterdir())
 
-
-# Forks
 
 WORKERS = """
 import multiprocessing, sys, threading

@@ -49,9 +49,6 @@ def notes_of(result: Result) -> str:
     return "; ".join(stage.note for stage in result.stages if stage.note)
 
 
-# --- Exact ---
-
-
 def test_pictures_without_noise_are_explained_to_their_last_bit() -> None:
     scene = in_float64(room())
     scene = dataclasses.replace(scene, images=scene.images.astype(np.float32))
@@ -88,9 +85,6 @@ def test_gauss_newton_leaves_less_than_lbfgsb(size: int) -> None:
     )
     assert by_squares.history["loss"][-1] < paper.history["loss"][-1]
     assert by_squares.metrics["recon_rmse"] < paper.metrics["recon_rmse"]
-
-
-# --- Where the model does not fit ---
 
 
 def wrong_fov() -> tuple[Scene, dict[str, Any]]:
@@ -157,9 +151,6 @@ def test_gauss_newton_does_not_end_above_lbfgsb(case: str) -> None:
         for solver in SOLVERS
     )
     assert ours <= (1.03 if case in GAPS else 1 + 1e-6) * paper
-
-
-# --- What is said about it ---
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

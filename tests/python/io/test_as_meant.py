@@ -29,8 +29,6 @@ RGB16 = RGB8.astype(np.uint16) * 257 + 3
 FLOAT = RNG.random((41, 53, 3)).astype(np.float32)
 
 
-# TIFF
-
 TILES: dict[str, Any] = {"planarconfig": "separate", "tile": (16, 16)}
 
 
@@ -162,9 +160,6 @@ def test_pages_that_follow_each_other_for_ever(tmp_path: Path) -> None:
         images.read_data(path)
 
 
-# Radiance HDR
-
-
 WIDE: NDArray[np.uint8] = RNG.integers(128, 256, (5, 9, 4), dtype=np.uint8)
 WIDE[..., 3] = 129
 RADIANCE = WIDE[..., :3] / 256 * 2
@@ -233,9 +228,6 @@ def test_the_header_of_an_hdr_file_counts(
     assert len(picture.notes) == (factors != (1, 1, 1))
 
 
-# EXR
-
-
 XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
 AP0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
 AP1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
@@ -292,9 +284,6 @@ def test_a_white_without_light_is_refused(tmp_path: Path, white: Any, message: s
     OpenEXR.File({"chromaticities": (*XYZ[:6], *white)}, {"RGB": FLOAT}).write(path)
     with pytest.raises(InputError, match=rf"a\.exr: chromaticities: expected .*{message}"):
         images.read_picture(path)
-
-
-# Colour without a profile
 
 
 def power(exponent: float) -> NDArray[np.float64]:

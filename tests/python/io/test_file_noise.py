@@ -40,9 +40,6 @@ def noise_of(picture: images.Picture, size: tuple[int, int] | None = None) -> Fi
     return known(picture.stored).noise(size or (height, width))
 
 
-# Rounding
-
-
 @pytest.mark.parametrize("space", ["srgb", "linear", "display-p3"])
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_rounding_is_off_by_its_standard_deviation(tmp_path: Path, space: Any, kind: Any) -> None:
@@ -78,9 +75,6 @@ def test_the_mean_of_n_has_a_deviation_less_by_their_root(tmp_path: Path) -> Non
     whole = noise_of(picture).deviation(picture.pixels)[0, 0]
     small = noise_of(picture, (16, 12)).deviation(picture.pixels[:16, :12])
     np.testing.assert_allclose(small, np.broadcast_to(whole / 3, small.shape), rtol=1e-5)
-
-
-# JPEG
 
 
 @pytest.mark.parametrize("kind", ["textured", "room"])
@@ -183,9 +177,6 @@ def test_other_components_than_three(tmp_path: Path, mode: str) -> None:
     assert (file_noise.read_tables(data, 1) is not None) == (mode == "L")
     assert file_noise.read_tables(data[:200], 1) is None
     assert file_noise.read_tables(b"", 3) is None
-
-
-# In scenes
 
 
 def test_the_noise_floor_of_scenes(tmp_path: Path) -> None:

@@ -80,9 +80,6 @@ def interlaced_png(grey: NDArray[np.uint8]) -> bytes:
     return png_of_chunks(idat, size=grey.shape[::-1], interlaced=1)
 
 
-# Integer pictures
-
-
 def tiff(pixels: NDArray[Any], **options: Any) -> Callable[[Path], object]:
     """Write a TIFF by tifffile."""
     return lambda path: tifffile.imwrite(path, pixels, **{"photometric": "rgb", **options})
@@ -299,9 +296,6 @@ def test_damaged_exif_is_not_used(tmp_path: Path) -> None:
         assert picture.pixels.shape == RGB8.shape
 
 
-# Colour
-
-
 ONE_PIXEL = chunk(b"IDAT", zlib.compress(b"\0\x80"))
 
 
@@ -437,9 +431,6 @@ def test_a_colour_chunk_that_is_not_followed_is_logged(
     [record] = caplog.records
     note = "cICP chunk (primaries 9, transfer 16) is ignored"
     assert record.getMessage() == f"{path}: read as sRGB; its {note}"
-
-
-# Float pictures
 
 
 @pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64])
@@ -614,9 +605,6 @@ def test_subsampled_and_deep_exr_are_refused(tmp_path: Path) -> None:
         images.read_channels(path)
 
 
-# Data and ids
-
-
 def test_data_is_never_decoded(tmp_path: Path) -> None:
     path = save_png(tmp_path / "n.png", RGB8, icc_profile=srgb_profile())
     data = images.read_data(path)
@@ -650,9 +638,6 @@ def test_ids_are_the_stored_integers(tmp_path: Path) -> None:
         np.testing.assert_array_equal(images.read_ids(tmp_path / "p.png"), indices)
     Image.fromarray(RGB8[..., 0] > 99).save(tmp_path / "one.png")
     np.testing.assert_array_equal(images.read_ids(tmp_path / "one.png"), RGB8[..., 0] > 99)
-
-
-# Writing
 
 
 def test_openexr_reads_what_is_written(tmp_path: Path) -> None:
@@ -748,9 +733,6 @@ def test_a_picture_in_the_place_of_a_folder_leaves_nothing_behind(tmp_path: Path
     with pytest.raises(OSError, match="taken"):
         images.write_exr(tmp_path / "taken", {"Y": FLOAT[..., 0]})
     assert [path.name for path in tmp_path.rglob("*")] == ["taken"]
-
-
-# Files that cannot be read
 
 
 @pytest.mark.parametrize(

@@ -153,9 +153,6 @@ def test_settings_are_read_as_editors_save_them(tmp_path: Path, encoding: str, e
     assert read_settings(path).fov == 40.5
 
 
-# Bounds
-
-
 def sparse(path: Path, start: bytes, size: int) -> Path:
     """A file that takes no room on disk."""
     path.write_bytes(start)

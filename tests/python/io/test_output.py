@@ -118,9 +118,6 @@ def test_files_and_places_that_cannot_be_written_are_named(old: Path) -> None:
     assert sorted(tree(old)) == ["dangling", "old.txt"]
 
 
-# Files
-
-
 def test_a_file_appears_when_done_with_new_parents(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "out.txt"
     with new_file(path) as file:

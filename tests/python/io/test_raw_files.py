@@ -235,9 +235,6 @@ def test_maps_are_in_no_raw_file(tmp_path: Path, read: Any) -> None:
         read(written(tmp_path))
 
 
-# With LibRaw
-
-
 @pytest.fixture
 def libraw() -> None:
     pytest.importorskip("rawpy")

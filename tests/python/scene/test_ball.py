@@ -41,9 +41,6 @@ def lights(images: NDArray[Any], *balls: Ball, fov: float = 40.0, **options: Any
     return lights_of_balls(images, options.pop("limits", None), NAMES, balls, fov, **options)
 
 
-# Geometry
-
-
 def test_in_perspective_normals_are_those_of_a_sphere_in_space() -> None:
     """Whose outline is an ellipse."""
     fov, centre, radius = 40.0, np.array([1.2, 0.6, -6.0]), 0.8
@@ -79,9 +76,6 @@ def test_from_far_away_perspective_is_orthographic() -> None:
     far, none = (sphere_normals(BALL, SIZE, fov, columns, rows)[0] for fov in (0.01, 0.0))
     inside = np.hypot(columns - BALL.x, rows - BALL.y) < 0.98 * BALL.radius
     np.testing.assert_allclose(far[inside], none[inside], atol=2e-3)
-
-
-# Where it is
 
 
 @pytest.mark.parametrize("fov", [0.0, 40.0])
@@ -130,9 +124,6 @@ def test_pixels_that_are_no_numbers_do_no_harm() -> None:
 def test_circles_beyond_the_picture_are_refused(circle: Any, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         checked_ball(circle[0], circle[1], circle[2], SIZE)
-
-
-# What it shows
 
 
 @pytest.mark.parametrize("fov", [0.0, 40.0])

@@ -48,9 +48,6 @@ def furnished(size: int = 96) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return world("room", 3, size, size, FOV)[:2]
 
 
-# Checks
-
-
 def test_a_scene_without_depth_has_none() -> None:
     assert scene(None, tilted(0)[1]).depth is None
 
@@ -82,9 +79,6 @@ def test_what_is_no_distance_becomes_unknown_and_is_told() -> None:
 def test_depth_that_cannot_be_used_is_refused(depth: Any, said: str) -> None:
     with pytest.raises(InputError, match=said):
         scene(depth, tilted(0)[1])
-
-
-# Inverse depth
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1.0, 255.0])
@@ -143,9 +137,6 @@ def test_depth_that_contradicts_the_normals_either_way_is_told(
     assert "contradict" not in caplog.text
 
 
-# Averaged down
-
-
 @pytest.mark.parametrize(
     ("side", "error"), [(30, 1e-6), (20, 1e-6), (15, 1e-6), (24, 3e-3), (13, 3e-3)]
 )
@@ -166,9 +157,6 @@ def test_nothing_is_averaged_across_a_jump() -> None:
     assert np.isin(known, [2.0, 2.5, 6.0]).all()
     assert found[0, 0] == 2.5  # the one sample there
     assert np.isnan(found).sum() == 3
-
-
-# Folders
 
 
 def saved(folder: Path, **changes: Any) -> tuple[Path, Scene]:
@@ -248,9 +236,6 @@ def test_normals_of_the_depth_of_a_plane_are_its_normals() -> None:
     found, known = from_depth(depth, fov=FOV)
     assert known.all()
     np.testing.assert_allclose(found, normals, atol=1e-9)
-
-
-# What is told
 
 
 def test_inspect_tells_what_the_depth_is_like(tmp_path: Path) -> None:

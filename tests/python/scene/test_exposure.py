@@ -43,9 +43,6 @@ def brighter(scene: pbrfit.Scene, picture: int, factor: float) -> pbrfit.Scene:
     return dataclasses.replace(scene, images=images, truth=truth)
 
 
-# --- What pictures are divided by ---
-
-
 def test_means_are_of_valid_samples_by_their_weight() -> None:
     rng = np.random.default_rng(0)
     weights = rng.uniform(0, 1, (N, SIZE, SIZE)).astype(np.float32)
@@ -82,9 +79,6 @@ def test_pictures_of_no_light_are_left_to_the_objective() -> None:
         Objective(scene, equal_exposures=True)
 
 
-# --- The objective ---
-
-
 def test_the_loss_is_that_of_inverse_square_weights() -> None:
     scene = brighter(made(noise=0.02), 2, 16.0)
     objective = Objective(scene, threads=1)
@@ -118,8 +112,6 @@ def test_gradient(known: bool) -> None:
     numeric, _ = ridders(along, 0.1)
     assert gradient @ direction == pytest.approx(numeric, rel=1e-4)
 
-
-# --- The fit ---
 
 ONE_WAY: dict[str, Any] = {"priors": None, "robust": "none", "light": "sh"}
 

@@ -118,9 +118,6 @@ def test_rendered_scenes_have_none(kind: str, noise: float) -> None:
     assert clipped.assumed["exposure"].startswith("of the values 1 % overexposed")
 
 
-# What a Scene takes
-
-
 def scene_of(limits: object) -> Scene:
     normals = np.broadcast_to([0.0, 0.0, 1.0], (SIDE, SIDE, 3))
     return Scene(images=np.minimum(pictures(2), 0.9), normals=normals, limits=limits)  # type: ignore[arg-type]

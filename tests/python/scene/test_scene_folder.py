@@ -64,9 +64,6 @@ def write_mask(path: Path, white: Any) -> None:
     images.write_png(path, np.where(white, 255, 0).astype(np.uint8), tag=None)
 
 
-# What is read
-
-
 @pytest.mark.parametrize("form", FORMATS)
 def test_formats_colour_and_hashes(tmp_path: Path, form: str) -> None:
     suffix, _, error, color = FORMATS[form]
@@ -299,9 +296,6 @@ def test_alpha_and_mask_leave_pixels_out(folder: Path) -> None:
     assert "mask.png" in scene.inputs
 
 
-# --- What integer files cannot hold ---
-
-
 def write_codes(folder: Path, codes: NDArray[np.uint8]) -> None:
     """Pictures of these 8-bit codes (N, H, W, 3) in place of the folder's."""
     for path in (folder / "images").iterdir():
@@ -444,9 +438,6 @@ def test_limits_are_saved_with_the_pictures(tmp_path: Path, limit: int) -> None:
     np.testing.assert_array_equal(loaded.limits, limits)
     room().save(tmp_path / "none")
     assert Scene.load(tmp_path / "none").limits is None
-
-
-# --- Weights ---
 
 
 def some_weights() -> NDArray[np.float32]:
@@ -650,9 +641,6 @@ def test_near_misses_are_named(folder: Path, caplog: pytest.LogCaptureFixture) -
     assert "light_intensities.txt: not read; strengths of lamps are fitted" in strengths.message
 
 
-# Smaller size
-
-
 def test_max_size_averages_pictures_normals_and_takes_whole_pixels_only(folder: Path) -> None:
     white = np.ones((SIZE, SIZE), bool)
     white[0, 0] = white[5, :3] = False
@@ -685,9 +673,6 @@ def test_max_size_is_the_longer_side(folder: Path, max_size: int, size: tuple[in
     scene = Scene.load(folder, max_size=max_size)
     assert scene.images.shape == (LIGHTS, *size, 3)
     np.testing.assert_allclose(scene.images.mean(), room().images.mean(), rtol=0.1)
-
-
-# Round trip
 
 
 def test_save_and_load_give_the_same_scene(tmp_path: Path) -> None:
@@ -756,9 +741,6 @@ def test_more_segments_than_a_file_holds_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^segments: expected at most 65535 to save, found 66049"):
         scene.save(tmp_path / "scene")
     assert not list(tmp_path.iterdir())
-
-
-# What is refused
 
 
 def cut(path: Path) -> None:
@@ -885,9 +867,6 @@ def test_a_file_name_that_no_text_file_can_hold_is_refused(folder: Path) -> None
     picture.rename(picture.with_name(os.fsdecode(b"caf\xe9.exr")))
     with pytest.raises(InputError, match=r"scene: names: expected names in UTF-8, found 'caf"):
         Scene.load(folder)
-
-
-# How far off normals are
 
 
 def test_uncertainty_of_normals_is_read_averaged_and_saved(folder: Path, tmp_path: Path) -> None:
