@@ -385,15 +385,6 @@ def test_an_output_that_exists(room: Path, tmp_path: Path) -> None:
     done(*command, out, "--overwrite")
     with Image.open(out) as picture:
         assert picture.size == (16, 16)
-    photos = tmp_path / "photos"
-    photos.mkdir()
-    (photos / "photo.jpg").write_text("another")
-    again = ("--turntable", 2, "--overwrite")
-    assert "expected an earlier output to replace" in refused(*command, photos, *again)
-    (tmp_path / "folder.png").mkdir()
-    said = refused(*command, tmp_path / "folder.png")
-    assert "expected a file or nothing, found a folder" in said
-    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_what_is_read_is_not_overwritten(room: Path, pano: Path) -> None:

@@ -183,28 +183,6 @@ def test_figures_that_are_no_numbers_are_null_in_the_file(result: Result, tmp_pa
     assert found["spread_degrees"] == 3.0
 
 
-@pytest.mark.parametrize(
-    "broken",
-    [
-        {"asked": "perhaps"},
-        {"refined": "yes"},
-        {"why": None},
-        {"figures": {"noise": "low"}},
-        {"figures": None},
-    ],
-)
-def test_a_decision_that_nobody_wrote_is_refused(
-    result: Result, tmp_path: Path, broken: dict[str, Any]
-) -> None:
-    result.save(tmp_path / "out")
-    file = tmp_path / "out" / "result.json"
-    content = json.loads(file.read_text("utf-8"))
-    content["normals"] |= broken
-    file.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(InputError, match=r"result\.json: expected what pbrfit writes"):
-        Result.load(tmp_path / "out")
-
-
 def test_missing_layers_of_given_normals_are_named(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
     plain = dataclasses.replace(result, refinement=NOT_ASKED, given_normals=None)
@@ -250,24 +228,15 @@ def test_the_command_refines_if_need_be_unless_it_is_told_otherwise(
 ) -> None:
     folder, out = folder_of(tmp_path / "scene", 2), tmp_path / "out"
     reason = hindrance(scene(2))
-    for options, asked in (((), "auto"), (("--refine-normals", "off"), "off")):
+    for asked in ("auto", "off", "on"):
         fit = ("decompose", folder, "--out", out, "--iterations", 1, "--overwrite", "--verbose")
-        assert run(*fit, *options) == 0
-        why = "not asked for" if asked == "off" else reason
-        assert f"\nnormals: left as given: {why}\n" in capsys.readouterr().out
+        assert run(*fit, *(("--refine-normals", asked) if asked != "auto" else ())) == 0
+        why, said = "not asked for" if asked == "off" else reason, capsys.readouterr()
+        assert f"\nnormals: left as given: {why}\n" in said.out
+        assert (f"normals are not refined: {reason}\n" in said.err) == (asked == "on")  # early
         content = json.loads((out / "result.json").read_text("utf-8"))
         assert content["options"]["refine_normals"] == content["normals"]["asked"] == asked
         assert content["normals"]["why"] == why
-
-
-def test_the_command_says_early_that_what_was_asked_for_cannot_be_done(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, out = folder_of(tmp_path / "scene", 2), tmp_path / "out"
-    options = ("--iterations", 1, "--refine-normals", "on")
-    assert run("decompose", folder, "--out", out, *options) == 0
-    assert f"normals are not refined: {hindrance(scene(2))}\n" in capsys.readouterr().err
-    assert run("decompose", folder, "--out", out, "--refine-normals", "perhaps") == 2
 
 
 def test_the_summary_tells_what_was_refined(result: Result) -> None:

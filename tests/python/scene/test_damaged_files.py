@@ -274,6 +274,10 @@ def result(saved: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(saved, tmp_path / "result"))
 
 
+REFINED = {"asked": "on", "refined": True, "why": "", "figures": {}}
+SOURCE = {"path": "x", "color_space": None, "max_size": None, "code_range": [1, 250]}
+
+
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
@@ -288,7 +292,20 @@ def result(saved: Path, tmp_path: Path) -> Path:
         ("stages", [[]], "TypeError"),
         ("options", {"k" * 10_000: 1}, "options "),
         ("inputs", {"a": None}, "in place of a text"),
-        ("normals", {"asked": "on", "refined": 1, "why": "", "figures": {}}, "true or false"),
+        ("normals", REFINED | {"refined": 1}, "true or false"),
+        *(
+            (key, written | {name: value}, "expected what pbrfit writes")
+            for key, written, name, value in (
+                ("normals", REFINED, "asked", "perhaps"),
+                ("normals", REFINED, "why", None),
+                ("normals", REFINED, "figures", None),
+                ("normals", REFINED, "figures", {"noise": "low"}),
+                ("scene", SOURCE, "path", 3),
+                ("scene", SOURCE, "color_space", "film"),
+                ("scene", SOURCE, "code_range", [1]),
+                ("scene", SOURCE, "orientation", 3),
+            )
+        ),
     ],
 )
 def test_a_result_of_other_types_is_refused(

@@ -16,7 +16,6 @@ from pbrfit import InputError, Scene
 from pbrfit.fit.tiles.windows import Window, cut
 from pbrfit.io import images
 from pbrfit.model import geometry
-from pbrfit.model.depth_normals import from_depth
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
 from pbrfit.scene.depth import compared, reduced
@@ -46,10 +45,6 @@ def scene(depth: Any, normals: Any, **changes: Any) -> Scene:
 def furnished(size: int = 96) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depth and normals of a synthetic room."""
     return world("room", 3, size, size, FOV)[:2]
-
-
-def test_a_scene_without_depth_has_none() -> None:
-    assert scene(None, tilted(0)[1]).depth is None
 
 
 def test_what_is_no_distance_becomes_unknown_and_is_told() -> None:
@@ -178,16 +173,6 @@ def test_saved_depth_comes_back_and_is_an_input(tmp_path: Path) -> None:
     assert read.assumed["depth"].endswith("0.011 % of the pixels unknown")
 
 
-@pytest.mark.parametrize("channel", ["Z", "Y", "depth.V", "View.Depth.Z"])
-def test_depth_is_read_by_its_channel(tmp_path: Path, channel: str) -> None:
-    folder, made = saved(tmp_path / "scene")
-    assert made.depth is not None
-    images.write_exr(
-        folder / "depth.exr", {channel: made.depth, "R": 0 * made.depth, "N.Z": made.depth}
-    )
-    np.testing.assert_array_equal(Scene.load(folder).depth, made.depth)
-
-
 def test_depth_of_numpy_is_read(tmp_path: Path) -> None:
     folder, made = saved(tmp_path / "scene")
     np.save(folder / "depth.npy", known(made.depth))
@@ -229,13 +214,6 @@ def test_a_part_of_a_scene_has_its_part_of_the_depth() -> None:
         part = cut(whole, window)
         np.testing.assert_array_equal(part.depth, window.of(known(whole.depth)))
     assert cut(scene(None, normals), window).depth is None
-
-
-def test_normals_of_the_depth_of_a_plane_are_its_normals() -> None:
-    depth, normals = tilted(55)
-    found, known = from_depth(depth, fov=FOV)
-    assert known.all()
-    np.testing.assert_allclose(found, normals, atol=1e-9)
 
 
 def test_inspect_tells_what_the_depth_is_like(tmp_path: Path) -> None:

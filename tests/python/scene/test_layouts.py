@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -280,15 +279,3 @@ def test_what_is_no_flat_field_frame_is_refused(tmp_path: Path, how: str) -> Non
     spoil(folder)
     with pytest.raises(InputError, match=message):
         Scene.load(folder)
-
-
-def test_pictures_of_a_ball_that_hold_no_number_are_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    folder = write_folder(tmp_path / "scene")
-    spoiled = room().images[0].copy()
-    spoiled[2, 3] = np.nan
-    write_exr(folder / "images" / "light_00.exr", spoiled)
-    with caplog.at_level(logging.WARNING, "pbrfit"):
-        assert read_pictures(folder)[0].pixels[0, 2, 3].tolist() == [0, 0, 0]
-    assert "1 pixels that are NaN or infinite left out" in caplog.text

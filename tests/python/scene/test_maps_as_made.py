@@ -19,6 +19,7 @@ from pbrfit.io.depth_files import read_depth
 from pbrfit.io.normal_files import read_normals
 from pbrfit.model.geometry import angles_between
 from pbrfit.scene.folder import digests
+from pbrfit.scene.reading import read_pictures
 from scene_files import LIGHTS, SIZE, known, room, write_exr, write_folder
 from scene_files import run as run_command
 
@@ -248,6 +249,8 @@ def test_depth_keeps_the_unit_of_its_file(folder: Path, tmp_path: Path) -> None:
     (("R", "G", "B", "A", "V.Depth.V", "V.Normal.Z"), "V.Depth.V"),
     (("Z", "V.Depth.Z", "Y"), "Z"),
     (("z", "R"), "z"),
+    (("depth.V", "R", "N.Z"), "depth.V"),
+    (("Y", "R", "N.Z"), "Y"),
     (("rgba.R", "rgba.Z", "P.Z", "V.Mist.Z"), "rgba.Z"),
     (("R", "B", "left.depth"), "left.depth"),
     (("VRayZDepth.R", "R", "N.Z"), "VRayZDepth.R"),
@@ -300,6 +303,9 @@ def test_single_samples_that_are_no_numbers_are_left_out(
     said = f"{LIGHTS + 1} pixels that are NaN or infinite left out"
     assert said in scene.assumed["gaps"]
     assert f"images: {said}" in caplog.text
+    caplog.clear()
+    assert not read_pictures(folder)[0].pixels[:, 4, 5].any()
+    assert said in caplog.text
     assert np.isfinite(Scene.load(folder, max_size=SIZE // 2).images).all()
     for count, usable in ((SIZE * SIZE // 2 - 1, True), (SIZE * SIZE // 2, False)):
         picture = room().images[0].reshape(-1, 3).copy()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pbrfit import InputError, Scene
+from pbrfit import Scene
 from pbrfit.io.color import decode_srgb, encode_srgb
 from pbrfit.io.limits import AT_LEAST, AT_MOST
 from pbrfit.scene.plateaus import NEXT_VALUES, plateaus
@@ -136,16 +136,3 @@ def test_given_limits_stay() -> None:
     np.testing.assert_array_equal(known(scene.limits), limits)
     assert not scene.valid[5, 6]
     assert np.count_nonzero(~scene.valid) == 1
-
-
-@pytest.mark.parametrize(
-    ("limits", "message"),
-    [
-        (np.zeros((2, SIDE, SIDE)), "limits: expected shape"),
-        (np.full((2, SIDE, SIDE, 3), 3), "limits: expected 0, 1 or 2"),
-        (np.ones((2, SIDE, SIDE, 3)), "limits: expected some sample at no limit in every picture"),
-    ],
-)
-def test_limits_that_cannot_be_used(limits: NDArray[np.floating], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        scene_of(limits)

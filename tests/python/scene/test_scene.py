@@ -125,6 +125,12 @@ BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
         },
         "picture_01: expected finite pixels, found 1 .* row 2, column 3",
     ),
+    "limits of another size": ({"limits": np.zeros((N, H, W))}, "limits: expected shape"),
+    "another limit": ({"limits": np.full((N, H, W, 3), 3)}, "limits: expected 0, 1 or 2"),
+    "limits alone": (
+        {"limits": np.ones((N, H, W, 3))},
+        "limits: expected some sample at no limit in every picture",
+    ),
     "sigma of another size": (
         {"normal_sigma": np.ones((H, W + 1))},
         r"normal_sigma: expected shape \(3, 4\), found \(3, 5\)",
