@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from pbrfit.ending import SIGNALS
+from processes import running
 from scene_files import known, tree
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
@@ -73,21 +74,11 @@ UNFINISHED = {
 
 
 @contextlib.contextmanager
-def running(script: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """A process that has said "ready"; it does not outlive the test."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", BEGIN + script, str(folder)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    try:
+def ready(script: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that has said "ready"."""
+    with running(sys.executable, "-c", BEGIN + script, folder) as process:
         assert known(process.stdout).readline() == "ready\n", process.communicate(timeout=PATIENCE)
         yield process
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @pytest.fixture
@@ -106,7 +97,7 @@ def test_what_is_unfinished_goes_away_while_a_call_keeps_the_interpreter(
     before = tree(here)
     # Between "ready" and the call Python may have its turn: then the call goes on all the same.
     script = "for one in ending.SIGNALS: signal.signal(one, lambda *_: None)\n"
-    with running(script + UNFINISHED[work] + f" ready(); {FOREVER}\n", here) as process:
+    with ready(script + UNFINISHED[work] + f" ready(); {FOREVER}\n", here) as process:
         process.send_signal(number)
         _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 128 + number
@@ -120,7 +111,7 @@ def test_the_second_signal_does_not_wait(here: Path) -> None:
         "signal.signal(signal.SIGINT, lambda *_: None)\n"
         f"with new_folder(here / 'out'):\n ready(); {FOREVER}\n"
     )
-    with running(script, here) as process:
+    with ready(script, here) as process:
         process.send_signal(signal.SIGINT)
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(1.0)
@@ -137,7 +128,7 @@ def test_other_signals_end_nothing(here: Path) -> None:
         "time.sleep(2 * ending.GRACE)\n"
         "print('there')\n"
     )
-    with running(script, here) as process:
+    with ready(script, here) as process:
         stdout, stderr = process.communicate(timeout=PATIENCE)
     assert (process.returncode, stdout, stderr) == (0, "there\n", "")
 
@@ -158,7 +149,7 @@ def test_renames_that_belong_together_are_waited_for(here: Path) -> None:
         "late()\n"
         "time.sleep(60)\n"
     )
-    with running(script, here) as process:
+    with ready(script, here) as process:
         assert process.wait(PATIENCE) == 128 + signal.SIGTERM
     # Python had its turn before the process was ended, in the middle of what belongs together.
     assert tree(here)["out/whole.txt"] == "whole"
@@ -177,7 +168,7 @@ def test_a_forked_child_ends_without_its_parent(here: Path) -> None:
         "ready()\n"
         "time.sleep(2 * ending.GRACE)\n"
     )
-    with running(script, here) as process:
+    with ready(script, here) as process:
         assert process.wait(PATIENCE) == 0
 
 
@@ -192,7 +183,7 @@ def test_the_command_says_so_once(here: Path, number: signal.Signals) -> None:
         "decompose.run = fit\n"
         "sys.argv = ['pbrfit', 'decompose', 'x', '--out', 'y']; cli.run()\n"
     )
-    with running(script, here) as process:
+    with ready(script, here) as process:
         process.send_signal(number)
         _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 128 + number

@@ -39,6 +39,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
 from relit import card
+from result_files import layers_of as exr
 from scene_files import known
 
 HEIGHT, WIDTH = 10, 12
@@ -148,11 +149,6 @@ def unfiltered(
         paeth = min((abs(p - a), 0, a), (abs(p - b), 1, b), (abs(p - c), 2, c))[2]
         found[i] = (int(value) + (0, a, b, (a + b) // 2, paeth)[kind]) % 256
     return found.astype(np.uint8)
-
-
-def exr(path: Path) -> dict[str, NDArray[np.float32]]:
-    [part] = OpenEXR.File(str(path), separate_channels=True).parts
-    return {name: channel.pixels for name, channel in part.channels.items()}
 
 
 def codes(values: NDArray[Any], bits: int) -> NDArray[Any]:

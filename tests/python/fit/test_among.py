@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import reference
-from among import Among, Surroundings
+from among import Among, Surroundings, open_rows
 from finite_differences import ridders
 from pbrfit import _core
 from pbrfit.model.reflection import MODELS
@@ -74,10 +74,7 @@ def gradient_of_the_slow_model(example: Among) -> tuple[float, Array, Array]:
 def test_the_slow_model_is_that_of_the_open_sky_where_nothing_is(model: str, channels: int) -> None:
     """Its factors times the rows of the open sky are the weights of the core's reference."""
     example = Among(Surroundings(model=model, channels=channels, bounce=False), PIXELS)
-    core = _core.Surroundings(np.empty((0, 3, 3), np.float32), np.empty(0, np.uint8))
-    example.rows = core.transfer(
-        np.zeros((PIXELS, 3)), example.given, example.views, example.everything, rays=1, model=model
-    )[0]
+    example.rows = open_rows(example.given, example.views, model)
     weights = _core.shade(example.given, example.views, *contiguous(example), model=model)
     weights = weights[:, :channels]
     np.testing.assert_allclose(example.slopes()[1], weights, rtol=0, atol=1e-6)
@@ -253,32 +250,6 @@ def test_the_lights_system_is_that_of_the_slow_model(system: str) -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_same_bits_at_any_number_of_threads(model: str) -> None:
-    example = Among(Surroundings(model=model, weights=3), 3000, 5, noise=0.1)
-    x, everything = example.x(), example.everything
-    nodes = np.linspace(0.1, 1, 5), np.linspace(0, 1, 3)
-
-    def all_of_it(threads: int) -> list[Any]:
-        problem = example.problem(threads)
-        moves = np.random.default_rng(0).normal(size=example.lights.size)
-        kept = problem.kept_system(x, everything, damping=1e-3)
-        return [
-            *problem.value_and_grad(x),
-            problem.residuals(x, everything),
-            *problem.fit_materials(x, everything, *nodes),
-            *problem.normal_equations(x, everything),
-            *problem.light_equations(x[: 5 * 3000]),
-            kept.gradient,
-            kept.product(moves),
-            problem.back_substitute(x, everything, moves, damping=1e-3),
-            problem.material_grid(x, everything, *nodes),
-        ]
-
-    for one, two in zip(all_of_it(1), all_of_it(2), strict=True):
-        np.testing.assert_array_equal(one, two)
-
-
-@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("bounce", [False, True])
 def test_pictures_are_those_of_the_slow_model(model: str, bounce: bool) -> None:
     example = Among(Surroundings(model=model, bounce=bounce), PIXELS, 4)
@@ -298,15 +269,7 @@ def test_pictures_are_those_of_the_slow_model(model: str, bounce: bool) -> None:
 def test_the_rows_of_the_open_sky_change_rounding_alone() -> None:
     for model in MODELS:
         example = Among(Surroundings(model=model, bounce=False), PIXELS, 5, noise=0.2)
-        core = _core.Surroundings(np.empty((0, 3, 3), np.float32), np.empty(0, np.uint8))
-        rows, _ = core.transfer(
-            np.zeros((PIXELS, 3)),
-            example.given,
-            example.views,
-            example.everything,
-            rays=1,
-            model=model,
-        )
+        rows = open_rows(example.given, example.views, model)
         among, without = example.problem(transfer=rows), example.problem(transfer=None)
         for a, b in zip(
             among.value_and_grad(example.x()), without.value_and_grad(example.x()), strict=True

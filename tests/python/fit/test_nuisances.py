@@ -22,6 +22,7 @@ from pbrfit.result.camera import Camera
 from pbrfit.result.options import Response
 from pbrfit.scene.correction import Correction
 from pbrfit.synthetic import make_scene
+from result_files import CONTRADICTED
 from scene_files import known
 from scene_kinds import at_truth
 
@@ -148,13 +149,7 @@ def test_unknown_stays_unknown_on_the_way_through_a_folder(tmp_path: Path) -> No
         Camera(60.0, "given"),
         Camera(62.25, "fitted", 1.1),
         Camera(60.0, "assumed"),
-        Camera(
-            60.0,
-            "given",
-            contradicted=True,
-            response="linear",
-            figures={"other_fov_degrees": 88.0, "other_fov_sigma": 2.0},
-        ),
+        replace(CONTRADICTED, response="linear"),
     ],
 )
 def test_result_json_holds_the_camera(camera: Camera, tmp_path: Path) -> None:

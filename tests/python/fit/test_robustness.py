@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import json
 import os
@@ -10,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ import pytest
 from pbrfit import Result, Scene, decompose
 from pbrfit.result.options import SOLVERS, Solver
 from pbrfit.synthetic import make_scene
+from processes import running
 from result_files import WITH_REPORT
 from scene_files import room, run
 
@@ -123,24 +122,6 @@ def test_a_time_limit_ends_with_a_whole_result(scene: Path, tmp_path: Path) -> N
     assert 0.3 <= result.seconds < 5
 
 
-@contextlib.contextmanager
-def running(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
-    """Run the command in a process that can be interrupted, and that does not outlive the test."""
-    process = subprocess.Popen(
-        [*PBRFIT, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # A shell gives processes in the background SIGINT ignored, which would be inherited.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
 @pytest.mark.parametrize(
     ("command", "old", "number"),
@@ -165,7 +146,7 @@ def test_a_signal_stops_within_a_second_and_leaves_what_was_there(
         arguments = ("demo", out, "--size", "64")
     # The other solvers are done before the signal comes.
     arguments = (*arguments, "--solver", "lbfgsb", "--iterations", "1000000", "--overwrite")
-    with running(*arguments) as process:
+    with running(*PBRFIT, *arguments) as process:
         deadline = time.monotonic() + PATIENCE
         while not list(tmp_path.glob(".pbrfit-*")):
             assert process.poll() is None, process.communicate()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from among import Among, Surroundings
 from pbrfit import Priors, decompose
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.result.options import Solver
 from pbrfit.synthetic import make_scene
-from random_pixels import Array, Example, Kind, Pixels
+from random_pixels import Example, Kind, Pixels
 from scene_files import known
 
 both_models = pytest.mark.parametrize("model", MODELS)
@@ -28,10 +30,13 @@ KINDS = (
 
 
 @both_models
-@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("kind", [*KINDS, Surroundings(weights=3)], ids=str)
 def test_of_a_problem(kind: Kind, model: Model) -> None:
     count = 1500
-    example = Example(kind, count, 5, noise=0.02)
+    if isinstance(kind, Surroundings):
+        kind = dataclasses.replace(kind, model=model)
+    make = Among if isinstance(kind, Surroundings) else Example
+    example = make(kind, count, 5, noise=0.02)
     rng = np.random.default_rng(4)
     x = example.x(np.clip(example.truth + rng.normal(0, 0.1, example.truth.shape), 0, 1))
     maps = x[: kind.unknowns * count]
@@ -49,7 +54,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
     nodes = np.linspace(0.05, 1, 6), np.linspace(0, 1, 4)
     lights: dict[str, Any] = {"damping": 1e-3, "mono": kind.mono}
 
-    def of_pixels(threads: int, pixels: Pixels) -> list[Array]:
+    def of_pixels(threads: int, pixels: Pixels) -> list[Any]:
         problem = example.problem(threads, model=model)
         own: dict[str, Any] = {name: values[pixels] for name, values in prior.items()}
         of_clusters = {name: tied[name][pixels] for name in ("precision", "deviation")}
@@ -58,6 +63,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
             *problem.fit_materials(x, pixels, *nodes, starts=2, exact_steps=3, **own),
             *problem.normal_equations(x, pixels),
             *problem.derivatives(x, pixels),
+            problem.material_grid(x, pixels, *nodes),
             problem.moves_with_lights(x, pixels, covariances[pixels], modes),
             problem.back_substitute(x, pixels, moves, **lights, **of_clusters),
         ]

@@ -20,6 +20,7 @@ from pbrfit.result.light_sides import ASIDE, ONE_SIDE, main_directions, one_side
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, Verdict, capped, level_of
 from pbrfit.synthetic import make_scene
+from result_files import CONTRADICTED
 from scene_files import known
 
 AROUND = np.array([(1.0, 0, 0), (-1, 0, 0), (0, 1, 0), (0, 0, 1)])
@@ -95,15 +96,7 @@ def test_no_more_than_a_few_are_named(good: Result) -> None:
         (Camera(60.0, "assumed"), "is a guess, 60 degrees: the true one (option fov) would help"),
         (Camera(52.0, "fitted", advice.FOV_DOUBTED), None),
         (Camera(52.0, "fitted", 1.01 * advice.FOV_DOUBTED), "52 ± 5 degrees, fitted: the true one"),
-        (
-            Camera(
-                60.0,
-                "given",
-                contradicted=True,
-                figures={"other_fov_degrees": 40.0, "other_fov_sigma": 1.0},
-            ),
-            "but the pictures fit far better with about 40.0 ± 1.0: see",
-        ),
+        (CONTRADICTED, "but the pictures fit far better with about 88 ± 2: see"),
     ],
 )
 def test_a_doubtful_field_of_view(good: Result, camera: Camera, said: str | None) -> None:

@@ -17,7 +17,7 @@ from pbrfit import InputError, Result, Scene, Status, decompose
 from pbrfit.model.reflection import DEFAULT_MODEL
 from pbrfit.result.options import Priors
 from pbrfit.synthetic import make_scene
-from result_files import FILES, KEYS
+from result_files import FILES, KEYS, layers_of
 from scene_files import known
 
 SIZE = 12
@@ -59,9 +59,8 @@ def test_files_and_layers_as_another_reader_sees_them(result: Result, tmp_path: 
     result.save(tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == FILES
 
-    [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
-    assert set(part.channels) == LAYERS
-    layers = {name: channel.pixels for name, channel in part.channels.items()}
+    layers = layers_of(tmp_path / "out" / "materials.exr")
+    assert set(layers) == LAYERS
     assert all(layer.dtype == np.float32 for layer in layers.values())
     assert all(np.isfinite(layer).all() for layer in layers.values())
     mask = masked_scene(truth=False).valid
@@ -287,8 +286,7 @@ def test_depth_of_the_scene_goes_through_fit_and_file(tmp_path: Path) -> None:
     expected = depth  # outside the mask, too, where things block light
     np.testing.assert_array_equal(known(found.depth), expected)
     found.save(tmp_path / "out")
-    [part] = OpenEXR.File(str(tmp_path / "out" / "materials.exr"), separate_channels=True).parts
-    stored = part.channels["depth.Z"].pixels
+    stored = layers_of(tmp_path / "out" / "materials.exr")["depth.Z"]
     assert stored[2, 3] == 0  # unknown
     assert stored[0, 0] == 2.5  # outside the mask
     loaded = Result.load(tmp_path / "out")
