@@ -148,6 +148,15 @@ def png_chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
+def png_of(
+    size: tuple[int, ...], *chunks: tuple[bytes, bytes], kind: int = 0, interlaced: int = 0
+) -> bytes:
+    """An 8-bit PNG of (width, height), grey by default, whose header these chunks follow."""
+    header = struct.pack(">IIBBBBB", *size, 8, kind, 0, 0, interlaced)
+    every = ((b"IHDR", header), *chunks, (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*one) for one in every)
+
+
 def _inside(rng: Random, kind: bytes, body: bytes) -> bytes:
     """Damage what is deflated at the end of a chunk."""
     start = 0

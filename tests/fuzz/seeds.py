@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 
-from fuzz.damage import png_chunk
+from fuzz.damage import png_of
 from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
 from pbrfit.scene.scene import Scene
@@ -95,17 +95,16 @@ def png() -> Iterator[Seed]:
     yield _single("png palette", _pil(rgb.quantize(13), "PNG", transparency=b"\x80\xff"))
     yield _single("png rgb16", bytes(images.encode_png(_noise(3, np.uint16), tag="srgb")))
     yield _single("png grey16", bytes(images.encode_png(_noise(1, np.uint16), tag="linear")))
-    yield _single("png interlaced", _interlaced())
+    yield _single("png interlaced", interlaced(_noise(1)[..., 0]))
 
 
-def _interlaced() -> bytes:
-    grey = _noise(1)[..., 0]
+def interlaced(grey: NDArray[np.uint8]) -> bytes:
+    """Adam7, which Pillow reads but does not write: passes made by hand."""
     passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2),
               (0, 1, 1, 2))  # fmt: skip
-    rows = (b"\0" + row.tobytes() for x, y, dx, dy in passes for row in grey[y::dy, x::dx])
-    header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 0, 0, 0, 1)
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(b"".join(rows))), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(kind, body) for kind, body in chunks)
+    rows = (b"\0" + r.tobytes() for x, y, dx, dy in passes for r in grey[y::dy, x::dx] if r.size)
+    pixels = zlib.compress(b"".join(rows))
+    return png_of(grey.shape[::-1], (b"IDAT", pixels), interlaced=1)
 
 
 def jpeg() -> Iterator[Seed]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
@@ -14,8 +13,10 @@ import OpenEXR
 import pytest
 import tifffile
 from numpy.typing import NDArray
-from PIL import Image, ImageCms
+from PIL import Image
 
+from fuzz import seeds
+from fuzz.damage import png_chunk
 from pbrfit._core import InputError
 from pbrfit.batch.prediction import picture_size
 from pbrfit.io import color, images, radiance
@@ -309,11 +310,7 @@ def png(path: Path, **chunks: bytes) -> None:
     """A PNG with chunks behind its header, without a profile."""
     Image.fromarray(RGB8).save(path)
     data = path.read_bytes()
-    more = b""
-    for name, body in chunks.items():
-        kind = name.encode()
-        more += struct.pack(">I", len(body)) + kind + body
-        more += struct.pack(">I", zlib.crc32(kind + body))
+    more = b"".join(png_chunk(name.encode(), body) for name, body in chunks.items())
     path.write_bytes(data[:33] + more + data[33:])
 
 
@@ -384,8 +381,7 @@ def test_primaries_of_a_png_that_are_none_are_refused(tmp_path: Path) -> None:
 def test_adobe_rgb_by_exif(
     tmp_path: Path, form: str, tags: Image.Exif, profile: str | None, expected: Any, told: str
 ) -> None:
-    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    more = {} if profile is None else {"icc_profile": srgb}
+    more = {} if profile is None else {"icc_profile": seeds.profile()}
     path = tmp_path / "a"
     flat = np.full((16, 16, 3), (200, 40, 90), np.uint8)
     Image.fromarray(flat).save(path, form, exif=tags.tobytes(), **more)

@@ -19,9 +19,10 @@ import OpenEXR
 import pytest
 import tifffile
 from numpy.typing import NDArray
-from PIL import Image, ImageCms, ImageOps
+from PIL import Image, ImageOps
 
 from fuzz import seeds
+from fuzz.damage import png_of
 from pbrfit._core import InputError
 from pbrfit.io import color, images
 from pbrfit.io.limits import AT_LEAST, AT_MOST
@@ -56,30 +57,6 @@ def save_png(path: Path, array: NDArray[Any], **options: Any) -> Path:
     return path
 
 
-def chunk(kind: bytes, body: bytes) -> bytes:
-    """Of a PNG file."""
-    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-
-def png_of_chunks(*chunks: bytes, size: tuple[int, int] = (1, 1), interlaced: int = 0) -> bytes:
-    """An 8-bit grey PNG of (width, height) whose header these chunks follow."""
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", *size, 8, 0, 0, 0, interlaced))
-    return b"".join([b"\x89PNG\r\n\x1a\n", header, *chunks, chunk(b"IEND", b"")])
-
-
-def interlaced_png(grey: NDArray[np.uint8]) -> bytes:
-    """Adam7, which Pillow reads but does not write: passes made by hand."""
-    passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2))
-    raw = b"".join(
-        b"\0" + row.tobytes()
-        for x, y, dx, dy in (*passes, (0, 1, 1, 2))
-        for row in grey[y::dy, x::dx]
-        if row.size
-    )
-    idat = chunk(b"IDAT", zlib.compress(raw))
-    return png_of_chunks(idat, size=grey.shape[::-1], interlaced=1)
-
-
 def tiff(pixels: NDArray[Any], **options: Any) -> Callable[[Path], object]:
     """Write a TIFF by tifffile."""
     return lambda path: tifffile.imwrite(path, pixels, **{"photometric": "rgb", **options})
@@ -99,7 +76,7 @@ INTEGERS: dict[str, tuple[Callable[[Path], object], NDArray[Any]]] = {
     "16-bit grey.png": (pillow(GREY16), GREY16),
     "palette.png": (PALETTE.save, np.asarray(PALETTE.convert("RGB"))),
     "1-bit.png": (pillow(GREY8 > 99), 255 * (GREY8 > 99).astype(np.uint8)),
-    "interlaced.png": (lambda path: path.write_bytes(interlaced_png(GREY8)), GREY8),
+    "interlaced.png": (lambda path: path.write_bytes(seeds.interlaced(GREY8)), GREY8),
     "deflated.tif": (tiff(RGB16, compression="deflate"), RGB16),
     "big-endian.tif": (tiff(RGB16, byteorder=">"), RGB16),
     "planar.tif": (tiff(np.moveaxis(RGB16, -1, 0), planarconfig="separate"), RGB16),
@@ -296,13 +273,6 @@ def test_damaged_exif_is_not_used(tmp_path: Path) -> None:
         assert picture.pixels.shape == RGB8.shape
 
 
-ONE_PIXEL = chunk(b"IDAT", zlib.compress(b"\0\x80"))
-
-
-def srgb_profile() -> bytes:
-    return bytes(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
-
-
 def icc(space: bytes, tags: dict[bytes, bytes], pcs: bytes = b"XYZ ") -> bytes:
     """A minimal ICC profile, version 4.3."""
     start = 128 + 4 + 12 * len(tags)
@@ -340,7 +310,7 @@ def icc_rgb(primaries: color.Primaries, curve: bytes) -> bytes:
 
 @pytest.mark.parametrize(("name", "kind"), [("a.png", "PNG"), ("a.tif", "TIFF"), ("a.jpg", "JPEG")])
 def test_an_srgb_profile_changes_nothing(tmp_path: Path, name: str, kind: str) -> None:
-    Image.fromarray(RGB8).save(tmp_path / name, icc_profile=srgb_profile())
+    Image.fromarray(RGB8).save(tmp_path / name, icc_profile=seeds.profile())
     tagged = images.read_picture(tmp_path / name)
     assert tagged.color == f"ICC profile of the 8-bit {kind}"
     assert tagged.curve_told
@@ -386,7 +356,7 @@ def test_unusable_profiles_are_refused_but_can_be_overruled(tmp_path: Path) -> N
     lab = icc(b"GRAY", white | {b"kTRC": icc_gamma(1.5)}, pcs=b"Lab ")
     cases = {
         "a damaged one": b"nonsense" * 30,
-        "a damaged one.*": srgb_profile()[:200],
+        "a damaged one.*": seeds.profile()[:200],
         "one for Cmyk pictures": icc(b"CMYK", white),
         "one made of lookup tables only": icc(b"RGB ", white),
         "one that connects through Lab": lab,
@@ -400,7 +370,7 @@ def test_unusable_profiles_are_refused_but_can_be_overruled(tmp_path: Path) -> N
 
 
 def test_a_given_color_space_decides(tmp_path: Path) -> None:
-    path = save_png(tmp_path / "a.png", RGB8, icc_profile=srgb_profile())
+    path = save_png(tmp_path / "a.png", RGB8, icc_profile=seeds.profile())
     picture = images.read_picture(path, color_space="linear")
     np.testing.assert_array_equal(picture.pixels, (RGB8 / 255).astype(np.float32))
     assert picture.color == "linear (as asked for)"
@@ -423,7 +393,8 @@ def test_a_colour_chunk_that_is_not_followed_is_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "a.png"
-    path.write_bytes(png_of_chunks(chunk(b"cICP", bytes([9, 16, 0, 1])), ONE_PIXEL))
+    pixel = zlib.compress(b"\0\x80")
+    path.write_bytes(png_of((1, 1), (b"cICP", bytes([9, 16, 0, 1])), (b"IDAT", pixel)))
     with caplog.at_level(logging.WARNING, logger="pbrfit"):
         picture = images.read_picture(path)
         images.read_picture(path, color_space="linear")  # the user knows: no word about it
@@ -447,7 +418,7 @@ def test_float_tiff_is_linear(
     tifffile.imwrite(path, pixels[..., 0], compression="deflate")
     np.testing.assert_array_equal(images.read_picture(path).pixels[..., 2], pixels[..., 0])
     assert not caplog.records
-    tiff(pixels, iccprofile=srgb_profile())(path)
+    tiff(pixels, iccprofile=seeds.profile())(path)
     with caplog.at_level(logging.WARNING, logger="pbrfit"):
         np.testing.assert_array_equal(images.read_picture(path).pixels, pixels)
     assert "ICC profile is ignored because it is a float file" in caplog.text
@@ -606,7 +577,7 @@ def test_subsampled_and_deep_exr_are_refused(tmp_path: Path) -> None:
 
 
 def test_data_is_never_decoded(tmp_path: Path) -> None:
-    path = save_png(tmp_path / "n.png", RGB8, icc_profile=srgb_profile())
+    path = save_png(tmp_path / "n.png", RGB8, icc_profile=seeds.profile())
     data = images.read_data(path)
     assert data.dtype == np.float64
     np.testing.assert_array_equal(data, RGB8 / 255)

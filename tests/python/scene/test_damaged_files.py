@@ -18,7 +18,7 @@ import pytest
 import tifffile
 from PIL import Image, ImageCms
 
-from fuzz.damage import png_chunk
+from fuzz.damage import png_of
 from fuzz.task import TASK, work
 from pbrfit import InputError, Result, Scene, decompose
 from pbrfit.acquire import journal
@@ -48,17 +48,10 @@ def refused(read: Callable[[Path], object], path: Path, message: str) -> None:
     assert path.name in told
 
 
-def png(width: int, height: int, *chunks: tuple[bytes, bytes], depth: int = 8) -> bytes:
-    """A palette PNG of these chunks between its first and its last."""
-    head = struct.pack(">IIBBBBB", width, height, depth, 3, 0, 0, 0)
-    every = ((b"IHDR", head), *chunks, (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(kind, body) for kind, body in every)
-
-
 def test_a_decoder_that_panics_prints_nothing(tmp_path: Path) -> None:
     # A palette of no whole colour. In a process of its own, whose output is seen whole.
     data = zlib.compress(b"\0\0\0\0\0\0\0\0\0\0")
-    (tmp_path / "a.png").write_bytes(png(9, 1, (b"PLTE", b"a"), (b"IDAT", data)))
+    (tmp_path / "a.png").write_bytes(png_of((9, 1), (b"PLTE", b"a"), (b"IDAT", data), kind=3))
     code = f"""
 from pbrfit.io import images
 try:
@@ -110,7 +103,7 @@ JPEG_TABLES = b"\xff\xdb\0\x43\0" + bytes([1] * 64)
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("a.png", png(9000, 9000, (b"PLTE", b"abc"), depth=8), "9000 x 9000 pixels in"),
+        ("a.png", png_of((9000, 9000), (b"PLTE", b"abc"), kind=3), "9000 x 9000 pixels in"),
         ("a.hdr", b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 9000 +X 9000\n", "9000 x 9000 pix"),
         (
             "a.jpg",

@@ -51,9 +51,15 @@ def test_what_the_mask_leaves_out_need_not_be_sound() -> None:
     mask[1, 2] = False
     images, normals = with_value((N, H, W, 3), (0, 1, 2, 0), np.nan), FACING.copy()
     normals[1, 2] = np.nan
-    made = scene(images=images, normals=normals, mask=mask)
-    assert np.isnan(made.normals[1, 2]).all()
-    assert np.isfinite(made.normals[mask]).all()
+    for unsound in (np.nan, -1.0, np.inf, 5.0):
+        weights = with_value((N, H, W), (slice(None), 1, 2), unsound)
+        made = scene(images=images, normals=normals, mask=mask, weights=weights)
+        assert np.isnan(made.normals[1, 2]).all()
+        assert np.isfinite(made.normals[mask]).all()
+        np.testing.assert_array_equal(made.valid, mask)
+        np.testing.assert_array_equal(
+            known(made.weights), np.broadcast_to(mask[..., None], (N, H, W, 3))
+        )
 
 
 BAD_ARRAYS: dict[str, tuple[dict[str, Any], str]] = {
@@ -264,16 +270,6 @@ def test_a_value_without_weight_leaves_the_other_channels() -> None:
     weights[1, 0, 0] = 1
     with pytest.raises(InputError, match="picture_01: expected finite pixels"):
         scene(images=images, weights=weights)
-
-
-def test_weights_outside_the_mask_need_not_be_sound() -> None:
-    mask = np.ones((H, W), bool)
-    mask[0] = False
-    weights = np.ones((N, H, W))
-    weights[:, 0] = [np.nan, -1.0, np.inf, 5.0]
-    made = scene(mask=mask, weights=weights)
-    np.testing.assert_array_equal(made.valid, mask)
-    np.testing.assert_array_equal(made.weights, np.broadcast_to(mask[..., None], (N, H, W, 3)))
 
 
 def test_how_far_off_normals_are_is_kept_in_degrees() -> None:
