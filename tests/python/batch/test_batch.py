@@ -42,7 +42,7 @@ from pbrfit.synthetic import make_scene
 from processes import alive, until, waiting_at
 from scene_files import FORMATS, SIZE, known, lights_of, room, run, write_folder
 
-FEW = ("--iterations", 0)
+FEW = ("--iterations", 0, "--no-report")
 
 NAMES = ("one", "two", "drei ä 面")
 

@@ -27,7 +27,7 @@ from pbrfit.result.result import RESULT_FOLDER
 from processes import NOBODY, ROOT, alive, as_nobody_special, closed, until
 from scene_files import write_folder
 
-FEW = ("--iterations", 0)
+FEW = ("--iterations", 0, "--no-report")
 
 
 def result_folder(path: Path, word: str) -> Path:

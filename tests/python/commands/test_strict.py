@@ -15,7 +15,7 @@ from pbrfit.result.result import Result
 from pbrfit.result.verdict import PARAMETERS, USABLE_MAX, Verdict, level_of
 from scene_files import known, write_folder
 
-FEW = ("--iterations", 0, "--quiet")
+FEW = ("--iterations", 0, "--no-report", "--quiet")
 LIMIT = USABLE_MAX["albedo"]
 
 

@@ -29,9 +29,9 @@ FEW: dict[str, Any] = {"iterations": 2, "uncertainty": False, "equal_exposures":
 
 def room_scene() -> Scene:
     """The box room under three lights from above, with what blocks them; a part has no pixels."""
-    seen = box_room(40)
+    seen = box_room(28)
     mask = seen.mask.copy()
-    mask[:, :6] = False
+    mask[:, :4] = False
     depth = -seen.points[..., 2].astype(np.float32)
     scenery = Scenery(depth, seen.normals, seen.mask, seen.segments, 65.0)
     shape = mask.shape

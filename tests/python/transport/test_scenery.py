@@ -78,7 +78,7 @@ def lamps(count: int, seed: int = 3) -> Array:
 
 @both_models
 def test_pictures_are_linear_in_the_light(model: Model) -> None:
-    seen = two_boxes()
+    seen = two_boxes(20)
     scenery, materials = scenery_of(seen, FOV["boxes"]), random_materials(seen.mask.shape)
     one, other = lamps(2)
     lights = np.stack([one, other, one + other, -2 * one])
