@@ -28,7 +28,7 @@ Pixels = NDArray[np.uint64]
 
 @pytest.fixture(scope="module")
 def room() -> Scene:
-    return make_scene("room", size=24, lights=8, noise=0.01, seed=2000, held_out=4)
+    return make_scene("room", size=18, lights=8, noise=0.01, seed=2000, held_out=4)
 
 
 def some_point(objective: Objective, rng: np.random.Generator) -> Array:

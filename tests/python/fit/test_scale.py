@@ -21,9 +21,9 @@ uncompared = pytest.mark.usefixtures("uncompared")
 SEEDS = (301, 303, 305)
 
 
-def room(seed: int, size: int = 32, noise: float = 0.01) -> Scene:
+def room(seed: int, size: int = 32, noise: float = 0.01, lights: int = 10) -> Scene:
     """A room of three walls and two spheres."""
-    return make_scene("room", size=size, lights=16, seed=seed, noise=noise)
+    return make_scene("room", size=size, lights=lights, seed=seed, noise=noise)
 
 
 def relative_scale(lighting: np.ndarray, scene: Scene) -> np.ndarray:
@@ -50,7 +50,7 @@ def around(result: Result, column: int, row: int) -> np.ndarray:
 @pytest.fixture(scope="module")
 def noisy() -> list[tuple[Scene, Result]]:
     """Fits of rooms with noise."""
-    scenes = (room(seed, 48) for seed in SEEDS)
+    scenes = (room(seed, 48, lights=16) for seed in SEEDS)
     return [(scene, decompose(scene)) for scene in scenes]
 
 
