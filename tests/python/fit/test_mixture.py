@@ -238,7 +238,6 @@ def test_squares_and_prior_together_are_lowered(room: Scene, kind: str) -> None:
     after = fmin_l_bfgs_b(
         lambda x: objective.value_and_grad(x), x, bounds=list(objective.bounds), maxiter=100
     )[1]
-    print(f"{kind}: {before:.4g}, {loss:.4g}, {after:.4g}")
     assert loss - after < 0.05 * (before - loss)
 
 

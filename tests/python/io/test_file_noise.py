@@ -92,7 +92,6 @@ def test_errors_of_jpeg_are_predicted(tmp_path: Path, kind: str, chroma: str, qu
         true_squares += float(np.square(ordinary * (picture.pixels - true)).sum())
         found_squares += float(np.square(ordinary * deviation).sum())
     ratio = np.sqrt(found_squares / true_squares)
-    print(f"{kind} {chroma} {quality}: {ratio:.2f} of the errors")
     # What was lost with chroma is extrapolated.
     assert ratio == pytest.approx(1, abs=0.2 if chroma == "4:4:4" else 0.3)
 
@@ -117,7 +116,6 @@ def test_what_jpeg_loses_of_one_view_is_alike_in_all_pictures(
         predicted.append(noise.correlation)
     of_mean = np.square(np.mean(errors, axis=0)).mean() / np.square(errors).mean()
     measured = (len(errors) * of_mean - 1) / (len(errors) - 1)
-    print(f"{quality} {chroma}: {measured:.2f}, predicted {np.mean(predicted):.2f}")
     assert np.mean(predicted) == pytest.approx(measured, abs=0.15)
 
 
@@ -130,7 +128,6 @@ def test_errors_of_averaged_jpeg_are_predicted(tmp_path: Path, size: int, off: f
     pixels, expected = (averaged_channels(one, (size, size)) for one in (picture.pixels, true))
     deviation = noise_of(picture, (size, size)).deviation(pixels)
     ratio = np.sqrt(np.square(deviation).mean() / np.square(pixels - expected).mean())
-    print(f"{size}: {ratio:.2f}")
     assert ratio == pytest.approx(1, abs=off)
 
 

@@ -53,10 +53,6 @@ def test_what_all_pictures_share_goes(tmp_path: Path, form: str) -> None:
     assert scene.response is None  # values that something was subtracted from have one curve
 
 
-def test_without_one_nothing_is_said(tmp_path: Path) -> None:
-    assert "dark frame" not in Scene.load(write_folder(tmp_path / "scene")).assumed
-
-
 def test_noise_below_it_stays_negative_and_can_be_fitted(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "scene")
     rng = np.random.default_rng(0)
@@ -137,5 +133,6 @@ def test_what_is_no_dark_frame_is_refused(tmp_path: Path, how: str, message: str
 
 def test_inspect_tells_of_it(tmp_path: Path) -> None:
     folder = glowing(tmp_path / "scene")
+    assert "dark frame" not in done("inspect", folder)
     write_exr(folder / "dark.exr", glow())
     assert "\nassumed dark frame dark.exr subtracted, " in done("inspect", folder)

@@ -190,7 +190,6 @@ def test_bad_arrays_are_named_in_one_line(name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("flip", "cause"),
     [
@@ -201,9 +200,9 @@ def test_bad_arrays_are_named_in_one_line(name: str) -> None:
     ],
 )
 def test_a_flipped_axis_is_named(
-    seed: int, flip: tuple[int, int, int], cause: str, caplog: pytest.LogCaptureFixture
+    flip: tuple[int, int, int], cause: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    made = make_scene("room", size=32, lights=2, held_out=1, seed=seed)
+    made = make_scene("room", size=32, lights=2, held_out=1)
     assert not caplog.records
     with caplog.at_level(logging.WARNING, "pbrfit"):
         Scene(images=made.images, normals=made.normals * flip, fov=made.fov)

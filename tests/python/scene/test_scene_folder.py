@@ -360,13 +360,6 @@ def test_limits_only_where_something_is_used(folder: Path) -> None:
     np.testing.assert_array_equal(scene.valid, white)
 
 
-def test_float_pictures_of_few_values_are_taken_as_they_are(folder: Path) -> None:
-    image = np.zeros((SIZE, SIZE, 3))
-    image[1:] = 70000.0
-    write_exr(folder / "images" / f"{room().names[0]}.exr", image)
-    assert Scene.load(folder).limits is None
-
-
 def test_a_picture_of_which_nothing_is_left_is_named(folder: Path) -> None:
     codes = grey_codes()
     codes[1, : SIZE // 2] = 0
