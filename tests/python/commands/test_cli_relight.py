@@ -18,6 +18,7 @@ from PIL import Image, ImageSequence
 from command_runs import Ran, done, ran, refused
 from pbrfit import DirectionalLight, Environment, Result, relight
 from pbrfit.display import tone
+from pbrfit.display.tone import ToneMap
 from pbrfit.io import images
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting, rotated
@@ -141,17 +142,6 @@ def test_the_command_lights_as_the_library_does(room: Path, pano: Path, tmp_path
         np.testing.assert_allclose(found, radiance, rtol=0, atol=error * np.abs(radiance).max())
 
 
-def test_exposure_and_tone_curve_by_themselves(room: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out.png"
-    facts = said(done("relight", room, "--light", "20,30", "--color", "9,9,9", "--out", out))
-    radiance = relight(Result.load(room), DirectionalLight(20, 30, (9, 9, 9)))
-    exposure = round(-np.log2(np.percentile(radiance, 98)), 1)
-    assert facts["shown"].startswith(f"exposure {exposure:g} EV (by itself), tone map neutral; ")
-    shown = np.rint(255 * tone.encoded(radiance, exposure, "neutral"))
-    with Image.open(out) as picture:
-        np.testing.assert_array_equal(np.asarray(picture), shown)
-
-
 def test_a_turntable_s_exposure_is_that_of_its_brightest_quarter(
     folders: Path, pano: Path, tmp_path: Path
 ) -> None:
@@ -165,23 +155,28 @@ def test_a_turntable_s_exposure_is_that_of_its_brightest_quarter(
 
 
 @pytest.mark.parametrize(
-    ("exposure", "tone_map"), [(0.0, "none"), (-1.5, "none"), (2.0, "neutral")]
+    ("exposure", "tone_map"), [(0.0, "none"), (-1.5, "none"), (2.0, "neutral"), (None, "neutral")]
 )
 def test_png_is_encoded_for_a_screen_and_says_so(
-    room: Path, tmp_path: Path, exposure: float, tone_map: str
+    room: Path, tmp_path: Path, exposure: float | None, tone_map: ToneMap
 ) -> None:
+    """By default at an exposure that is found."""
     out = tmp_path / "out.png"
-    arguments = ("--exposure", exposure, "--tone-map", tone_map)
-    facts = said(done("relight", room, "--light", "20,30", *arguments, "--out", out))
-    radiance = relight(Result.load(room), DirectionalLight(20, 30))
-    shown = np.rint(255 * tone.encoded(radiance, exposure, tone_map))  # type: ignore[arg-type]
+    asked = () if exposure is None else ("--exposure", exposure, "--tone-map", tone_map)
+    light = ("--light", "20,30", "--color", "9,9,9")
+    facts = said(done("relight", room, *light, *asked, "--out", out))
+    radiance = relight(Result.load(room), DirectionalLight(20, 30, (9, 9, 9)))
+    found = round(-float(np.log2(np.percentile(radiance, 98))), 1)
+    ev = found if exposure is None else exposure
+    shown = np.rint(255 * tone.encoded(radiance, ev, tone_map))
     with Image.open(out) as picture:
         assert picture.mode == "RGB"
         assert "srgb" in picture.info
         np.testing.assert_array_equal(np.asarray(picture), shown)
     clipped = 100 * np.mean((shown == 255).any(axis=-1))
     assert facts["shown"].startswith(
-        f"exposure {exposure:g} EV, tone map {tone_map}; {clipped:.1f} % of the pixels are clipped"
+        f"exposure {ev:g} EV{' (by itself)' * (exposure is None)}, tone map {tone_map}; "
+        f"{clipped:.1f} % of the pixels are clipped"
     )
     assert facts["written"] == f"{out}: 16 × 16, sRGB, 8 bits"
 
