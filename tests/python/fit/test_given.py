@@ -61,7 +61,9 @@ def said(scene: Scene) -> tuple[str, str] | None:
 
 
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed", [0, 1, 3, 4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 5))]
+)
 def test_what_is_right_is_not_contradicted_and_what_is_wrong_is(seed: int, known: bool) -> None:
     scene = drawn(seed, known=known)
     assert scene.lamps is not None

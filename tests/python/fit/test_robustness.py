@@ -152,7 +152,7 @@ def test_a_signal_stops_within_a_second_and_leaves_what_was_there(
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < deadline
             time.sleep(0.01)
-        time.sleep(1.0)  # well into the fit
+        time.sleep(0.5)  # well into the fit
         assert not list(out.glob("*")) or old
         sent = time.monotonic()
         process.send_signal(number)
