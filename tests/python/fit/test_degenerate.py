@@ -83,7 +83,12 @@ def wrong(kind: str, seed: int, size: int = 24) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "kind", ["one light", "five copies and another", "black channel", "facing away"]
+    "kind",
+    [
+        *("one light", "black channel"),
+        pytest.param("five copies and another", marks=pytest.mark.slow),
+        pytest.param("facing away", marks=pytest.mark.slow),
+    ],
 )
 def test_no_wrong_map_is_usable(kind: str) -> None:
     assert not wrong(kind, 1, 16)

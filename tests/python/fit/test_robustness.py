@@ -97,9 +97,8 @@ def exposed(factor: float, solver: Solver) -> Result:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("exponent", [-10, 10])
-def test_materials_do_not_depend_on_exposure_by_a_power_of_2(exponent: int, solver: Solver) -> None:
-    factor = 2.0**exponent
+def test_materials_do_not_depend_on_exposure_by_a_power_of_2(solver: Solver) -> None:
+    factor = 2.0**10
     result, reference = exposed(factor, solver), exposed(1.0, solver)
     for name in ("albedo", "roughness", "metallic"):
         np.testing.assert_array_equal(getattr(result, name), getattr(reference, name))
