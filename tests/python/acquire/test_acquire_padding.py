@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -44,6 +44,7 @@ def check_proportions(found: Frame) -> None:
         assert abs(side - scale * whole) <= 0.5 + 1e-9
 
 
+@settings(deadline=None)  # a busy machine is no error
 @given(sides, sides)
 def test_flux_gets_whole_blocks_that_it_neither_cuts_nor_scales(height: int, width: int) -> None:
     found = frame((height, width), FLUX2_KLEIN)
@@ -58,6 +59,7 @@ def test_flux_gets_whole_blocks_that_it_neither_cuts_nor_scales(height: int, wid
         assert found.scaled == found.size  # nothing is scaled that need not be
 
 
+@settings(deadline=None)  # a busy machine is no error
 @given(sides, sides)
 def test_gpt_image_gets_a_size_that_it_takes(height: int, width: int) -> None:
     found = frame((height, width), GPT_IMAGE_2)
