@@ -30,9 +30,6 @@ DIRECTIONS = 400
 
 STEPS = 30
 
-STEP = 1e-5
-"""By which directions differ in differences, a tangent: the cube root of rounding, about."""
-
 RIDGE = 1e-6
 """Added to the diagonal of the linear equations, as a share of their trace."""
 
@@ -123,12 +120,13 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
         normals, albedo, roughness, metallic = surface_of(state)
         surfaces = normals, pixels.views, albedo, roughness, metallic
         frame = tangents(state.lamps.places)[0]
-        beside = np.concatenate([np.zeros((1, 3)), STEP * frame, -STEP * frame])
+        step = np.cbrt(np.finfo(np.float64).eps)  # where differences round as much as they bend
+        beside = np.concatenate([np.zeros((1, 3)), step * frame, -step * frame])
         beside += state.lamps.places
         beside /= np.linalg.norm(beside, axis=-1, keepdims=True)
         directions = np.broadcast_to(beside, (len(pixels), *beside.shape)).copy()
         unit = _core.lamp_radiance(*surfaces, directions, pixels.threads, pixels.model)
-        by_place = (unit[:, 1:3] - unit[:, 3:]).swapaxes(1, 2) / (2 * STEP)
+        by_place = (unit[:, 1:3] - unit[:, 3:]).swapaxes(1, 2) / (2 * step)
         by_ambient = _core.shade(*surfaces, pixels.model).reshape(-1, 3, 16)[..., :terms, None]
         parts = [by_place * state.lamps.colors[0, :, None], unit[:, 0, :, None] * np.eye(3)]
         parts.append((by_ambient * np.eye(3)[:, None]).reshape(len(pixels), 3, -1))

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,8 @@ from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
+
+Given = tuple[Array, Array, NDArray[np.uint8], Array, Array, Array, NDArray[np.uint64], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +201,7 @@ def _ambient(weights: Array, state: LampState) -> Array:
     return sum((weights[:, None, :, j] * state.ambient[:, j] for j in used), np.zeros(()))
 
 
-def given_to_core(pixels: LampPixels, state: LampState, weights: Array) -> tuple[Any, ...]:
+def given_to_core(pixels: LampPixels, state: LampState, weights: Array) -> Given:
     """What pictures show of pixels, with weights (P, N, 3), and the lights of a state."""
     directions, strengths = state.incident(pixels)
     return (
