@@ -59,26 +59,6 @@ ROUNDS = 20
 variances."""
 
 
-@dataclass(frozen=True, eq=False)
-class Left:
-    """What a state leaves of samples, (P, N, 3) each."""
-
-    residuals: Array
-    level: Array
-    """The sample, or `NOISE_MIN`."""
-    values: NDArray[np.bool_]
-    """Those that are data."""
-
-    @classmethod
-    def of(cls, pixels: LampPixels, state: LampState) -> Left:
-        """At a state."""
-        return cls(
-            pixels.residuals(radiance(pixels, state)),
-            np.maximum(pixels.samples, NOISE_MIN),
-            np.asarray(pixels.weights > 0),
-        )
-
-
 class Judged(NamedTuple):
     """What noise makes of samples."""
 
@@ -117,11 +97,12 @@ class Noise:
         floor = NOISE_MIN if proportional else FIRST_FLOOR
         return cls(floor, FIRST_RELATIVE, share, proportional)
 
-    def variance(self, left: Left) -> Array:
+    def variance(self, pixels: LampPixels) -> Array:
         """(P, N, 3): s²."""
-        return np.asarray(self.floor**2 + self.relative**2 * self._growth(left.level))
+        return np.asarray(self.floor**2 + self.relative**2 * self._growth(pixels))
 
-    def _growth(self, level: Array) -> Array:
+    def _growth(self, pixels: LampPixels) -> Array:
+        level = np.maximum(pixels.samples, NOISE_MIN)
         return level**2 if self.proportional else MEAN_RADIANCE * level
 
     def judged(self, pixels: LampPixels, state: LampState) -> Judged:
@@ -149,12 +130,12 @@ class Noise:
 
     def renewed(self, pixels: LampPixels, state: LampState, freedom: float) -> Noise:
         """From what is left; `freedom` is the share that the unknowns have not taken up."""
-        left = Left.of(pixels, state)
-        counted = over_channels(left.values) > 0
+        values = pixels.weights > 0
+        counted = over_channels(values) > 0
         ordinary = probability(self.judged(pixels, state).odds) * counted
-        weights = (ordinary[..., None] * left.values).ravel()
-        squares = np.square(left.residuals).ravel() / freedom
-        bright = self._growth(left.level.ravel())
+        weights = (ordinary[..., None] * values).ravel()
+        squares = np.square(pixels.residuals(radiance(pixels, state))).ravel() / freedom
+        bright = self._growth(pixels).ravel()
         # What highlights leave says nothing of other samples.
         weights = weights * (bright < np.quantile(bright, 0.95))
         floor2, relative2 = self.floor**2, self.relative**2

@@ -34,7 +34,7 @@ from pbrfit.fit.lamps.joint import (
     offsets,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance, surface_of
-from pbrfit.fit.lamps.sample_noise import Left, Noise, over_channels, probability
+from pbrfit.fit.lamps.sample_noise import Noise, over_channels, probability
 from pbrfit.fit.pixels import NEIGHBOURS
 from pbrfit.fit.sampling import beside
 
@@ -194,9 +194,9 @@ def missing_highlights(pixels: LampPixels, state: LampState, noise: Noise) -> ND
 
     They alone may mirror a lamp that their normal does not face yet.
     """
-    left = Left.of(pixels, state)
-    brighter = np.maximum(-over_channels(left.residuals) / 3, 0)
-    return np.flatnonzero((brighter**2 > over_channels(noise.variance(left)) / 3).any(axis=1))
+    left = pixels.residuals(radiance(pixels, state))
+    brighter = np.maximum(-over_channels(left) / 3, 0)
+    return np.flatnonzero((brighter**2 > over_channels(noise.variance(pixels)) / 3).any(axis=1))
 
 
 def from_neighbours(
