@@ -274,25 +274,25 @@ def _multigrid(
         diagonal = matrix.diagonal()
         table = matrix.tocoo()
         row, column = table.coords
-        strong = (blocks[row] == blocks[column]).all(axis=-1)
-        strong &= table.data**2 > STRONG**2 * diagonal[row] * diagonal[column]
-        graph = csr_array(
-            (np.ones(np.count_nonzero(strong)), (row[strong], column[strong])), shape=matrix.shape
-        )
+        coupling = np.abs(table.data) / np.sqrt(diagonal[row] * diagonal[column])
+        inside = (coupling > STRONG) & (blocks[row] == blocks[column]).all(axis=-1)
+        graph = csr_array((coupling[inside], (row[inside], column[inside])), shape=matrix.shape)
         coarse, label = connected_components(graph, directed=False)
     if count <= DIRECT_MAX or coarse > 0.7 * count:
         factors = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         return lambda right: np.asarray(factors.solve(right))
     length = np.sqrt(np.bincount(label, smooth[:, 0] ** 2, coarse))
-    tentative = csr_array(
-        (smooth[:, 0] / length[label], (np.arange(count), label)), shape=(count, coarse)
-    )
-    # The largest eigenvalue of D⁻¹A of a Laplacian is at most 2.
-    inverse = diags_array(1.0 / diagonal)
-    prolong = (tentative - (2 / 3) * (inverse @ (matrix @ tentative))).tocsr()
+    values = smooth[:, 0] / length[label]
+    tentative = csr_array((values, (np.arange(count), label)), shape=(count, coarse))
+    # Smoothed without couplings weaker than two strong ones in a row, which are on the diagonal, or
+    # coarse equations fill up. The largest eigenvalue of D⁻¹A of a Laplacian is at most 2.
+    kept = coupling >= STRONG**2
+    smoother = csr_array((table.data[kept], (row[kept], column[kept])), shape=matrix.shape)
+    smoother = smoother + diags_array(np.asarray((matrix - smoother).sum(axis=1), np.float64))
+    inverse = diags_array(1.0 / smoother.diagonal())
+    prolong = (tentative - (2 / 3) * (inverse @ (smoother @ tentative))).tocsr()
     restrict = prolong.T.tocsr()
-    new_places = np.zeros((coarse, 2), np.intp)
-    new_places[label] = blocks
+    new_places = blocks[np.unique(label, return_index=True)[1]]
     below = _multigrid((restrict @ matrix @ prolong).tocsr(), new_places, length[:, None])
     damping = (2 / 3) / diagonal
 
