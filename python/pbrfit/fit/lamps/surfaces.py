@@ -248,17 +248,16 @@ def fit_band(
     surfaces as one fit finds them, dielectrics alone, in an eighth of the time.
     """
     state, weights, *_ = robust_surfaces(pixels, state, noise, prior, free_normals=freedom.normals)
-    chance = state.metallic
+    of_kind = state.metallic * (1 - state.metallic)
     if not once:
-        state, weights, chance = _from_more_starts(
+        state, weights, of_kind = _from_more_starts(
             pixels, state, noise, prior, width, free=freedom.normals, metals=metals
         )
     residual = pixels.residuals(radiance(pixels, state))
     variance = marginal = np.zeros((len(pixels), 7))
     if uncertain is not None:
         found = deviations(pixels, state, noise, weights, freedom, uncertain)
-        of_metallic = chance[:, None] * (1 - chance[:, None])
-        variance, marginal = (np.hstack([one, of_metallic]) for one in found)
+        variance, marginal = (np.column_stack([one, of_kind]) for one in found)
     squares = float((pixels.weights * residual**2).sum())
     return Band(state, variance, marginal, squares, float(pixels.weights.sum()))
 
@@ -273,7 +272,7 @@ def _from_more_starts(
     free: bool,
     metals: SurfacePrior | None,
 ) -> tuple[LampState, Array, Array]:
-    """Surfaces, weights of samples and the probability of metals, by fits from several starts."""
+    """Surfaces, weights of samples and the variance of metallic, by fits from several starts."""
 
     def improved(begin: LampState, rows: NDArray[np.intp]) -> tuple[LampState, Array]:
         """With some pixels from another start, where that surprises less."""
@@ -296,13 +295,13 @@ def _from_more_starts(
     state, weights, cost, information = robust_surfaces(
         pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
     )
-    chance = state.metallic
+    of_kind = state.metallic * (1 - state.metallic)
     if metals is not None:
-        priors = prior, metals
-        state, chance = _with_metals(pixels, state, weights, priors, width, cost, information, free)
+        judged = weights, (prior, metals), width, cost, information, free
+        state, of_kind = _with_metals(pixels, state, *judged)
     if free:
         state = _as_seen(pixels, state, prior)
-    return state, weights, chance
+    return state, weights, of_kind
 
 
 def _as_seen(pixels: LampPixels, state: LampState, prior: SurfacePrior) -> LampState:
@@ -334,7 +333,7 @@ def _with_metals(
 ) -> tuple[LampState, Array]:
     """A state of dielectrics, with metals where these explain the samples better.
 
-    `priors` are those of dielectrics and of metals. Also the probability of metals (P,).
+    `priors` are those of dielectrics and of metals. Also the variance of metallic (P,), never 0.
     """
     count = len(pixels)
     metal, metal_cost, metal_information = state, np.full(count, np.inf), information
@@ -356,7 +355,8 @@ def _with_metals(
     odds -= 0.5 * (_told(metal_information, priors[1]) - _told(information, priors[0]))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
-    chance = probability(odds + np.log(share / (1 - share)))
+    odds += np.log(share / (1 - share))
+    chance, variance = probability(odds), probability(odds) * probability(-odds)
     metallic = np.where(chance > SURE, 1.0, np.where(chance < 1 - SURE, 0.0, chance))
     state = replace(better_of(state, chance, metal, 1 - chance)[0], metallic=metallic)
     between = np.flatnonzero((metallic > 0) & (metallic < 1))
@@ -371,7 +371,7 @@ def _with_metals(
         refitted, _, _ = fit_surfaces(*given, iterations=STEPS, free_normals=free_normals)
         for name in ("normals", "albedo", "roughness"):
             getattr(state, name)[between] = getattr(refitted, name)
-    return state, chance
+    return state, variance
 
 
 def _told(information: Array, prior: SurfacePrior) -> Array:
