@@ -107,7 +107,7 @@ pub fn judge(
                     normal: normals[p],
                     material: &materials[p],
                     noise: &noise,
-                shares: &shares,
+                    shares: &shares,
                     judged: (of_odds, likelihood, weights),
                     model: PhantomData::<M>,
                 }));
