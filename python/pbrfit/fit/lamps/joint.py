@@ -192,8 +192,7 @@ class JointLamps:
         """New noise and weights by what is left now."""
         if renew:
             self.noise = self.noise.renewed(self.pixels, self.state, self._free_share())
-        judged = self.noise.judged(self.pixels, self.state)
-        self.weights = judged.weighed(judged.odds)
+        self.weights = self.noise.judged(self.pixels, self.state).weighed()
         if self.lit is not None:
             self.weights *= self.lit(self.state.lamps)[..., None]
         self.cost = self.fitted(self.state, 0)[1]

@@ -69,10 +69,11 @@ class Judged(NamedTuple):
     weights: Array
     """(P, N, 2, 3): what samples weigh in a sum of squares, in a cast shadow and in none."""
 
-    def weighed(self, odds: Array) -> Array:
-        """(P, N, 3): weights of samples with odds (P, N)."""
+    def weighed(self, odds: Array | None = None) -> Array:
+        """(P, N, 3): weights of samples, with odds (P, N) in place of their own if given."""
         shadowed, lit = self.weights[:, :, 0], self.weights[:, :, 1]
-        return np.asarray(shadowed + probability(odds)[..., None] * (lit - shadowed))
+        ordinary = probability(self.odds if odds is None else odds)
+        return np.asarray(shadowed + ordinary[..., None] * (lit - shadowed))
 
 
 @dataclass(frozen=True, eq=False)

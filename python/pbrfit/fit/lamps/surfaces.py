@@ -223,11 +223,11 @@ def from_neighbours(
 def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | None) -> Array:
     """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
     judged = noise.judged(pixels, state)
-    odds = judged.odds
-    if width is not None:
-        around = neighbour_means(np.clip(odds, -20, 20), pixels.places, width)
-        odds = np.where(np.isfinite(odds), around, odds)  # infinite where not too dark
-    return judged.weighed(odds)
+    if width is None:
+        return judged.weighed()
+    around = neighbour_means(np.clip(judged.odds, -20, 20), pixels.places, width)
+    # Infinite where not too dark.
+    return judged.weighed(np.where(np.isfinite(judged.odds), around, judged.odds))
 
 
 def fit_band(
