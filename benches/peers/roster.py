@@ -51,5 +51,8 @@ ROSTER = tuple(
         ("the same on a pool", "torch", "peers.with_torch", "OnPool"),
         ("jax.jit, automatic", "jax", "peers.with_jax", "Automatic"),
         ("jax.jit, blocks by hand", "jax", "peers.with_jax", "ByHand"),
+        ("torch.compile, automatic, on the GPU", "torch", "peers.with_torch", "OnGpu"),
+        ("jax.jit, automatic, on the GPU", "jax", "peers.with_jax", "OnGpu"),
+        ("a Triton kernel by hand, on the GPU", "triton", "peers.with_torch", "Kernel"),
     )
 )

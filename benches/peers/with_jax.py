@@ -26,8 +26,11 @@ class Automatic:
     A loop over channels and this order of the axes: a batch of W (16, P) takes 4 times as long.
     """
 
+    platform = "cpu"
+
     def __init__(self, case: Case, threads: int) -> None:
         del threads  # XLA takes it from the environment when it starts
+        jax.config.update("jax_platforms", self.platform)
         self._value_and_grad = jax.jit(jax.value_and_grad(_loss_of(case), argnums=(0, 1, 2, 3)))
         self._unknowns = [jnp.asarray(part) for part in case.unpack()]
         self._gradient: Any = None
@@ -40,6 +43,12 @@ class Automatic:
     def gradient(self) -> NDArray[np.float64]:
         """Of the last evaluation, in the order of x."""
         return np.concatenate([np.asarray(part, np.float64).ravel() for part in self._gradient])
+
+
+class OnGpu(Automatic):
+    """The same on the GPU."""
+
+    platform = "cuda"
 
 
 def _loss_of(case: Case) -> Any:
@@ -74,6 +83,7 @@ class ByHand:
     """Blocks with the gradient by hand, one after the other in compiled code, on a pool."""
 
     def __init__(self, case: Case, threads: int) -> None:
+        jax.config.update("jax_platforms", "cpu")
         self._pool = ThreadPoolExecutor(threads)
         maps, lights = unknowns(case)
         self._lights = jnp.asarray(lights)

@@ -1,4 +1,4 @@
-"""PyTorch, compiled: by automatic differentiation, and by hand in blocks."""
+"""PyTorch, compiled: by automatic differentiation, and by hand in blocks; and on a GPU."""
 
 from __future__ import annotations
 
@@ -20,8 +20,11 @@ BLOCK = 4096
 class Automatic:
     """The matrix form of the whole picture, differentiated automatically."""
 
+    device = "cpu"
+
     def __init__(self, case: Case, threads: int) -> None:
         torch.set_num_threads(threads)
+        torch.set_default_device(self.device)
         self._loss = torch.compile(matrix_form(case), dynamic=False)
         self._unknowns = [torch.tensor(part, requires_grad=True) for part in case.unpack()]
 
@@ -36,8 +39,36 @@ class Automatic:
     def gradient(self) -> NDArray[np.float64]:
         """Of the last evaluation, in the order of x."""
         return np.concatenate(
-            [unknown.grad.numpy().astype(np.float64).ravel() for unknown in self._unknowns]
+            [unknown.grad.cpu().numpy().astype(np.float64).ravel() for unknown in self._unknowns]
         )
+
+
+class OnGpu(Automatic):
+    """The same on the GPU, where all stays."""
+
+    device = "cuda"
+
+
+class Kernel:
+    """One kernel by hand, on the GPU."""
+
+    def __init__(self, case: Case, threads: int) -> None:
+        del threads
+        from pbrfit_evaluation.gpu_loss import Kernel as Loss
+
+        self._evaluate = Loss(case)
+        self._unknowns = [torch.tensor(part, device="cuda") for part in unknowns(case)]
+        self._found: list[torch.Tensor] = []
+
+    def evaluate(self) -> float:
+        """The loss; the gradient is kept on the GPU."""
+        loss, *self._found = self._evaluate(*self._unknowns)
+        return float(loss)
+
+    def gradient(self) -> NDArray[np.float64]:
+        """Of the last evaluation, in the order of x."""
+        maps, lights = (part.cpu().numpy() for part in self._found)
+        return ordered(maps, lights, 1.0)
 
 
 class ByHand:

@@ -147,6 +147,7 @@ CASES = {
         Case("noisy-512", 512, 0.01),
         Case("stiff-512", 512, 0.01, "alike"),
         Case("misfit-512", 512, 0.01, misfit=True),
+        Case("noisy-1024", 1024, 0.01),
         Case("clean-24", 24),
         Case("stiff-24", 24, 0.01, "alike"),
     )

@@ -28,20 +28,28 @@ Run = Callable[[Scene, Budget, Tracker, int], str]
 class Solver:
     """One of those that are compared: a name for files and tables, a sentence, and what runs it.
 
-    `torch`: whether it is one of PyTorch's, which know the paper's model alone.
+    `torch`: whether it is one of PyTorch's, which know the paper's model alone; `gpu`: on a GPU.
     """
 
     name: str
     what: str
     run: Run
     torch: bool = False
+    gpu: bool = False
 
     def why_not(self, model: Model) -> str:
         """Why it does not fit pictures of a model here; empty if it does."""
         if self.torch and model != "paper":
             return f"not run: it knows no model {model}"
-        absent = self.torch and find_spec("torch") is None
-        return "not run: torch is not installed" if absent else ""
+        if self.torch and find_spec("torch") is None:
+            return "not run: torch is not installed"
+        return "not run: no GPU" if self.gpu and not _gpu() else ""
+
+
+def _gpu() -> bool:
+    import torch
+
+    return torch.cuda.is_available()
 
 
 def fit_with_ours(
@@ -104,19 +112,20 @@ SOLVERS: tuple[Solver, ...] = (
         "mean of 0.4, roughness 0.5, metallic 0.1.",
         partial(fit_with_ours, solver="lbfgsb", start=paper_start, priors=None),
     ),
-    Solver(
-        "torch-lbfgs",
-        "torch.optim.LBFGS with the strong Wolfe line search, maps through a sigmoid, from the "
-        "default start; float32, automatic differentiation.",
-        partial(torch_peer.fit, optimiser="lbfgs"),
-        torch=True,
-    ),
-    Solver(
-        "torch-adam",
-        "torch.optim.Adam with a cosine of learning rates, maps through a sigmoid, from the "
-        "default start; float32, automatic differentiation.",
-        partial(torch_peer.fit, optimiser="adam"),
-        torch=True,
+    *(
+        Solver(
+            f"torch-{optimiser}{'-gpu' if gpu else ''}",
+            f"torch.optim.{what}, maps through a sigmoid, from the default start; float32, "
+            + ("a Triton kernel by hand on the GPU." if gpu else "automatic differentiation."),
+            partial(torch_peer.fit, optimiser=optimiser, gpu=gpu),
+            torch=True,
+            gpu=gpu,
+        )
+        for gpu in (False, True)
+        for optimiser, what in (
+            ("lbfgs", "LBFGS with the strong Wolfe line search"),
+            ("adam", "Adam with a cosine of learning rates"),
+        )
     ),
 )
 

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,9 @@ VISIT_EVERY = 5
 COMPILED_FROM = 256**2
 """Pixels from which the loss goes through torch.compile: that takes longer than a smaller fit."""
 
+GPU_EVALUATIONS = 10
+"""Times as many as on processors."""
+
 TRIED = 5
 """Evaluations by which a number of threads is judged."""
 
@@ -63,10 +67,12 @@ def fit(
     threads: int,
     *,
     optimiser: Literal["lbfgs", "adam"],
+    gpu: bool = False,
 ) -> str:
     """Fit from the default start; returns why it ended.
 
-    By `torch.optim.LBFGS` with the strong Wolfe line search, or `torch.optim.Adam`.
+    By `torch.optim.LBFGS` with the strong Wolfe line search, or `torch.optim.Adam`. On a GPU with
+    `GPU_EVALUATIONS` times the evaluations, which cost so much less there.
 
     The clock starts with the pictures as arrays. Importing PyTorch, compiling, trying numbers of
     threads, and making the start with the lights that fit it, which this package does, are not on
@@ -74,10 +80,16 @@ def fit(
     """
     objective = Objective(scene, threads=threads, model="paper")  # which is what they have
     x, light_unit = objective.start(), LIGHT_UNIT[optimiser]
-    problem = Problem(scene, objective, x, light_unit)
-    _choose_threads(problem, threads)
+    problem: Problem
+    if gpu:
+        budget = replace(budget, evaluations=GPU_EVALUATIONS * budget.evaluations)
+        problem = OnGpu(scene, objective, x, light_unit)
+        problem.evaluate()  # compiles it
+    else:
+        problem = Problem(scene, objective, x, light_unit)
+        _choose_threads(problem, threads)
     tracker.start()
-    if not problem.compiled:  # else it would be compiled again
+    if not gpu and not problem.compiled:  # else it would be compiled again
         problem = Problem(scene, objective, x, light_unit)
     run = _lbfgs if optimiser == "lbfgs" else _adam
     iterations, evaluations, reason = run(problem, budget, tracker)
@@ -88,19 +100,14 @@ def fit(
 class Problem:
     """The objective as a function of float32 tensors without bounds."""
 
+    device = "cpu"
+
     def __init__(self, scene: Scene, objective: Objective, start: Array, light_unit: float) -> None:
         import torch
 
-        from pbrfit_evaluation.torch_loss import matrix_form
-
-        valid = scene.valid
-        images = np.stack([scene.samples(i) for i in range(len(scene.images))]) / objective.scale
-        normals = scene.normals[valid].astype(np.float64)
-        view = View(images.astype(np.float32), normals, scene.views[valid])
-        loss = matrix_form(view)
+        view = view_of(scene, objective)
         self.compiled = view.pixels >= COMPILED_FROM
-        # A shape of its own for each scene: nothing is gained by code for any shape.
-        self._loss = torch.compile(loss, dynamic=False) if self.compiled else loss
+        self._loss = self._compiled(view)
         self.samples = view.images.size
         """Terms in the mean that the loss is."""
         self._objective = objective
@@ -108,13 +115,20 @@ class Problem:
         p = view.pixels
         materials = np.clip(start[: 5 * p], *SIGMOID_RANGE)
         materials = np.log(materials / (1 - materials))
-        self.maps = torch.tensor(materials.reshape(5, p), dtype=torch.float32, requires_grad=True)
-        self.lights = torch.tensor(
-            start[5 * p :].reshape(-1, 16, 3) / self._light_unit,
-            dtype=torch.float32,
-            requires_grad=True,
-        )
+        of_float32 = {"dtype": torch.float32, "requires_grad": True, "device": self.device}
+        self.maps = torch.tensor(materials.reshape(5, p), **of_float32)
+        lights = start[5 * p :].reshape(-1, 16, 3) / light_unit
+        self.lights = torch.tensor(lights, **of_float32)
         self.unknowns = [self.maps, self.lights]
+
+    def _compiled(self, view: View) -> Any:
+        import torch
+
+        from pbrfit_evaluation.torch_loss import matrix_form
+
+        loss = matrix_form(view)
+        # A shape of its own for each scene: nothing is gained by code for any shape.
+        return torch.compile(loss, dynamic=False) if self.compiled else loss
 
     def evaluate(self, factor: float = 1.0) -> torch.Tensor:
         """Loss times a factor; the gradient is kept in the unknowns."""
@@ -127,10 +141,38 @@ class Problem:
 
     def state(self) -> tuple[Materials, Array]:
         """Maps and lights in the scene's units."""
-        maps = self.maps.sigmoid().detach()
-        lights = self._light_unit * self.lights.detach()
+        maps = self.maps.sigmoid().detach().cpu()
+        lights = self._light_unit * self.lights.detach().cpu()
         x = np.concatenate([maps.numpy().ravel(), lights.numpy().ravel()]).astype(np.float64)
         return self._objective.unpack(x)
+
+
+class OnGpu(Problem):
+    """The same by one kernel on a GPU, where the unknowns stay."""
+
+    device = "cuda"
+
+    def _compiled(self, view: View) -> Any:
+        from pbrfit_evaluation.gpu_loss import Kernel
+
+        return Kernel(view, self.device)
+
+    def evaluate(self, factor: float = 1.0) -> torch.Tensor:
+        """Loss times a factor; the gradient is kept in the unknowns."""
+        maps = self.maps.detach().sigmoid()
+        lights = (self._light_unit * self.lights.detach()).permute(2, 0, 1).contiguous()
+        loss, by_maps, by_lights = self._loss(maps, lights)
+        self.maps.grad = factor * by_maps * maps * (1 - maps)
+        self.lights.grad = (factor * self._light_unit) * by_lights.permute(1, 2, 0)
+        return factor * loss
+
+
+def view_of(scene: Scene, objective: Objective) -> View:
+    """Pictures and view of a scene, in the objective's units."""
+    valid = scene.valid
+    images = np.stack([scene.samples(i) for i in range(len(scene.images))]) / objective.scale
+    normals = scene.normals[valid].astype(np.float64)
+    return View(images.astype(np.float32), normals, scene.views[valid])
 
 
 def _choose_threads(problem: Problem, threads: int) -> None:
