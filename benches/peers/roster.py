@@ -53,6 +53,6 @@ ROSTER = tuple(
         ("jax.jit, blocks by hand", "jax", "peers.with_jax", "ByHand"),
         ("torch.compile, automatic, on the GPU", "torch", "peers.with_torch", "OnGpu"),
         ("jax.jit, automatic, on the GPU", "jax", "peers.with_jax", "OnGpu"),
-        ("a Triton kernel by hand, on the GPU", "triton", "peers.with_torch", "Kernel"),
+        ("a CUDA kernel by hand, on the GPU", "torch", "peers.with_torch", "Kernel"),
     )
 )

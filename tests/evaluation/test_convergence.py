@@ -196,7 +196,9 @@ def test_a_solver_says_why_it_cannot_run(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def options(*cases: str, seeds: int = 1, iterations: int = 12) -> argparse.Namespace:
     budget = {"iterations": iterations, "evaluations": 12, "seconds": 60.0}
-    return argparse.Namespace(model="paper", cases=cases, seeds=seeds, real=None, **budget)
+    return argparse.Namespace(
+        model="paper", cases=cases, seeds=seeds, real=None, solvers=None, **budget
+    )
 
 
 def test_torch_loss_and_gradient_are_ours() -> None:

@@ -13,7 +13,7 @@ from pbrfit.commands.fit_options import MODEL_OF_PICTURES, add_option
 from pbrfit_evaluation.convergence import figures
 from pbrfit_evaluation.convergence.cases import CASES, Case, chosen, trial
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
-from pbrfit_evaluation.convergence.solvers import BY_NAME, SOLVERS, Task
+from pbrfit_evaluation.convergence.solvers import BY_NAME, Task, asked
 from pbrfit_evaluation.heldout.sources import find_sources
 from pbrfit_evaluation.jobs import digest_of_files
 from pbrfit_evaluation.options import count, option, several
@@ -54,7 +54,7 @@ def tasks(options: Options) -> list[Task]:
         Task(case, solver.name, FIRST_SEED + i, budget, inputs if case.folder else "")
         for i in range(options.seeds)
         for case in chosen(options)
-        for solver in SOLVERS
+        for solver in asked(options)
         if not solver.why_not(case.model)
     ]
 
@@ -85,6 +85,7 @@ SUITE = Suite(
         lambda parser: add_option(parser, "model", MODEL_OF_PICTURES, "paper"),
         count("--seeds", "K", "scenes of a case"),
         several("--cases", "NAME", CASES, default="all but the last two"),
+        several("--solvers", "NAME", BY_NAME),
         option(
             "--real",
             metavar="DIR",

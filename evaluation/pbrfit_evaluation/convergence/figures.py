@@ -15,7 +15,7 @@ from pbrfit_evaluation.convergence.measure import (
     first_reached,
     median_reached,
 )
-from pbrfit_evaluation.convergence.solvers import SOLVERS
+from pbrfit_evaluation.convergence.solvers import asked
 from pbrfit_evaluation.jobs import Values
 from pbrfit_evaluation.plots import draw, dress, mark, panels, png
 from pbrfit_evaluation.suite import (
@@ -98,7 +98,7 @@ def rows(results: Results[Task]) -> list[Row]:
     """A row for each case and solver, those without a run included."""
     made = []
     for case in chosen(results.options):
-        for solver in SOLVERS:
+        for solver in asked(results.options):
             of = results.of(solver=solver.name, case=case)
             found = [values for _, values in of.finished]
             status = solver.why_not(case.model) or of.status("runs")
@@ -135,7 +135,8 @@ def sections(results: Results[Task], rows: Sequence[Row]) -> Iterator[Section]:
             figures=[_plot(quantity, results, cases) for quantity in PLOTTED],
         )
     yield Section("At the end", "Medians over seeds.", [Table.of(done)])
-    roster = [[s.name, s.what, s.why_not(results.options.model) or "ok"] for s in SOLVERS]
+    solvers = asked(results.options)
+    roster = [[s.name, s.what, s.why_not(results.options.model) or "ok"] for s in solvers]
     yield Section("Solvers", tables=[Table(["solver", "what it is", "status"], roster)])
 
 
@@ -154,7 +155,7 @@ def _plot(quantity: Quantity, results: Results[Task], cases: Sequence[Case]) -> 
     pairs = [(case, cost) for case in cases for cost in COSTS]
     for axes, (case, cost) in zip(grid, pairs, strict=True):
         shown: Quantity = "held_out" if case.folder else quantity
-        for place, solver in enumerate(SOLVERS):
+        for place, solver in enumerate(asked(results.options)):
             for _, values in results.of(solver=solver.name, case=case).finished:
                 x = [max(point[cost], SOONEST) for point in values["points"]]
                 draw(axes, x, [point[shown] for point in values["points"]], place, solver.name)

@@ -19,6 +19,7 @@ from pbrfit_evaluation.convergence import torch_peer
 from pbrfit_evaluation.convergence.cases import Case
 from pbrfit_evaluation.convergence.measure import Budget, Tracker
 from pbrfit_evaluation.recipes import paper_start
+from pbrfit_evaluation.suite import Options
 
 Run = Callable[[Scene, Budget, Tracker, int], str]
 """Fits a scene with so many threads, shows the tracker its states, returns why it ended."""
@@ -43,13 +44,13 @@ class Solver:
             return f"not run: it knows no model {model}"
         if self.torch and find_spec("torch") is None:
             return "not run: torch is not installed"
-        return "not run: no GPU" if self.gpu and not _gpu() else ""
+        return "not run: no GPU, or no CuPy" if self.gpu and not _gpu() else ""
 
 
 def _gpu() -> bool:
     import torch
 
-    return torch.cuda.is_available()
+    return torch.cuda.is_available() and find_spec("cupy") is not None
 
 
 def fit_with_ours(
@@ -89,6 +90,11 @@ def fit_with_ours(
     return result.stop_reason
 
 
+OPTIMISERS: dict[torch_peer.Optimiser, str] = {
+    "lbfgs": "LBFGS with the strong Wolfe line search",
+    "adam": "Adam with a cosine of learning rates",
+}
+
 SOLVERS: tuple[Solver, ...] = (
     Solver(
         "default",
@@ -116,21 +122,23 @@ SOLVERS: tuple[Solver, ...] = (
         Solver(
             f"torch-{optimiser}{'-gpu' if gpu else ''}",
             f"torch.optim.{what}, maps through a sigmoid, from the default start; float32, "
-            + ("a Triton kernel by hand on the GPU." if gpu else "automatic differentiation."),
+            + ("a CUDA kernel by hand." if gpu else "automatic differentiation."),
             partial(torch_peer.fit, optimiser=optimiser, gpu=gpu),
             torch=True,
             gpu=gpu,
         )
         for gpu in (False, True)
-        for optimiser, what in (
-            ("lbfgs", "LBFGS with the strong Wolfe line search"),
-            ("adam", "Adam with a cosine of learning rates"),
-        )
+        for optimiser, what in OPTIMISERS.items()
     ),
 )
 
 
 BY_NAME = {solver.name: solver for solver in SOLVERS}
+
+
+def asked(options: Options) -> list[Solver]:
+    """Those of a run."""
+    return [BY_NAME[name] for name in options.solvers or BY_NAME]
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+Optimiser = Literal["lbfgs", "adam"]
+
 SIGMOID_RANGE = (0.01, 0.99)
 """Start values are brought in here: at 0 and 1 a sigmoid's unknown is infinite."""
 
@@ -66,7 +68,7 @@ def fit(
     tracker: Tracker,
     threads: int,
     *,
-    optimiser: Literal["lbfgs", "adam"],
+    optimiser: Optimiser,
     gpu: bool = False,
 ) -> str:
     """Fit from the default start; returns why it ended.
@@ -155,7 +157,7 @@ class OnGpu(Problem):
     def _compiled(self, view: View) -> Any:
         from pbrfit_evaluation.gpu_loss import Kernel
 
-        return Kernel(view, self.device)
+        return Kernel(view)
 
     def evaluate(self, factor: float = 1.0) -> torch.Tensor:
         """Loss times a factor; the gradient is kept in the unknowns."""
@@ -163,7 +165,7 @@ class OnGpu(Problem):
         lights = (self._light_unit * self.lights.detach()).permute(2, 0, 1).contiguous()
         loss, by_maps, by_lights = self._loss(maps, lights)
         self.maps.grad = factor * by_maps * maps * (1 - maps)
-        self.lights.grad = (factor * self._light_unit) * by_lights.permute(1, 2, 0)
+        self.lights.grad = (factor * self._light_unit * by_lights.permute(1, 2, 0)).contiguous()
         return factor * loss
 
 

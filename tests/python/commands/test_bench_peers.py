@@ -40,6 +40,8 @@ def test_band_polynomials_are_as_close_as_stated() -> None:
 @pytest.mark.parametrize("threads", [1, 2])
 def test_peers_agree_with_the_core(name: str, pixels: int, pictures: int, threads: int) -> None:
     pytest.importorskip(ENTRIES[name].package)
+    if "GPU" in name and not pytest.importorskip("torch").cuda.is_available():
+        pytest.skip("no GPU")
     case = Case.make(pixels, pictures, seed=pixels)
     problem = _core.Problem(case.images, case.normals, case.views, threads=1)
     loss, gradient = problem.value_and_grad(case.x)
