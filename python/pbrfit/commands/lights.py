@@ -55,10 +55,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Give known lamps to a folder of pictures: lights.json, with the direction from which each "
         "picture was lit, as a mirror ball or a matt one in the pictures shows it, or as a file "
-        "says: .lp (reflectance transformation imaging), .csv, .txt or .json."
+        "says: .lp (reflectance transformation imaging), .relight, .csv, .txt or .json."
     )
     cli.add_scene(parser)
-    said = "ball: one that is seen in the pictures; FILE: .lp, .csv, .txt or .json"
+    said = "ball: one that is seen in the pictures; FILE: .lp, .relight, .csv, .txt or .json"
     add_source(parser, source(("ball",), said))
     cli.add_flags(
         parser,

@@ -9,6 +9,8 @@
     png/              a file a texture
     points.ply        where it is asked for: a point a pixel, of results with depth
     relit.ptm         where it is asked for: a polynomial texture map
+    relit.rti         where it is asked for: hemispherical harmonics
+    openlime/         where it is asked for: the same for web viewers
     lights/           a panorama a picture, and coefficients; of lamps their directions
     export.json       what each file holds
 
@@ -103,9 +105,9 @@ def export_result(
     path
         The folder.
     format
-        "gltf", "exr", "png", "mtlx" (with its PNG files), "ply", "lp" or "ptm" alone. None: those
-        of the preset; without one, all but "ply", which needs depth, and "ptm"; and "lp" wherever
-        each picture has one lamp.
+        "gltf", "exr", "png", "mtlx" (with its PNG files), "ply", "lp", "ptm", "rti" or "openlime"
+        alone. None: those of the preset; without one, all but "ply", which needs depth, and the
+        last three; and "lp" wherever each picture has one lamp.
     preset
         Textures as "blender", "unreal" or "unity" expects them: names, channels, normals. None: a
         file a map.
@@ -170,8 +172,15 @@ def export_result(
             put("points.ply", points.ply(result), points.HOLDS, "albedo sRGB, all else linear")
         if "ptm" in planned.formats:
             content, white = rti.ptm(result)
-            codes = f"sRGB codes, white = radiance {white:.4g}"
-            put(rti.PTM_FILE, content, rti.PTM_HOLDS, codes)
+            put(rti.PTM_FILE, content, rti.PTM_HOLDS, _codes(white))
+        if {"rti", "openlime"} & {*planned.formats}:
+            content, of_web, white = rti.hemispherical(result)
+            if "rti" in planned.formats:
+                put(rti.RTI_FILE, content, rti.RTI_HOLDS, _codes(white))
+            else:
+                (folder / rti.WEB_FOLDER).mkdir()
+                for name, one in of_web.items():
+                    put(f"{rti.WEB_FOLDER}/{name}", one, rti.WEB_HOLDS, _codes(white))
         (folder / "lights").mkdir()
         if "lp" in planned.formats or rti.one_lamp_a_picture(result.lamps, len(result.pictures)):
             put(f"lights/{rti.LP_FILE}", rti.lp(result).encode(), rti.LP_HOLDS, "unit vectors")
@@ -180,6 +189,10 @@ def export_result(
         _write_manifest(folder / MANIFEST, result, planned, files, displacement)
     _warn_of_negative(Path(path), panoramas)
     return Exported(tuple(files), panoramas)
+
+
+def _codes(white: float) -> str:
+    return f"sRGB codes, white = radiance {white:.4g}"
 
 
 def _write_exr(

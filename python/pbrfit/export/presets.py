@@ -17,7 +17,7 @@ from pbrfit.export.maps import (
 )
 from pbrfit.export.view_mesh import Geometry
 
-Format = Literal["gltf", "exr", "png", "mtlx", "ply", "lp", "ptm"]
+Format = Literal["gltf", "exr", "png", "mtlx", "ply", "lp", "ptm", "rti", "openlime"]
 PresetName = Literal["blender", "unreal", "unity"]
 
 

@@ -1,20 +1,29 @@
-"""Files of reflectance transformation imaging: directions of lamps, and polynomial texture maps.
+"""Files of reflectance transformation imaging: directions of lamps, and relightable images.
 
-A polynomial texture map says for each pixel how bright it is under light from (l_u, l_v, l_w), unit
-vector to the right, upwards and to the viewer, and has one colour for all of them:
+A relightable image says for each pixel what it shows under light from (l_u, l_v, l_w), unit vector
+to the right, upwards and to the viewer. A polynomial texture map has one colour for all of them:
 
     L = a₀ l_u² + a₁ l_v² + a₂ l_u l_v + a₃ l_u + a₄ l_v + a₅,      (R, G, B) · L/255.
 
+Hemispherical harmonics have nine coefficients a channel, Σ a_k H_k(l): they show gloss better.
+`.rti` holds them for RTIViewer, `info.json` with its planes for web viewers (OpenLIME, relight).
+
 Sources: T. Malzbender, D. Gelb and H. Wolters, "Polynomial texture maps", SIGGRAPH 2001; T.
-Malzbender and D. Gelb, "Polynomial Texture Map (.ptm) File Format", version 1.2, 2001.
+Malzbender and D. Gelb, "Polynomial Texture Map (.ptm) File Format", version 1.2, 2001; P. Gautron
+et al., "A novel hemispherical basis for accurate and efficient rendering", EGSR 2004; readers of
+the other forms in cnr-isti-vclab/relight (`legacy_rti.cpp`) and openlime (`ShaderRTI.js`).
 """
 
 from __future__ import annotations
 
+import io
+import json
+from collections.abc import Callable
 from pathlib import PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from pbrfit._core import InputError
 from pbrfit.io.color import encode_srgb
@@ -31,8 +40,17 @@ LP_HOLDS = "directions to the lamps, X right, Y up, Z to the viewer, by picture 
 PTM_FILE = "relit.ptm"
 PTM_HOLDS = "polynomial texture map, LRGB: the surface under a hard light from any direction"
 
+RTI_FILE = "relit.rti"
+RTI_HOLDS = "hemispherical harmonics for RTIViewer: the surface under a hard light"
+
+WEB_FOLDER = "openlime"
+WEB_HOLDS = "hemispherical harmonics for web viewers (OpenLIME): info.json and its planes"
+
+JPEG_QUALITY = 95
+"""Of planes."""
+
 DIRECTIONS = 50
-"""Lights that polynomials are fitted to: eight a coefficient."""
+"""Lights that coefficients are fitted to: five or more a coefficient."""
 
 LOWEST = 10.0
 """Degrees above the horizon of the lowest of them, about."""
@@ -84,26 +102,103 @@ def _file_names(result: Result) -> list[str]:
 def ptm(result: Result) -> tuple[bytes, float]:
     """A polynomial texture map of a result, and the radiance that is its white.
 
-    Brightness is in sRGB codes, as viewers show it: 255 is the 98th percentile under a light from
-    the viewer. Lights have the strength of `DirectionalLight`, and cast shadows where `relight`
-    does. Pixels outside the mask are black.
+    Pixels outside the mask are black.
     """
-    lights = directions()
-    solve = np.linalg.pinv(basis(lights[:, :2]))
-    white = metrics.white_of(_relit(result, np.array([0.0, 0.0, 1.0])))
-    inside = result.mask
-    fitted = np.zeros((6, np.count_nonzero(inside), 3))
-    mean = np.zeros(fitted.shape[1:])
-    for column, light in zip(solve.T, lights, strict=True):
-        shown = encode_srgb(np.clip(_relit(result, light)[inside] / white, 0.0, 1.0))
-        mean += shown / len(lights)
-        fitted += column[:, None, None] * shown
+    fitted, mean, white = _fitted(result, basis)
     largest = mean.max(axis=-1, keepdims=True)
     color = np.divide(mean, largest, out=np.ones_like(mean), where=largest > 0)
     # Of all channels' polynomials the multiple of the colour that is closest to them.
     along = color / np.square(color).sum(axis=-1, keepdims=True)
     coefficients = 255 * np.einsum("kpc,pc->kp", fitted, along)
-    return _file(coefficients, color, inside), white
+    return _file(coefficients, color, result.mask), white
+
+
+def _fitted(result: Result, terms: Callable[[Array], Array]) -> tuple[Array, Array, float]:
+    """Coefficients (K, P, 3) of terms by least squares, mean (P, 3), and the radiance of white.
+
+    Of what is shown under `directions`, from 0 to 1 in sRGB, as viewers show it: 1 is the 98th
+    percentile under a light from the viewer. Lights have the strength of `DirectionalLight`, and
+    cast shadows where `relight` does.
+    """
+    lights = directions()
+    solve = np.linalg.pinv(terms(lights))
+    white = metrics.white_of(_relit(result, np.array([0.0, 0.0, 1.0])))
+    inside = result.mask
+    fitted = np.zeros((len(solve), np.count_nonzero(inside), 3))
+    mean = np.zeros(fitted.shape[1:])
+    for column, light in zip(solve.T, lights, strict=True):
+        shown = encode_srgb(np.clip(_relit(result, light)[inside] / white, 0.0, 1.0))
+        mean += shown / len(lights)
+        fitted += column[:, None, None] * shown
+    return fitted, mean, white
+
+
+def harmonics(light: Array) -> Array:
+    """(..., 9) hemispherical harmonics H_k of unit vectors (..., 3) to lights.
+
+    With z = l_w, s = √(z − z²), c and s' of the azimuth: orders 0 to 2, in the order of `.rti`.
+    """
+    z = light[..., 2]
+    around = np.arctan2(light[..., 1], light[..., 0])
+    cosine, sine, s, t = np.cos(around), np.sin(around), np.sqrt(z - z * z), 2 * z - 1
+    one, two, three = np.sqrt(6 / np.pi), np.sqrt(30 / np.pi), 1 / np.sqrt(2 * np.pi)
+    return np.stack(
+        [
+            np.full_like(z, three),
+            one * cosine * s,
+            np.sqrt(3) * three * t,
+            one * sine * s,
+            two * np.cos(2 * around) * (z * z - z),
+            two * cosine * t * s,
+            np.sqrt(5) * three * (1 - 6 * z + 6 * z * z),
+            two * sine * t * s,
+            two * np.sin(2 * around) * (z * z - z),
+        ],
+        axis=-1,
+    )
+
+
+def hemispherical(result: Result) -> tuple[bytes, dict[str, bytes], float]:
+    """Hemispherical harmonics of a result: `.rti`, files for the web, and the radiance of white.
+
+    A code c from 0 to 255 of coefficient k means c/255 · scale_k + low_k in all channels, and 0
+    has a whole code. Pixels outside the mask are black. `.rti` has rows from below, and of each
+    pixel all of red, green, blue; plane k of the web is a JPEG of coefficient k of the three.
+    """
+    coefficients, _, white = _fitted(result, harmonics)
+    least = np.minimum(coefficients.min(axis=(1, 2)), 0.0)
+    step = np.maximum((np.maximum(coefficients.max(axis=(1, 2)), 0.0) - least) / CODES, 1e-9)
+    zero = np.rint(-least / step)
+    codes = np.empty((*result.mask.shape, 9, 3), np.uint8)
+    codes[:] = zero[:, None]
+    values = np.moveaxis(coefficients, 0, 1) / step[:, None] + zero[:, None]
+    codes[result.mask] = np.clip(np.rint(values), 0, 255)
+    scale, low = 255 * step, -zero * step
+    height, width = result.mask.shape
+    head = f"#HSH1.2\n3\n{width} {height} 3\n9 2 1\n".encode("ascii")
+    little = (part.astype("<f4").tobytes() for part in (scale, low))
+    rti = b"".join([head, *little, codes[::-1].swapaxes(2, 3).tobytes()])
+    info = {
+        "width": width,
+        "height": height,
+        "format": "jpg",
+        "type": "hsh",
+        "colorspace": "rgb",
+        "nplanes": 27,
+        "quality": JPEG_QUALITY,
+        "materials": [{"scale": _thrice(scale), "bias": _thrice(zero / 255)}],
+    }
+    files = {"info.json": json.dumps(info, indent=1).encode()}
+    for k in range(9):
+        plane = io.BytesIO()
+        image = Image.fromarray(codes[:, :, k])
+        image.save(plane, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+        files[f"plane_{k}.jpg"] = plane.getvalue()
+    return rti, files, white
+
+
+def _thrice(values: Array) -> list[float]:
+    return np.repeat(values, 3).astype(float).tolist()
 
 
 def directions() -> Array:
@@ -116,7 +211,7 @@ def directions() -> Array:
 
 
 def basis(light: Array) -> Array:
-    """(..., 6): what the coefficients are multiplied by, of l_u and l_v (..., 2)."""
+    """(..., 6): what coefficients of a texture map are multiplied by, of vectors (..., 2 or 3)."""
     u, v = light[..., 0], light[..., 1]
     return np.stack([u * u, v * v, u * v, u, v, np.ones_like(u)], axis=-1)
 

@@ -1,7 +1,8 @@
 """Files that say where the lamps of pictures are: found in a scene folder, read, paired, written.
 
 `.lp` is the form of reflectance transformation imaging: a count, then a line a picture with its
-file name and a direction. `lights.json` is our own form. All have X right, Y up, Z to the viewer.
+file name and a direction. `.relight` is a project of RelightLab. `lights.json` is our own form. All
+have X right, Y up, Z to the viewer.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ def find_lamps(folder: Path) -> list[Path]:
         for below, names in ((folder, LAMP_FILES), (folder / "images", LAMP_FILES[1:]))
         if below.is_dir()
         for path in sorted(below.iterdir())
-        if path.name in names or re.fullmatch(r"[^.].*\.lp", path.name, re.IGNORECASE)
+        if path.name in names or re.fullmatch(r"[^.].*\.(lp|relight)", path.name, re.IGNORECASE)
     ]
     if len(found) > 1:
         every = listed(path.relative_to(folder).as_posix() for path in found)
@@ -107,6 +108,7 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
     Raises InputError if the file is of another form, or has vectors that are no directions.
     """
     readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_txt, ".json": _of_json}
+    readers |= {".relight": _of_relight}
     read = readers.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: expected lamps in {', '.join(readers)}, found another form")
@@ -298,6 +300,21 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
         return {"picture": names[str(light["viewId"])], "direction": [x, -y, -z]}
 
     return rows_of_json(path, list(lights), entry)
+
+
+def _of_relight(path: Path) -> list[LampRow]:
+    """Lamps of a project of RelightLab, without pictures that it skips."""
+    expected = "a project with images, each with filename and direction"
+    try:
+        images = [table(one) for one in table(read_json(path, expected))["images"]]
+    except UNFIT as error:
+        raise unfit(path, expected, error) from None
+
+    def entry(image: dict[str, Any]) -> dict[str, Any]:
+        place = table(image["direction"])
+        return {"picture": image["filename"], "direction": [place[axis] for axis in "xyz"]}
+
+    return rows_of_json(path, [one for one in images if not one.get("skip", False)], entry)
 
 
 def rows_of_json(

@@ -26,7 +26,9 @@ from pbrfit.scene.options import Settings
 
 log = logging.getLogger("pbrfit")
 
-NOT_PICTURES = frozenset({".csv", ".db", ".ini", ".json", ".lp", ".md", ".toml", ".txt", ".xmp"})
+NOT_PICTURES = frozenset(
+    {".csv", ".db", ".ini", ".json", ".lp", ".md", ".relight", ".toml", ".txt", ".xmp"}
+)
 """Suffixes of files that may lie beside pictures."""
 
 MAX_ID = 65535
@@ -323,7 +325,10 @@ def warn_of_near_misses(folder: Path) -> None:
     """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
     stems = _STEMS | {"normal", "segment", "weight", RELATIVE}
     for path in sorted((*folder.iterdir(), *(folder / "images").glob(f"{RELATIVE}.*"))):
-        if path.name in _EVERY_PART or path.suffix.lower() == ".lp":  # which may have any name
+        if path.name in _EVERY_PART or path.suffix.lower() in (
+            ".lp",
+            ".relight",
+        ):  # which may have any name
             continue
         if path.is_file() and path.stem.lower() in stems:
             expected = f"expected {', '.join(_EVERY_PART)}"

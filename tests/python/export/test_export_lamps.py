@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from command_runs import done
 from pbrfit import InputError, Result, relight
 from pbrfit.export import export_result
-from pbrfit.export.rti import basis, directions, lp, ptm
+from pbrfit.export.rti import basis, directions, hemispherical, lp, ptm
 from pbrfit.io import images
 from pbrfit.io.color import encode_srgb
 from pbrfit.io.lamp_files import read_lamps
 from pbrfit.model import panorama
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.lighting import Lighting
-from pbrfit.result.metrics import white_of
+from pbrfit.result.metrics import rmse, white_of
 from relit import ball
 from under_lamps import ball_under_lamps
 
@@ -196,10 +198,71 @@ def test_a_texture_map_as_a_command_writes_it(result: Result, tmp_path: Path) ->
     assert (tmp_path / "out" / "relit.ptm").read_bytes() == ptm(Result.load(tmp_path / "result"))[0]
 
 
+def of_rti(content: bytes) -> Array:
+    """Coefficients (H, W, 3, 9) of an .rti file, as RTIViewer and relight read it."""
+    *lines, data = content.split(b"\n", 4)
+    assert lines[:2] == [b"#HSH1.2", b"3"]
+    assert lines[3] == b"9 2 1"
+    width, height, channels = map(int, lines[2].split())
+    scale, low = np.frombuffer(data[:72], "<f4").reshape(2, 9)
+    codes = np.frombuffer(data[72:], np.uint8).reshape(height, width, channels, 9)[::-1]
+    return np.asarray(codes / 255 * scale + low)
+
+
+def of_web(files: dict[str, bytes]) -> Array:
+    """Coefficients (H, W, 3, 9) of planes, as OpenLIME's shader reads them."""
+    info = json.loads(files["info.json"])
+    assert (info["type"], info["colorspace"], info["nplanes"]) == ("hsh", "rgb", 27)
+    planes = [np.asarray(Image.open(io.BytesIO(files[f"plane_{k}.jpg"]))) / 255 for k in range(9)]
+    assert planes[0].shape == (info["height"], info["width"], 3)
+    [material] = info["materials"]
+    scale, bias = (np.reshape(material[name], (9, 3)) for name in ("scale", "bias"))
+    return np.stack([(c - b) * s for c, b, s in zip(planes, bias, scale, strict=True)], axis=-1)
+
+
+def viewer_weights(light: Array) -> Array:
+    """Hemispherical harmonics as OpenLIME writes them."""
+    phi, cos = np.arctan2(light[1], light[0]), light[2]
+    root = np.sqrt(cos - cos**2)
+    of = [1 / np.sqrt(2 * np.pi), np.sqrt(6 / np.pi) * np.cos(phi) * root]
+    of += [np.sqrt(3 / (2 * np.pi)) * (2 * cos - 1), np.sqrt(6 / np.pi) * root * np.sin(phi)]
+    of += [np.sqrt(30 / np.pi) * np.cos(2 * phi) * (cos**2 - cos)]
+    of += [np.sqrt(30 / np.pi) * np.cos(phi) * (2 * cos - 1) * root]
+    of += [np.sqrt(5 / (2 * np.pi)) * (1 - 6 * cos + 6 * cos**2)]
+    of += [np.sqrt(30 / np.pi) * (2 * cos - 1) * root * np.sin(phi)]
+    return np.array([*of, np.sqrt(30 / np.pi) * (cos**2 - cos) * np.sin(2 * phi)])
+
+
+@pytest.mark.parametrize("light", [(0, 0, 1), (0.6, 0, 0.8), (-0.48, 0.6, 0.64), (0, -0.8, 0.6)])
+def test_hemispherical_harmonics_show_what_relighting_does(
+    result: Result, light: tuple[float, ...]
+) -> None:
+    made, direction = matt(result), np.array(light, float)
+    rti, web, white = hemispherical(made)
+    expected = encode_srgb(np.clip(relit(made, direction) / white, 0, 1))[made.mask]
+    texture = shown(ptm(made)[0], direction)[made.mask]
+    for coefficients, close in ((of_rti(rti), 0.06), (of_web(web), 0.07)):
+        found = np.clip(coefficients @ viewer_weights(direction), 0, 1)
+        assert rmse(found[made.mask], expected) < min(close, rmse(texture, expected))
+    assert np.abs(of_rti(rti)[~made.mask]).max() < 1e-6
+
+
+@pytest.mark.parametrize("form", ["rti", "openlime"])
+def test_harmonics_as_a_command_writes_them(result: Result, tmp_path: Path, form: str) -> None:
+    result.save(tmp_path / "result")
+    done("export", tmp_path / "result", "--out", tmp_path / "out", "--format", form)
+    rti, web, _ = hemispherical(Result.load(tmp_path / "result"))
+    expected = {"relit.rti": rti}
+    if form == "openlime":
+        expected = {f"openlime/{name}": content for name, content in web.items()}
+    assert {name: (tmp_path / "out" / name).read_bytes() for name in expected} == expected
+
+
 def test_black_surfaces_have_a_texture_map(result: Result) -> None:
     black = ball(result, albedo=0.0, roughness=1.0)
     black = dataclasses.replace(black, lamps=None, height=None)
     assert np.isfinite(shown(ptm(black)[0], np.array([0, 0, 1.0]))).all()
+    assert np.isfinite(of_rti(hemispherical(black)[0])).all()
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,10 @@ MESHROOM = json.dumps({"lights": [
     {"viewId": view, "type": "directional", "direction": direction, "intensity": ["1", "1", "1"]}
     for view, direction in ((9, [0, "-0.6", -0.8]), ("8", ["0.6", "0", "-0.8"]), ("7", [0, 0, -1]))
 ]})  # fmt: skip
+RELIGHT = json.dumps({"application": "RelightLab", "images": [
+    {"filename": f"{name}.jpg", "skip": name == "d", "direction": {"x": x, "y": y, "z": z}}
+    for name, x, y, z in (("b", 0, 0.6, 0.8), ("d", 0, 0, 0), ("a", 0.6, 0, 0.8), ("c", 0, 0, 1))
+]})  # fmt: skip
 FORMS: dict[str, tuple[str, str, str]] = {
     "lp": ("dome.lp", LP, "utf-8"),
     "lp, Windows": ("dome.LP", LP.replace(" ", "\t").replace("\n", "\r\n"), "utf-8-sig"),
@@ -81,6 +85,7 @@ FORMS: dict[str, tuple[str, str, str]] = {
     "json, UTF-16": ("lights.json", JSON, "utf-16"),
     "DiLiGenT": ("light_directions.txt", ROWS, "utf-8"),
     "Meshroom": ("lights.json", MESHROOM, "utf-8"),
+    "RelightLab": ("coin.relight", RELIGHT, "utf-8"),
 }
 BESIDE = {"DiLiGenT": ("filenames.txt", "b.png\na.png\nc.png\n"), "Meshroom": ("c.sfm", VIEWS)}
 
@@ -220,6 +225,12 @@ def test_files_of_other_pictures_are_refused(name: str) -> None:
 
 NEAR = {"picture": "a", "position": [0, 0, 1]}
 BAD_FILES: dict[str, tuple[str, str, str]] = {
+    "no project": ("d.relight", "{}", "d.relight: expected a project with images"),
+    "no direction": (
+        "d.relight",
+        '{"images": [{"filename": "a"}]}',
+        "lamp 1: expected .*direction",
+    ),
     "another form": ("lights.xml", LP, r"lights.xml: expected lamps in .lp, .csv, .txt, .json"),
     "no text": ("d.lp", "", "d.lp: expected a count, .* found an empty file in place of the count"),
     "no count": ("d.lp", "a.jpg 0 0 1\n", "found 'a.jpg 0 0 1' in place of the count"),
