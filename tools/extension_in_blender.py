@@ -89,7 +89,6 @@ def compared(folder: Path, result: Result, samples: int) -> tuple[list[Row], lis
     if (data / HDRI).is_file():
         light = Environment.read(data / HDRI)
         runs["facets, photographed panorama"] = ({"panorama": str(data / HDRI)}, light)
-    runs["card, light 0"] = ({"geometry": "CARD"}, result.lighting[0])
     runs["relief, light 0"] = ({"geometry": "RELIEF"}, result.lighting[0])
     if result.model == "paper":
         runs["facets, light 0, Principled"] = ({"own_law": False}, result.lighting[0])

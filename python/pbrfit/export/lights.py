@@ -6,18 +6,15 @@ import csv
 import math
 import re
 import unicodedata
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
-from pbrfit.io.json_files import write_json
 from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
 from pbrfit.model.lighting import BAND_OF, Lighting
@@ -30,7 +27,6 @@ pixels takes from l = 3 is h²/8 · 9 = 0.3 % at most, h = π/64 being their dis
 FILES = {
     "lighting.json": "the lights as pbrfit keeps them (formats.md)",
     "coefficients.csv": "the same as a table, lamps as SH light: picture, k, l, m, r, g, b",
-    "three.json": "LightProbes for THREE.ObjectLoader, without l = 3",
     "panoramas.csv": "which panorama is whose, and how much differently it lights",
 }
 
@@ -58,7 +54,6 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     lighting.save(folder / "lighting.json")
     soft = Lighting(result.pictures, result.sh_lighting())
     _write_coefficients(folder / "coefficients.csv", soft)
-    _write_three(folder / "three.json", soft)
     of_lamps = _lamps_as_texels(result)
     panoramas = []
     names = file_names(lighting.pictures)
@@ -139,35 +134,3 @@ def _write_coefficients(path: Path, lighting: Lighting) -> None:
         for picture, light in zip(lighting.pictures, lighting.coefficients, strict=True):
             for k, (band, values) in enumerate(zip(BAND_OF.tolist(), light.tolist(), strict=True)):
                 writer.writerow([cell(picture), k, band, k - band * (band + 1), *values])
-
-
-def _write_three(path: Path, lighting: Lighting) -> None:
-    """A group of light probes in three.js' JSON object format 4.
-
-    Its `SphericalHarmonics3` holds radiance in the first nine functions of our basis, in our order
-    and with our signs, R, G, B of each in turn. The diffuse light of a surface needs no more.
-    """
-    from pbrfit import __version__
-
-    probes: list[dict[str, Any]] = [
-        {
-            "uuid": _uuid(f"{i} {picture}"),
-            "type": "LightProbe",
-            "name": picture,
-            "intensity": 1,
-            "sh": light[:9].ravel().tolist(),
-        }
-        for i, (picture, light) in enumerate(
-            zip(lighting.pictures, lighting.coefficients, strict=True)
-        )
-    ]
-    content = {
-        "metadata": {"version": 4.6, "type": "Object", "generator": f"pbrfit {__version__}"},
-        "object": {"uuid": _uuid("lights"), "type": "Group", "name": "lights", "children": probes},
-    }
-    write_json(path, content)
-
-
-def _uuid(name: str) -> str:
-    """Depends on the name alone: equal results give equal files."""
-    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"pbrfit:{name}"))

@@ -60,7 +60,7 @@ CODES = 254
 falls on a whole code moves the others by up to one."""
 
 SCALE_MIN = 1e-6
-"""Smallest step of a coefficient, in codes of brightness, that the text of a file can tell."""
+"""Smallest step of a coefficient that the nine decimals of a file can tell."""
 
 
 def one_lamp_a_picture(lamps: Lamps | None, pictures: int) -> bool:
@@ -166,14 +166,12 @@ def hemispherical(result: Result) -> tuple[bytes, dict[str, bytes], float]:
     pixel all of red, green, blue; plane k of the web is a JPEG of coefficient k of the three.
     """
     coefficients, _, white = _fitted(result, harmonics)
-    least = np.minimum(coefficients.min(axis=(1, 2)), 0.0)
-    step = np.maximum((np.maximum(coefficients.max(axis=(1, 2)), 0.0) - least) / CODES, 1e-9)
-    zero = np.rint(-least / step)
+    steps, zeros = _steps(coefficients.reshape(9, -1))
     codes = np.empty((*result.mask.shape, 9, 3), np.uint8)
-    codes[:] = zero[:, None]
-    values = np.moveaxis(coefficients, 0, 1) / step[:, None] + zero[:, None]
+    codes[:] = zeros[:, None]
+    values = np.moveaxis(coefficients, 0, 1) / steps[:, None] + zeros[:, None]
     codes[result.mask] = np.clip(np.rint(values), 0, 255)
-    scale, low = 255 * step, -zero * step
+    scale, low = 255 * steps, -zeros * steps
     height, width = result.mask.shape
     head = f"#HSH1.2\n3\n{width} {height} 3\n9 2 1\n".encode("ascii")
     little = (part.astype("<f4").tobytes() for part in (scale, low))
@@ -186,7 +184,7 @@ def hemispherical(result: Result) -> tuple[bytes, dict[str, bytes], float]:
         "colorspace": "rgb",
         "nplanes": 27,
         "quality": JPEG_QUALITY,
-        "materials": [{"scale": _thrice(scale), "bias": _thrice(zero / 255)}],
+        "materials": [{"scale": _thrice(scale), "bias": _thrice(zeros / 255)}],
     }
     files = {"info.json": json.dumps(info, indent=1).encode()}
     for k in range(9):
@@ -221,12 +219,17 @@ def _relit(result: Result, direction: Array) -> Array:
     return relight(result, lamp)
 
 
-def _file(coefficients: Array, color: Array, inside: NDArray[np.bool_]) -> bytes:
-    """Of coefficients (6, P) in codes of brightness and colours (P, 3) from 0 to 1."""
+def _steps(coefficients: Array) -> tuple[Array, NDArray[np.intp]]:
+    """What a code of each coefficient (K, ...) means, and the code that means 0."""
     low = np.minimum(coefficients.min(axis=1), 0.0)
     high = np.maximum(coefficients.max(axis=1), 0.0)
-    scales = np.array([float(f"{one:.9f}") for one in np.maximum((high - low) / CODES, SCALE_MIN)])
-    biases = np.rint(-low / scales).astype(int)
+    steps = np.round(np.maximum((high - low) / CODES, SCALE_MIN), 9)
+    return steps, np.rint(-low / steps).astype(np.intp)
+
+
+def _file(coefficients: Array, color: Array, inside: NDArray[np.bool_]) -> bytes:
+    """Of coefficients (6, P) in codes of brightness and colours (P, 3) from 0 to 1."""
+    scales, biases = _steps(coefficients)
     codes = np.clip(np.rint(coefficients / scales[:, None]) + biases[:, None], 0, 255)
     height, width = inside.shape
     blocks = []

@@ -52,7 +52,7 @@ ALL_MAPS = sorted(
     ]
 )
 GEOMETRIES: tuple[Geometry, ...] = ("card", "facets")
-LIGHTS = ["coefficients.csv", "lighting.json", "panoramas.csv", "three.json"]
+LIGHTS = ["coefficients.csv", "lighting.json", "panoramas.csv"]
 
 
 @pytest.fixture(scope="module")
@@ -568,34 +568,6 @@ def test_coefficient_files_hold_the_lights(result: Result, tmp_path: Path) -> No
         assert abs(m) <= band
         i = result.pictures.index(row["picture"])
         assert [float(row[c]) for c in "rgb"] == result.lighting[i, k].tolist()
-
-
-def test_three_js_probes_give_equal_radiance_and_irradiance(result: Result, tmp_path: Path) -> None:
-    """With the basis as three.js' SphericalHarmonics3 has it (src/math, getBasisAt)."""
-    export_result(result, tmp_path / "out", format="png")
-    content = json.loads((tmp_path / "out" / "lights" / "three.json").read_text("utf-8"))
-    assert content["metadata"]["type"] == "Object"
-    group = content["object"]
-    assert group["type"] == "Group"
-    assert [probe["name"] for probe in group["children"]] == list(result.pictures)
-    assert len({probe["uuid"] for probe in group["children"]}) == len(result.pictures)
-    d = np.random.default_rng(1).normal(size=(50, 3))
-    d /= np.linalg.norm(d, axis=-1, keepdims=True)
-    x, y, z = d.T
-    basis = np.stack(
-        [
-            np.full(50, 0.282095),
-            *(0.488603 * y, 0.488603 * z, 0.488603 * x),
-            *(1.092548 * x * y, 1.092548 * y * z, 0.315392 * (3 * z * z - 1)),
-            *(1.092548 * x * z, 0.546274 * (x * x - y * y)),
-        ],
-        axis=-1,
-    )
-    for probe, light in zip(group["children"], result.lighting, strict=True):
-        assert probe["type"] == "LightProbe"
-        assert probe["intensity"] == 1
-        sh = np.array(probe["sh"]).reshape(9, 3)
-        np.testing.assert_allclose(basis @ sh, sh_basis(d)[:, :9] @ light[:9], atol=1e-5)
 
 
 def test_lights_that_panoramas_cannot_hold_are_warned_of(

@@ -191,14 +191,6 @@ def facet_mesh(normals: Array, mask: NDArray[np.bool_], fov: float) -> Any:
     return mesh
 
 
-def card_mesh(height: int, width: int) -> Any:
-    """A rectangle that fills the view."""
-    texture = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    corners = np.zeros((4, 3))
-    corners[:, :2] = (texture - 0.5) * [1, height / width]
-    return quads("pbrfit card", corners, texture, np.arange(4)[None])
-
-
 def relief_mesh(normals: Array, mask: NDArray[np.bool_], height: Array, fov: float) -> Any:
     """A surface through the pixels' centres at their height, with the normals of the map."""
     rows, columns = mask.shape
@@ -232,11 +224,8 @@ def add_surface(
     if geometry == "AUTO":
         found = (export.displacement or {}).get("source")
         geometry = "RELIEF" if found == "fit" else "FACETS"
-    on_card = geometry == "CARD"
     if geometry == "FACETS":
         mesh = facet_mesh(normals, mask, export.fov)
-    elif on_card:
-        mesh = card_mesh(height, width)
     elif export.displacement is None:
         raise ValueError(f"{export.folder}: expected a height map for a relief, found none")
     else:
@@ -250,21 +239,11 @@ def add_surface(
         "Metallic": nodes.texture(export.needed("metallic")),
         "Roughness": nodes.texture(export.needed("roughness")),
     }
-    if on_card:
-        color = nodes.texture(normal_map)
-        if export.green_down:
-            red, green, blue = nodes.add("SeparateColor", color).outputs
-            green = nodes.math("SUBTRACT", 1, green)
-            color = nodes.add("CombineColor", red, green, blue).outputs[0]
-        maps["Normal"] = nodes.add("NormalMap", 1, color).outputs[0]
     surface = nodes.add("BsdfPrincipled", **maps).outputs[0]
     if export.model == "paper":
         both = nodes.add("MixShader", 0, surface, paper_law(nodes, *maps.values()))
         both.name = both.label = LAW
         surface = both.outputs[0]
-    if on_card and opacity is not None:
-        nothing = nodes.add("BsdfTransparent").outputs[0]
-        surface = nodes.add("MixShader", nodes.texture(opacity), nothing, surface).outputs[0]
     nodes.add("OutputMaterial", surface)
     mesh.materials.append(nodes.material)
     found = bpy.data.objects.new(mesh.name, mesh)
@@ -314,9 +293,7 @@ class Nodes:
         return node.outputs["Value" if operation == "DOT_PRODUCT" else "Vector"]
 
 
-def paper_law(
-    nodes: Nodes, base_color: Any, metallic: Any, roughness: Any, normal: Any = None
-) -> Any:
+def paper_law(nodes: Nodes, base_color: Any, metallic: Any, roughness: Any) -> Any:
     """A surface near the paper's reflection law, pbrfit's model "paper"; Principled has another.
 
     With F by Schlick at n·v, F0 = 0.04 (1 − m) + m ρ, and k = r⁴/2:
@@ -328,7 +305,7 @@ def paper_law(
     longer towards the horizon; the GGX lobe of roughness r (n·v)^(1/3) is about the nearest.
     """
     geometry = nodes.add("NewGeometry").outputs
-    facing = nodes.vectors("DOT_PRODUCT", geometry["Incoming"], normal or geometry["Normal"])
+    facing = nodes.vectors("DOT_PRODUCT", geometry["Incoming"], geometry["Normal"])
     facing = nodes.math("MINIMUM", nodes.math("MAXIMUM", facing, 1e-4), 1)
     r4 = nodes.math("POWER", roughness, 4)
     k = nodes.math("MULTIPLY", r4, 0.5)
@@ -344,7 +321,7 @@ def paper_law(
     rest = nodes.vectors("SUBTRACT", (1, 1, 1), f0)
     rest = nodes.vectors("SCALE", rest, scale=nodes.math("SUBTRACT", 1, schlick))  # 1 − F
     color = nodes.vectors("MULTIPLY", matt_color, rest)
-    surface = nodes.add("BsdfDiffuse", color, Normal=normal).outputs[0]
+    surface = nodes.add("BsdfDiffuse", color).outputs[0]
 
     fresnel = nodes.vectors("SUBTRACT", (1, 1, 1), rest)
     shares = nodes.add("SeparateXYZ", nodes.vectors("SCALE", fresnel, scale=strength)).outputs
@@ -352,7 +329,7 @@ def paper_law(
     for channel, share in enumerate(shares):
         # A lobe a channel: the colour of one would enter the light from facet to facet.
         pure = [float(channel == c) for c in range(3)]
-        lobe = nodes.add("BsdfAnisotropic", (*pure, 1), narrowed, Normal=normal)
+        lobe = nodes.add("BsdfAnisotropic", (*pure, 1), narrowed)
         lobe.distribution = "MULTI_GGX"
         part = nodes.add("MixShader", share, None, lobe.outputs[0]).outputs[0]
         surface = nodes.add("AddShader", surface, part).outputs[0]
@@ -485,7 +462,6 @@ class ImportResult(bpy.types.Operator, ImportHelper, LightOptions):
                 "Facets",
                 "A rectangle a pixel, turned to its normal: as relit, from the camera's view alone",
             ),
-            ("CARD", "Card", "One rectangle with a normal map; steep normals get too little light"),
             ("RELIEF", "Relief", "The surface at the height that the normals integrate to"),
         ),
     )
