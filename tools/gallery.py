@@ -400,22 +400,6 @@ These repositories state no licence, or another one than this project's.
 
 <!-- evidence: gallery/Without pictures here | ours | nearest picture | Lambert | what it shows; source -->
 <!-- /evidence -->
-
-## The helmet
-
-![A flight helmet under a lamp that goes round, two of the pictures, and the recovered albedo,
-roughness and metallic](images/moving-lamp.webp)
-
-A render by Blender's Cycles: FlightHelmet of the [glTF sample
-assets](https://github.com/KhronosGroup/glTF-Sample-Assets) (Microsoft, Khronos; CC0) under
-panoramas of [Poly Haven](https://polyhaven.com) (CC0). Metal is also found where there is none,
-in the goggles and elsewhere.
-
-```sh
-python tools/helmet_scene.py DATA --height 416 --samples 32
-pbrfit decompose out/helmet --out out/helmet-result --model principled
-python tools/moving_lamp.py
-```
 """  # noqa: E501
 
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pbrfit.report.html import png_address
+from pbrfit.report.html import in_base64, png_address
 from pbrfit.result import differences
 from pbrfit.result.differences import PALETTE
+from pbrfit.result.drawing import as_svg
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PIXELATED = 300
 """Pictures with a shorter longer side are shown with square pixels, not blurred."""
@@ -31,6 +36,12 @@ def figure(content: str, title: str, remark: str = "") -> str:
     """Pictures (as HTML) with a title and a remark below; both are escaped here."""
     below = f"<br><small>{escape(remark)}</small>" if remark else ""
     return f"<figure>{content}<figcaption><b>{escape(title)}</b>{below}</figcaption></figure>"
+
+
+def plot(drawing: Figure, alt: str) -> str:
+    """A plot of matplotlib's as a picture that stays sharp."""
+    address = f"data:image/svg+xml;base64,{in_base64(as_svg(drawing).encode())}"
+    return f'<figure class="plot"><img src="{address}" alt="{escape(alt)}"></figure>'
 
 
 def grid(figures: Iterable[str], look: str) -> str:

@@ -1,4 +1,4 @@
-"""A picture for checking lamps: the ball that showed them, and where they are."""
+"""Drawings of lamps: the ball that showed them, and where they are."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ def preview(
     """
     figure = new_figure(12 if shown is not None else 6.2, 6.2)
     shared = _shared(names)
-    every = -(-len(names) // LABELS_MAX)
-    labels = [_short(name[len(shared) :]) if i % every == 0 else "" for i, name in enumerate(names)]
+    labels = [_short(name[len(shared) :]) for name in names]
     remark = f"labels: names of pictures without “{shared}”" if shared else ""
     if shown is None:
-        _draw_directions(figure.subplots(), labels, directions, remark)
-        return as_png(figure, 120)
-    whole, right = figure.subplots(1, 2)
-    _draw_balls(whole, labels, shown)
-    _draw_directions(right, labels, directions, remark)
+        axes = figure.subplots()
+    else:
+        whole, axes = figure.subplots(1, 2)
+        _draw_balls(whole, labels, shown)
+    draw_directions(axes, labels, directions)
+    axes.set_xlabel(axes.get_xlabel() + f"\n{remark}" * bool(remark))
     return as_png(figure, 120)
 
 
@@ -123,10 +123,17 @@ def _outlined() -> list[Any]:
     return [withStroke(linewidth=1.8, foreground=BLACK)]
 
 
-def _draw_directions(
-    axes: Axes, labels: Sequence[str], directions: NDArray[np.float64], remark: str
+def draw_directions(
+    axes: Axes,
+    labels: Sequence[str],
+    directions: NDArray[np.float64],
+    near: NDArray[np.bool_] | None = None,
 ) -> None:
-    """Directions as the viewer sees them: the distance from the middle is the angle to him."""
+    """Draw unit vectors to lamps (K, 3) as the viewer sees them, an azimuthal equidistant map.
+
+    The distance from the middle is the angle to the viewer. Far lamps are discs, those that are
+    `near` (K,) squares; behind the horizon they are hollow.
+    """
     from matplotlib.patches import Circle
 
     across = np.linalg.norm(directions[:, :2], axis=-1)
@@ -148,19 +155,26 @@ def _draw_directions(
             in_layout=False,
         )
     axes.plot(0, 0, "+", color=GREY, markersize=10)
-    front = angle <= 90
-    axes.plot(*places[front].T, "o", color=BLUE, markersize=6)
-    axes.plot(*places[~front].T, "s", mfc="none", mec=BLUE, markersize=6)
-    for label, place in zip(labels, places, strict=True):
+    squares = np.zeros(len(angle), bool) if near is None else near
+    kinds = ((squares, "s", ORANGE, "near"), (~squares, "o", BLUE, "far"))
+    for of, marker, color, kind in kinds:
+        for place, fill, where in ((angle <= 90, color, ""), (angle > 90, "none", ", behind")):
+            if (of & place).any():
+                label = f"{kind}{where}"
+                axes.plot(*places[of & place].T, marker, color=color, mfc=fill, label=label)
+    every = max(1, -(-len(labels) // LABELS_MAX))
+    for label, at in zip(labels[::every], places[::every], strict=True):
         axes.annotate(
-            label, tuple(place), (5, 4), textcoords="offset points", fontsize=7, in_layout=False
+            label, tuple(at), (5, 4), textcoords="offset points", fontsize=7, in_layout=False
         )
+    if len(places):
+        axes.legend(loc="upper right", fontsize=8)
     room = 1.12 * largest
     axes.set_xlim(-room, room)
     axes.set_ylim(-room, room)
     axes.set_aspect("equal")
-    axes.set_title("lamps by angle to the viewer (+)" + ("" if front.all() else "; □ = behind"))
-    axes.set_xlabel("← left · right (X) →" + f"\n{remark}" * bool(remark))
+    axes.set_title("lamps by angle to the viewer (+)")
+    axes.set_xlabel("← left · right (X) →")
     axes.set_ylabel("← down · up (Y) →")
     axes.set_xticks([])
     axes.set_yticks([])

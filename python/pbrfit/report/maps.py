@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,6 @@ from pbrfit.report import budget, figures, raster
 from pbrfit.report.budget import Fitted
 from pbrfit.report.html import paragraph
 from pbrfit.report.notation import percent, plain
-from pbrfit.report.surroundings import round_step
 from pbrfit.result import differences
 from pbrfit.result.differences import Difference
 from pbrfit.result.result import Result
@@ -203,9 +201,11 @@ def _ticks(low: float, high: float) -> dict[float, str]:
     """Round numbers on a scale, by their share of it."""
     if not high > low:
         return {0.0: f"{low:.3g}".replace("-", "−")}
-    step = round_step((high - low) / TICKS)
-    numbers = range(math.ceil(low / step), math.floor(high / step) + 1)
-    return {(i * step - low) / (high - low): f"{i * step:.6g}".replace("-", "−") for i in numbers}
+    from matplotlib.ticker import MaxNLocator
+
+    numbers = MaxNLocator(TICKS, steps=[1, 2, 5, 10]).tick_values(low, high)
+    inside = [one for one in numbers.tolist() if low <= one <= high]
+    return {(one - low) / (high - low): f"{one:.6g}".replace("-", "−") for one in inside}
 
 
 def _ends(values: NDArray[np.floating[Any]]) -> tuple[float, float, float]:

@@ -29,7 +29,6 @@ from pbrfit.report.html import (
     Table,
     document,
     heads,
-    in_base64,
     number,
     paragraph,
     table,
@@ -39,7 +38,7 @@ from pbrfit.report.originals import Originals
 from pbrfit.report.pictures import Picture
 from pbrfit.result import differences
 from pbrfit.result.advice import next_steps
-from pbrfit.result.drawing import as_svg, draw_history
+from pbrfit.result.drawing import draw_history
 from pbrfit.result.metrics import PROTOCOL
 from pbrfit.result.result import Result
 
@@ -329,8 +328,6 @@ def _light_table(pictures: Sequence[Picture]) -> Table:
 def _history(result: Result) -> str:
     if len(result.history.rows) < PLOTTED:
         return _stages(result)
-    svg = as_svg(draw_history(result.history)).encode()
-    address = f"data:image/svg+xml;base64,{in_base64(svg)}"
     what = "Root mean square errors against run time and against iterations"
     text = "Residual of the pictures" + (
         " and errors of the maps against ground truth"
@@ -339,7 +336,7 @@ def _history(result: Result) -> str:
     )
     return (
         paragraph(f"{text}, while the fit ran. history.csv has the numbers.")
-        + f'<figure class="plot"><img src="{address}" alt="{what}"></figure>'
+        + figures.plot(draw_history(result.history), what)
         + _stages(result)
     )
 

@@ -11,7 +11,7 @@ from pbrfit.io.resampling import reduced_size
 from pbrfit.report import figures, raster
 from pbrfit.report.html import Cell, Table, number, paragraph, table
 from pbrfit.report.notation import plain
-from pbrfit.report.surroundings import plan_key, plan_view
+from pbrfit.report.surroundings import plan_view
 from pbrfit.result import metrics
 from pbrfit.result.relighting import DirectionalLight, LampLight, relight
 from pbrfit.result.result import Result
@@ -59,8 +59,7 @@ def section(result: Result) -> str:
     scenery = result.scenery
     if scenery is None:
         return text
-    above, side = plan_view(scenery)
-    plans = f'<div class="plans">{above}{side}</div>{plan_key()}'
+    plans = figures.plot(plan_view(scenery), "Surroundings from above and from the side")
     tables = f'<div class="numbers">{_supposed(scenery)}</div>'
     return text + plans + tables + _relit(result, scenery)
 
