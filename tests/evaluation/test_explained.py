@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation_tasks import depth_off, normals_off, own_room, recorded
+from evaluation_tasks import depth_off, normals_off, own_room
 from pbrfit.fit.decompose import decompose
 from pbrfit.model.lamps import Lamps
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import draw
 from pbrfit_evaluation import cycles, recipes
 from pbrfit_evaluation.cycles.export import export
-from pbrfit_evaluation.explained import figures, measure
+from pbrfit_evaluation.explained import measure
 from pbrfit_evaluation.explained.figures import CHOICES
 from pbrfit_evaluation.explained.measure import (
     GEOMETRY,
@@ -128,25 +128,6 @@ def test_every_variant_runs(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["choice"] in CHOICES
     assert found["scores"]["relight"] > 0
     assert ("maps" in found) == (key == "without")
-
-
-def of(setup: Any, variant: str, seed: int, error: float) -> tuple[Case, Any]:
-    scores = dict.fromkeys(figures.METRICS, error)
-    return Case(setup, variant, seed, SIZE), {"scores": scores, "choice": "occlusion"}
-
-
-def test_rows_say_what_was_chosen_and_why_some_were_not_run(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    pairs = of("shadows", "without", 1, 0.3), of("shadows", "true", 1, 0.2)
-    monkeypatch.setattr(cycles, "why_not", lambda: None)
-    found = figures.geometry_rows(recorded(*pairs, conditions=("shadows",)))
-    rows = {row.solver: row for row in found}
-    assert rows["true depth"].metrics["chose_occlusion"] == 1
-    assert "chose_occlusion" not in rows["no depth"].metrics
-    monkeypatch.setattr(cycles, "why_not", lambda: "no bpy")
-    found = figures.geometry_rows(recorded(conditions=("shadows",)))
-    assert {row.status for row in found} == {"not run: no bpy"}
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evaluation_tasks import recorded
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
@@ -20,7 +19,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE, as_estimated, estimated
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS, rows
+from pbrfit_evaluation.table1.figures import METRICS
 from pbrfit_evaluation.table1.measure import Case
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
 from scene_files import known, run
@@ -70,15 +69,6 @@ def test_neighbours_err_alike() -> None:
     shuffled = np.random.default_rng(1).permutation(error.reshape(-1, 3))
     apart = np.linalg.norm(shuffled[1:] - shuffled[:-1], axis=-1)
     assert step.mean() < 0.35 * apart.mean()
-
-
-def test_rows_repeat_the_papers_table() -> None:
-    papers = {row.key: tuple(row.paper.values()) for row in ROWS if row.paper}
-    assert papers["base"] == (0.001, 0.065, 0.232, 0.186, 0.166)
-    assert papers["normals"] == (0.016, 0.160, 0.341, 0.446, 0.201)
-    assert papers["fov90"] == (0.004, 0.091, 0.283, 0.194, 0.143)
-    assert sum(len(paper) for paper in papers.values()) == 7 * 5 - 1  # no relighting of Cycles
-    assert len(BY_KEY) == len(ROWS)
 
 
 def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> None:
@@ -166,23 +156,3 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
         off.append((record["values"]["scores"]["recon"], record["seconds"]))
     assert off[1][0] > off[0][0]
     assert off[2] == off[1]  # not done again
-
-
-def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:
-    pairs: list[tuple[Case, Any]] = []
-    for way in BY_KEY["base"].ways:
-        for seed in (1000, 1001):
-            scores = dict.fromkeys(METRICS, 0.25) | {"albedo": 0.1 * (seed - 999)}
-            of = case("base", way, seed, model="paper")
-            pairs.append((of, {"scores": scores}))
-        pairs.append((case("base", way, 1002, model="paper"), "ValueError: no"))
-    asked = {"conditions": ["base", "cycles-brdf"], "model": "paper", "quick": True}
-    found = rows(recorded(*pairs, **asked))
-    names = ["Base, paper"] * 3 + ["Cycles, panorama: BRDF alone, paper"] * 3
-    assert [row.name for row in found] == names
-    assert found[0].metrics["albedo"] == pytest.approx(0.15)
-    assert {row.status for row in found[:3]} == {"1 of 3 scenes failed"}
-    assert [row.guess for row in found] == [False, False, True] * 2
-    assert known(found[0].paper)["albedo"] == 0.065
-    assert found[-1].status == "not run: --quick leaves out what takes minutes"
-    assert (found[-1].scenes, found[-1].metrics) == (0, {})
