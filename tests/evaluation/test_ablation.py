@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-import pbrfit
 from evaluation_tasks import recorded
-from pbrfit.result.options import prior_names
 from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
-from pbrfit.synthetic.exposure import MEAN_RADIANCE
 from pbrfit_evaluation.ablation import cases, figures
 from pbrfit_evaluation.ablation.cases import TITLES, case, merged, shifted
-from pbrfit_evaluation.ablation.measure import GRID, TABLE, WAYS
+from pbrfit_evaluation.ablation.measure import GRID
 from pbrfit_evaluation.grid.figures import Of
-from pbrfit_evaluation.recipes import PAPER_PRIORS
 from pbrfit_evaluation.scores import Scores
-from scene_files import held_out_of, known, lights_of, truth_of
+from scene_files import known, truth_of
 
 SIZE, SEED = 24, 2000
 
@@ -37,17 +31,6 @@ def test_the_constant_room_is_the_room() -> None:
         here = segments_of(made) == i
         assert len(np.unique(truth_of(made).materials.roughness[here])) == 1
         assert len(np.unique(truth_of(made).materials.metallic[here])) == 1
-
-
-@pytest.mark.parametrize("name", TITLES)
-def test_truth_explains_the_pictures_but_for_the_noise(name: str) -> None:
-    scene = case(name, SEED, size=SIZE)
-    maps = truth_of(scene).materials
-    given = (scene.images, lights_of(scene), 0.01), (*held_out_of(scene), 0.0)
-    for images, lighting, noise in given:
-        rendered = pbrfit.kernel.render(maps, scene.normals, lighting, scene.fov)
-        assert np.std(images - rendered) == pytest.approx(noise, rel=0.03, abs=1e-12)
-    assert scene.images.mean() == pytest.approx(MEAN_RADIANCE, abs=1e-3)
 
 
 def test_wrong_segments_leave_the_pictures_as_they_are() -> None:
@@ -96,18 +79,6 @@ def test_a_third_takes_the_ids_of_others() -> None:
     # Of 80, at least every second one, but for those that have none but takers around them. Of
     # ids drawn from all alike, 34 / 132 would be near: some 21.
     assert 36 <= near <= 60
-
-
-def test_each_prior_is_off_and_alone_once() -> None:
-    assert len({way.words for way in WAYS.values()}) == len(WAYS)
-    for name in ("cohesion", "smoothness", "sparsity", "monochrome"):
-        expected = dataclasses.replace(PAPER_PRIORS, **{name: 0.0})
-        assert TABLE[f"paper-no-{name}"].options["priors"] == expected
-    alone = TABLE["material=1"].options["priors"]
-    assert [name for name in prior_names() if getattr(alone, name) != 0] == ["material"]
-    assert WAYS["default"].options == {}
-    assert WAYS["none"].options == {"priors": None}
-    assert WAYS["paper"].options["solver"] == "lbfgsb"
 
 
 def rooms_with(errors: dict[str, float], failed: str = "merged") -> Of:

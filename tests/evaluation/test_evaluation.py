@@ -151,17 +151,6 @@ def test_mean_and_interval() -> None:
     assert mean_with_interval(list(values)) == found  # the same draws every time
 
 
-def test_mean_of_few() -> None:
-    one = mean_with_interval([2.0])
-    assert (one.mean, one.count) == (2.0, 1)
-    assert math.isnan(one.low)
-    none = mean_with_interval([math.nan])
-    assert none.count == 0
-    assert math.isnan(none.mean)
-    same = mean_with_interval([1.0, 1.0])
-    assert (same.low, same.mean, same.high) == (1.0, 1.0, 1.0)
-
-
 def test_csv_keeps_all_digits_and_leaves_gaps_empty(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     write_csv(path, ("a", "b"), [(0.1 + 0.2, None), (np.float64(1e-9), math.nan), ("x,", 3)])
@@ -238,14 +227,6 @@ def scene() -> Scene:
 def at_the_truth(scene: Scene, iterations: int) -> Result:
     start = truth_of(scene).materials, lights_of(scene)
     return pbrfit.decompose(scene, start=start, iterations=iterations, priors=None)
-
-
-def test_true_materials_have_no_errors(scene: Scene) -> None:
-    found = scores.score(at_the_truth(scene, 0), scene)
-    for name in ("recon", "albedo", "roughness", "metallic", "relight", "albedo_scaled",
-                 "relight_scaled"):  # fmt: skip
-        assert getattr(found, name) <= 1e-12
-    assert found.evaluations == 1
 
 
 def test_scores_of_known_errors(scene: Scene) -> None:

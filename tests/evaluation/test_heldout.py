@@ -29,7 +29,6 @@ from pbrfit_evaluation.diligent import figures as diligent
 from pbrfit_evaluation.heldout import figures, light, measure, sources
 from pbrfit_evaluation.heldout.baselines import Baseline, explained_by_kept, known_lamps
 from pbrfit_evaluation.heldout.light import (
-    Score,
     ambient_terms,
     combination,
     explained_by,
@@ -108,23 +107,6 @@ def test_folds_are_spread_evenly_and_hold_no_picture_out_twice() -> None:
         assert len(out) == len(set(out)) == held_out * min(folds, pictures // held_out)
     with pytest.raises(InputError, match="expected 1 or more and 2 to keep, found 4 of 5"):
         split(5, 4)
-
-
-def test_error_is_that_of_all_samples_together() -> None:
-    scores = [Score("a", 1, 3.0, 0.3), Score("b", 3, 4.0, 0.4)]
-    assert relative_error(scores) == pytest.approx(0.1)
-    assert math.isnan(relative_error([Score("black", 1, 0.0, 0.0)]))
-
-
-def test_combination_is_that_of_least_squares() -> None:
-    rng = np.random.default_rng(1)
-    planes, radiance, weights = rng.random((3, 30, 3)), rng.random((30, 3)), rng.random((30, 3))
-    weights[:10] = 0
-    found = combination(planes, radiance, weights)
-    for c in range(3):
-        root = np.sqrt(weights[:, c])
-        factors = np.linalg.lstsq(root[:, None] * planes[..., c].T, root * radiance[:, c])[0]
-        np.testing.assert_allclose(found[:, c], factors @ planes[..., c])
 
 
 def test_light_is_best_in_values_of_the_file() -> None:

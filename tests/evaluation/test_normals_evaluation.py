@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from evaluation_tasks import recorded
@@ -27,9 +26,6 @@ from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE
 from pbrfit_evaluation.normals import SUITE, figures, measure
 from pbrfit_evaluation.normals.disturbances import DISTURBANCES, MEAN_OF_THETA, disturbed
-from scene_files import known
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -47,17 +43,6 @@ def test_turns_have_the_mean_angle_of_two_components(
     off = angles_between(disturbed(scene, kind, degrees, 5), scene.normals)[scene.valid]
     assert off.mean() == pytest.approx(MEAN_OF_THETA * degrees, rel=within)
     assert np.median(off) < off.mean()  # a few are large
-
-
-def test_correlated_turns_are_alike_nearby_and_grow_with_theta(scene: Scene) -> None:
-    small, large = (disturbed(scene, "correlated", theta, 5) for theta in (1.0, 2.0))
-    ratio = angles_between(large, scene.normals) / angles_between(small, scene.normals)
-    assert np.median(ratio) == pytest.approx(2, rel=0.02)
-    error = small - scene.normals
-    segments = known(scene.segments)
-    same = segments[:, 1:] == segments[:, :-1]
-    step = np.linalg.norm(error[:, 1:] - error[:, :-1], axis=-1)[same]
-    assert step.mean() < 0.7 * np.linalg.norm(error, axis=-1).mean()
 
 
 def test_a_bias_turns_all_normals_together(scene: Scene) -> None:

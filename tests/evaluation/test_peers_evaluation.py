@@ -6,9 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from pbrfit.model.materials import Materials
 from pbrfit_evaluation.peers import measure
-from pbrfit_evaluation.recipes import within
 from scene_files import room
 
 
@@ -39,12 +37,3 @@ def test_every_method_is_given_the_same_noisy_scene() -> None:
     np.testing.assert_array_equal(one.images, two.images)
     np.testing.assert_array_equal(one.normals, two.normals)
     assert np.abs(one.normals - other.normals).max() > 0.1
-
-
-def test_maps_of_a_peer_become_materials_of_the_scene() -> None:
-    valid = np.array([[True, False]])
-    maps = Materials(np.full((1, 2, 3), 1.5), np.full((1, 2), -0.5), np.full((1, 2), 0.5))
-    materials = within(maps, valid)
-    np.testing.assert_array_equal(materials.albedo[0], [[1, 1, 1], [np.nan] * 3])
-    np.testing.assert_array_equal(materials.roughness, [[0, np.nan]])
-    np.testing.assert_array_equal(materials.metallic, [[0.5, np.nan]])

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 import pbrfit
 import reference
 from pbrfit.result.verdict import levels
-from pbrfit.synthetic.lights import condition
 from pbrfit_evaluation.jobs import Record, Values
 from pbrfit_evaluation.stability import SUITE, figures, stiff_fits
 from pbrfit_evaluation.stability.double_precision import Case, evaluate
@@ -26,7 +25,7 @@ from pbrfit_evaluation.stability.sections import SECTIONS, Task, worst_of
 from pbrfit_evaluation.stability.sections import run as run_section
 from pbrfit_evaluation.stability.stiff_scenes import stiff_scenes
 from pbrfit_evaluation.suite import Results
-from scene_files import lights_of, run, truth_of
+from scene_files import run
 
 Array = NDArray[np.floating[Any]]
 
@@ -54,52 +53,6 @@ def test_scales_are_no_smaller_than_the_gradient(kind: str) -> None:
     assert (found.lights_terms >= np.abs(found.gradient[lights]) * (1 - 1e-12)).all()
     assert (found.lights_terms <= found.gradient_scale[lights] * (1 + 1e-12)).all()
     assert found.loss_scale >= found.loss
-
-
-def test_scale_is_tight_where_nothing_cancels() -> None:
-    # Dielectrics seen along v = n = z under a light of band 0 alone: the residual is I, basis
-    # functions of order 0 are at their largest and those of other orders are 0, and all terms have
-    # one sign (but those of band 3, where h turns negative).
-    case = case_of(5, 2)
-    normals = np.zeros((5, 3))
-    normals[:, 2] = 1
-    lighting = np.zeros((2, 16, 3))
-    lighting[:, 0] = 2.0
-    pixels = replace(case.pixels, normals=normals, views=normals, metallic=np.zeros(5))
-    found = evaluate(Case(pixels, lighting, np.zeros((2, 5, 3), dtype=np.float32)))
-    blocks = case.blocks()
-    entries, scale = np.abs(found.gradient), found.gradient_scale
-    for name in ("albedo", "roughness"):
-        assert np.allclose(scale[blocks[name]], entries[blocks[name]], rtol=1e-12)
-    lights, of_lights = (
-        a[blocks["lights"]].reshape(2, 16, 3)[:, [0, 2, 6]] for a in (entries, scale)
-    )
-    assert np.allclose(of_lights, lights, rtol=1e-12)
-
-
-def test_extreme_pixels_are_what_they_say() -> None:
-    rng = np.random.default_rng(3)
-    made = {name: change(rng, case_of(4000, 8)) for name, change in KINDS.items()}
-    assert made["r near 0"].pixels.roughness.max() <= 1e-8
-    near_one = made["r near 1"].pixels.roughness
-    assert (near_one == 1).any()
-    assert near_one.min() >= 1 - 1.1e-8
-    across = made["r across 0.4"].pixels.roughness
-    assert set(np.sign(across - 0.4)) == {-1, 0, 1}
-    grazing = made["n·v from 1 to 10⁻⁷, or negative"].pixels
-    cosine = np.sum(grazing.normals * grazing.views, axis=-1)
-    assert cosine.min() < 0
-    assert 0 < np.abs(cosine).min() < 1e-6
-    assert cosine.max() > 0.9
-    assert np.allclose(np.linalg.norm(grazing.normals, axis=-1), 1, atol=1e-14)
-    bounds = made["ρ, r, m exactly 0 or 1"].pixels
-    assert set(np.unique([*bounds.albedo.T, bounds.roughness, bounds.metallic])) == {0.0, 1.0}
-    mixed = np.abs(made["lights × 10⁻⁶ … 10⁶ in one problem"].lighting[:, 0]).max(axis=-1)
-    assert mixed.max() / mixed.min() > 1e11
-    dark = made["blue dark"]
-    assert not dark.images[..., 2].any()
-    assert not dark.lighting[:4, :, 2].any()
-    assert dark.lighting[4:, 0, 2].all()
 
 
 TINY: dict[str, tuple[int, ...]] = {
@@ -191,32 +144,6 @@ def test_wrong_objective_fails(
 ) -> None:
     monkeypatch.setattr(Case, "problem", lambda case, threads=0: Distorted(case, threads, how))
     assert key in failures(section)
-
-
-def test_stiff_scenes_are_what_their_names_say() -> None:
-    scenes = {one.name: one for one in stiff_scenes(12, 5)}
-    for number, name in ((10, "10"), (1e3, "1,000"), (1e5, "100,000"), (1e8, "10⁸")):
-        found = condition(lights_of(scenes[f"light matrix of condition {name}"].scene))
-        assert found == pytest.approx(number, rel=1e-6)
-    assert np.ptp(lights_of(scenes["all lights equal"].scene), axis=0).max() == 0
-    for one in scenes.values():
-        scene = one.scene
-        assert scene.images.dtype == np.float32
-        known = truth_of(scene).materials, scene.normals, lights_of(scene)
-        rendered = pbrfit.kernel.render(*known, scene.fov)
-        np.testing.assert_allclose(
-            rendered[:, one.counted], scene.images[:, one.counted], rtol=1e-6, atol=1e-7
-        )
-    assert len(scenes["1 picture, its light known"].scene.images) == 1
-    assert scenes["1 picture, its light known"].scene.lighting is not None
-    assert [len(scenes[f"{n} pictures"].scene.images) for n in (2, 3)] == [2, 3]
-    black, bright = scenes["black pixels"], scenes["a pixel 10⁴ brighter"]
-    assert (~black.counted).sum() == 9
-    assert black.scene.images[:, ~black.counted].max() == 0
-    assert (~bright.counted).sum() == 1
-    plain = scenes["plain"].scene.images[:, ~bright.counted]
-    np.testing.assert_allclose(bright.scene.images[:, ~bright.counted], 1e4 * plain, rtol=1e-6)
-    assert len(plain) == 5
 
 
 def test_a_fit_that_is_worse_or_unflagged_or_broken_fails_its_check() -> None:

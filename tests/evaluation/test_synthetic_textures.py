@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from pbrfit.io import images
 from pbrfit.io.color import decode_srgb
 from pbrfit.synthetic import draw, make_scene
-from pbrfit.synthetic.geometry import Box, Cylinder, Plane, Primitive, Sphere, rotation, trace
+from pbrfit.synthetic.geometry import Plane, rotation
 from pbrfit.synthetic.surfaces import Spots
 from pbrfit_evaluation.rooms import MaterialSet, load_textures
 from pbrfit_evaluation.rooms.detailed import LEAST_ROUGHNESS, Textured
-from pbrfit_evaluation.rooms.frustum import Frustum
-from pbrfit_evaluation.rooms.mapping import chart
 from scene_files import truth_of
 
 Array = NDArray[np.float64]
@@ -86,11 +84,6 @@ def test_names_in_use(tmp_path: Path, color: str, rough: str) -> None:
     np.testing.assert_allclose(one.levels[0][..., 3], eight_bit(packed[..., channel]), atol=1e-6)
     metallic = eight_bit(packed[..., 2]) if combined else np.zeros((16, 16))
     np.testing.assert_allclose(one.levels[0][..., 4], metallic, atol=1e-6)
-
-
-def test_a_material_may_be_called_metal(tmp_path: Path) -> None:
-    save_set(tmp_path, noise(0), noise(1)[..., 0], prefix="rusty_metal_")
-    assert load_textures(tmp_path)[0].name == "rusty_metal"
 
 
 def test_shared_maps_serve_all_of_their_name(tmp_path: Path) -> None:
@@ -170,45 +163,6 @@ def test_between_texels_and_levels_values_are_linear() -> None:
     first, wide, second = (sample(2 / 8, 1 - 2 / 8, x) for x in (2.0, 2 * np.sqrt(2), 4.0))
     np.testing.assert_allclose(wide, (first + second) / 2, atol=1e-6)
     np.testing.assert_allclose(sample(0.3, 0.9, 1e9), maps.mean((0, 1)), atol=1e-6)
-
-
-SOLIDS: tuple[Primitive, ...] = (
-    Sphere(centre=np.zeros(3), radius=0.7),
-    Box(centre=np.zeros(3), half=np.array([0.5, 0.7, 0.4])),
-    Cylinder(centre=np.zeros(3), radius=0.5, half=0.6),
-    Frustum(centre=np.zeros(3), bottom=0.6, top=0.3, half=0.5),
-    Plane(centre=np.zeros(3)),
-)
-
-
-@pytest.mark.parametrize("solid", SOLIDS, ids=lambda solid: type(solid).__name__)
-def test_charts_grow_along_their_axes(solid: Primitive) -> None:
-    """Moving by a step along `right` or `up` changes u or v alone, by step over tile."""
-    rays = np.random.default_rng(0).normal(size=(400, 3)) - [0.0, 2.0, 0.0]
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    hits = trace([solid], np.array([0.3, 2.0, 0.2]), rays)
-    met = hits.index == 0
-    assert met.sum() > 20
-    points, normals = hits.local[met], hits.normals[met]
-    tile, step = 0.25, 1e-6
-    on = chart(solid, points, normals, tile)
-    frame = np.stack([on.right, on.up, normals], axis=1)
-    np.testing.assert_allclose(
-        np.einsum("pij,pkj->pik", frame, frame), np.tile(np.eye(3), (len(points), 1, 1)), atol=1e-9
-    )
-    np.testing.assert_allclose(np.linalg.det(frame), 1.0, atol=1e-9)
-
-    beside = chart(solid, points + step * on.right, normals, tile)
-    above = chart(solid, points + step * on.up, normals, tile)
-    flat = (np.abs(normals[:, 1]) == 1.0) | isinstance(solid, Box)
-    around = np.hypot(points[:, 0], points[:, 2])
-    for u, v in ((beside.u - on.u, beside.v - on.v), (above.v - on.v, above.u - on.u)):
-        np.testing.assert_allclose(v / step, 0.0, atol=1e-3)
-        np.testing.assert_allclose(u[flat] / step, 1 / tile, rtol=1e-6)
-    if not isinstance(solid, (Box, Plane)):
-        closed = 2 * np.pi * around * (beside.u - on.u) / step  # tiles once around
-        np.testing.assert_allclose(closed[~flat], np.round(closed[~flat]), atol=1e-2)
-        np.testing.assert_allclose((above.v - on.v)[~flat] / step, 1 / tile, rtol=1e-4)
 
 
 def test_relief_tilts_the_normal_to_the_right_of_the_map() -> None:

@@ -59,26 +59,6 @@ def test_simulated_normals_err_as_published_estimators_do() -> None:
     assert 0.8 <= np.mean(off < 30) <= 0.9
 
 
-def test_neighbours_err_alike() -> None:
-    scene = make_scene("room", size=64, lights=2, held_out=1, seed=203)
-    segments = known(scene.segments)
-    found = as_estimated(scene.normals, scene.views, segments, np.random.default_rng(0))
-    error = found - scene.normals
-    inside = segments[:, 1:] == segments[:, :-1]
-    step = np.linalg.norm(error[:, 1:] - error[:, :-1], axis=-1)[inside]
-    shuffled = np.random.default_rng(1).permutation(error.reshape(-1, 3))
-    apart = np.linalg.norm(shuffled[1:] - shuffled[:-1], axis=-1)
-    assert step.mean() < 0.35 * apart.mean()
-
-
-def test_one_row_alone_refines_normals_and_its_scenes_are_those_of_another() -> None:
-    [refined] = [row for row in ROWS if row.refine_normals != "off"]
-    assert refined.key == "normals-refined"
-    scenes = [given(key) for key in ("normals", refined.key)]
-    np.testing.assert_array_equal(scenes[0].normals, scenes[1].normals)
-    np.testing.assert_array_equal(scenes[0].images, scenes[1].images)
-
-
 def test_normals_that_nobody_knows_spoil_no_others() -> None:
     whole = make_scene("room", size=32, lights=2, held_out=1, seed=3)
     unknown = np.zeros(whole.normals.shape[:2], bool)

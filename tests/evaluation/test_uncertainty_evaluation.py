@@ -5,27 +5,22 @@ How well posteriors are calibrated is not tested here: figures are of records ma
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from evaluation_tasks import recorded
-from pbrfit.io.color import encode_srgb
 from pbrfit.model.geometry import angles_between, positions
-from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import render
-from pbrfit.result.uncertainty import Uncertainty
-from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, Verdict, deserved
+from pbrfit.result.verdict import PARAMETERS, ROUGH_ERROR, USABLE_ERROR, deserved
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.everyday.disturbances import NOISE
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.suite import Results
-from pbrfit_evaluation.uncertainty import conditions, figures, measure
+from pbrfit_evaluation.uncertainty import conditions, figures
 from pbrfit_evaluation.uncertainty.conditions import CONDITIONS, NAMES, Name, made
 from pbrfit_evaluation.uncertainty.figures import (
     ABOVE_GUESS,
@@ -82,13 +77,6 @@ def test_what_is_told_wrong(clean: Scene) -> None:
     assert len(scene("three").images) == 3
 
 
-def test_files_are_of_8_bits() -> None:
-    names: tuple[Name, ...] = ("png", "jpeg")
-    for name in names:
-        codes = 255 * encode_srgb(scene(name).images)
-        np.testing.assert_allclose(codes, np.round(codes), atol=1e-3)
-
-
 def test_surfaces_block_light_and_reflect_it(clean: Scene) -> None:
     """At one exposure: less light than without them, and more with what they reflect."""
 
@@ -142,34 +130,6 @@ def test_rounding_is_no_error_and_what_is_said_to_be_exact_must_be() -> None:
     found = np.array([0.5, 0.5 + 1e-7, 0.6, 0.5])
     of = calibration(found, np.full(4, 0.5), zero, found, found)
     assert of["within_1"] == of["within_2"] == of["in_interval"] == 0.75
-
-
-def test_a_result_is_compared_with_the_truth(clean: Scene) -> None:
-    true = truth_of(clean).materials
-    found = replace(true, albedo=1.1 * true.albedo, roughness=true.roughness + 0.15)
-
-    def constant(value: float) -> Materials:
-        full = np.full(true.roughness.shape, value)
-        return Materials(np.repeat(full[..., None], 3, axis=-1), full, full)
-
-    class Found:
-        materials = found
-        uncertainty = Uncertainty(
-            *(constant(0.1), constant(0.0), constant(1.0)),
-            noise=None,
-            effective_share=1.0,
-            albedo_scale=(0.1, 0.01, 0.0),
-            verdicts={name: Verdict("usable", 0.1) for name in PARAMETERS},
-        )
-
-    of = measure.said(Found(), clean)  # type: ignore[arg-type]
-    rough, metal = of["roughness"], of["metallic"]
-    assert rough["rmse"] == pytest.approx(0.15)
-    assert (rough["within_1"], rough["within_2"]) == (0, 1)
-    assert rough["deserved"] == deserved("roughness", 0.15) != "usable"
-    assert (metal["rmse"], metal["deserved"]) == (0, "usable")
-    assert metal["guess"] == pytest.approx(np.sqrt(np.mean(true.metallic**2)))
-    json.dumps(of)
 
 
 def record(

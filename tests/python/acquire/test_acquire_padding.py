@@ -118,13 +118,6 @@ def test_padding_is_the_mirror_image_on_all_sides() -> None:
     np.testing.assert_array_equal(padded[:, left + 131 + 3], padded[:, left + 130 - 3])
 
 
-def test_a_long_picture_is_padded_until_it_is_not_too_long() -> None:
-    found = frame((64, 1024), FLUX2_KLEIN)
-    assert found == Frame((64, 1024), scaled=(64, 1024), padded=(128, 1024))
-    photo = picture(64, 1024)
-    np.testing.assert_array_equal(found.from_model(found.to_model(photo)), photo)
-
-
 def test_scaling_is_in_linear_light_and_stays_in_the_range_of_the_values() -> None:
     stripes = np.zeros((64, 128, 3), dtype=np.uint8)
     stripes[:, ::2] = 255

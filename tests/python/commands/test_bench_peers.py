@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import pbrfit
 from pbrfit import _core
 from peers import kernel, race, report
-from peers.case import Case, band_polynomials
+from peers.case import Case
 from peers.machine import Machine
 from peers.outcome import Outcome, names
 from peers.race import Settings, Standing
@@ -25,14 +24,6 @@ from peers.worker import Ready
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 ENTRIES = {entry.name: entry for entry in ROSTER}
-
-
-def test_band_polynomials_are_as_close_as_stated() -> None:
-    r = np.linspace(0, 1, 2001)
-    found = [np.polynomial.Polynomial(c)(2 * r - 1) for c in band_polynomials()]
-    np.testing.assert_allclose(
-        np.stack(found, axis=-1), pbrfit.kernel.ggx_band_weights(r)[0], atol=3e-6
-    )
 
 
 @pytest.mark.parametrize("name", [name for name in ENTRIES if name != OURS])

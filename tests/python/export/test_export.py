@@ -248,19 +248,6 @@ def test_presets_pack_channels(result: Result, tmp_path: Path, preset: Preset, b
         assert png(tmp_path / "whole" / "png" / "BaseMap.png").shape[-1] == 3
 
 
-def test_blender_gets_the_card_and_a_16_bit_file_a_map(result: Result, tmp_path: Path) -> None:
-    export_result(result, tmp_path / "out", preset="blender")
-    found = names(tmp_path / "out")
-    assert [name for name in found if not name.startswith("lights")] == [
-        "blender_extension.zip",
-        "export.json",
-        "material.glb",
-        *(f"png/{name}.png" for name in sorted([*MAPS, "displacement"])),
-    ]
-    for name in ("base_color", "roughness", "metallic", "normal_opengl"):
-        assert png(tmp_path / "out" / "png" / f"{name}.png").dtype == np.uint16
-
-
 def test_normals_flip_green_alone(result: Result, tmp_path: Path) -> None:
     for convention in ("opengl", "directx"):
         for preset in (None, "unreal", "unity", "blender"):
@@ -460,17 +447,6 @@ def test_facets_cover_pixels_and_have_their_normals(fov: float, shape: tuple[int
         face = np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a])
         face /= np.linalg.norm(face, axis=-1, keepdims=True)
         np.testing.assert_allclose(face[free], n[free], atol=2e-4)
-
-
-def test_facets_are_a_sound_glb_with_any_number_of_pixels(result: Result) -> None:
-    read = glb_reader.read(glb(Maps.of(result), result.fov, geometry="facets"))
-    assert "normalTexture" not in read.document["materials"][0]
-    assert "alphaMode" not in read.document["materials"][0]
-    assert len(read.arrays[-1]) == 6 * result.mask.sum()
-    large = small((128, 129), 60.0, result)  # more than 65535 corners
-    read = glb_reader.read(glb(Maps.of(large), large.fov, geometry="facets"))
-    assert read.arrays[-1].dtype == np.uint32
-    assert read.arrays[-1].max() == 4 * 128 * 129 - 1
 
 
 def lamp() -> np.ndarray:

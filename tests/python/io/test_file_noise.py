@@ -68,15 +68,6 @@ def test_slopes_of_curves_are_their_derivatives() -> None:
     np.testing.assert_allclose(of_table[1:, 0], slopes[1:], rtol=0.03)
 
 
-def test_the_mean_of_n_has_a_deviation_less_by_their_root(tmp_path: Path) -> None:
-    grey = np.full((48, 36, 3), 90, dtype=np.uint8)
-    images.write_png(tmp_path / "a.png", grey, tag="srgb")
-    picture = images.read_picture(tmp_path / "a.png")
-    whole = noise_of(picture).deviation(picture.pixels)[0, 0]
-    small = noise_of(picture, (16, 12)).deviation(picture.pixels[:16, :12])
-    np.testing.assert_allclose(small, np.broadcast_to(whole / 3, small.shape), rtol=1e-5)
-
-
 @pytest.mark.parametrize("kind", ["textured", "room"])
 @pytest.mark.parametrize("chroma", ["4:4:4", "4:2:2", "4:2:0"])
 @pytest.mark.parametrize("quality", [60, 75, 90, 98])

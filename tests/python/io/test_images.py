@@ -261,18 +261,6 @@ def test_focal_length_is_read(tmp_path: Path, name: str) -> None:
         assert images.read_picture(tmp_path / name).taken.focal_length_35mm == expected
 
 
-def test_damaged_exif_is_not_used(tmp_path: Path) -> None:
-    for exif in (
-        b"Exif\0\0II*\0\xff\xff\xff\xff",
-        b"Exif\0\0II*\0\x08\0\0\0\xff\xff\x01",
-        b"Exif\0\0",
-    ):
-        Image.fromarray(RGB8).save(tmp_path / "a.jpg", exif=exif)
-        picture = images.read_picture(tmp_path / "a.jpg")
-        assert picture.taken.focal_length_35mm is None
-        assert picture.pixels.shape == RGB8.shape
-
-
 def icc(space: bytes, tags: dict[bytes, bytes], pcs: bytes = b"XYZ ") -> bytes:
     """A minimal ICC profile, version 4.3."""
     start = 128 + 4 + 12 * len(tags)
@@ -460,19 +448,6 @@ def test_lossy_exr_compressions_agree_with_openexr(tmp_path: Path, compression: 
     with OpenEXR.File(str(path)) as file:
         theirs = file.channels()["RGB"].pixels.astype(np.float32)
     np.testing.assert_allclose(images.read_picture(path).pixels, theirs, atol=1e-3)
-
-
-def tiles() -> dict[str, Any]:
-    """The header of a tiled file."""
-    of_16 = OpenEXR.TileDescription()
-    of_16.xSize = of_16.ySize = 16
-    return {"type": OpenEXR.tiledimage, "tiles": of_16}
-
-
-def test_exr_tiles(tmp_path: Path) -> None:
-    pixels = np.tile(FLOAT, (6, 4, 1))
-    path = save_exr(tmp_path / "a.exr", {"RGB": pixels}, **tiles())
-    np.testing.assert_array_equal(images.read_picture(path).pixels, pixels)
 
 
 def test_exr_chromaticities_of_rec709_or_grey_change_nothing(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,9 @@ import numpy as np
 import pytest
 
 from pbrfit import InputError
-from pbrfit.io.lamp_files import LampRow, find_lamps, matched, read_lamps, write_lamps
+from pbrfit.io.lamp_files import LampRow, find_lamps, matched, read_lamps
 
 NAMES = ("a", "b", "c")
-THIRD = 1 / math.sqrt(3)
 LP = "3\na.jpg 0.6 0 0.8\nb.jpg 0 0.6 0.8\nc.jpg 0 0 1\n"
 TABLE = "picture,x,y,z\na,0.6,0,0.8\nb,0,0.6,0.8\nc,0,0,1\n"
 
@@ -133,16 +131,6 @@ def test_colors_and_near_lamps_of_a_table(tmp_path: Path) -> None:
     assert near == LampRow("a", (1, 2, -3), True, (0.5, 0.25, 1))
     assert (far.near, far.place) == (False, (0, 0, 1))
     assert np.isnan(far.color).all()
-
-
-def test_near_lamps_of_lights_json_come_back(tmp_path: Path) -> None:
-    rows = [
-        LampRow("a", (1.0, 2.0, -3.0), True, (0.5, 0.25, 1.0), (0.6, 0.0, -0.8), 2.5),
-        LampRow("b", (0.0, 0.0, 1.0)),
-        LampRow("b", (THIRD, THIRD, THIRD), color=(1.0, math.nan, 0.0)),
-    ]
-    write_lamps(tmp_path / "lights.json", rows)
-    assert repr(read_lamps(tmp_path / "lights.json")[0]) == repr(rows)  # NaN is not itself
 
 
 BY_NAME: dict[str, tuple[tuple[str, ...], tuple[str, ...], list[int]]] = {

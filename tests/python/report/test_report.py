@@ -6,7 +6,6 @@ import base64
 import dataclasses
 import errno
 import functools
-import hashlib
 import itertools
 import json
 import math
@@ -425,30 +424,6 @@ def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
     )
 
 
-def policy_of(page: Page) -> dict[str, str]:
-    [meta] = [e for e in page.all("meta") if "http-equiv" in e.attributes]
-    assert meta.attributes["http-equiv"] == "Content-Security-Policy"
-    parts = (part.partition(" ") for part in meta.attributes["content"].split("; "))
-    return {name: value for name, _, value in parts}
-
-
-@pytest.mark.parametrize("alone", [True, False], ids=["any page", "report"])
-def test_a_page_allows_its_own_scripts_by_digest_and_loads_nothing(page: Page, alone: bool) -> None:
-    found = Page(document("Title", "<h1>Title</h1>", script="1;")) if alone else page
-    policy = policy_of(found)
-    scripts = [e.text for e in found.all("script") if "type" not in e.attributes]
-    assert len(scripts) == (2 if alone else 3)
-    digests = (base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts)
-    assert set(policy.pop("script-src").split()) == {f"'sha256-{digest}'" for digest in digests}
-    assert policy == {
-        "default-src": "'none'",
-        "style-src": "'unsafe-inline'",
-        "img-src": "data: blob:",
-        "base-uri": "'none'",
-        "form-action": "'none'",
-    }
-
-
 def test_a_script_that_got_into_a_page_does_not_run(chromium: Browser, tmp_path: Path) -> None:
     """Were text ever not escaped, its scripts would still be none of the page's."""
     intruder = (
@@ -754,20 +729,6 @@ def test_a_link_unfolds_its_section_and_verdicts_close(
         visited.page.keyboard.press("Escape")
         assert chips.nth(1).get_attribute("open") is None
     assert visited.troubles == []
-
-
-def test_long_tables_are_folded_but_not_on_paper(
-    chromium: Browser, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pbrfit.report.page.OPEN_TABLE", 2)
-    write_report(Result.load(folder / "result"), tmp_path / "page.html")
-    with visit(chromium, tmp_path / "page.html") as opened:
-        opened.page.evaluate("location.hash = 'pictures'")
-        tables = opened.page.locator("details.numbers-of-all table")
-        assert tables.count() == 2
-        assert not any(tables.nth(i).is_visible() for i in range(2))
-        opened.page.emulate_media(media="print")
-        assert all(tables.nth(i).is_visible() for i in range(2))
 
 
 @pytest.mark.parametrize(("height", "width"), [(600, 2), (2, 600)])

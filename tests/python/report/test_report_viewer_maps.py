@@ -74,34 +74,6 @@ def test_what_is_unpacked_is_the_maps_to_within_half_a_code() -> None:
     assert (codes["facing"][mask & ~grazing] == 32768).all()
 
 
-def test_smaller_maps_are_means_over_areas() -> None:
-    mask = np.ones((10, 15), bool)
-    mask[:4, :7] = False
-    result = made(10, 15, mask=mask)
-    small = maps.of_result(result, 6)
-    assert small.mask.shape == (4, 6)
-    assert small.materials.albedo.shape == (4, 6, 3)
-    # Every old pixel as 4 × 2 equal parts: whole numbers of them fall on each new pixel.
-    normals = result.normals
-    for plane, found in (
-        (result.roughness, small.materials.roughness),
-        (result.metallic, small.materials.metallic),
-        (result.albedo[..., 1], small.materials.albedo[..., 1]),
-    ):
-        parts = np.repeat(np.repeat(plane, 2, axis=0), 2, axis=1).reshape(4, 5, 6, 5)
-        with np.errstate(invalid="ignore"):
-            share = np.isfinite(parts).mean(axis=(1, 3))
-            mean = np.nansum(parts, axis=(1, 3)) / (share * 25)
-        np.testing.assert_array_equal(small.mask, share >= 0.5)
-        assert share[share < 1].max() > 0
-        np.testing.assert_allclose(found, np.where(share >= 0.5, mean, np.nan), atol=1e-14)
-    parts = np.repeat(np.repeat(normals, 2, axis=0), 2, axis=1).reshape(4, 5, 6, 5, 3)
-    mean = np.nansum(parts, axis=(1, 3))[small.mask]
-    mean /= np.linalg.norm(mean, axis=-1, keepdims=True)
-    np.testing.assert_allclose(small.normals[small.mask], mean, atol=1e-12)
-    assert np.isnan(small.normals[~small.mask]).all()
-
-
 def test_normals_that_cancel_each_other_are_left_out() -> None:
     result = made(2, 2)
     normals = np.zeros((2, 2, 3))

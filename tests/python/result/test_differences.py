@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pbrfit import Materials
 from pbrfit.result.differences import (
     OUTSIDE,
     PALETTE,
@@ -15,7 +14,6 @@ from pbrfit.result.differences import (
     VERMILLION,
     WHITE,
     Difference,
-    errors,
     on_scale,
     residual,
 )
@@ -42,17 +40,6 @@ def test_colours_of_values_of_marks_and_of_what_is_outside() -> None:
     assert len(PALETTE) == OUTSIDE + 1
 
 
-def test_a_residual_is_a_share_of_the_pictures_rms() -> None:
-    picture = np.full((2, 3, 3), 4.0)
-    rendered = picture + np.array([1.0, -2.0, 2.0])  # RMS over channels is √3
-    rendered[0, 0] = np.nan
-    found = residual(rendered, picture)
-    assert np.isnan(found.values[0, 0])
-    np.testing.assert_allclose(found.values.ravel()[1:], np.sqrt(3) / 4)
-    scaled = residual(8 * rendered, 8 * picture)
-    np.testing.assert_allclose(scaled.values, found.values)
-
-
 def test_samples_without_weight_are_white_and_do_not_count_in_the_rms() -> None:
     picture = np.full((1, 3, 3), 2.0)
     picture[0, 2] = np.nan
@@ -67,13 +54,3 @@ def test_samples_without_weight_are_white_and_do_not_count_in_the_rms() -> None:
 def test_a_black_picture_has_a_finite_residual() -> None:
     found = residual(np.full((1, 1, 3), 0.25), np.zeros((1, 1, 3)))
     assert found.values.tolist() == [[0.25]]
-
-
-def test_errors_of_albedo_are_the_root_mean_square_over_channels() -> None:
-    zero = np.zeros((1, 1))
-    true = Materials(np.zeros((1, 1, 3)), zero, zero)
-    found = Materials(np.array([[[0.1, 0.2, 0.2]]]), zero + 0.3, zero + 0.4)
-    of_maps = errors(found, true)
-    assert of_maps["albedo"].values[0, 0] == pytest.approx(np.sqrt(0.03))
-    assert of_maps["roughness"].values[0, 0] == pytest.approx(0.3)
-    assert errors(true, found)["metallic"].values[0, 0] == pytest.approx(0.4)

@@ -16,7 +16,6 @@ from pbrfit import DirectionalLight, InputError, Result, Scene, decompose, relig
 from pbrfit.display.notebook import PICTURES_MAX, SHOWN_MEAN
 from pbrfit.io.color import decode_srgb
 from pbrfit.result.advice import next_steps
-from pbrfit.result.notebook import SIDE
 from pbrfit.result.verdict import MARKS, Verdict, in_short
 from pbrfit.synthetic import make_scene
 from scene_files import known, write_folder
@@ -108,26 +107,6 @@ def test_a_notebook_shows_a_scene_in_small(scene: Scene) -> None:
     assert decode_srgb(opaque).mean() == pytest.approx(SHOWN_MEAN, rel=0.1)
     for said in ("<0>", "fov: a & b", f"{30 - PICTURES_MAX} more pictures", repr(many)):
         assert said in page.text
-
-
-def test_large_maps_are_reduced(result: Result) -> None:
-    def large(values: Any) -> Any:
-        return np.repeat(np.repeat(values, 50, axis=0), 50, axis=1)
-
-    materials = replace(
-        result.materials,
-        **{name: large(getattr(result, name)) for name in ("albedo", "roughness", "metallic")},
-    )
-    big = replace(
-        result,
-        materials=materials,
-        normals=large(result.normals),
-        mask=large(result.mask),
-        uncertainty=None,
-    )
-    page = notebook(big)
-    assert {max(decoded(image).size) for image in page.all("img")} == {SIDE}
-    assert len(page.content) < 200_000
 
 
 def test_a_path_is_as_good_as_a_scene(tmp_path: Path) -> None:

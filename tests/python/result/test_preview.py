@@ -81,12 +81,6 @@ def test_a_preview_is_of_the_box_around_the_mask() -> None:
     assert preview(result, scene).shape[0] - flat.shape[0] == pytest.approx(rows * panels, abs=rows)
 
 
-def test_the_run_time_does_not_show() -> None:
-    scene, result = whole()
-    slower = dataclasses.replace(result, seconds=result.seconds + 100)
-    np.testing.assert_array_equal(preview(slower, scene), preview(result, scene))
-
-
 @pytest.mark.slow
 def test_samples_without_weight_may_be_anything_and_do_not_set_the_exposure() -> None:
     scene = part(24, 24)

@@ -16,7 +16,6 @@ from pbrfit.model.lamps import Lamps
 from pbrfit.registration.placement import Placement, Registration, put_back
 from pbrfit.report import inspection
 from pbrfit.scene import folder as scene_folder
-from pbrfit.scene import known_lamps
 from scene_files import SIZE, room, run, write_folder
 
 LP = "3\nlight_01.jpg 0.6 0 0.8\nlight_00.jpg 0 0.6 0.8\nlight_02.jpg 0 0 1\n"
@@ -113,11 +112,6 @@ def test_inspect_tells_of_lamps(folder: Path, capsys: pytest.CaptureFixture[str]
     )
 
 
-def test_spread_is_the_largest_angle() -> None:
-    assert known_lamps.spread(np.eye(3)) == pytest.approx(90)
-    assert known_lamps.spread(np.array([[0, 0, 1.0], [0, 0, -1.0]])) == pytest.approx(180)
-
-
 # Without normals
 
 
@@ -145,13 +139,6 @@ def test_arrays_without_normals() -> None:
     assert not Scene(images=room().images).normals_known
     with pytest.raises(InputError, match=r"normals: expected unit vectors, found none; 3 or more"):
         Scene(images=room().images[:2])
-
-
-def test_two_pictures_need_normals(folder: Path) -> None:
-    (folder / "normals.exr").unlink()
-    next((folder / "images").iterdir()).unlink()
-    with pytest.raises(InputError, match=r"found no normals \(3 or more pictures .* need none\)$"):
-        Scene.load(folder)
 
 
 def test_depth_is_not_compared_with_normals_that_nobody_told(

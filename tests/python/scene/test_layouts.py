@@ -205,17 +205,6 @@ def test_equal_pictures_are_named_once(tmp_path: Path, caplog: pytest.LogCapture
     assert scene_folder.digests(folder) == scene.inputs
 
 
-def test_a_picture_on_its_side_is_refused(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "scene")
-    wide = np.stack([room().images[0][:9], room().images[1][:9]])
-    for name, image in zip(room().names, wide, strict=False):
-        write_exr(folder / "images" / f"{name}.exr", image)
-    write_exr(folder / "images" / f"{room().names[1]}.exr", np.rot90(wide[1]))
-    hint = "orientation as-stored turns none"
-    with pytest.raises(InputError, match=rf"_01.exr: expected the size of light_00.exr, .*{hint}"):
-        Scene.load(folder)
-
-
 def uneven(name: str) -> Any:
     """What a frame of a white surface shows, (H, W, 3): each lamp falls off in another way."""
     across = np.linspace(0.4, 1, SIZE)[:: -1 if name.endswith("1") else 1]

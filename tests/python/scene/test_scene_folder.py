@@ -653,15 +653,6 @@ def test_max_size_averages_pictures_normals_and_takes_whole_pixels_only(folder: 
     assert scene.assumed["size"] == "averaged down from 16 × 16 to 8 × 8 pixels"
 
 
-@pytest.mark.parametrize(
-    ("max_size", "size"), [(16, (16, 16)), (999, (16, 16)), (5, (5, 5)), (1, (1, 1))]
-)
-def test_max_size_is_the_longer_side(folder: Path, max_size: int, size: tuple[int, int]) -> None:
-    scene = Scene.load(folder, max_size=max_size)
-    assert scene.images.shape == (LIGHTS, *size, 3)
-    np.testing.assert_allclose(scene.images.mean(), room().images.mean(), rtol=0.1)
-
-
 def test_save_and_load_give_the_same_scene(tmp_path: Path) -> None:
     made = make_scene("spheres", size=SIZE, lights=2, held_out=2, seed=4)
     mask = np.ones((SIZE, SIZE), bool)
