@@ -48,7 +48,7 @@ COMMANDS: dict[str, tuple[tuple[Any, ...], int, set[str]]] = {
 }
 """Options by suite, cases, and files beside those of every suite."""
 
-QUICK = ("lamps", "transport", "uncertainty")
+QUICK = ("lamps", "transport")
 
 
 @pytest.mark.parametrize(

@@ -198,7 +198,9 @@ def test_rounding_is_no_error_of_the_scale(error: float, covered: bool) -> None:
     assert measure.covered({"red": {"error": error, "deviation": 1e-8}}) == [covered]
 
 
-@pytest.mark.parametrize("seed", [7300, 7303, 7311])
+@pytest.mark.parametrize(
+    "seed", [7300, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (7303, 7311))]
+)
 def test_what_jpeg_lost_refutes_no_curve(seed: int) -> None:
     """Both curves leave no more than files did, of which linear values leave less."""
     scene = disturbed("jpeg-90-444", "furnished", seed, 32)
