@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import socket
-import ssl
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +13,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
 from pbrfit._core import InputError
@@ -117,15 +115,6 @@ def finished(run: subprocess.Popen[str], code: int = 0) -> tuple[str, str]:
     told, errors = run.communicate(timeout=900)
     assert run.returncode == code, errors
     return told, errors
-
-
-def test_a_local_cluster_gives_the_same_bits(scenes: Path, alone: Path, tmp_path: Path) -> None:
-    run = batch(scenes, tmp_path / "out", *FEW, "--cluster", "local", "--jobs", 2, "--quiet")
-    told, errors = finished(run)
-    assert errors == ""
-    found = [json.loads(line) for line in told.splitlines()]
-    assert [line["status"] for line in found] == ["done"] * SCENES
-    assert_equal(tmp_path / "out", alone)
 
 
 def test_a_worker_killed_in_the_middle_changes_no_result(
@@ -265,73 +254,29 @@ def _die_or_not(task: int, threads: int) -> int:
 
 
 def test_whose_worker_dies_fails_alone() -> None:
+    import dask
+    from distributed import LocalCluster
+
     found: dict[int, Attempt[int]] = {}
 
     def keep(task: int, attempt: Attempt[int]) -> None:
         found[task] = attempt
 
-    drive([1, 2, 3], _die_or_not, Cluster("local", 2), ended=keep)
-    assert found[1].error == "its process died"
-    threads = max(1, (os.cpu_count() or 1) // 2)
-    assert {task: one.value for task, one in found.items() if task != 1} == {
-        2: 20 + threads,
-        3: 30 + threads,
-    }
-
-
-def _listening(process: psutil.Process) -> list[tuple[str, int]]:
-    every = (
-        one
-        for process in [process, *process.children(recursive=True)]
-        for one in process.net_connections("tcp")
-        if one.status == psutil.CONN_LISTEN
-    )
-    return [(one.laddr.ip, one.laddr.port) for one in every]
-
-
-def test_a_local_cluster_serves_nobody_else() -> None:
-    """Who reaches a scheduler or a worker has it run code; none of their ports takes a stranger."""
-    before = _listening(psutil.Process())
-    cluster = Cluster("local", 2)
-    try:
-        assert cluster.start().submit(abs, -3).result() == 3
-        found = set(_listening(psutil.Process())) - set(before)
-        assert len(found) == 5  # of the scheduler, two workers, and the two that watch these
-        assert {ip for ip, _ in found} == {"127.0.0.1"}
-        for address in found:
-            with socket.create_connection(address, timeout=5) as stranger:
-                stranger.sendall(b"GET / HTTP/1.0\r\n\r\n")
-                assert b"HTTP" not in _answer(stranger)
-            with pytest.raises(OSError, match=r"(?i)certificate|reset|closed|EOF|timed out"):
-                _speak_tls(address)
-    finally:
-        cluster.stop()
-
-
-def _speak_tls(address: tuple[str, int]) -> None:
-    """Speak TLS without a certificate of the cluster's; raises OSError where that is not heard."""
-    anyone = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    anyone.check_hostname, anyone.verify_mode = False, ssl.CERT_NONE
     with (
-        socket.create_connection(address, timeout=5) as stranger,
-        anyone.wrap_socket(stranger) as inside,
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        LocalCluster(2, threads_per_worker=1, dashboard_address=None) as workers,
     ):
-        inside.sendall(b"hello")
-        if not inside.recv(64):
-            raise ConnectionResetError("closed")
+        drive([1, 2, 3], _die_or_not, Cluster(workers.scheduler_address), ended=keep)
+    assert found[1].error == "its process died"
+    assert {task: one.value for task, one in found.items() if task != 1} == {2: 21, 3: 31}
 
 
-def _answer(stranger: socket.socket) -> bytes:
-    try:
-        return stranger.recv(64)
-    except OSError:
-        return b""
-
-
-def test_a_suite_on_a_cluster_finds_what_it_finds_alone(tmp_path: Path) -> None:
+def test_a_suite_on_a_cluster_finds_what_it_finds_alone(machines: Machines, tmp_path: Path) -> None:
+    machines.add_worker()
+    machines.add_worker()
     figures = {}
     quick = ("--quick", "--scenes", "1", "--size", "16", "--rows", "base", "--quiet")
-    for name, where in (("alone", ("--jobs", "1")), ("far", ("--cluster", "local", "--jobs", "2"))):
+    for name, where in (("alone", ("--jobs", "1")), ("far", ("--cluster", machines.address))):
         out = str(tmp_path / name)
         run = started("pbrfit", "evaluate", "table1", "--out", out, *quick, *where)
         assert run.wait(timeout=900) == 0

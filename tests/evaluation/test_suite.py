@@ -158,7 +158,7 @@ def test_help_tells_defaults_of_both_efforts(
     assert "only these parts (default: all): quiet, loud" in told
     assert "--cluster" in told
     timed = replace(SUITE, timed=True)
-    assert run(timed, monkeypatch, "--out", "x", "--cluster", "local") == 2
+    assert run(timed, monkeypatch, "--out", "x", "--cluster", "tcp://head:8786") == 2
     assert "whose seconds are those of one machine" in capsys.readouterr().err
 
 

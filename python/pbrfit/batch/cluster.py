@@ -1,41 +1,34 @@
-"""Workers of dask.distributed: on other machines with shared storage, or on this one."""
+"""Workers of dask.distributed, on machines with shared storage."""
 
 from __future__ import annotations
 
 import logging
-import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from importlib.metadata import version
 from typing import Any
 
 from pbrfit._core import InputError
-from pbrfit.batch.executors import Workers, share
+from pbrfit.batch.executors import Workers
 
 ANSWERS_WITHIN = 10
 """Seconds that a scheduler may take to answer, and then its first worker to be there."""
-
-LOCAL = "local"
 
 
 class Cluster(Workers):
     """Workers of a dask cluster, each with one task at a time.
 
     Workers that come later are used too. A task whose worker is gone is given to another by dask
-    itself, up to three times. The address is that of the scheduler, such as ``tcp://host:8786``;
-    "local" is a cluster of its own on this machine. `jobs` run at the same time; None = as many as
-    there are workers. Raises InputError if dask is not installed, or nobody answers.
+    itself, up to three times. The address is that of the scheduler, such as ``tcp://host:8786``.
+    `jobs` run at the same time; None = as many as there are workers. Raises InputError if dask is
+    not installed, or nobody answers.
     """
 
     def __init__(self, address: str, jobs: int | None = None) -> None:
         try:
-            import cryptography  # noqa: F401 - without it there are no certificates
-            import dask
             from distributed import Client
             from distributed.comm import get_address_host_port
             from distributed.scheduler import KilledWorker
-
-            from pbrfit.batch import local_cluster
         except ImportError as error:
             raise InputError(
                 f"--cluster: expected dask.distributed, found {error}; "
@@ -46,22 +39,9 @@ class Cluster(Workers):
         self.deaths = (KilledWorker,)
         self._address, self._jobs = address, jobs
         self._executor: Executor | None = None
-        self._cluster: Any = None
-        self._others = set(multiprocessing.active_children())
-        if address == LOCAL:
-            jobs = jobs or share(1)
-            self.threads = share(jobs)
-            # What kills a worker is tried again by whoever hands out tasks, alone.
-            with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-                self._cluster = local_cluster.start(jobs)
         try:
-            if self._cluster is None:
-                get_address_host_port(address)  # a client that fails at it never quite ends
-            self._client = Client(
-                address if self._cluster is None else self._cluster,
-                timeout=ANSWERS_WITHIN,
-                set_as_default=False,
-            )
+            get_address_host_port(address)  # a client that fails at it never quite ends
+            self._client = Client(address, timeout=ANSWERS_WITHIN, set_as_default=False)
             self._client.wait_for_workers(1, timeout=ANSWERS_WITHIN)
         except (OSError, ValueError, TypeError, TimeoutError) as error:
             there = hasattr(self, "_client")
@@ -89,18 +69,11 @@ class Cluster(Workers):
         return max(1, workers if self._jobs is None else min(workers, self._jobs))
 
     def stop(self) -> None:
-        """Give back what waits. Workers of its own end; others see it by the files of a task."""
-        if self._cluster is not None:
-            for nanny in self._cluster.workers.values():
-                nanny.auto_restart = False
-            for process in set(multiprocessing.active_children()) - self._others:
-                process.kill()  # in the midst of a task they would take seconds to close
+        """Give back what waits. Workers see it by the files of a task."""
         if self._executor is not None:
             self._executor.shutdown(wait=False)
         if hasattr(self, "_client"):
             self._client.close(timeout=ANSWERS_WITHIN)
-        if self._cluster is not None:
-            self._cluster.close(timeout=ANSWERS_WITHIN)
 
     def _check(self) -> None:
         if self._client.status != "running":

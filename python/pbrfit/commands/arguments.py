@@ -141,11 +141,10 @@ def add_jobs(parser: Any, what: str) -> None:
 def add_cluster(parser: Any) -> None:
     """Add `--cluster`."""
     said = (
-        "hand scenes to the workers of a dask scheduler, which share storage with this machine, "
-        "or to a cluster on this machine alone; --jobs limits how many at the same time; needs "
-        "pip install 'pbrfit[cluster]'"
+        "hand scenes to the workers of a dask scheduler, which share storage with this machine; "
+        "--jobs limits how many at the same time; needs pip install 'pbrfit[cluster]'"
     )
-    add_flags(parser, cluster=value("local|ADDRESS", str, said))
+    add_flags(parser, cluster=value("ADDRESS", str, said))
 
 
 def add_threads(parser: Any) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 from pbrfit import address_space
 from pbrfit._core import InputError
 from pbrfit.batch import place
-from pbrfit.batch.cluster import LOCAL
 from pbrfit.batch.driver import Attempt, drive, workers
 from pbrfit.batch.heartbeat import PATIENCE
 from pbrfit.batch.scenes import SceneTask, decompose_scene, memory_of, scenes_in
@@ -168,7 +167,7 @@ def _run_all(
         if patience is None and options.cluster is None and address_space.left() is not None:
             patience = PATIENCE
         done_by = workers(options.jobs, options.cluster, most=len(tasks), patience=patience)
-        beside = done_by.apart and options.cluster in (None, LOCAL)
+        beside = done_by.apart and options.cluster is None
         try:
             with display:
                 drive(

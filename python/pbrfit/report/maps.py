@@ -204,7 +204,7 @@ def _ticks(low: float, high: float) -> dict[float, str]:
     from matplotlib.ticker import MaxNLocator
 
     numbers = MaxNLocator(TICKS, steps=[1, 2, 5, 10]).tick_values(low, high)
-    inside = [one for one in numbers.tolist() if low <= one <= high]
+    inside = [one for one in map(float, numbers) if low <= one <= high]
     return {(one - low) / (high - low): f"{one:.6g}".replace("-", "−") for one in inside}
 
 

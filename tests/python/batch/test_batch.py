@@ -204,7 +204,7 @@ def test_what_no_process_can_send_fails_its_task_alone(tmp_path: Path, act: str)
 def test_a_cluster_needs_dask(folder: Path, tmp_path: Path) -> None:
     if importlib.util.find_spec("distributed") is not None:
         pytest.skip("it is there; tests/cluster uses it")
-    line = refused("decompose", folder, "--out", tmp_path / "out", "--cluster", "local")
+    line = refused("decompose", folder, "--out", tmp_path / "out", "--cluster", "tcp://head:8786")
     assert line.startswith("pbrfit: --cluster: expected dask.distributed, found ")
     assert line.endswith("pip install 'pbrfit[cluster]' gets it\n")
     assert line.count("\n") == 1

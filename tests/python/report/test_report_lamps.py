@@ -66,8 +66,8 @@ def test_the_map_has_equal_angles_equally_long_and_a_number_a_lamp() -> None:
     assert marks["far, behind"].get_markerfacecolor() == "none"
     # 50 degrees from the viewer, to the upper left; 143 degrees, to the right.
     along = np.degrees(np.arccos(0.64)) * np.array((-0.48, 0.6)) / np.hypot(0.48, 0.6)
-    np.testing.assert_allclose(np.ravel(marks["far"].get_data()), along)
-    behind = np.ravel(marks["far, behind"].get_data())
+    np.testing.assert_allclose(np.ravel(marks["far"].get_xydata()), along)
+    behind = np.ravel(marks["far, behind"].get_xydata())
     np.testing.assert_allclose(behind, (np.degrees(np.arccos(-0.8)), 0))
     assert [text.get_text() for text in axes.texts][-3:] == ["1", "2", "3"]
 
