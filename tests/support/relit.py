@@ -57,7 +57,7 @@ def even(mask: NDArray[np.bool_], albedo: float, roughness: float = 1.0) -> Mate
 @functools.cache
 def shaded_ball() -> Result:
     """A light ball on a light floor, which block light."""
-    seen = ball_on_floor(64)
+    seen = ball_on_floor()
     depth = -seen.points[..., 2].astype(np.float32)
     materials = even(seen.mask, 0.7)
     return dataclasses.replace(

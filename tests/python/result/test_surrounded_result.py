@@ -169,7 +169,7 @@ def test_the_sky_is_dimmed_where_things_stand(model: Model) -> None:
     ratio = (lit / bare)[..., 1]
     assert np.nanmax(ratio[floor]) > 0.97
     assert np.nanmin(ratio[floor]) < 0.8
-    seen = ball_on_floor(64)
+    seen = ball_on_floor()
     world = seen.points @ seen.turn.T + seen.eye
     away = np.hypot(world[..., 0], world[..., 2] + 2.0)  # from where the ball stands
     rings = [floor & (np.abs(away - radius) < 0.08) for radius in (0.4, 0.6, 0.8, 1.1)]
@@ -206,7 +206,7 @@ def test_ids_too_large_for_float32_are_counted_anew() -> None:
 def test_pieces_of_a_picture_give_equal_light(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     of = dataclasses.replace(shaded_ball(), transport=Transport(kind, "asked for"))
     whole = relight(of, of.lighting[0])
-    monkeypatch.setattr(scenery, "PIECE", 1000)
+    monkeypatch.setattr(scenery, "PIECE", 500)
     pieces = relight(dataclasses.replace(of), of.lighting[0])
     # Rows of the model under reflected light are from fewer rays where there are pieces.
     atol = 0 if kind == "occlusion" else 0.05 * float(np.nanmax(whole))
