@@ -24,7 +24,6 @@ def rendered_export(
     panoramas: Sequence[Path],
     *,
     samples: int = 256,
-    threads: int = 1,
 ) -> NDArray[np.float64]:
     """Pictures (M, size, size, 3), linear Rec.709, of an exported square scene.
 
@@ -38,8 +37,8 @@ def rendered_export(
         Side of the pictures in pixels.
     panoramas
         EXR files of light, as `pbrfit export` writes them.
-    samples, threads
-        Light paths a pixel, threads of the renderer.
+    samples
+        Light paths a pixel.
 
     Raises
     ------
@@ -52,7 +51,7 @@ def rendered_export(
     job = {
         "glb": str(glb),
         "size": size,
-        "threads": threads,
+        "threads": 1,
         "seed": 1,
         "bounces": dict.fromkeys(("all", "diffuse", "glossy"), 0),
         "panoramas": [str(path) for path in panoramas],

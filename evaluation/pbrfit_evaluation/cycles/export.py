@@ -5,8 +5,7 @@ camera sits at the origin and is not turned, and normals, positions and lights n
 
 What blocks light. A closed shell would keep a panorama out, so the room is a stage set: the
 ceiling, and the walls that the camera does not see, are there for camera rays only; they are seen
-and lit, but cast no shadow and reflect nothing. The other walls and all pieces are solid. In an
-"open" set that goes for all walls but the floor.
+and lit, but cast no shadow and reflect nothing. The other walls and all pieces are solid.
 
 Materials that vary are given twice: as maps with one texel for each pixel, exact for what the
 camera sees, and at the vertices, for what is seen in reflections.
@@ -16,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +27,6 @@ from pbrfit.synthetic.world import World
 from pbrfit_evaluation.rooms.frustum import Frustum
 
 Array = NDArray[np.float64]
-Shell = Literal["stage", "open"]
 Patch = tuple[Array, Array]  # (m, n, 3) points and (m, n, 3) unit normals, in object space
 
 ROUND = 128
@@ -91,7 +88,7 @@ class Stage:
     fov: float
 
 
-def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage:
+def export(world: World, size: int, fov: float) -> Stage:
     """Triangulate a world.
 
     Parameters
@@ -102,17 +99,14 @@ def export(world: World, size: int, fov: float, shell: Shell = "stage") -> Stage
         Width and height of the picture in pixels.
     fov
         Horizontal field of view in degrees, 0 < fov < 180.
-    shell
-        "stage" or "open"; see above.
 
     Raises
     ------
     InputError
         If a number is out of its range, or a primitive is of another kind.
     """
-    check_choice("shell", shell, get_args(Shell))
     view = world.cast(size, fov)
-    solid = light_blockers(world, fov, shell)
+    solid = light_blockers(world, fov)
     meshes = tuple(_mesh(world, i, solid[i]) for i in range(len(world.primitives)))
     one = Spots(np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]]), np.ones(1))
     relief = any(surface.at(one).normals is not None for surface in world.surfaces)
@@ -132,11 +126,11 @@ def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
         raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
 
 
-def light_blockers(world: World, fov: float, shell: Shell) -> tuple[bool, ...]:
-    """Which primitives are solid: the pieces, and of the walls those that `shell` leaves."""
+def light_blockers(world: World, fov: float) -> tuple[bool, ...]:
+    """Which primitives are solid: pieces, and walls that the camera sees but the ceiling."""
     rays = -view_directions(64, 64, fov).reshape(-1, 3)
     seen = set(trace(world.primitives, world.eye, rays @ world.turn.T).index.tolist())
-    lowest = -0.7 if shell == "stage" else 0.7  # how far up a wall's normal points at least
+    lowest = -0.7  # how far up a wall's normal points at least
     return tuple(
         bool(i >= world.walls or (i in seen and wall.rotation[1, 1] > lowest))
         for i, wall in enumerate(world.primitives)

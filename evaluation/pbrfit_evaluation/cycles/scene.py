@@ -17,8 +17,8 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic.exposure import MEAN_RADIANCE, gains
 from pbrfit.synthetic.lights import random_colors, random_lights
 from pbrfit.synthetic.world import World
-from pbrfit_evaluation.cycles.export import Shell, Stage, check_choice, export
-from pbrfit_evaluation.cycles.job import Distribution, Job, Transport, rendered
+from pbrfit_evaluation.cycles.export import Stage, check_choice, export
+from pbrfit_evaluation.cycles.job import Job, Transport, rendered
 
 Array = NDArray[np.float64]
 Light = Literal["panorama", "points"]
@@ -51,8 +51,6 @@ def render_scene(
     held_out: int = 16,
     seed: int = 0,
     samples: int | None = None,
-    shell: Shell = "stage",
-    distribution: Distribution = "MULTI_GGX",
     cache: Path | None = None,
     threads: int = 2,
 ) -> Scene:
@@ -79,11 +77,6 @@ def render_scene(
         Of the lights, as in `make_scene`, and of the renderer.
     samples
         Light paths a pixel; None = by `light` and `transport` (`SAMPLES`).
-    shell
-        Which walls block light: "stage" all that the camera sees but the ceiling, "open" the floor
-        alone; the others are there for the camera only.
-    distribution
-        Principled's: "GGX", or with light between facets "MULTI_GGX", which is Blender's default.
     cache
         Folder that keeps renders; None = the user's cache. Panoramas of one seed share a render
         whatever their number is.
@@ -115,7 +108,7 @@ def render_scene(
     if seed < 0:
         raise InputError(f"seed: expected a non-negative integer, found {seed}")
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
-    stage = export(world, size, fov, shell)
+    stage = export(world, size, fov)
     positions = colors = None
     if light == "points":
         positions, colors = random_point_lights(stage, world.walls, lights, streams[1])
@@ -125,7 +118,6 @@ def render_scene(
         transport,
         samples=SAMPLES[light, transport] if samples is None else samples,
         seed=seed % 2**31,
-        distribution=distribution,
     )
     found = rendered(job, cache=cache, threads=threads)
     mask = inner_pixels(found.segments, found.normals, fov)
@@ -174,7 +166,6 @@ def true_lamps(
     *,
     lights: int = 16,
     seed: int = 0,
-    shell: Shell = "stage",
 ) -> Lamps:
     """The lamps that `render_scene` with `light="points"` and the same arguments puts into a room.
 
@@ -182,7 +173,7 @@ def true_lamps(
     an exposure of its own.
     """
     stream = np.random.SeedSequence(seed).spawn(4)[1]
-    stage = export(world, size, fov, shell)
+    stage = export(world, size, fov)
     places, _ = random_point_lights(stage, world.walls, lights, np.random.default_rng(stream))
     return Lamps(np.arange(lights, dtype=np.intp), places, np.ones(lights, bool))
 

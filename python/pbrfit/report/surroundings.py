@@ -23,16 +23,16 @@ INSIDE = 0.995
 """Share of points on either side that the drawing has room for, at least."""
 
 
-def plan_view(scenery: Scenery, unit: str = "units of depth") -> Figure:
-    """Draw what blocks light from above and from the side, to one scale, in a `unit`.
+def plan_view(scenery: Scenery) -> Figure:
+    """Draw what blocks light from above and from the side, to one scale.
 
     From above the way ahead in the room is up, from the side it is to the right.
     """
     right, up, ahead = room_axes(scenery.walls)
     parts = _Parts(scenery)
     views = (
-        (np.array([right, ahead]), "From above", f"to the right, {unit}", "ahead"),
-        (np.array([ahead, up]), "From the side", f"ahead, {unit}", "up"),
+        (np.array([right, ahead]), "From above", "to the right, units of depth", "ahead"),
+        (np.array([ahead, up]), "From the side", "ahead, units of depth", "up"),
     )
     bounds = [parts.bounds(axes) for axes, *_ in views]
     # One scale for both: as wide as their contents, and equally high.

@@ -17,11 +17,11 @@ def test_plans_have_one_scale_walls_camera_and_points() -> None:
     seen = box_room()
     found = Scenery(seen.depth, seen.normals, seen.mask, seen.segments, seen.fov)
     blocks = (*found.extents.blocks[:-1], False)
-    figure = plan_view(found.with_extents(replace(found.extents, blocks=blocks)), "metres")
+    figure = plan_view(found.with_extents(replace(found.extents, blocks=blocks)))
     assert len(as_svg(figure)) > 10_000
     scales = []
     for drawing in figure.axes:
-        assert "metres" in drawing.get_xlabel()
+        assert "units of depth" in drawing.get_xlabel()
         drawn = {str(line.get_label()): line for line in drawing.lines}
         assert {"closes the room", "lets light through", "things, as seen"} <= drawn.keys()
         assert drawn["lets light through"].get_linestyle() == "--"
