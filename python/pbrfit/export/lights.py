@@ -17,7 +17,7 @@ from pbrfit.export.nonnegative import nonnegative_radiance, surface_response
 from pbrfit.io import images
 from pbrfit.io.quoting import cell
 from pbrfit.model import panorama
-from pbrfit.model.lighting import BAND_OF, Lighting
+from pbrfit.model.lighting import Lighting
 from pbrfit.result.result import Result
 
 HEIGHT = 64
@@ -26,7 +26,6 @@ pixels takes from l = 3 is h²/8 · 9 = 0.3 % at most, h = π/64 being their dis
 
 FILES = {
     "lighting.json": "the lights as pbrfit keeps them (formats.md)",
-    "coefficients.csv": "the same as a table, lamps as SH light: picture, k, l, m, r, g, b",
     "panoramas.csv": "which panorama is whose, and how much differently it lights",
 }
 
@@ -53,7 +52,6 @@ def write_lights(folder: Path, result: Result) -> tuple[LightPanorama, ...]:
     response = surface_response(result)
     lighting.save(folder / "lighting.json")
     soft = Lighting(result.pictures, result.sh_lighting())
-    _write_coefficients(folder / "coefficients.csv", soft)
     of_lamps = _lamps_as_texels(result)
     panoramas = []
     names = file_names(lighting.pictures)
@@ -125,12 +123,3 @@ def file_names(pictures: Sequence[str]) -> tuple[str, ...]:
 
 def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
-
-
-def _write_coefficients(path: Path, lighting: Lighting) -> None:
-    with path.open("w", newline="", encoding="utf-8") as table:
-        writer = csv.writer(table)
-        writer.writerow(["picture", "k", "l", "m", "r", "g", "b"])
-        for picture, light in zip(lighting.pictures, lighting.coefficients, strict=True):
-            for k, (band, values) in enumerate(zip(BAND_OF.tolist(), light.tolist(), strict=True)):
-                writer.writerow([cell(picture), k, band, k - band * (band + 1), *values])

@@ -52,7 +52,7 @@ ALL_MAPS = sorted(
     ]
 )
 GEOMETRIES: tuple[Geometry, ...] = ("card", "facets")
-LIGHTS = ["coefficients.csv", "lighting.json", "panoramas.csv"]
+LIGHTS = ["lighting.json", "panoramas.csv"]
 
 
 @pytest.fixture(scope="module")
@@ -529,21 +529,11 @@ def test_black_surfaces_and_no_light_have_a_black_panorama() -> None:
         assert difference == 0
 
 
-def test_coefficient_files_hold_the_lights(result: Result, tmp_path: Path) -> None:
+def test_the_lights_are_there_to_the_last_bit(result: Result, tmp_path: Path) -> None:
     export_result(result, tmp_path / "out", format="png")
-    folder = tmp_path / "out" / "lights"
-    again = Lighting.load(folder / "lighting.json")
+    again = Lighting.load(tmp_path / "out" / "lights" / "lighting.json")
     assert again.pictures == result.pictures
     np.testing.assert_array_equal(again.coefficients, result.lighting)
-    with (folder / "coefficients.csv").open(encoding="utf-8") as table:
-        rows = list(csv.DictReader(table))
-    assert len(rows) == 16 * len(result.pictures)
-    for row in rows:
-        k, band, m = (int(row[name]) for name in "klm")
-        assert k == band * (band + 1) + m
-        assert abs(m) <= band
-        i = result.pictures.index(row["picture"])
-        assert [float(row[c]) for c in "rgb"] == result.lighting[i, k].tolist()
 
 
 def test_lights_that_panoramas_cannot_hold_are_warned_of(
@@ -570,14 +560,10 @@ def test_no_name_in_a_table_is_a_formula(result: Result, tmp_path: Path) -> None
     names = ("=1+2", "-x", "'=a")
     named = dataclasses.replace(result, pictures=names)
     export_result(named, tmp_path / "out", format="png")
-    for table, column, end in (
-        ("panoramas", "picture", ""),
-        ("panoramas", "file", ".exr"),
-        ("coefficients", "picture", ""),
-    ):
-        with (tmp_path / "out" / "lights" / f"{table}.csv").open(encoding="utf-8") as file:
-            cells = dict.fromkeys(row[column] for row in csv.DictReader(file))
-        assert list(cells) == [f"'{name}{end}" for name in names]
+    with (tmp_path / "out" / "lights" / "panoramas.csv").open(encoding="utf-8") as table:
+        rows = list(csv.DictReader(table))
+    for column, end in (("picture", ""), ("file", ".exr")):
+        assert [row[column] for row in rows] == [f"'{name}{end}" for name in names]
 
 
 def test_names_of_pictures_become_names_of_files() -> None:
