@@ -37,7 +37,6 @@ from pbrfit_evaluation.cycles.export import export, light_blockers
 from pbrfit_evaluation.cycles.job import Job, basis_polynomials, rendered
 from pbrfit_evaluation.cycles.scene import inner_pixels, random_point_lights
 from pbrfit_evaluation.cycles.spheres import FOV, relative_rmse, render_sphere, under, where_met
-from pbrfit_evaluation.gap import spheres
 from scene_files import known, lights_of, truth_of
 
 SIZE = 24
@@ -409,14 +408,6 @@ def test_pictures_come_close_to_the_models_only_without_shadows(bpy_cache: Path)
     assert 0 < error["principled", "brdf"] < error["paper", "brdf"] < 0.15
     for model in MODELS:
         assert error[model, "full"] > 2 * error[model, "brdf"]
-
-
-def test_spheres_are_what_the_principled_model_says(bpy_cache: Path) -> None:
-    for substance, limits in (("metal", (0.01, 0.01, 0.01)), ("dielectric", (0.03, 0.01, 0.01))):
-        case = spheres.Sphere("MULTI_GGX", substance, 0.5, size=24, samples=800, cache=bpy_cache)
-        found = {name: np.array(errors) for name, errors in spheres.run(case).items()}
-        assert np.all(found["principled"] <= limits)
-        assert np.all(found["paper"] > 1.5 * found["principled"])
 
 
 def test_shadows_of_point_lights_only_take_light_away(bpy_cache: Path) -> None:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 import pbrfit
 import reference
-from pbrfit.model.geometry import view_directions
-from pbrfit_evaluation.gap import measure, principled, spheres
+from pbrfit_evaluation.gap import measure, principled
 from pbrfit_evaluation.gap.brute_force import respond, view
 from pbrfit_evaluation.gap.measure import Case, Model, integrated
 
@@ -118,31 +117,6 @@ def test_white_furnace_of_the_principled_integral(r: float, n_dot_v: float) -> N
     for metallic in (0.0, 0.4, 1.0):
         assert furnace(metallic) == pytest.approx(1, abs=1e-12)
     assert furnace(1.0, multiple=False) < 1 + 1e-6
-
-
-def test_the_integral_on_any_normals_is_that_of_the_pixels_own_frame() -> None:
-    rng = np.random.default_rng(0)
-    views = view_directions(4, 4, 60.0).reshape(-1, 3)
-    normals = reference.unit(views + 0.5 * rng.normal(size=views.shape))
-    normals[0] = views[0]
-    facing = np.einsum("pi,pi->p", normals, views) > 0.2
-    normals, views = normals[facing], views[facing]
-    count = len(normals)
-    albedo, r, m = np.full((count, 3), 0.7), np.full(count, 0.4), np.full(count, 0.5)
-    found = spheres.integral(normals, views, albedo, r, m)
-    light = rng.normal(size=16)
-    for i in range(count):
-        exact = principled.respond(0.4, float(normals[i] @ views[i])).weights(albedo[i], m[i])
-        side = views[i] - (views[i] @ normals[i]) * normals[i]
-        if np.linalg.norm(side) < 1e-9:
-            side = np.cross(normals[i], [1.0, 0.0, 0.0])
-        x = reference.unit(side)
-        axes = np.stack([x, np.cross(normals[i], x), normals[i]])
-        directions = reference.unit(rng.normal(size=(40, 3)))
-        local = np.linalg.lstsq(
-            reference.sh_basis(directions @ axes.T), reference.sh_basis(directions) @ light, None
-        )[0]
-        np.testing.assert_allclose(found[i] @ light, exact @ local, atol=1e-8)
 
 
 @pytest.mark.parametrize("r", [0.02, 0.1, 0.3, 0.5, 0.8, 1.0])

@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from pbrfit_evaluation import cycles
-from pbrfit_evaluation.cycles.job import Distribution
-from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, MODELS, Array, Case
-from pbrfit_evaluation.gap.spheres import (
-    ALBEDOS,
-    LEAST_COSINE,
-    NOISE,
-    SUBSTANCES,
-    WITHOUT,
-    Sphere,
-)
+from pbrfit_evaluation.gap.measure import COMPARED, MATERIALS, Array, Case
 from pbrfit_evaluation.plots import CELL, draw, dress, heat_map, panels, png
 from pbrfit_evaluation.suite import Picture, Results, Row, Section, Table, Value
 
@@ -104,60 +94,3 @@ def _maps(ratios: Mapping[str, Array], n_dot_v: Sequence[float], r: Sequence[flo
         axes.set_title(title, loc="left", fontsize=10)
         axes.set(xlabel="n·v", ylabel="roughness r")
     return png(figure)
-
-
-# ------------------------------------------------------------------------------------- on Cycles
-
-
-def sphere_rows(results: Results[Sphere]) -> list[Row]:
-    """A row for each distribution, substance and model, or one that says why there are none."""
-    if not results.pairs:
-        why_not = "--quick leaves Cycles out" if results.options.quick else cycles.why_not()
-        return [Row("spheres by Cycles", 0, None, {}, status=f"not run: {why_not}")]
-    return [
-        Row(
-            f"Cycles {distribution}, {substance}, {model}",
-            0,
-            None,
-            {
-                f"r_{case.r:g}_albedo_{albedo:g}": error
-                for case, found in of.finished
-                for albedo, error in zip(ALBEDOS, found[model], strict=True)
-            },
-            status=of.status("spheres"),
-        )
-        for distribution, substance, of in _groups(results)
-        for model in (of.finished[0][1] if of.finished else ())
-    ]
-
-
-def _groups(results: Results[Sphere]) -> list[tuple[Distribution, str, Results[Sphere]]]:
-    return [
-        (distribution, substance, results.of(distribution=distribution, substance=substance))
-        for distribution in get_args(Distribution)
-        for substance in SUBSTANCES
-    ]
-
-
-def sphere_sections(results: Results[Sphere], rows: Sequence[Row]) -> Iterator[Section]:
-    """The errors as a table and a plot."""
-    groups = _groups(results)
-    figure, grid = panels(len(groups), len(SUBSTANCES), sharey="all")
-    for axes, (distribution, substance, of) in zip(grid, groups, strict=True):
-        for place, name in enumerate((*MODELS, WITHOUT, NOISE)):
-            of_name = [(case.r, max(v[name][1:])) for case, v in of.finished if name in v]
-            if of_name:
-                r, errors = zip(*of_name, strict=True)
-                draw(axes, r, errors, place, name)
-        dress(axes, "roughness r", "RMSE / mean", f"{substance}, {distribution}", log="y")
-    caption = "The larger error of albedos 0.5 and 0.9."
-    plot = Picture("cycles", caption, png(figure))
-    yield Section(
-        "Against Cycles",
-        "RMSE of what a model says of spheres by Blender's Cycles, without bounces, of known "
-        f"material and light, over the mean radiance; pixels with n·v > {LEAST_COSINE:g}. No "
-        "figure can be below the noise of the renders. GGX is Principled without light between "
-        "facets, of which there is an integral by brute force; MULTI_GGX is Blender's default.",
-        [Table.of(rows)],
-        [plot] if results.finished else [],
-    )
