@@ -18,6 +18,7 @@ from pbrfit.report.html import paragraph
 from pbrfit.report.notation import percent, plain
 from pbrfit.result import differences
 from pbrfit.result.differences import Difference
+from pbrfit.result.refinement import FROM_PICTURES
 from pbrfit.result.result import Result
 from pbrfit.result.verdict import LEVELS, PARAMETERS, levels
 
@@ -92,8 +93,8 @@ def _block(block: Block, side: int, size: tuple[int, int]) -> str:
 
 def _recovered(result: Result) -> Block:
     which = "as given" if result.given_normals is None else "refined"
-    if result.height is not None:
-        which = "found from the pictures"
+    if result.height is not None or result.refinement.why.startswith(FROM_PICTURES):
+        which = FROM_PICTURES
     remarks = {name: f"median {_median(getattr(result, name))}" for name in PARAMETERS}
     remarks["albedo"] += ", linear"
     if result.uncertainty is not None:

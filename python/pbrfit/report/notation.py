@@ -15,7 +15,7 @@ def scientific(value: float) -> str:
     if value == int(value) and abs(value) < 1e6:
         return f"{int(value):,}"
     if 0.01 <= abs(value) < 1000:
-        return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
+        return f"{value:.2g}" if abs(value) < 99.5 else f"{value:.0f}"  # not 1e+02
     digits, _, exponent = f"{value:.1e}".partition("e")
     power = f"10{str(int(exponent)).translate(_SUPERSCRIPT)}"
     return power if digits == "1.0" else f"{digits.removesuffix('.0')}·{power}"

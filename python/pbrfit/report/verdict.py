@@ -110,10 +110,10 @@ def _lacks(result: Result) -> str:
 
 def _ended(result: Result) -> str:
     how = "converged" if result.status is Status.CONVERGED else "stopped"
-    return (
-        f"The fit {how} after {result.history.iterations} iterations and {result.seconds:.1f} s "
-        f"({result.stop_reason})."
-    )
+    count = result.history.iterations
+    why = "" if result.stop_reason == how else f" ({result.stop_reason})"
+    steps = f"{count} iteration{'s' * (count != 1)}"
+    return f"The fit {how} after {steps} and {result.seconds:.1f} s{why}."
 
 
 def _explained(result: Result, pictures: Sequence[Picture]) -> str:
@@ -127,7 +127,7 @@ def _explained(result: Result, pictures: Sequence[Picture]) -> str:
     if len(pictures) > 1:
         [last] = worst(pictures, 1)
         assert last.fit is not None
-        text += f", the largest, of {last.name}, {percent(last.fit.share)}"
+        text += f", the largest {percent(last.fit.share)} (picture {last.name})"
     text += "."
     if share >= MODEL_FAILS:
         text += (

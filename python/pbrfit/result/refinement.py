@@ -61,8 +61,8 @@ class Refinement:
 
     def of_normals_from_pictures(self) -> Refinement:
         """The same where none were given, and the pictures told those to begin with."""
-        done = "then refined" if self.refined else "not refined"
-        return replace(self, why=f"{FROM_PICTURES}; {done}: {self.why}")
+        then = f", then refined: {self.why}" if self.refined else ""
+        return replace(self, why=f"{FROM_PICTURES}{then}")
 
     def in_words(self) -> str:
         """What was done and why, to follow "normals: " or "the normals were "."""
