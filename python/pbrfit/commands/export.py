@@ -21,9 +21,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser,
         format=cli.choice(
             Format,
-            "this one alone; mtlx: MaterialX, with its PNG files; ply: a cloud of points, needs "
-            "depth; lp: directions of the lamps; ptm, rti: a polynomial texture map, hemispherical "
-            "harmonics for RTI viewers; openlime: these for the web "
+            "this one alone; mtlx: MaterialX, with its PNG files; lp: directions of the lamps; "
+            "ptm, rti: a polynomial texture map, hemispherical harmonics for RTI viewers; "
+            "openlime: these for the web "
             "(default: those of the preset, else gltf, exr, png and mtlx)",
         ),
         preset=cli.choice(

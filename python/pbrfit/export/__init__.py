@@ -7,7 +7,6 @@
     blender_extension.zip  with the preset "blender": imports the folder in Blender
     exr/              materials.exr with all layers; a file a texture
     png/              a file a texture
-    points.ply        where it is asked for: a point a pixel, of results with depth
     relit.ptm         where it is asked for: a polynomial texture map
     relit.rti         where it is asked for: hemispherical harmonics
     openlime/         where it is asked for: the same for web viewers
@@ -25,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pbrfit.export import blender, lights, materialx, points, rti
+from pbrfit.export import blender, lights, materialx, rti
 from pbrfit.export.displacement import Displacement
 from pbrfit.export.gltf import glb
 from pbrfit.export.lights import LightPanorama
@@ -105,9 +104,9 @@ def export_result(
     path
         The folder.
     format
-        "gltf", "exr", "png", "mtlx" (with its PNG files), "ply", "lp", "ptm", "rti" or "openlime"
-        alone. None: those of the preset; without one, all but "ply", which needs depth, and the
-        last three; and "lp" wherever each picture has one lamp.
+        "gltf", "exr", "png", "mtlx" (with its PNG files), "lp", "ptm", "rti" or "openlime" alone.
+        None: those of the preset; without one, all but the last three; and "lp" wherever each
+        picture has one lamp.
     preset
         Textures as "blender", "unreal" or "unity" expects them: names, channels, normals. None: a
         file a map.
@@ -130,7 +129,7 @@ def export_result(
     ------
     InputError
         If an option is unknown or would have no effect, the maps are not finite in the mask, or the
-        result has no depth for "ply", or not one lamp a picture for "lp".
+        result has not one lamp a picture for "lp".
     FileExistsError
         If the folder exists and `overwrite` is False, or it is no export.
     OSError
@@ -168,8 +167,6 @@ def export_result(
             put("material.mtlx", materialx.mtlx(planned).encode(), materialx.HOLDS, colors)
         if preset == "blender" and "png" in planned.formats:
             put(blender.ZIP_FILE, blender.extension(), blender.ZIP_HOLDS, "none")
-        if "ply" in planned.formats:
-            put("points.ply", points.ply(result), points.HOLDS, "albedo sRGB, all else linear")
         if "ptm" in planned.formats:
             content, white = rti.ptm(result)
             put(rti.PTM_FILE, content, rti.PTM_HOLDS, _codes(white))

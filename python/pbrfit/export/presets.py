@@ -17,7 +17,7 @@ from pbrfit.export.maps import (
 )
 from pbrfit.export.view_mesh import Geometry
 
-Format = Literal["gltf", "exr", "png", "mtlx", "ply", "lp", "ptm", "rti", "openlime"]
+Format = Literal["gltf", "exr", "png", "mtlx", "lp", "ptm", "rti", "openlime"]
 PresetName = Literal["blender", "unreal", "unity"]
 
 
@@ -146,7 +146,7 @@ def plan(
         raise InputError("normals: expected opengl, the convention of format gltf, found directx")
     if format == "exr" and bits is not None:
         raise InputError(f"bits: expected none with format exr, which is float32, found {bits}")
-    if format in ("ply", "lp", "ptm"):
+    if format in ("lp", "ptm", "rti", "openlime"):
         for name, value in (("preset", preset), ("normals", normals), ("bits", bits)):
             if value is not None:
                 raise InputError(f"{name}: expected none with format {format}, found {value}")

@@ -645,11 +645,9 @@ def test_export_prints_what_it_wrote(folder: Path, tmp_path: Path) -> None:
         ({"format": "mtlx", "preset": "blender"}, "preset: expected none with format mtlx"),
         ({"format": "gltf", "normals": "directx"}, "normals: expected opengl, the convention"),
         ({"format": "exr", "bits": 8}, "bits: expected none with format exr"),
-        ({"format": "ply", "bits": 8}, "bits: expected none with format ply, found 8"),
         ({"format": "ptm", "bits": 8}, "bits: expected none with format ptm, found 8"),
-        ({"format": "ply", "normals": "directx"}, "normals: expected none with format ply"),
+        ({"format": "rti", "normals": "directx"}, "normals: expected none with format rti"),
         ({"preset": "unity", "geometry": "facets"}, "geometry: expected none where no glTF"),
-        ({"format": "ply"}, "expected a result with depth for ply, found one without"),
         *(
             ({name: "tiff"}, f"{name}: expected one of .*, found 'tiff'")
             for name in ("format", "preset", "normals", "bits", "geometry")
@@ -694,42 +692,3 @@ def test_what_is_there_stays(folder: Path, tmp_path: Path) -> None:
     ):
         assert message in refused("export", of, "--out", place, "--overwrite")
     assert Result.load(inside).pictures == Result.load(folder).pictures
-
-
-def test_points_as_another_reader_sees_them(result: Result, tmp_path: Path) -> None:
-    random = np.random.default_rng(5)
-    depth = random.uniform(1, 2, (HEIGHT, WIDTH)).astype(np.float32)
-    depth[~result.mask] = np.nan
-    there = np.isfinite(depth)
-    row, column = np.argwhere(there)[7]
-    depth[row, column] = np.nan
-    there[row, column] = False
-    of = dataclasses.replace(result, depth=depth)
-    exported = export_result(of, tmp_path / "out", format="ply")
-    assert "points.ply" in [file.path for file in exported.files]
-
-    head, _, body = (tmp_path / "out" / "points.ply").read_bytes().partition(b"end_header\n")
-    lines = head.decode().splitlines()
-    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
-    assert f"element vertex {there.sum()}" in lines
-    sizes = {"float": "f", "uchar": "B"}
-    kinds = [line.split()[1:] for line in lines if line.startswith("property")]
-    names = [name for _, name in kinds]
-    assert names == [
-        *("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "roughness", "metallic")
-    ]
-    form = "<" + "".join(sizes[kind] for kind, _ in kinds)
-    points = [dict(zip(names, values, strict=True)) for values in struct.iter_unpack(form, body)]
-    assert len(points) == there.sum()
-    for point, (i, j) in zip(points, np.argwhere(there), strict=True):
-        assert point["z"] == -depth[i, j]
-        place = np.array([point[axis] for axis in "xyz"])
-        # Seen in its pixel.
-        ray = -view_directions(HEIGHT, WIDTH, result.fov)[i, j]
-        np.testing.assert_allclose(place / np.linalg.norm(place), ray, atol=1e-6)
-        normal = [point[f"n{axis}"] for axis in "xyz"]
-        np.testing.assert_allclose(normal, result.normals[i, j], atol=1e-7)
-        color = np.array([point[name] for name in ("red", "green", "blue")]) / 255
-        np.testing.assert_allclose(decode_srgb(color), result.albedo[i, j], atol=0.01)
-        assert point["roughness"] == pytest.approx(result.roughness[i, j])
-        assert point["metallic"] == pytest.approx(result.metallic[i, j])
