@@ -23,19 +23,10 @@ Solver = Literal["gauss-newton", "lbfgsb"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
 Loss = Literal["auto", "none"]
-LOSSES: tuple[Loss, ...] = get_args(Loss)
-
 Align = Literal["auto", "off"]
-ALIGNMENTS: tuple[Align, ...] = get_args(Align)
-
 TransportChoice = Literal["none", "occlusion", "bounce", "auto"]
-TRANSPORTS: tuple[TransportChoice, ...] = get_args(TransportChoice)
-
 LightChoice = Literal["sh", "lamps", "auto"]
-LIGHTS: tuple[LightChoice, ...] = get_args(LightChoice)
-
 Response = Literal["auto", "srgb", "linear", "fit"]
-RESPONSES: tuple[Response, ...] = get_args(Response)
 
 WHITE_ALBEDO = 0.9
 """Albedo of a white reference of which none is given: the white patch of a ColorChecker has a
@@ -206,14 +197,17 @@ class FitOptions:
     uncertainty: bool = True
 
     def __post_init__(self) -> None:
+        for name in (
+            "solver",
+            "robust",
+            "response",
+            "refine_normals",
+            "align",
+            "transport",
+            "light",
+        ):
+            _check_choice(name, getattr(self, name))
         self._keep(
-            solver=_one_of("solver", self.solver, SOLVERS),
-            robust=_one_of("robust", self.robust, LOSSES),
-            response=_one_of("response", self.response, RESPONSES),
-            refine_normals=_one_of("refine_normals", self.refine_normals, CHOICES),
-            align=_one_of("align", self.align, ALIGNMENTS),
-            transport=_one_of("transport", self.transport, TRANSPORTS),
-            light=_one_of("light", self.light, LIGHTS),
             same_lamp=_flag("same_lamp", self.same_lamp),
             iterations=whole_number("iterations", self.iterations),
             sh_order=whole_number("sh_order", self.sh_order),
@@ -286,8 +280,8 @@ FLAGS: dict[str, Flag] = {
     "time_limit": Flag(kind=float, metavar="S"),
     "sh_order": Flag(values=(2, 3)),
     "metallic": Flag("0: metallic is 0 and not fitted", values={"free": None, "0": 0.0}),
-    "robust": Flag(values=LOSSES),
-    "response": Flag(values=RESPONSES),
+    "robust": Flag(values=get_args(Loss)),
+    "response": Flag(values=get_args(Response)),
     "equal_exposures": Flag(
         "equal: pictures are divided by their mean radiance, so that bright ones do not outweigh "
         "dark ones; as-is: they are not; auto: where one has more than 4 times the mean of another",
@@ -296,9 +290,9 @@ FLAGS: dict[str, Flag] = {
     ),
     "mono_light": Flag(kind=bool),
     "refine_normals": Flag(values=CHOICES),
-    "align": Flag(values=ALIGNMENTS),
-    "transport": Flag(values=TRANSPORTS),
-    "light": Flag(values=LIGHTS),
+    "align": Flag(values=get_args(Align)),
+    "transport": Flag(values=get_args(TransportChoice)),
+    "light": Flag(values=get_args(LightChoice)),
     "same_lamp": Flag(kind=bool),
     "white": Flag(kind=lambda text: text.split(","), metavar="X,Y[,ALBEDO]"),
     "model": Flag(values=MODELS),
@@ -325,10 +319,11 @@ def _reference(white: Any) -> tuple[float, float, float]:
     return x, y, value
 
 
-def _one_of(name: str, value: Any, values: tuple[Any, ...]) -> Any:
+def _check_choice(name: str, value: Any) -> None:
+    """Raise InputError unless the value of an option is one that its flag takes."""
+    values = tuple(FLAGS[name].values or ())
     if not isinstance(value, str) or value not in values:
         raise InputError(f"{name}: expected one of {', '.join(values)}, found {of_what(value)}")
-    return value
 
 
 def _flag(name: str, value: Any) -> bool:
