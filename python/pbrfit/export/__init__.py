@@ -257,7 +257,7 @@ def _warn_of_negative(path: Path, panoramas: tuple[LightPanorama, ...]) -> None:
         worst = max(much, key=lambda light: light.difference)
         log.warning(
             "%s: %d of %d lights are so negative in places that panoramas light by %g %% or more "
-            "differently (%s by %.0f %%); lighting.json and the tables hold them as they are",
+            "differently (%s by %.0f %%); lighting.json holds them as they are",
             path / "lights",
             len(much),
             len(panoramas),
