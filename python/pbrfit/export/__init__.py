@@ -177,7 +177,7 @@ def export_result(
             else:
                 (folder / rti.WEB_FOLDER).mkdir()
                 for name, one in of_web.items():
-                    put(f"{rti.WEB_FOLDER}/{name}", one, rti.WEB_HOLDS, _codes(white))
+                    put(f"{rti.WEB_FOLDER}/{name}", one, rti.WEB_HOLDS[name], _codes(white))
         (folder / "lights").mkdir()
         if "lp" in planned.formats or rti.one_lamp_a_picture(result.lamps, len(result.pictures)):
             put(f"lights/{rti.LP_FILE}", rti.lp(result).encode(), rti.LP_HOLDS, "unit vectors")

@@ -44,7 +44,10 @@ RTI_FILE = "relit.rti"
 RTI_HOLDS = "hemispherical harmonics for RTIViewer: the surface under a hard light"
 
 WEB_FOLDER = "openlime"
-WEB_HOLDS = "hemispherical harmonics for web viewers (OpenLIME): info.json and its planes"
+WEB_HOLDS = {
+    "info.json": "hemispherical harmonics for web viewers (OpenLIME): scales of the planes",
+    **{f"plane_{k}.jpg": f"coefficient {k + 1} of 9, of red, green and blue" for k in range(9)},
+}
 
 JPEG_QUALITY = 95
 """Of planes."""
