@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evaluation_tasks import recorded
 from pbrfit.io import images
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.reflection import DEFAULT_MODEL, MODELS
@@ -19,7 +20,7 @@ from pbrfit.scene.scene import Scene
 from pbrfit.synthetic import make_scene
 from pbrfit_evaluation.normal_errors import LOWEST_COSINE, as_estimated, estimated
 from pbrfit_evaluation.table1 import measure
-from pbrfit_evaluation.table1.figures import METRICS
+from pbrfit_evaluation.table1.figures import METRICS, rows
 from pbrfit_evaluation.table1.measure import Case
 from pbrfit_evaluation.table1.rows import BY_KEY, ROWS
 from scene_files import known, run
@@ -136,3 +137,18 @@ def test_other_normals_of_the_same_name_are_other_tasks(tmp_path: Path) -> None:
         off.append((record["values"]["scores"]["recon"], record["seconds"]))
     assert off[1][0] > off[0][0]
     assert off[2] == off[1]  # not done again
+
+
+def test_rows_have_the_papers_figures_and_say_why_some_were_not_run() -> None:
+    pairs: list[tuple[Case, Any]] = []
+    for way in BY_KEY["base"].ways:
+        pairs.append(
+            (case("base", way, 1000, model="paper"), {"scores": dict.fromkeys(METRICS, 0.25)})
+        )
+        pairs.append((case("base", way, 1001, model="paper"), "ValueError: no"))
+    asked = {"conditions": ["base", "cycles-brdf"], "model": "paper", "quick": True}
+    found = rows(recorded(*pairs, **asked))
+    assert {row.status for row in found[:3]} == {"1 of 2 scenes failed"}
+    assert known(found[0].paper)["albedo"] == 0.065
+    assert [row.guess for row in found] == [False, False, True] * 2
+    assert found[-1].status == "not run: --quick leaves out what takes minutes"
