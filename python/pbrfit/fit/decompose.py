@@ -129,7 +129,7 @@ def decompose(
     trace = Trace(options, progress=progress or None, began=began)
     if options.align == "auto" and "alignment" not in scene.assumed:
         with trace.stage("alignment"):
-            scene = aligned(scene, stop=trace.out_of_time)
+            scene = aligned(scene, stop=trace.out_of_time, threads=threads)
     hindered = hindrance(scene)
     if options.refine_normals == "off":
         hindered = "not asked for"

@@ -190,31 +190,13 @@ class Level:
         basis = np.concatenate([mean * self._harmonics, main])
         if np.count_nonzero(used) < _SAMPLES_OF_UNKNOWN * (len(basis) + 6):
             return None
-        return self._solved(self._inner(self._values[i]), basis, used, self._inner(mean))
-
-    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
-        """The others that have pixels in common with picture i, and which these are."""
-        own, kept = self._used[i], sorted(others)
-        used = own & self._used[kept].all(axis=0)
-        while len(kept) > 2 and np.count_nonzero(used) < LEAST_COMMON * np.count_nonzero(own):
-            kept.remove(min(kept, key=lambda j: int(np.count_nonzero(own & self._used[j]))))
-            used = own & self._used[kept].all(axis=0)
-        return kept, used
-
-    def _solved(
-        self,
-        target: NDArray[np.float32],
-        basis: NDArray[np.float32],
-        used: NDArray[np.bool_],
-        mean: NDArray[np.float32],
-    ) -> Fit | None:
-        """Least squares by the basis and a displacement, reweighted for Cauchy's loss."""
+        # Least squares by the basis and a displacement, reweighted for Cauchy's loss.
         count = len(basis)
         place = self._ones_y_x[:, used]
-        wanted = target[used].astype(np.float64)
+        wanted = self._inner(self._values[i])[used].astype(np.float64)
         known = np.empty((count + 6, len(wanted)))
         known[:count] = self._inner(basis)[:, used]
-        scale = 1.0 / (mean[used].clip(0).astype(np.float64) + _FLOOR)
+        scale = 1.0 / (self._inner(mean)[used].clip(0).astype(np.float64) + _FLOOR)
         weights = scale**2
         factors, matrix = _normal_equations(known[:count], wanted, weights)
         for _ in range(_REWEIGHTED):
@@ -229,6 +211,15 @@ class Level:
         by_basis = np.linalg.solve(matrix[:count, :count], matrix[:count, count:])
         from_basis = known[count:] - by_basis.T @ known[:count]
         return self._judged(from_basis, factors[count:], weights, residual / scale, used, scale)
+
+    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
+        """The others that have pixels in common with picture i, and which these are."""
+        own, kept = self._used[i], sorted(others)
+        used = own & self._used[kept].all(axis=0)
+        while len(kept) > 2 and np.count_nonzero(used) < LEAST_COMMON * np.count_nonzero(own):
+            kept.remove(min(kept, key=lambda j: int(np.count_nonzero(own & self._used[j]))))
+            used = own & self._used[kept].all(axis=0)
+        return kept, used
 
     def _judged(
         self,

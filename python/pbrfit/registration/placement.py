@@ -26,16 +26,18 @@ from pbrfit.registration.displacement import (
     LEAST_DISPLACEMENT,
     LEAST_SHARE,
     SCREENING,
+    Fit,
     Greys,
     Level,
     displacement_at,
 )
 from pbrfit.scene.scene import Scene
-from pbrfit.threads import one_blas_thread
+from pbrfit.threads import in_pieces, one_blas_thread
 
 log = logging.getLogger("pbrfit")
 
 Array = NDArray[np.float64]
+Stop = Callable[[], bool]
 
 COARSE_SIDE, SCREENING_SIDE = 128, 64
 """Longer side in pixels of the averaged pictures on which large displacements are found, and on
@@ -136,7 +138,7 @@ class Registration:
         return "; ".join(moved) or IN_LINE
 
 
-def aligned(scene: Scene, *, stop: Callable[[], bool] = lambda: False) -> Scene:
+def aligned(scene: Scene, *, stop: Callable[[], bool] = lambda: False, threads: int = 0) -> Scene:
     """The scene with pictures that are out of line put back or left out.
 
     `assumed["alignment"]` says what was done; a scene that has it is returned as it is. Where
@@ -144,7 +146,7 @@ def aligned(scene: Scene, *, stop: Callable[[], bool] = lambda: False) -> Scene:
     """
     if "alignment" in scene.assumed:
         return scene
-    found = register(scene, stop=stop)
+    found = register(scene, stop=stop, threads=threads)
     for one in found.placements:
         if not one.in_line:
             place = "" if scene.source is None else f"{scene.source.path}: "
@@ -155,8 +157,8 @@ def aligned(scene: Scene, *, stop: Callable[[], bool] = lambda: False) -> Scene:
     return replace(put_back(scene, found), assumed=assumed)
 
 
-def register(scene: Scene, *, stop: Callable[[], bool] = lambda: False) -> Registration:
-    """Find how the pictures of a scene lie relative to each other.
+def register(scene: Scene, *, stop: Stop = lambda: False, threads: int = 0) -> Registration:
+    """Find how the pictures of a scene lie relative to each other, by so many threads (0 = all).
 
     Where most lie in one place, others are put there; where few do, as with a camera in the hand,
     all are put to their middle (the median of each part of the displacement).
@@ -166,20 +168,21 @@ def register(scene: Scene, *, stop: Callable[[], bool] = lambda: False) -> Regis
     if min(scene.height, scene.width) < LEAST_SIDE:
         return Registration(hindrance=f"pictures below {LEAST_SIDE} pixels")
     with one_blas_thread():
-        return _Register(scene, stop).run()
+        return _Register(scene, stop, threads).run()
 
 
 class _Register:
     """The registration of one scene, under way."""
 
-    def __init__(self, scene: Scene, stop: Callable[[], bool]) -> None:
+    def __init__(self, scene: Scene, stop: Stop, threads: int) -> None:
         self._scene, self._pictures, self._stop = scene, Greys(scene), stop
+        self._threads = threads
         self._all = range(len(scene.images))
         self._small = reduced_size(self._pictures.shape, COARSE_SIDE)
         self._scale = max(self._pictures.shape) / max(self._small)
         self._reasons: dict[int, str] = {}
         self._affine = np.zeros((len(self._all), 2, 3))
-        self._fields = [self._edges(i) for i in self._all]
+        self._fields = in_pieces(threads, self._edges, self._all)
 
     def run(self) -> Registration:
         """How all pictures lie."""
@@ -260,25 +263,29 @@ class _Register:
         """Pictures that are out of line as far as a few pixels tell."""
         sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
         levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
-        suspects = []
-        for i in self._others(-1, self._all):
-            fits = [level.fit(i, self._others(i, self._all)) for level in levels]
-            seems = i in peaks or any(fit is not None and fit.out_of_line for fit in fits)
-            if seems and self._confirmed(i, levels, peaks):
-                suspects.append(i)
-        return suspects
+        every = self._others(-1, self._all)
 
-    def _confirmed(self, i: int, levels: list[Level], peaks: dict[int, alignment.Shift]) -> bool:
+        def seems(i: int) -> bool:
+            fits = [level.fit(i, self._others(i, self._all)) for level in levels]
+            return i in peaks or seems_displaced(levels[0], *fits)
+
+        found = in_pieces(self._threads, seems, every)
+        seem = [i for i, one in zip(every, found, strict=True) if one]
+        # Where others are out of line too, they may not yet explain one that is put back.
+        least = LEAST_SHARE if 2 * len(seem) <= len(every) else 0.0
+        for i in peaks.keys() & set(seem):
+            self._affine[i, :, 0] = self._scale * np.array(peaks[i].shift)
+        return [i for i in seem if self._confirmed(i, levels, least)]
+
+    def _confirmed(self, i: int, levels: list[Level], least: float) -> bool:
         """Whether the slopes at picture i lead to a place where it is explained better.
 
         Of a picture in line they are of light: steps along them go on and on, or gain nothing. What
         is found of others is kept, to go on from.
         """
-        if i in peaks:
-            self._affine[i, :, 0] = self._scale * np.array(peaks[i].shift)
         others = self._others(i, self._all)
         settled = [self._descend(level, i, others, COMPONENTS) for level in levels][-1]
-        self._affine[i] = self._believed(levels[-1], i, 0.0) if settled else 0.0
+        self._affine[i] = self._believed(levels[-1], i, least) if settled else 0.0
         for level in levels:
             level.move(i, np.zeros((2, 3)))
         return bool(self._affine[i].any())
@@ -372,6 +379,21 @@ class _Register:
             return affine.copy()
         near = np.abs(shift - shift.round()).max() <= ROUNDED
         return np.asarray(shift.round() if near else shift)
+
+
+def seems_displaced(averaged: Level, coarse: Fit | None, fine: Fit | None = None) -> bool:
+    """Whether a picture is out of line by its fit to averaged pictures, or one to them as they are.
+
+    What is long enough to be seen in both has to be found in both: fine detail under another light
+    is not, where the few windows that are looked at take it for a bend of the whole.
+    """
+    if coarse is None or fine is None or coarse.out_of_line:
+        return any(fit is not None and fit.out_of_line for fit in (coarse, fine))
+    return any(
+        of_fine.believed
+        and averaged.rms(of_fine.affine - of_coarse.affine) < LEAST_DISPLACEMENT * averaged.pixel
+        for of_coarse, of_fine in ((coarse.shift, fine.shift), (coarse.bend, fine.bend))
+    )
 
 
 # --- Putting back ------------------------------------------------------------------------------

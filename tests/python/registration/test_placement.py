@@ -91,8 +91,8 @@ def test_a_displacement_is_found_to_a_tenth_of_a_pixel_under_other_lights(
     assert root_mean_square(found[MOVED].affine - by) < 0.1
 
 
-def test_a_shift_of_a_larger_picture_is_in_its_own_pixels() -> None:
-    by = affine(6.3, -2.6)
+@pytest.mark.parametrize("by", [affine(6.3, -2.6), affine(0.6, 0.4), affine(0.3, 0.1)])
+def test_a_shift_of_a_larger_picture_is_in_its_own_pixels(by: NDArray[Any]) -> None:
     found = register(shaken(by, size=192)).placements[MOVED]
     np.testing.assert_allclose(found.affine[:, 0], by[:, 0], atol=0.1)
 
@@ -108,7 +108,7 @@ def test_light_alone_displaces_nothing(kind: str, lights: int) -> None:
 def test_slopes_that_lead_nowhere_are_no_displacement() -> None:
     """Shading asks for displacements of all pictures of a ball under lamps: one is looked into."""
     ball, moved_by_little = planted(far(12), size=128).scene, shaken(affine(0.35, 0.0))
-    searches = [placement._Register(one, lambda: False) for one in (ball, moved_by_little)]
+    searches = [placement._Register(one, lambda: False, 0) for one in (ball, moved_by_little)]
     suspects = [search._suspects(search._peaks()) for search in searches]
     assert len(suspects[0]) <= 1
     assert suspects[1] == [MOVED]
