@@ -149,12 +149,14 @@ def _of_segments(scene: Scene) -> Contradiction | None:
     """Of one material colours are alike: mirrored segments may not leave less of their means."""
     if scene.segments is None:
         return None
-    colors = np.mean([scene.samples(i) for i in range(len(scene.images))], axis=0, dtype=np.float64)
+    window = strided_window(scene.valid, PIXELS)
+    few = cut(scene, window)
+    colors = np.mean([few.samples(i) for i in range(len(few.images))], axis=0, dtype=np.float64)
     colors = np.log(np.maximum(colors, TINY + 0.01 * colors.mean()))
-    patches = patches_of(scene.valid)
+    patches = patches_of(few.valid)
 
     def left(segments: NDArray[np.integer[Any]]) -> Array:
-        labels, count = consecutive_labels(segments[scene.valid])
+        labels, count = consecutive_labels(window.of(segments)[few.valid])
         sizes = np.bincount(labels, minlength=count + 1).clip(1)
         rests = [of - (np.bincount(labels, of, count + 1) / sizes)[labels] for of in colors.T]
         rest = np.abs(rests).mean(axis=0)

@@ -49,10 +49,8 @@ def views_at(size: tuple[int, int], fov: float, columns: Any, rows: Any) -> NDAr
     half_width = math.tan(math.radians(fov) / 2)
     x = (2 * np.asarray(columns) + 1 - width) / width * half_width
     y = (height - 1 - 2 * np.asarray(rows)) / width * half_width
-    view = np.empty((*np.broadcast_shapes(x.shape, y.shape), 3))
-    view[..., 0], view[..., 1], view[..., 2] = -x, -y, 1.0
-    view /= np.linalg.norm(view, axis=-1, keepdims=True)
-    return view
+    length = np.sqrt(x * x + y * y + 1)
+    return np.stack([-x / length, -y / length, 1 / length], axis=-1)
 
 
 def positions(depth: NDArray[Any], fov: float) -> NDArray[np.float64]:
