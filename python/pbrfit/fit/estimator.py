@@ -31,7 +31,7 @@ from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_all, is_exact, retry_outliers
+from pbrfit.fit.pixels import fit_all, is_exact, is_wide, retry_outliers
 from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
@@ -252,7 +252,8 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
             of_all = move_lights(run, x, lights, prior)
             if of_all and not run.goes_on:
                 return x
-        sum_sq = fit_all(objective, x, starts=1, prior=prior, stop=run.out_of_time)
+        starts = 1 if prior is None or run.posterior is None else is_wide(run.posterior)
+        sum_sq = fit_all(objective, x, starts=starts, prior=prior, stop=run.out_of_time)
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")
             return before

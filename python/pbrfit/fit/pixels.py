@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
+from pbrfit.fit.priors.posterior import Posterior
 from pbrfit.fit.sampling import beside, slices
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ def fit_all(
     objective: Objective,
     x: Array,
     *,
-    starts: int,
+    starts: int | NDArray[np.bool_],
     steps: int = settings.DESCENT_STEPS,
     prior: GaussianPrior | None = None,
     held_normals: bool = False,
@@ -97,18 +98,33 @@ def fit_all(
 ) -> Array | None:
     """Give all pixels of x their best materials for its lights; their sums of squares (P,).
 
-    None if stopped before all pixels had theirs.
+    `starts` may be one for each pixel. None if stopped before all pixels had theirs.
     """
-    sum_sq = np.empty(objective.pixels)
-    for chunk in pieces(objective.everything):
-        if stop():
-            return None
-        rows = None if prior is None else prior.rows(chunk)
-        found, sum_sq[chunk] = descended(
-            objective, x, chunk, steps=steps, starts=starts, prior=rows, held_normals=held_normals
-        )
-        place(objective, x, chunk, found)
+    sum_sq, of_pixels = np.empty(objective.pixels), np.broadcast_to(starts, objective.pixels)
+    for number in np.unique(starts):
+        for chunk in pieces(np.flatnonzero(of_pixels == number).astype(np.uint64)):
+            if stop():
+                return None
+            found, sum_sq[chunk] = descended(
+                objective,
+                x,
+                chunk,
+                steps=steps,
+                starts=int(number),
+                prior=None if prior is None else prior.rows(chunk),
+                held_normals=held_normals,
+            )
+            place(objective, x, chunk, found)
     return sum_sq
+
+
+def is_wide(posterior: Posterior) -> NDArray[np.bool_]:
+    """(P,): whether a pixel's posterior reaches farther from its mean than to the next nodes.
+
+    Descents of all others begin at the mean, which no node is nearer to their best.
+    """
+    spacing = np.array([nodes[1] - nodes[0] for nodes in NODES])
+    return np.asarray((posterior.variance > spacing**2).any(axis=1))
 
 
 def fit_level(
