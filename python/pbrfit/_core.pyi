@@ -373,10 +373,11 @@ class Problem:
         pixels: NDArray[np.uint64],
         covariances: NDArray[np.float64],
         modes: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Σ over modes of the square of what they move the materials of some pixels by, (P', D).
 
-        covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights.
+        covariances (P', D, D), the inverse of JᵀΩJ; modes (M, N, K, C) of the lights. Also
+        Jᵀ Ω by the lights of x, (P', D): what their scale changes.
         """
     def schur_complement(
         self,

@@ -23,7 +23,7 @@ use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles, Materials};
 use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::memory::zeros;
-use crate::runtime::simd::{Instructions, Isa, Kernel};
+use crate::runtime::simd::Instructions;
 use crate::runtime::{Result, check, pool};
 
 /// Blocks of pixels in a piece of work at most: a piece has a cost of its own.
@@ -319,7 +319,6 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         let Search {
             roughness,
             metallic,
-            starts,
             ..
         } = *self.search;
         if start == 0 && !self.nodes.is_empty() {
@@ -332,15 +331,9 @@ impl<'a, M: Fits, const C: usize, const D: usize, const U: usize> Block<'a, M, C
         if self.nodes.is_empty() {
             return None;
         }
-        let lowest = self.isa.run(Lowest { nodes: &self.nodes });
         let mut active = Doubles::default();
         for x in 0..count {
-            let node = if starts == 1 {
-                Some(lowest.0[x] as usize)
-            } else {
-                local_minimum(&self.nodes, metallic.len(), x, start)
-            };
-            if let Some(node) = node {
+            if let Some(node) = local_minimum(&self.nodes, metallic.len(), x, start) {
                 active.0[x] = 1.0;
                 self.grid.roughness.0[x] = roughness[node / metallic.len()];
                 self.grid.metallic.0[x] = metallic[node % metallic.len()];
@@ -422,31 +415,13 @@ fn add_prior(prior: &PriorPlanes, roughness: &[f64], metallic: &[f64], nodes: &m
     }
 }
 
-/// The lowest node of each pixel, the first of equals.
-struct Lowest<'a> {
-    nodes: &'a [Doubles],
-}
-
-impl Kernel for Lowest<'_> {
-    type Output = Doubles;
-
-    #[inline(always)]
-    fn run<I: Isa>(self, _: I) -> Doubles {
-        let (mut least, mut lowest) = (self.nodes[0], Doubles::default());
-        for (i, node) in self.nodes.iter().enumerate() {
-            for x in 0..BLOCK {
-                let lower = node.0[x] < least.0[x];
-                lowest.0[x] = if lower { i as f64 } else { lowest.0[x] };
-                least.0[x] = if lower { node.0[x] } else { least.0[x] };
-            }
-        }
-        lowest
-    }
-}
-
 /// Of a pixel's nodes that are lower than their eight neighbours, number `rank` from the lowest. Of
 /// equal neighbours the first counts as the lower one.
 fn local_minimum(nodes: &[Doubles], columns: usize, x: usize, rank: usize) -> Option<usize> {
+    let order = |&a: &usize, &b: &usize| nodes[a].0[x].total_cmp(&nodes[b].0[x]);
+    if rank == 0 {
+        return (0..nodes.len()).min_by(order);
+    }
     let rows = nodes.len() / columns.max(1);
     let is_minimum = |&node: &usize| {
         let (i, j) = (node / columns, node % columns);
@@ -459,7 +434,7 @@ fn local_minimum(nodes: &[Doubles], columns: usize, x: usize, rank: usize) -> Op
         })
     };
     let mut minima: Vec<usize> = (0..nodes.len()).filter(is_minimum).collect();
-    minima.sort_by(|&a, &b| nodes[a].0[x].total_cmp(&nodes[b].0[x]));
+    minima.sort_by(order);
     minima.get(rank).copied()
 }
 

@@ -316,7 +316,7 @@ impl PyProblem {
         pixels: &Bound<'py, PyAny>,
         covariances: &Bound<'py, PyAny>,
         modes: &Bound<'py, PyAny>,
-    ) -> PyResult<Out<'py, 2>> {
+    ) -> PyResult<(Out<'py, 2>, Out<'py, 2>)> {
         let (x, pixels) = self.at(x, pixels)?;
         let problem = &self.problem;
         let (p, d) = (pixels.len(), problem.unknowns_of_pixel());
@@ -327,8 +327,9 @@ impl PyProblem {
             problem.channels(),
         );
         let modes = values::<f64, 4>("modes", modes, [ANY, n, k, c])?;
-        let moves = py.detach(|| problem.moves_with_lights(&x, &pixels, &covariances, &modes))?;
-        Ok(out(py, moves, [p, d]))
+        let found = py.detach(|| problem.moves_with_lights(&x, &pixels, &covariances, &modes))?;
+        let [moves, effects] = found.map(|of_all| out(py, of_all, [p, d]));
+        Ok((moves, effects))
     }
 
     #[pyo3(signature = (x, pixels, **options))]

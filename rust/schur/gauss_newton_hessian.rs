@@ -20,11 +20,12 @@
 //! All of this is float64 (see [`samples`](crate::pixel::samples)): the matrices are differenced and
 //! inverted afterwards.
 
-use crate::block::radiance::Radiance;
-use crate::pixel::samples::{Block, Sums, by_kind, free_unknowns, unknowns_of_channel};
+use super::kernels::{Eliminated, Project};
+use crate::pixel::samples::{Block, Sums, by_kind, free_unknowns};
 use crate::problem::Problem;
 use crate::reflectance::planes::{BLOCK, Doubles};
 use crate::reflectance::reflection::Reflection;
+use crate::reflectance::sh::COEFFICIENTS;
 use crate::runtime::memory::zeros;
 use crate::runtime::simd::{Isa, Kernel};
 use crate::runtime::{Error, Result, check, pool};
@@ -76,10 +77,11 @@ impl Problem {
         })
     }
 
-    /// How far the materials of some pixels move with the lights: (pixel, D).
+    /// How far the materials of some pixels move with the lights, and B L of the lights L themselves:
+    /// (pixel, D) each.
     ///
     /// When the lights move by a mode v, the best material of a pixel moves by −C B v, with C its
-    /// covariance A⁻¹. The result is the sum of squares of these moves over modes. `covariances` is
+    /// covariance A⁻¹. The first result is the sum of squares of these moves over modes. `covariances` is
     /// (pixel, D, D), `modes` (mode, picture, coefficient, channel).
     pub fn moves_with_lights(
         &self,
@@ -87,7 +89,7 @@ impl Problem {
         pixels: &[usize],
         covariances: &[f64],
         modes: &[f64],
-    ) -> Result<Vec<f64>> {
+    ) -> Result<[Vec<f64>; 2]> {
         by_kind!(self, self.free_normals(), M, C, D, U => {
             moves_with_lights::<M, C, D, U>(self, x, pixels, covariances, modes)
         })
@@ -233,7 +235,7 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
     pixels: &[usize],
     covariances: &[f64],
     modes: &[f64],
-) -> Result<Vec<f64>> {
+) -> Result<[Vec<f64>; 2]> {
     let (maps, lights) = problem.at(x, pixels)?;
     let rows = free_unknowns::<C, D>(problem);
     let unknowns = rows.len();
@@ -253,83 +255,109 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
         .map(|mode| problem.padded_lights(mode))
         .collect();
     let mut moves = zeros("normal equations", pixels.len() * unknowns)?;
+    let mut effects = zeros("normal equations", pixels.len() * unknowns)?;
     let size = CHUNK * BLOCK;
     let pieces = pixels
         .chunks(size)
         .zip(covariances.chunks(size * unknowns * unknowns))
         .zip(moves.chunks_mut(size * unknowns))
+        .zip(effects.chunks_mut(size * unknowns))
         .collect();
     pool::map(
         problem.threads(),
         pieces,
-        |((pixels, covariances), moves)| {
+        |(((pixels, covariances), moves), effects)| {
             let mut block = Block::<M, C, D>::new(problem);
-            let mut radiance = Doubles::default();
+            let mut samples = Eliminated::default();
+            let mut radiance = vec![Doubles::default(); lights.len()];
             let isa = problem.instructions();
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
-                // ω J of every sample, in the order of the lights.
+                // ω J of every sample.
                 block.add_samples(&lights, true, &mut Sums::<U>::default());
-                for (derivatives, [_, weight]) in block.derivatives.iter_mut().zip(&block.given) {
+                samples.weights.clear();
+                samples.weights.extend(block.weights.iter());
+                std::mem::swap(&mut samples.rows, &mut block.derivatives);
+                for (derivatives, [_, weight]) in samples.rows.iter_mut().zip(&block.given) {
                     for plane in derivatives {
                         for x in 0..BLOCK {
                             plane.0[x] *= weight.0[x];
                         }
                     }
                 }
-                for mode in &modes {
-                    // B v
-                    let mut product = [Doubles::default(); U];
-                    for (sample, (light, weighted)) in
-                        mode.iter().zip(&block.derivatives).enumerate()
-                    {
-                        let c = sample / problem.pictures();
-                        isa.run(Radiance {
-                            weights: &block.weights[c],
-                            light,
-                            radiance: &mut radiance,
-                        });
-                        for (j, row) in unknowns_of_channel::<C, D>(c).into_iter().enumerate() {
-                            isa.run(AddProduct {
-                                a: &weighted[j],
-                                b: &radiance,
-                                sum: &mut product[row],
-                            });
-                        }
-                    }
-                    for x in 0..pixels.len() {
-                        let p = i * BLOCK + x;
-                        for row in 0..unknowns {
-                            let covariance =
-                                &covariances[(p * unknowns + row) * unknowns..][..unknowns];
-                            let mut moved = 0.0;
-                            for (c, &unknown) in covariance.iter().zip(&rows) {
-                                moved += c * product[unknown].0[x];
-                            }
-                            moves[p * unknowns + row] += moved * moved;
+                // B v
+                let mut product_of = |lights: &[[f64; COEFFICIENTS]]| {
+                    let mut sums = [Doubles::default(); U];
+                    isa.run(Project {
+                        pixels: &samples,
+                        lights,
+                        radiance: &mut radiance,
+                        sums: &mut sums,
+                    });
+                    sums
+                };
+                let first = i * BLOCK * unknowns;
+                put(
+                    &product_of(&lights),
+                    &rows,
+                    pixels.len(),
+                    &mut effects[first..],
+                );
+                let mut of_block = vec![[Doubles::default(); U]; U];
+                for x in 0..pixels.len() {
+                    let own = &covariances[(first + x * unknowns) * unknowns..];
+                    for (i, &row) in rows.iter().enumerate() {
+                        for (j, &column) in rows.iter().enumerate() {
+                            of_block[row][column].0[x] = own[i * unknowns + j];
                         }
                     }
                 }
+                let mut sums = [Doubles::default(); U];
+                for mode in &modes {
+                    isa.run(AddSquares {
+                        covariances: &of_block,
+                        product: &product_of(mode),
+                        sums: &mut sums,
+                    });
+                }
+                put(&sums, &rows, pixels.len(), &mut moves[first..]);
             }
         },
     );
-    Ok(moves)
+    Ok([moves, effects])
 }
 
-/// sum += a b
-struct AddProduct<'a> {
-    a: &'a Doubles,
-    b: &'a Doubles,
-    sum: &'a mut Doubles,
+/// Writes some rows of the planes of a block's pixels: (pixel, row).
+fn put(planes: &[Doubles], rows: &[usize], pixels: usize, out: &mut [f64]) {
+    for (x, out) in out.chunks_mut(rows.len()).take(pixels).enumerate() {
+        for (to, &row) in out.iter_mut().zip(rows) {
+            *to = planes[row].0[x];
+        }
+    }
 }
 
-impl Kernel for AddProduct<'_> {
+/// Adds the squares of C y.
+struct AddSquares<'a, const U: usize> {
+    covariances: &'a [[Doubles; U]],
+    product: &'a [Doubles; U],
+    sums: &'a mut [Doubles; U],
+}
+
+impl<const U: usize> Kernel for AddSquares<'_, U> {
     type Output = ();
 
     #[inline(always)]
     fn run<I: Isa>(self, _: I) {
-        for x in 0..BLOCK {
-            self.sum.0[x] += self.a.0[x] * self.b.0[x];
+        for (sum, covariances) in self.sums.iter_mut().zip(self.covariances) {
+            let mut moved = Doubles::default();
+            for (covariance, product) in covariances.iter().zip(self.product) {
+                for x in 0..BLOCK {
+                    moved.0[x] += covariance.0[x] * product.0[x];
+                }
+            }
+            for x in 0..BLOCK {
+                sum.0[x] += moved.0[x] * moved.0[x];
+            }
         }
     }
 }

@@ -437,7 +437,7 @@ fn normal_equations(example: &Example, problem: &Problem) -> Vec<f64> {
         equations.sum_sq_residuals,
         derivatives.by_material,
         derivatives.by_light,
-        moves.unwrap(),
+        moves.unwrap().concat(),
         schur_complement.matrix,
         schur_complement.gradient,
         back_substitute.unwrap(),

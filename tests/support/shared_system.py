@@ -186,7 +186,8 @@ def check_equations(example: Example, pixels: Pixels) -> None:
     covariances = roots @ roots.transpose(0, 2, 1)
     modes = rng.normal(size=(6, *example.lights.shape))
     effects = np.einsum("pnci,pnc,pck,mnkc->pmi", j, omega, by_light, modes)
-    moves = problem.moves_with_lights(example.x(), pixels, covariances, modes)
+    moves, of_all = problem.moves_with_lights(example.x(), pixels, covariances, modes)
+    close(of_all, np.einsum("pnci,pnc,pck,nkc->pi", j, omega, by_light, example.lights), 1e-11)
     close(moves, np.square(effects @ covariances).sum(axis=1), 1e-11)
 
 

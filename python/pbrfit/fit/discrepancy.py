@@ -178,7 +178,7 @@ def _light_share(objective: Objective, x: Array, variance: float, modes: Array) 
     precision = prior_precision(matrices.shape[1], channels, variance)
     alone = inverted(matrices, precision)
     own = np.einsum("pii->pi", alone)
-    moves = objective.problem.moves_with_lights(for_core, objective.everything, alone, modes)
+    moves, _ = objective.problem.moves_with_lights(for_core, objective.everything, alone, modes)
     return float(np.nan_to_num(moves / own)[:, channels:].mean())
 
 

@@ -31,7 +31,7 @@ from pbrfit.fit.misfit import Misfit
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_all, is_exact, is_wide, retry_outliers
+from pbrfit.fit.pixels import NODE_SPACING, fit_all, is_exact, retry_outliers
 from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
@@ -97,7 +97,7 @@ def fit_once(run: Run, start: Array, x: Array) -> Array:
     loss = run.evaluate(start)[0]
     x = x.copy() if x is start else x
     with run.stage("all pixels, once"):
-        fit_all(run.objective, x, starts=1, steps=settings.LATE_STEPS)
+        fit_all(run.objective, x, starts=1)
         run.iteration += run.left > 0
         run.record(x, run.evaluate(x)[0])
     return x if run.rows[-1].loss <= loss else start
@@ -252,8 +252,10 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
             of_all = move_lights(run, x, lights, prior)
             if of_all and not run.goes_on:
                 return x
-        starts = 1 if prior is None or run.posterior is None else is_wide(run.posterior)
-        sum_sq = fit_all(objective, x, starts=starts, prior=prior, stop=run.out_of_time)
+        wide: bool | NDArray[np.bool_] = True
+        if prior is not None and run.posterior is not None:
+            wide = (run.posterior.variance > NODE_SPACING**2).any(axis=1)
+        sum_sq = fit_all(objective, x, starts=wide, prior=prior, stop=run.out_of_time)
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")
             return before

@@ -62,7 +62,7 @@ GAIN_MIN = 0.05
 """Share by which an alternative has to lower what lamps leave: fits end within a hundredth."""
 
 PIXELS = 4000
-"""At which lamps beside given normals are looked at: 60 in each patch."""
+"""At which lamps beside given normals, and segments, are looked at: 60 in each patch."""
 
 SIDE = 128
 """Longer side in pixels that given normals are averaged down to, which evens out 8 bits' steps."""

@@ -37,7 +37,7 @@ def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) ->
     """
     layout = objective.layout
     if objective.lighting is None:
-        return np.zeros((0, layout.pictures, layout.coefficients, 1))
+        return np.zeros((0, layout.pictures, layout.coefficients, layout.channels))
     pixels = evenly_spaced(layout.pixels, settings.LIGHT_PIXELS_MAX)
     few, part = objective.restricted(pixels), objective.part_of(x, pixels)
     channels, k = layout.light_channels, layout.coefficients

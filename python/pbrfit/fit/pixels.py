@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.priors.posterior import Posterior
 from pbrfit.fit.sampling import beside, slices
 
 Array = NDArray[np.float64]
@@ -20,6 +20,9 @@ NODES = (
     np.linspace(*settings.DESCENT_ROUGHNESS_NODES),
     np.linspace(*settings.DESCENT_METALLIC_NODES),
 )
+NODE_SPACING = np.array([nodes[1] - nodes[0] for nodes in NODES])
+"""No node is nearer to what a pixel descends to than the mean of a posterior that is narrower."""
+
 RETRY_NODES = (
     np.linspace(*settings.RETRY_ROUGHNESS_NODES),
     np.linspace(*settings.RETRY_METALLIC_NODES),
@@ -101,30 +104,15 @@ def fit_all(
     `starts` may be one for each pixel. None if stopped before all pixels had theirs.
     """
     sum_sq, of_pixels = np.empty(objective.pixels), np.broadcast_to(starts, objective.pixels)
+    descend = partial(descended, objective, x, steps=steps, held_normals=held_normals)
     for number in np.unique(starts):
         for chunk in pieces(np.flatnonzero(of_pixels == number).astype(np.uint64)):
             if stop():
                 return None
-            found, sum_sq[chunk] = descended(
-                objective,
-                x,
-                chunk,
-                steps=steps,
-                starts=int(number),
-                prior=None if prior is None else prior.rows(chunk),
-                held_normals=held_normals,
-            )
+            rows = None if prior is None else prior.rows(chunk)
+            found, sum_sq[chunk] = descend(chunk, starts=int(number), prior=rows)
             place(objective, x, chunk, found)
     return sum_sq
-
-
-def is_wide(posterior: Posterior) -> NDArray[np.bool_]:
-    """(P,): whether a pixel's posterior reaches farther from its mean than to the next nodes.
-
-    Descents of all others begin at the mean, which no node is nearer to their best.
-    """
-    spacing = np.array([nodes[1] - nodes[0] for nodes in NODES])
-    return np.asarray((posterior.variance > spacing**2).any(axis=1))
 
 
 def fit_level(

@@ -166,10 +166,6 @@ DESCENT_METALLIC_NODES = (0.0, 1.0, 6)
 DESCENT_STEPS = 12
 """Steps of a pixel's descent from a node, on sums over pictures that are made once."""
 
-LATE_STEPS = 4
-"""Steps of a pixel's descent when a time limit was reached before any pass over all pixels: they
-end a few per cent above the loss of `DESCENT_STEPS`."""
-
 DESCENT_EXACT_STEPS = 1
 DESCENT_EXACT_STEPS_FREE_NORMALS = 4
 """Steps on residuals after these, for the last digits; in these alone free normals turn."""

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.discrepancy import Discrepancy, prior_precision
-from pbrfit.fit.normal_equations import inverted
+from pbrfit.fit.normal_equations import RIDGE
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import taken
@@ -48,10 +48,6 @@ from pbrfit.result.verdict import by_deviations
 from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
-
-PIECES_MIN, WORKING_SET = 16, 1 << 24
-"""Pieces that the pixels are taken in, at least, so that their matrices take little memory beside
-the pictures; and bytes of the largest array of a piece."""
 
 TWO_SIDED = 1.96
 """Deviations of a normal distribution on each side that hold 0.95 of it."""
@@ -96,16 +92,13 @@ def spread(
         grid = Grid(objective, x, discrepancy.of_pixel)
         posterior = Distributions.flat(grid).of_all(grid)
     mean_albedo = x[objective.albedo].reshape(layout.channels, -1).mean(axis=1)
-    lights = np.ascontiguousarray(objective.lights(x))
-    bytes_each = max(8 * 4 * unknowns**2, PIECES_MIN * WORKING_SET // layout.pixels)
-    pieces = slices(layout.pixels, max(1, WORKING_SET // bytes_each))
 
     def fill(chunk: slice) -> None:
         pixels = np.arange(chunk.start, chunk.stop, dtype=np.uint64)
         own = None if posterior is None else posterior.part(chunk)
-        found.put(chunk, _of_pixels(objective, x, discrepancy, own, pixels, mean_albedo, lights))
+        found.put(chunk, _of_pixels(objective, x, discrepancy, own, pixels, mean_albedo))
 
-    in_pieces(objective.threads, fill, pieces)
+    in_pieces(objective.threads, fill, slices(layout.pixels, settings.PIXELS_AT_ONCE))
     return found
 
 
@@ -116,7 +109,6 @@ def _of_pixels(
     posterior: Posterior | None,
     pixels: NDArray[np.uint64],
     mean_albedo: Array,
-    lights: Array,
 ) -> Spread:
     problem, for_core, c = objective.problem, objective.for_core(x), objective.channels
     matrices, _, _ = problem.normal_equations(for_core, pixels)
@@ -124,26 +116,29 @@ def _of_pixels(
     unknowns, v = matrices.shape[1], discrepancy.of_pixel
     rest = slice(c, unknowns)
     precision = prior_precision(unknowns, c, v)
-    alone = inverted(matrices, precision)
-    by_albedo = inverted(matrices[:, :c, :c], precision[:c])
-    slopes = -by_albedo @ matrices[:, :c, rest]
-    of_rest = v * alone[:, rest, rest]
+    diagonal = np.einsum("pii->pi", matrices)
+    by_albedo = 1 / (diagonal[:, :c] + precision[:c])
+    slopes = -by_albedo[:, :, None] * matrices[:, :c, rest]
+    curvature = matrices[:, rest, rest] + matrices[:, rest, :c] @ slopes
+    # Rounding of the difference may leave less than nothing.
+    np.einsum("pii->pi", curvature)[:] += RIDGE * diagonal[:, rest]
+    alone = of_rest = np.linalg.inv(curvature + np.diag(precision[rest]))
     if posterior is not None:
-        curvature = np.linalg.inv(of_rest) - np.diag(precision[rest] / v)
-        information = curvature * posterior.unused[:, None, None].astype(np.float64)
+        information = curvature * (posterior.unused[:, None, None] / v)
         information += np.linalg.inv(_covariance(posterior, unknowns - c))
-        of_rest = np.linalg.inv(information)
+        of_rest = np.linalg.inv(information) / v
     whole = np.empty_like(matrices)
     whole[:, rest, rest] = of_rest
     whole[:, :c, rest] = slopes @ of_rest
     whole[:, rest, :c] = whole[:, :c, rest].transpose(0, 2, 1)
-    whole[:, :c, :c] = v * by_albedo + whole[:, :c, rest] @ slopes.transpose(0, 2, 1)
-    variance = np.einsum("pii->pi", whole).copy()
+    whole[:, :c, :c] = whole[:, :c, rest] @ slopes.transpose(0, 2, 1)
+    np.einsum("pii->pi", whole)[:, :c] += by_albedo
+    variance = v * np.einsum("pii->pi", whole)
     shade = np.maximum(values[:, :c], mean_albedo) * (discrepancy.misfit / settings.MEAN_RADIANCE)
     variance[:, :c] += np.square(shade)
-    if len(discrepancy.modes):
-        moves = problem.moves_with_lights(for_core, pixels, whole / v, discrepancy.modes)
-        variance += discrepancy.of_noise * moves
+    moves, of_scale = problem.moves_with_lights(for_core, pixels, whole, discrepancy.modes)
+    variance += discrepancy.of_noise * moves
+    of_scale = of_scale[:, rest] + np.einsum("pcf,pc->pf", slopes, of_scale[:, :c])
     if posterior is not None:  # a value that is not the mean of its posterior is off by that, too
         off = values[:, rest] - posterior.mean[:, : unknowns - c]
         variance[:, rest] += np.square(off) * (1 - posterior.unused[:, None])
@@ -158,7 +153,7 @@ def _of_pixels(
         variance,
         np.clip(np.minimum(low, values), 0, 1),
         np.clip(np.maximum(high, values), 0, 1),
-        problem.moves_with_lights(for_core, pixels, alone, lights[None])[:, rest],
+        np.square(np.einsum("pfg,pg->pf", alone, of_scale)),
     )
 
 

@@ -28,6 +28,7 @@ from pbrfit.registration import alignment
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
+Size = tuple[int, int]
 
 LEAST_DISPLACEMENT = 0.2
 """Root mean square displacement in pixels from which a picture is out of line. Specular light that
@@ -52,6 +53,7 @@ LEAST_COMMON = 0.5
 """Share of a picture's pixels that the others it is compared with have to have too: those with the
 fewest, as a black one of integers, half of whose noise is clipped, are left out until they do."""
 
+_BLUR = 0.7  # pixels
 _HALO = 4  # pixels around a window that blur and differences need
 _FLOOR = 0.2  # of the mean: darker pixels weigh as this
 _REWEIGHTED = 2
@@ -114,19 +116,13 @@ class Fit:
 
 
 class Level:
-    """Windows of all pictures of a scene, grey, at one resolution and blur.
+    """Windows of all pictures of a scene, grey and blurred, at one resolution.
 
     Windows (n, h, w) have a halo; their inner pixels, P in all, are compared.
     """
 
-    def __init__(
-        self,
-        pictures: Greys,
-        size: tuple[int, int],
-        blur: float,
-        windows: tuple[int, int] = WINDOWS,
-    ) -> None:
-        self._pictures, self._size, self._blur = pictures, size, blur
+    def __init__(self, pictures: Greys, size: Size, windows: Size = WINDOWS) -> None:
+        self._pictures, self._size = pictures, size
         self.pixel = max(pictures.shape) / max(size)
         rows, columns = (_windows(length, *windows) for length in size)
         grid = np.broadcast_arrays(rows[:, None, :, None], columns[None, :, None, :])
@@ -164,8 +160,8 @@ class Level:
             weight = gaussian_filter(sound.astype(np.float32), (0, 2.0, 2.0))
             around = gaussian_filter(np.where(sound, values, 0), (0, 2.0, 2.0))
             values = np.where(sound, values, around / np.maximum(weight, 1e-6))
-            sound = gaussian_filter(sound.astype(np.float32), (0, self._blur, self._blur)) > 0.99
-        values = gaussian_filter(values.astype(np.float32), (0, self._blur, self._blur))
+            sound = gaussian_filter(sound.astype(np.float32), (0, _BLUR, _BLUR)) > 0.99
+        values = gaussian_filter(values.astype(np.float32), (0, _BLUR, _BLUR))
         sound = np.asarray(self._inner(sound), bool)
         # Not the mean, which may be 0 where there is only noise.
         square = float(np.mean(self._inner(values)[sound] ** 2)) if sound.any() else 0.0

@@ -52,10 +52,8 @@ surer, and whole shifts need no interpolation."""
 
 INTERPOLATION_ERROR = 0.02
 """Error of interpolation, as a share of the picture's mean radiance, at which a sample counts half:
-about that of an everyday picture's noise. The error is taken for the difference between cubic and
-linear interpolation, which is large only at edges as sharp as a pixel. With all samples at full
-weight, one of 16 pictures that was put back by half a pixel makes the errors of a fit 2 to 8 times
-as large, where it does so by a whole pixel 1.0 times."""
+everyday noise. It is taken for the difference between cubic and linear interpolation. With full
+weight one of 16 pictures, put back by half a pixel, makes errors of a fit 2 to 8 times as large."""
 
 SETTLED = 0.02
 """Change in pixels of all displacements at which rounds end."""
@@ -77,7 +75,6 @@ in scale. What has moved further is no picture of a view that was to stay."""
 NEIGHBOURS_AGREE = 0.8
 """Correlation of neighbouring pixels from which what a picture shows is not its noise."""
 
-_BLUR = 0.7  # pixels
 _STEPS = 4  # on a level
 _AGREEMENT_NOISE = 0.05
 _LONGEST_STEP = 2.0  # pixels of a level
@@ -252,9 +249,8 @@ class _Register:
     def _neighbours_agree(self, i: int) -> bool:
         """Whether a picture shows more than noise."""
         grey, used = self._pictures.of(i, self._pictures.shape)
-        pairs = used[:, 1:] & used[:, :-1]
-        left, right = grey[:, :-1][pairs], grey[:, 1:][pairs]
-        return bool(np.corrcoef(left, right)[0, 1] > NEIGHBOURS_AGREE)
+        pairs = np.stack([grey[:, :-1], grey[:, 1:]])[:, used[:, 1:] & used[:, :-1]]
+        return bool(np.corrcoef(pairs)[0, 1] > NEIGHBOURS_AGREE)
 
     def _others(self, i: int, among: Iterable[int]) -> list[int]:
         return [j for j in among if j != i and j not in self._reasons]
@@ -262,7 +258,7 @@ class _Register:
     def _suspects(self, peaks: dict[int, alignment.Shift]) -> list[int]:
         """Pictures that are out of line as far as a few pixels tell."""
         sizes = {self._pictures.shape, reduced_size(self._pictures.shape, SCREENING_SIDE)}
-        levels = [Level(self._pictures, size, _BLUR, SCREENING) for size in sorted(sizes)]
+        levels = [Level(self._pictures, size, SCREENING) for size in sorted(sizes)]
         every = self._others(-1, self._all)
 
         def seems(i: int) -> bool:
@@ -292,7 +288,7 @@ class _Register:
 
     def _settle(self, suspects: list[int]) -> None:
         """Find the places of the suspects, in rounds."""
-        self._fine = Level(self._pictures, self._pictures.shape, _BLUR)
+        self._fine = Level(self._pictures, self._pictures.shape)
         placed = set(self._others(-1, self._all)) - set(suspects)
         components = COMPONENTS if len(placed) > len(self._all) // 2 else COMPONENTS // 3
         for number in range(ROUNDS_MAX):
@@ -307,9 +303,7 @@ class _Register:
                     suspects.remove(i)
                 placed.add(i)
                 self._fine.move(i, self._affine[i])
-            change = max(
-                self._fine.rms(after - was) for after, was in zip(self._affine, before, strict=True)
-            )
+            change = max(map(self._fine.rms, self._affine - before))
             if number > 0 and change < SETTLED and components == COMPONENTS:
                 break
             if change < LEAST_DISPLACEMENT:
@@ -384,8 +378,7 @@ class _Register:
 def seems_displaced(averaged: Level, coarse: Fit | None, fine: Fit | None = None) -> bool:
     """Whether a picture is out of line by its fit to averaged pictures, or one to them as they are.
 
-    What is long enough to be seen in both has to be found in both: fine detail under another light
-    is not, where the few windows that are looked at take it for a bend of the whole.
+    What both would show has to be in both: a bend that a few windows of detail seem to tell is not.
     """
     if coarse is None or fine is None or coarse.out_of_line:
         return any(fit is not None and fit.out_of_line for fit in (coarse, fine))

@@ -413,8 +413,7 @@ class SceneArrays:
 
     def brightness(self, picture: int) -> NDArray[np.float64]:
         """(P,): the mean over the channels of `samples`."""
-        red, green, blue = self.samples(picture).T  # an axis of three is slow to go along
-        return np.asarray((np.add(red, green, dtype=np.float64) + blue) / 3)
+        return np.asarray(sum(self.samples(picture).T, np.zeros(1)) / 3)  # faster than `mean`
 
     def through(self, fov: float, correction: Correction | None = None) -> Self:
         """The same scene by another camera, of a field of view in degrees; it shares all else.

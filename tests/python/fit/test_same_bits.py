@@ -64,7 +64,7 @@ def test_of_a_problem(kind: Kind, model: Model) -> None:
             *problem.normal_equations(x, pixels),
             *problem.derivatives(x, pixels),
             problem.material_grid(x, pixels, *nodes),
-            problem.moves_with_lights(x, pixels, covariances[pixels], modes),
+            *problem.moves_with_lights(x, pixels, covariances[pixels], modes),
             problem.back_substitute(x, pixels, moves, **lights, **of_clusters),
         ]
 

@@ -78,19 +78,14 @@ class FittedPrior:
         posterior = self.distributions.of_all(grid, stop)
         if posterior is None:
             return None
-        prior = self.around(posterior, objective)
+        prior = posterior.prior(settings.PRIOR_SIGMA_MIN, self.strength * self.variance, objective)
+        if self.counted_once:
+            # What clusters of pixels are made of has been found together with the lights.
+            precision = prior.precision / posterior.unused[:, None]
+            prior = replace(prior, precision=precision, cluster=None)
         x = x.copy()
         _put(objective, x, prior.mean)
         return x, prior, posterior
-
-    def around(self, posterior: Posterior, objective: Objective) -> GaussianPrior:
-        """Of pixels with this posterior."""
-        prior = posterior.prior(settings.PRIOR_SIGMA_MIN, self.strength * self.variance, objective)
-        if not self.counted_once:
-            return prior
-        # What clusters of pixels are made of has been found together with the lights.
-        precision = prior.precision / posterior.unused[:, None]
-        return replace(prior, precision=precision, cluster=None)
 
 
 def fit_prior(
