@@ -77,12 +77,12 @@ impl Problem {
         })
     }
 
-    /// How far the materials of some pixels move with the lights, and B L of the lights L themselves:
+    /// How far the materials of some pixels move with the lights, and B L of the lights of x:
     /// (pixel, D) each.
     ///
-    /// When the lights move by a mode v, the best material of a pixel moves by −C B v, with C its
-    /// covariance A⁻¹. The first result is the sum of squares of these moves over modes. `covariances` is
-    /// (pixel, D, D), `modes` (mode, picture, coefficient, channel).
+    /// When the lights move by a mode v, the best material of a pixel moves by −C B v, with its
+    /// covariance C = A⁻¹, `covariances` (pixel, D, D). The first result is the sum of squares of
+    /// these moves over `modes` (mode, picture, coefficient, channel).
     pub fn moves_with_lights(
         &self,
         x: &[f64],
@@ -126,11 +126,10 @@ fn normal_equations<M: Reflection, const C: usize, const D: usize, const U: usiz
                 for x in 0..pixels.len() {
                     let p = i * BLOCK + x;
                     sums.store_matrix(x, &rows, &mut matrices[p * unknowns * unknowns..]);
-                    for (to, &row) in gradient[p * unknowns..].iter_mut().zip(&rows) {
-                        *to = sums.gradient[row].0[x];
-                    }
                     sum_sq_residuals[p] = sums.sum_sq_residuals.0[x];
                 }
+                let first = i * BLOCK * unknowns;
+                put(&sums.gradient, &rows, pixels.len(), &mut gradient[first..]);
             }
         },
     );
@@ -240,11 +239,8 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
     let rows = free_unknowns::<C, D>(problem);
     let unknowns = rows.len();
     let of_mode = problem.pictures() * problem.coefficients() * C;
-    check::length(
-        "covariances",
-        pixels.len() * unknowns * unknowns,
-        covariances.len(),
-    )?;
+    let expected = pixels.len() * unknowns * unknowns;
+    check::length("covariances", expected, covariances.len())?;
     check::moderate("modes", modes, check::LARGEST_F64)?;
     if !modes.len().is_multiple_of(of_mode) {
         let expected = format!("{of_mode} numbers a mode");
@@ -270,7 +266,6 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
             let mut block = Block::<M, C, D>::new(problem);
             let mut samples = Eliminated::default();
             let mut radiance = vec![Doubles::default(); lights.len()];
-            let isa = problem.instructions();
             for (i, pixels) in pixels.chunks(BLOCK).enumerate() {
                 block.load(maps, pixels);
                 // ω J of every sample.
@@ -288,7 +283,7 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
                 // B v
                 let mut product_of = |lights: &[[f64; COEFFICIENTS]]| {
                     let mut sums = [Doubles::default(); U];
-                    isa.run(Project {
+                    problem.instructions().run(Project {
                         pixels: &samples,
                         lights,
                         radiance: &mut radiance,
@@ -314,7 +309,7 @@ fn moves_with_lights<M: Reflection, const C: usize, const D: usize, const U: usi
                 }
                 let mut sums = [Doubles::default(); U];
                 for mode in &modes {
-                    isa.run(AddSquares {
+                    problem.instructions().run(AddSquares {
                         covariances: &of_block,
                         product: &product_of(mode),
                         sums: &mut sums,

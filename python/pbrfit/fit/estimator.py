@@ -254,7 +254,7 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
                 return x
         wide: bool | NDArray[np.bool_] = True
         if prior is not None and run.posterior is not None:
-            wide = (run.posterior.variance > NODE_SPACING**2).any(axis=1)
+            wide = np.any(run.posterior.variance > NODE_SPACING**2, axis=1)
         sum_sq = fit_all(objective, x, starts=wide, prior=prior, stop=run.out_of_time)
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")

@@ -40,8 +40,7 @@ Array = NDArray[np.float64]
 Stop = Callable[[], bool]
 
 COARSE_SIDE, SCREENING_SIDE = 128, 64
-"""Longer side in pixels of the averaged pictures on which large displacements are found, and on
-which it is asked whether there are any."""
+"""Longer sides in pixels at which far displacements are found, and at which any are looked for."""
 
 LEAST_SIDE = 24
 """Pixels along the shorter side, below which pictures are not registered: windows need some."""
@@ -186,8 +185,7 @@ class _Register:
         peaks = self._peaks()
         if self._usual < SURE_AGREEMENT:
             return Registration(hindrance="most edges are shadows or highlights")
-        suspects = self._suspects(peaks)
-        if suspects:
+        if suspects := self._suspects(peaks):
             self._settle(suspects)
         if self._stop():
             return Registration(hindrance="the time limit was reached before")
