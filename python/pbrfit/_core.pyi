@@ -11,6 +11,7 @@ __all__ = [
     "Environment",
     "InputError",
     "KeptSystem",
+    "LampSamples",
     "Problem",
     "Raster",
     "Surroundings",
@@ -23,13 +24,10 @@ __all__ = [
     "end_when_told",
     "environment_lobes",
     "finished",
-    "fit_under_lamps",
     "ggx_band_weights",
     "hold_end",
     "image_format",
-    "judge_samples",
     "lamp_radiance",
-    "lamp_system",
     "last_word",
     "lobe_functions",
     "lobe_table",
@@ -123,104 +121,92 @@ class Environment:
     ) -> NDArray[np.float64]:
         """Radiance (P, 3) of pixels under the light turned by so many radians."""
 
-def fit_under_lamps(
-    pictures: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    limits: NDArray[np.uint8] | None,
-    views: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    intensities: NDArray[np.float64],
-    picture_of: NDArray[np.uint64],
-    ambient: NDArray[np.float64],
-    base_normals: NDArray[np.float64],
-    start_normals: NDArray[np.float64],
-    albedo: NDArray[np.float64],
-    roughness: NDArray[np.float64],
-    metallic: NDArray[np.float64],
-    prior_mean: NDArray[np.float64],
-    prior_precision: NDArray[np.float64],
-    free_normals: bool,
-    free_metallic: bool,
-    free_roughness: bool,
-    iterations: int,
-    threads: int,
-    model: str = "paper",
-) -> tuple[
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-]:
-    """Normal and material of each pixel by itself under known lamps, never worse than the start.
+_Surfaces = tuple[
+    NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+]
 
-    pictures, weights (P, N, 3), linear radiance and weights of squared residuals, 0 without data;
-    limits (P, N, 3) 0 data, 1 radiance is at least this, 2 at most. Lamp k at directions (P, K, 3)
-    brings intensities (P, K, 3) to picture_of[k], in rising order; ambient (N, 3) is SH light
-    beside the lamps, its first coefficient. Start normals have to be less than 90 degrees from base
-    normals. Priors (P, 7) are of [tangent offset (a, b) of the base normal, albedo, roughness,
-    metallic] and add Σ precision (x − mean)². A free roughness starts from 0.03 at least where
-    there are data. Returns normals (P, 3), albedo (P, 3), roughness, metallic and cost (P,), and
-    the information Jᵀ W J + precision (P, 7, 7), 0 in rows and columns of what is held.
+@final
+class LampSamples:
+    """Samples of P pixels in N pictures, under K known lamps and light from all sides.
+
+    pictures (P, N, 3) are linear radiance; limits (P, N, 3) 0 data, 1 radiance is at least this, 2
+    at most. Lamp k at directions (P, K, 3) brings intensities (P, K, 3) to picture_of[k], in rising
+    order; both may be (1, K, 3), alike of all pixels. ambient (N, 3) is SH light beside the lamps,
+    its first coefficient. Methods take weights (P, N, 3) of squared residuals, 0 without data, and
+    surfaces: normals (P, 3), albedo (P, 3), roughness and metallic (P,).
     """
 
-def lamp_system(
-    pictures: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    limits: NDArray[np.uint8] | None,
-    views: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    intensities: NDArray[np.float64],
-    picture_of: NDArray[np.uint64],
-    ambient: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    albedo: NDArray[np.float64],
-    roughness: NDArray[np.float64],
-    metallic: NDArray[np.float64],
-    strengths: NDArray[np.float64],
-    by_place: NDArray[np.float64],
-    threads: int,
-    model: str = "paper",
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Normal equations of pixels and of the lights that they share, of samples as in a fit.
+    def __init__(
+        self,
+        pictures: NDArray[np.float64],
+        limits: NDArray[np.uint8] | None,
+        views: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        intensities: NDArray[np.float64],
+        picture_of: NDArray[np.uint64],
+        ambient: NDArray[np.float64],
+        threads: int,
+        model: str = "paper",
+    ) -> None: ...
+    def fit(
+        self,
+        weights: NDArray[np.float64],
+        base_normals: NDArray[np.float64],
+        start: _Surfaces,
+        prior: tuple[NDArray[np.float64], NDArray[np.float64]],
+        free: tuple[bool, bool, bool],
+        iterations: int,
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+    ]:
+        """Surface of each pixel by itself, never worse than the start.
 
-    strengths (P, K): what lamps bring for a colour of 1. by_place (P, K, 4): how much a lamp's
-    direction turns when its place moves across it, and the derivative of ln strength by its place.
-    The lights' unknowns, M, are places (K, 3), colours (K, 3), ambient light (N, 3); a pixel's are
-    offsets (a, b) of its normal, albedo, roughness. With Jacobians J of lights and pixels, weights
-    W, residuals e: Σ JₗᵀWJₗ (M, M); JₚᵀWJₚ and below it JₚᵀWe (P, 7, 6); JₚᵀWJₗ and below it JₗᵀWe
-    (P, 7, M).
-    """
+        Start normals have to be less than 90 degrees from base normals. Means and precisions (P, 7)
+        of the prior are of [tangent offset (a, b) of the base normal, albedo, roughness, metallic]
+        and add Σ precision (x − mean)². What is free beside the albedo are normals, metallic,
+        roughness; this, if free, starts from 0.03 at least where there are data. Returns the
+        surfaces, costs (P,), and the information Jᵀ W J + precision (P, 7, 7), 0 in rows and
+        columns of what is held.
+        """
 
-def judge_samples(
-    pictures: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    limits: NDArray[np.uint8] | None,
-    views: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    intensities: NDArray[np.float64],
-    picture_of: NDArray[np.uint64],
-    ambient: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    albedo: NDArray[np.float64],
-    roughness: NDArray[np.float64],
-    metallic: NDArray[np.float64],
-    floor: float,
-    growth: float,
-    proportional: bool,
-    least: float,
-    shadows: NDArray[np.float64],
-    threads: int,
-    model: str = "paper",
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """How likely samples are, and what they weigh, of samples as in a fit.
+    def system(
+        self,
+        weights: NDArray[np.float64],
+        surfaces: _Surfaces,
+        strengths: NDArray[np.float64],
+        by_place: NDArray[np.float64],
+        of_lights: bool = True,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]:
+        """Normal equations of pixels and of the lights that they share.
 
-    A sample y has the variance floor² + growth y (`proportional`: y²), or is in a cast shadow, with
-    the probability shadows (N,), if it is darker than shown; radiance and residuals count as
-    `least` at least. Returns ln of the odds (P, N) that samples are in none, ∞ where no darker; ln
-    of the likelihood (P,); what samples weigh in a shadow and in none (P, N, 2, 3).
-    """
+        strengths (P, K): what lamps bring for a colour of 1. by_place (P, K, 4): how much a lamp's
+        direction turns when its place moves across it, and the derivative of ln strength by its
+        place. Both are (1, ...) where directions are. The lights' unknowns, M, are places (K, 3),
+        colours (K, 3), ambient light (N, 3); a pixel's are offsets (a, b) of its normal, albedo,
+        roughness. With Jacobians J of lights and pixels, weights W, residuals e: JₚᵀWJₚ and below
+        it JₚᵀWe (P, 7, 6); JₚᵀWJₗ and below it JₗᵀWe (P, 7, M); if asked Σ JₗᵀWJₗ (M, M).
+        """
+
+    def judge(
+        self,
+        weights: NDArray[np.float64],
+        surfaces: _Surfaces,
+        noise: tuple[float, float, bool, float],
+        shadows: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """How likely samples are, and what they weigh.
+
+        By (floor, growth, proportional, least) of the noise a sample y has the variance floor² +
+        growth y (`proportional`: y²), or is in a cast shadow, with the probability shadows (N,), if
+        it is darker than shown; radiance and residuals count as `least` at least. Returns ln of
+        the odds (P, N) that samples are in none, ∞ where no darker; ln of the likelihood (P,); what
+        samples weigh in a shadow and in none (P, N, 2, 3).
+        """
 
 class _Series(Protocol):
     """Pictures (P, C), one after the other."""

@@ -29,7 +29,7 @@ pub(super) fn weights_with_slopes<M: Reflection>(
 ) -> AmbientSlopes {
     let (cosine, mirror) = directions(normal, view);
     let frame = Frame::<M>::at(cosine, normal, mirror);
-    let functions = M::functions(cosine, material.roughness);
+    let functions = M::functions_of_band_0(cosine, material.roughness);
     let factors = M::factors(cosine, material, functions);
     let (diffuse_slopes, row_slopes) = factors.slopes_by_cosine(cosine, material);
     let (matt, lobe) = (frame.diffuse[0], frame.lobe[0]);

@@ -165,7 +165,8 @@ impl Descent<'_> {
         let Equations { matrix, gradient } = &from.equations;
         let mut system = Arrowhead::<3, UNKNOWNS>::new(matrix, gradient);
         let free = self.free.unknowns();
-        let (step, there) = boxed_step(&mut system, &value, from.point.offset, free, damping);
+        let (step, there) =
+            boxed_step::<_, _, true>(&mut system, &value, from.point.offset, free, damping);
         let moved = |x: usize| (value[x] + step[x]).clamp(0.0, 1.0);
         let trial = Point {
             offset: there,

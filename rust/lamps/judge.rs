@@ -23,7 +23,7 @@ use super::number::{Number, Wide};
 use super::pixel_fit::LampPictures;
 use super::samples::{LANES, Lanes, Samples};
 use super::surface::Surface;
-use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::model::with_model;
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::tangent_offset::OFFSETS;
@@ -62,18 +62,15 @@ pub struct Judged {
 
 /// Samples as normals and materials show them.
 ///
-/// Base normals and priors of the pictures do not count. The result does not depend on the number of
-/// threads.
+/// The result does not depend on the number of threads.
 pub fn judge(
-    given: LampPictures,
+    given: &LampPictures,
+    weights: &[[f64; 3]],
     noise: LampNoise,
     normals: &[DVec3],
     materials: &[Material],
-    model: Model,
-    threads: usize,
 ) -> Result<Judged> {
-    check::unit_vectors("normals", normals)?;
-    let lights = given.check(normals, materials)?;
+    let lights = given.check("normals", weights, normals, materials)?;
     let pictures = given.ambient.len();
     check::length("shadows", pictures, noise.shadows.len())?;
     check::unit_interval("shadows", noise.shadows)?;
@@ -83,11 +80,8 @@ pub fn judge(
         likelihoods: zeros("albedo", materials.len())?,
         weights: zeros("pictures", samples)?,
     };
-    let shares = noise
-        .shadows
-        .iter()
-        .map(|share| [(1.0 - share).ln(), share.ln()]);
-    let shares: Vec<[f64; 2]> = shares.collect();
+    let logarithms = |share: &f64| [(1.0 - share).ln(), share.ln()];
+    let shares: Vec<_> = noise.shadows.iter().map(logarithms).collect();
     let piece = PIECE * pictures.max(1);
     let pieces = (judged.odds.chunks_mut(piece))
         .zip(judged.weights.chunks_mut(piece))
@@ -95,20 +89,20 @@ pub fn judge(
         .enumerate()
         .collect();
     pool::map(
-        threads,
+        given.threads,
         pieces,
-        |(piece, ((of_odds, weights), likelihoods))| {
+        |(piece, ((of_odds, judged), likelihoods))| {
             let each = (of_odds.chunks_mut(pictures.max(1)))
-                .zip(weights.chunks_mut(pictures.max(1)))
+                .zip(judged.chunks_mut(pictures.max(1)))
                 .zip(likelihoods);
-            for (p, ((of_odds, weights), likelihood)) in (piece * PIECE..).zip(each) {
-                with_model!(model, M => lights.instructions.run(OfPixel {
-                    samples: &Samples::new(&given, &lights, model, p),
+            for (p, ((of_odds, judged), likelihood)) in (piece * PIECE..).zip(each) {
+                with_model!(given.model, M => lights.instructions.run(OfPixel {
+                    samples: &Samples::new(given, weights, &lights, p),
                     normal: normals[p],
                     material: &materials[p],
                     noise: &noise,
                     shares: &shares,
-                    judged: (of_odds, likelihood, weights),
+                    judged: (of_odds, likelihood, judged),
                     model: PhantomData::<M>,
                 }));
             }
@@ -150,18 +144,14 @@ impl<M: Reflection> Kernel for OfPixel<'_, M> {
             for at in 0..LANES / <I as Vectors<f64>>::LANES {
                 let seen =
                     (self.samples).seen(isa, [b, at], &surface, &still, &ambient, |_, _, _| ());
-                let [mut squares, mut product, mut count] = [none, one, none];
-                let [mut left, mut shown] = [none, none];
+                let [mut squares, mut count, mut left, mut shown] = [none; 4];
+                let mut product = one;
                 for c in 0..3 {
                     let data = |lanes: &[Lanes; 3]| Wide(isa, I::of(&lanes[c])[at]);
                     let (weight, residual) = (data(&block.weights), seen.residuals[c]);
                     let is_told = weight.at_least(f64::MIN_POSITIVE, one, none);
                     let level = data(&block.targets).max(least);
-                    let grown = if self.noise.proportional {
-                        level * level
-                    } else {
-                        level
-                    };
+                    let grown = level * if self.noise.proportional { level } else { one };
                     let variance = grown * self.noise.growth + self.noise.floor * self.noise.floor;
                     let ordinary = one / variance;
                     squares = squares + is_told * residual * residual * ordinary;
@@ -175,11 +165,9 @@ impl<M: Reflection> Kernel for OfPixel<'_, M> {
                     I::of_mut(&mut weighed[c][0])[at] = (weight * in_shadow).1;
                     I::of_mut(&mut weighed[c][1])[at] = (weight * ordinary).1;
                 }
-                for (x, sum) in [squares, product, count, left, shown]
-                    .into_iter()
-                    .enumerate()
-                {
-                    I::of_mut(&mut sums[x])[at] = sum.1;
+                let all = [squares, product, count, left, shown];
+                for x in 0..all.len() {
+                    I::of_mut(&mut sums[x])[at] = all[x].1;
                 }
             }
             for i in LANES * b..self.shares.len().min(LANES * (b + 1)) {

@@ -1,5 +1,7 @@
 //! Normals and materials of single pixels under known lamps.
 
+use std::ops::Range;
+
 use glam::DVec3;
 
 use super::descent::{Descent, Ended, Free};
@@ -25,44 +27,42 @@ pub const NUMBERS: usize = UNKNOWNS;
 pub(super) const PLACES: [usize; UNKNOWNS] = [2, 3, 4, 5, 6, 0, 1];
 
 /// What is known of P pixels in N pictures under K lamps.
-#[derive(Clone, Copy, Debug)]
-pub struct LampPictures<'a> {
+#[derive(Clone, Debug)]
+pub struct LampPictures {
     /// Linear radiance: (pixel, picture).
-    pub pictures: &'a [[f64; 3]],
-    /// Weights of the squared residuals, 0 where there are no data: (pixel, picture).
-    pub weights: &'a [[f64; 3]],
+    pub pictures: Vec<[f64; 3]>,
     /// 0, or [`AT_LEAST`](super::samples::AT_LEAST) or [`AT_MOST`](super::samples::AT_MOST): (pixel,
     /// picture).
-    pub limits: Option<&'a [[u8; 3]]>,
+    pub limits: Option<Vec<[u8; 3]>>,
     /// Unit vectors from the surface to the camera.
-    pub views: &'a [DVec3],
-    /// Unit vectors from the surface to the lamps: (pixel, lamp).
-    pub directions: &'a [DVec3],
-    /// What the lamps bring, radiance of a white diffuse surface that faces them: (pixel, lamp).
-    pub intensities: &'a [[f64; 3]],
+    pub views: Vec<DVec3>,
+    /// Unit vectors from the surface to the lamps: (pixel, lamp), or (lamp) alike of all pixels.
+    pub directions: Vec<DVec3>,
+    /// What the lamps bring, radiance of a white diffuse surface that faces them: likewise.
+    pub intensities: Vec<[f64; 3]>,
     /// The picture that each lamp lights, in rising order: (lamp).
-    pub picture_of: &'a [usize],
+    pub picture_of: Vec<usize>,
     /// The first coefficient of the SH light of each picture beside its lamps.
-    pub ambient: &'a [[f64; 3]],
+    pub ambient: Vec<[f64; 3]>,
+    /// What makes radiance of materials.
+    pub model: Model,
+    /// 0 means one for each processor.
+    pub threads: usize,
+}
+
+/// How pixels are fitted.
+#[derive(Clone, Copy, Debug)]
+pub struct LampFit<'a> {
     /// Unit normals that tangent offsets are of.
     pub base_normals: &'a [DVec3],
     /// Means of Gaussian priors Σ precision (x − mean)²: (pixel), by [`NUMBERS`].
     pub prior_mean: &'a [[f64; NUMBERS]],
     /// Their precisions, 0 for none.
     pub prior_precision: &'a [[f64; NUMBERS]],
-}
-
-/// How pixels are fitted.
-#[derive(Clone, Copy, Debug)]
-pub struct LampFit {
     /// What moves beside the albedo.
     pub free: Free,
     /// Steps at most.
     pub iterations: usize,
-    /// What makes radiance of materials.
-    pub model: Model,
-    /// 0 means one for each processor.
-    pub threads: usize,
 }
 
 /// Pixels where their fits ended.
@@ -78,18 +78,27 @@ pub struct LampFitted {
     pub information: Vec<[[f64; NUMBERS]; NUMBERS]>,
 }
 
-/// The best normal and material of each pixel near a start, never worse than it.
+/// The best normal and material of each pixel near a start, never worse than it, by weights of the
+/// squared residuals, 0 where there are no data: (pixel, picture).
 ///
 /// Pixels do not know of each other. The result does not depend on the number of threads.
 pub fn fit_under_lamps(
-    given: LampPictures,
+    given: &LampPictures,
+    weights: &[[f64; 3]],
     start_normals: &[DVec3],
     materials: &[Material],
     how: LampFit,
 ) -> Result<LampFitted> {
-    let lights = given.check(start_normals, materials)?;
-    let offsets = start_offsets(given.base_normals, start_normals)?;
     let pixels = materials.len();
+    check::length("base_normals", pixels, how.base_normals.len())?;
+    check::length("prior_mean", pixels, how.prior_mean.len())?;
+    check::length("prior_precision", pixels, how.prior_precision.len())?;
+    let lights = given.check("start_normals", weights, start_normals, materials)?;
+    check::moderate("prior_mean", how.prior_mean.as_flattened(), PRIOR_MAX)?;
+    let precision = how.prior_precision.as_flattened();
+    check::not_negative("prior_precision", precision, PRIOR_MAX)?;
+    check::unit_vectors("base_normals", how.base_normals)?;
+    let offsets = start_offsets(how.base_normals, start_normals)?;
     let mut fitted = LampFitted {
         normals: zeros("start_normals", pixels)?,
         materials: collect("albedo", pixels, materials.iter().copied())?,
@@ -97,8 +106,9 @@ pub fn fit_under_lamps(
         information: zeros("prior_precision", pixels)?,
     };
     let descent = |p: usize| Descent {
-        samples: Samples::new(&given, &lights, how.model, p),
-        base: given.base_normals[p].normalize(),
+        samples: Samples::new(given, weights, &lights, p)
+            .with_prior(&how.prior_mean[p], &how.prior_precision[p]),
+        base: how.base_normals[p].normalize(),
         start: Point {
             offset: offsets[p],
             normal: start_normals[p],
@@ -113,12 +123,12 @@ pub fn fit_under_lamps(
         .enumerate()
         .collect();
     pool::map(
-        how.threads,
+        given.threads,
         pieces,
         |(piece, (((normals, materials), costs), information))| {
             for i in 0..normals.len() {
                 let descent = descent(piece * PIECE + i);
-                let ended = with_model!(how.model, M => descent.run::<M>(how.iterations));
+                let ended = with_model!(given.model, M => descent.run::<M>(how.iterations));
                 normals[i] = ended.point.normal;
                 materials[i] = ended.point.material;
                 costs[i] = ended.cost;
@@ -164,13 +174,19 @@ fn start_offsets(base: &[DVec3], start: &[DVec3]) -> Result<Vec<[f64; OFFSETS]>>
     Ok(offsets)
 }
 
-impl LampPictures<'_> {
-    pub(super) fn check(&self, start: &[DVec3], materials: &[Material]) -> Result<Lights> {
+impl LampPictures {
+    pub(super) fn check(
+        &self,
+        name: &'static str,
+        weights: &[[f64; 3]],
+        normals: &[DVec3],
+        materials: &[Material],
+    ) -> Result<Lights> {
         let (pixels, pictures) = (materials.len(), self.ambient.len());
         let samples = check::samples("pictures", "pictures", pictures, pixels)?;
         check::length("pictures", samples, self.pictures.len())?;
-        check::length("weights", samples, self.weights.len())?;
-        if let Some(limits) = self.limits {
+        check::length("weights", samples, weights.len())?;
+        if let Some(limits) = &self.limits {
             check::length("limits", samples, limits.len())?;
             let limits = limits.as_flattened();
             if let Some(i) = limits.iter().position(|&limit| limit > AT_MOST) {
@@ -179,30 +195,33 @@ impl LampPictures<'_> {
             }
         }
         check::length("views", pixels, self.views.len())?;
-        check::length("base_normals", pixels, self.base_normals.len())?;
-        check::length("start_normals", pixels, start.len())?;
-        check::length("prior_mean", pixels, self.prior_mean.len())?;
-        check::length("prior_precision", pixels, self.prior_precision.len())?;
+        check::length(name, pixels, normals.len())?;
         let lamps = self.picture_of.len();
-        let of_lamps = check::samples("directions", "lamps", lamps, pixels)?;
-        check::length("directions", of_lamps, self.directions.len())?;
-        check::length("intensities", of_lamps, self.intensities.len())?;
+        if self.directions.len() != lamps {
+            let of_lamps = check::samples("directions", "lamps", lamps, pixels)?;
+            check::length("directions", of_lamps, self.directions.len())?;
+        }
+        check::length("intensities", self.directions.len(), self.intensities.len())?;
         check::moderate("pictures", self.pictures.as_flattened(), LARGEST_F32)?;
-        check::not_negative("weights", self.weights.as_flattened(), WEIGHT_MAX)?;
+        check::not_negative("weights", weights.as_flattened(), WEIGHT_MAX)?;
         check::moderate("intensities", self.intensities.as_flattened(), LARGEST_F32)?;
         check::moderate("ambient", self.ambient.as_flattened(), LARGEST_F32)?;
-        check::moderate("prior_mean", self.prior_mean.as_flattened(), PRIOR_MAX)?;
-        let precision = self.prior_precision.as_flattened();
-        check::not_negative("prior_precision", precision, PRIOR_MAX)?;
-        check::unit_vectors("views", self.views)?;
-        check::unit_vectors("directions", self.directions)?;
-        check::unit_vectors("base_normals", self.base_normals)?;
-        check::unit_vectors("start_normals", start)?;
-        check::indices("picture_of", pictures, self.picture_of)?;
+        check::unit_vectors("views", &self.views)?;
+        check::unit_vectors("directions", &self.directions)?;
+        check::unit_vectors(name, normals)?;
+        check::indices("picture_of", pictures, &self.picture_of)?;
         if !self.picture_of.is_sorted() {
             let expected = "numbers in rising order";
             return Err(Error::argument("picture_of", expected, "others"));
         }
-        Ok(Lights::new(self.picture_of, self.ambient))
+        Ok(Lights::new(&self.picture_of, &self.ambient))
+    }
+
+    /// Where the lamps of a pixel are in what may be alike of all.
+    pub(super) fn lamps_of(&self, p: usize) -> Range<usize> {
+        let lamps = self.picture_of.len();
+        let alike = self.directions.len() == lamps;
+        let first = if alike { 0 } else { p * lamps };
+        first..first + lamps
     }
 }

@@ -18,7 +18,7 @@ use glam::DVec3;
 
 use super::ambient::{AmbientSlopes, SLOPES_OF_SAMPLE, weights_with_slopes};
 use super::number::{Number, Wide};
-use super::pixel_fit::{LampPictures, PLACES};
+use super::pixel_fit::{LampPictures, NUMBERS, PLACES};
 use super::surface::{Reflected, Surface};
 use crate::reflectance::model::Model;
 use crate::reflectance::planes::Material;
@@ -137,8 +137,15 @@ pub(super) struct SampleBlock {
 
 impl<'a> Samples<'a> {
     /// Side by side what is given one after the other, of pixel p.
-    pub(super) fn new(given: &LampPictures, lights: &'a Lights, model: Model, p: usize) -> Self {
-        let (pictures, lamps) = (given.ambient.len(), given.picture_of.len());
+    pub(super) fn new(
+        given: &LampPictures,
+        weights: &[[f64; 3]],
+        lights: &'a Lights,
+        p: usize,
+    ) -> Self {
+        let (pictures, of_lamps) = (given.ambient.len(), given.lamps_of(p));
+        let directions = &given.directions[of_lamps.clone()];
+        let brought = &given.intensities[of_lamps];
         let none = [[0.0; LANES]; 3];
         let block_of = |(b, of): (usize, &LightBlock)| {
             let mut block = SampleBlock {
@@ -152,8 +159,8 @@ impl<'a> Samples<'a> {
                 let at = p * pictures + LANES * b + i;
                 for c in 0..3 {
                     block.targets[c][i] = given.pictures[at][c];
-                    block.weights[c][i] = given.weights[at][c];
-                    match given.limits.map(|limits| limits[at][c]) {
+                    block.weights[c][i] = weights[at][c];
+                    match given.limits.as_ref().map(|limits| limits[at][c]) {
                         Some(AT_LEAST) => block.highest[c][i] = 0.0,
                         Some(AT_MOST) => block.lowest[c][i] = 0.0,
                         _ => (),
@@ -162,22 +169,31 @@ impl<'a> Samples<'a> {
             }
             for (to, numbers) in block.lamps.iter_mut().zip(&of.lamps) {
                 for (i, &k) in numbers.iter().enumerate().filter(|(_, k)| **k != NONE) {
-                    let direction = given.directions[p * lamps + k].to_array();
+                    let direction = directions[k].to_array();
                     for c in 0..3 {
                         to[0][c][i] = direction[c];
-                        to[1][c][i] = given.intensities[p * lamps + k][c];
+                        to[1][c][i] = brought[k][c];
                     }
                 }
             }
             block
         };
         Self {
-            model,
+            model: given.model,
             view: given.views[p],
             lights,
             blocks: lights.blocks.iter().enumerate().map(block_of).collect(),
-            prior_mean: PLACES.map(|x| given.prior_mean[p][x]),
-            prior_precision: PLACES.map(|x| given.prior_precision[p][x]),
+            prior_mean: [0.0; UNKNOWNS],
+            prior_precision: [0.0; UNKNOWNS],
+        }
+    }
+
+    /// With a prior, by the numbers of a pixel.
+    pub(super) fn with_prior(self, mean: &[f64; NUMBERS], precision: &[f64; NUMBERS]) -> Self {
+        Self {
+            prior_mean: PLACES.map(|x| mean[x]),
+            prior_precision: PLACES.map(|x| precision[x]),
+            ..self
         }
     }
 

@@ -26,7 +26,7 @@ use super::number::Wide;
 use super::pixel_fit::LampPictures;
 use super::samples::{LANES, Lanes, NONE, Samples};
 use super::surface::{Reflected, Surface};
-use crate::reflectance::model::{Model, with_model};
+use crate::reflectance::model::with_model;
 use crate::reflectance::planes::Material;
 use crate::reflectance::reflection::Reflection;
 use crate::reflectance::tangent_offset::tangents;
@@ -47,10 +47,12 @@ pub const ROWS: usize = OF_PIXEL + 1;
 /// How radiance changes with places and colours of lamps.
 #[derive(Clone, Copy, Debug)]
 pub struct Movable<'a> {
-    /// s: (pixel, lamp).
+    /// s: as [`LampPictures::directions`].
     pub strengths: &'a [f64],
-    /// τ and ∂ln s/∂q: (pixel, lamp).
+    /// τ and ∂ln s/∂q: likewise.
     pub by_place: &'a [[f64; 4]],
+    /// Whether Σ J_yᵀ W J_y is wanted.
+    pub of_lights: bool,
 }
 
 /// See the [module](self). Columns are places of all lamps, their colours, then ambient light.
@@ -60,26 +62,24 @@ pub struct LampSystem {
     pub own: Vec<[[f64; OF_PIXEL]; ROWS]>,
     /// B, and h in the last row: (pixel, row, column).
     pub mixed: Vec<f64>,
-    /// Σ J_yᵀ W J_y: (column, column).
+    /// Σ J_yᵀ W J_y: (column, column); 0 where it is not wanted.
     pub shared: Vec<f64>,
 }
 
-/// The equations at normals and materials; base normals and priors of the pictures do not count.
+/// The equations at normals and materials.
 ///
 /// The result does not depend on the number of threads.
 pub fn lamp_system(
-    given: LampPictures,
+    given: &LampPictures,
+    weights: &[[f64; 3]],
     movable: Movable,
     normals: &[DVec3],
     materials: &[Material],
-    model: Model,
-    threads: usize,
 ) -> Result<LampSystem> {
-    check::unit_vectors("normals", normals)?;
-    let lights = given.check(normals, materials)?;
+    let lights = given.check("normals", weights, normals, materials)?;
     let (pixels, lamps) = (materials.len(), given.picture_of.len());
-    check::length("strengths", pixels * lamps, movable.strengths.len())?;
-    check::length("by_place", pixels * lamps, movable.by_place.len())?;
+    check::length("strengths", given.directions.len(), movable.strengths.len())?;
+    check::length("by_place", given.directions.len(), movable.by_place.len())?;
     check::moderate("strengths", movable.strengths, LARGEST_F32)?;
     check::moderate("by_place", movable.by_place.as_flattened(), LARGEST_F32)?;
     let first = |i: usize| given.picture_of.partition_point(|&of| of < i);
@@ -99,21 +99,22 @@ pub fn lamp_system(
     };
     let mixed = system.mixed.chunks_mut(PIECE * ROWS * columns.max(1));
     let pieces = (system.own.chunks_mut(PIECE).zip(mixed).enumerate()).collect();
-    let sums = pool::map(threads, pieces, |(piece, (own, mixed))| {
+    let sums = pool::map(given.threads, pieces, |(piece, (own, mixed))| {
         let samples = pictures.as_flattened().iter();
         let mut sums: Vec<Vec<f64>> = samples.map(|at| vec![0.0; at.len() * at.len()]).collect();
         let mut seen = Seen::default();
         let rows = own.iter_mut().zip(mixed.chunks_mut(ROWS * columns.max(1)));
         for (p, (own, mixed)) in (piece * PIECE..).zip(rows) {
-            let of_lamps = p * lamps..(p + 1) * lamps;
-            with_model!(model, M => lights.instructions.run(OfPixel {
-                samples: &Samples::new(&given, &lights, model, p),
+            let of_lamps = given.lamps_of(p);
+            with_model!(given.model, M => lights.instructions.run(OfPixel {
+                samples: &Samples::new(given, weights, &lights, p),
                 normal: normals[p],
                 material: &materials[p],
                 strengths: &movable.strengths[of_lamps.clone()],
                 by_place: &movable.by_place[of_lamps.clone()],
                 intensities: &given.intensities[of_lamps],
                 pictures: &pictures,
+                of_lights: movable.of_lights,
                 seen: &mut seen,
                 own,
                 mixed,
@@ -123,10 +124,8 @@ pub fn lamp_system(
         }
         sums
     });
-    for (at, sums) in sums
-        .iter()
-        .flat_map(|of| pictures.as_flattened().iter().zip(of))
-    {
+    let each = |of| pictures.as_flattened().iter().zip(of);
+    for (at, sums) in sums.iter().flat_map(each) {
         for (&x, row) in at.iter().zip(sums.chunks(at.len())) {
             for (&y, value) in at.iter().zip(row) {
                 system.shared[x * columns + y] += value;
@@ -148,6 +147,7 @@ struct OfPixel<'a, M> {
     /// Columns that each channel of each picture sees: place and colour of every lamp, then ambient
     /// light.
     pictures: &'a [[Vec<usize>; 3]],
+    of_lights: bool,
     seen: &'a mut Seen,
     own: &'a mut [[f64; OF_PIXEL]; ROWS],
     mixed: &'a mut [f64],
@@ -271,7 +271,7 @@ impl<M: Reflection> Kernel for OfPixel<'_, M> {
                     mixed[at[j]] = I::fma(weighted, by[j], mixed[at[j]]);
                 }
             }
-            for j in 0..at.len() {
+            for j in 0..if self.of_lights { at.len() } else { 0 } {
                 let weighted = weight * by[j];
                 let sums = &mut sums[j * at.len()..(j + 1) * at.len()];
                 for k in 0..at.len() {

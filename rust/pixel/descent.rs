@@ -348,7 +348,8 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
             free[C + 1] *= metallic_free;
             let mut system = Arrowhead::<C, U>::of(&point.sums, x);
             let offset = [point.offsets[0].0[x], point.offsets[1].0[x]];
-            let (step, there) = boxed_step(&mut system, &value, offset, free, damping.0[x]);
+            let (step, there) =
+                boxed_step::<_, _, false>(&mut system, &value, offset, free, damping.0[x]);
             for c in 0..C {
                 trial.albedo[c].0[x] = (value[c] + step[c]).clamp(0.0, 1.0);
             }
@@ -365,9 +366,10 @@ impl<const C: usize, const U: usize> Kernel for Step<'_, C, U> {
 }
 
 /// How far the unknowns of a pixel go from `value` and its tangent offsets in one step, those that are
-/// `free` (1, else 0); and where this leads the tangent offsets.
+/// `free` (1, else 0); and where this leads the tangent offsets. A pixel `ALONE` asks whether anything
+/// was cut; in a block that would be a jump a pixel.
 #[inline(always)]
-pub(crate) fn boxed_step<const C: usize, const U: usize>(
+pub(crate) fn boxed_step<const C: usize, const U: usize, const ALONE: bool>(
     system: &mut Arrowhead<C, U>,
     value: &[f64; U],
     offset: [f64; OFFSETS],
@@ -401,9 +403,11 @@ pub(crate) fn boxed_step<const C: usize, const U: usize>(
 
     let damped = 1.0 + damping;
     let mut step = system.solve(damped);
+    let mut whole = true;
     for j in 0..C + 2 {
         let cut = step[j].max(lowest[j]).min(highest[j]);
         let inside = cut == step[j];
+        whole &= inside;
         system.free[j] = if inside { system.free[j] } else { 0.0 };
         system.fixed[j] = if inside { 0.0 } else { cut };
     }
@@ -414,13 +418,16 @@ pub(crate) fn boxed_step<const C: usize, const U: usize>(
         let inside = (share == 1.0)
             & (there[0] == offset[0] + wanted[0])
             & (there[1] == offset[1] + wanted[1]);
+        whole &= inside;
         for t in 0..OFFSETS {
             let j = C + 2 + t;
             system.free[j] = if inside { system.free[j] } else { 0.0 };
             system.fixed[j] = if inside { 0.0 } else { there[t] - offset[t] };
         }
     }
-    step = system.solve(damped);
+    if !(ALONE && whole) {
+        step = system.solve(damped);
+    }
     for j in 0..C + 2 {
         step[j] = step[j].max(lowest[j]).min(highest[j]);
     }

@@ -230,32 +230,37 @@ impl Pixels {
         names: [&'static str; 2],
         [normals, views, albedo, roughness, metallic]: [&Bound<'_, PyAny>; 5],
     ) -> PyResult<Self> {
-        let (albedo, [count, _]) = given::<f64, 2>("albedo", albedo, [ANY, 3])?;
-        let roughness = values::<f64, 1>("roughness", roughness, [count])?;
-        let metallic = values::<f64, 1>("metallic", metallic, [count])?;
-        check::unit_interval("albedo", &albedo)?;
-        check::unit_interval("roughness", &roughness)?;
-        check::unit_interval("metallic", &metallic)?;
-        let each = albedo
-            .as_chunks::<3>()
-            .0
-            .iter()
-            .zip(roughness.iter().zip(&metallic));
-        let material = |(&albedo, (&roughness, &metallic)): (_, (_, _))| Material {
-            albedo,
-            roughness,
-            metallic,
-        };
+        let materials = materials([albedo, roughness, metallic], ANY)?;
         Ok(Self {
-            normals: vectors(names[0], normals, count)?,
-            views: vectors(names[1], views, count)?,
-            materials: collect("albedo", count, each.map(material))?,
+            normals: vectors(names[0], normals, materials.len())?,
+            views: vectors(names[1], views, materials.len())?,
+            materials,
         })
     }
 
     pub(super) fn count(&self) -> usize {
         self.materials.len()
     }
+}
+
+/// Albedo (M, 3), roughness (M,) and metallic (M,), in \[0, 1\], of `count` materials or any.
+pub(super) fn materials(
+    [albedo, roughness, metallic]: [&Bound<'_, PyAny>; 3],
+    count: usize,
+) -> PyResult<Vec<Material>> {
+    let (albedo, [count, _]) = given::<f64, 2>("albedo", albedo, [count, 3])?;
+    let roughness = values::<f64, 1>("roughness", roughness, [count])?;
+    let metallic = values::<f64, 1>("metallic", metallic, [count])?;
+    check::unit_interval("albedo", &albedo)?;
+    check::unit_interval("roughness", &roughness)?;
+    check::unit_interval("metallic", &metallic)?;
+    let albedo = albedo.as_chunks::<3>().0;
+    let material = |i: usize| Material {
+        albedo: albedo[i],
+        roughness: roughness[i],
+        metallic: metallic[i],
+    };
+    Ok(collect("albedo", count, (0..count).map(material))?)
 }
 
 /// Indices out of an array of uint64.

@@ -72,7 +72,7 @@ mod _core {
         tiff_pages, write_exr, write_png,
     };
     #[pymodule_export]
-    use super::lamps::{fit_under_lamps, judge_samples, lamp_radiance, lamp_system};
+    use super::lamps::{PyLampSamples, lamp_radiance};
     #[pymodule_export]
     use super::model::{
         ggx_band_weights, lobe_functions, lobe_table_file, render, sh_basis, shade, shade_vjp,

@@ -95,16 +95,23 @@ fn legendre_from_moments(m: [f64; 4]) -> [f64; 4] {
     [m[0], m[1], 1.5 * m[2] - 0.5 * m[0], 2.5 * m[3] - 1.5 * m[1]]
 }
 
-fn series(r: f64) -> Bands {
+/// h₀ = 4/(1 + r⁴) and its derivative alone; the other bands are 0.
+#[inline(always)]
+pub fn band_0(r: f64) -> Bands {
     let r3 = r * r * r;
     let e1 = 1.0 + r3 * r;
-    let s = (2.0 * r - (SERIES_FROM + 1.0)) / (1.0 - SERIES_FROM);
-    let h = clenshaw(&BAND, s);
-    let dh = clenshaw(&BAND_SLOPE, s);
     Bands {
-        weight: [4.0 / e1, h[0], h[1], h[2]],
-        slope: [-16.0 * r3 / (e1 * e1), dh[0], dh[1], dh[2]],
+        weight: [4.0 / e1, 0.0, 0.0, 0.0],
+        slope: [-16.0 * r3 / (e1 * e1), 0.0, 0.0, 0.0],
     }
+}
+
+fn series(r: f64) -> Bands {
+    let s = (2.0 * r - (SERIES_FROM + 1.0)) / (1.0 - SERIES_FROM);
+    let mut bands = band_0(r);
+    bands.weight[1..].copy_from_slice(&clenshaw(&BAND, s));
+    bands.slope[1..].copy_from_slice(&clenshaw(&BAND_SLOPE, s));
+    bands
 }
 
 /// Σ c_j T_j(s) for three series at once: three independent chains keep the processor busy.

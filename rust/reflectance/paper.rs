@@ -39,6 +39,11 @@ impl<const SURROUNDED: bool> Reflection for Paper<SURROUNDED> {
     }
 
     #[inline(always)]
+    fn functions_of_band_0(_: f64, roughness: f64) -> Bands {
+        ggx::band_0(roughness)
+    }
+
+    #[inline(always)]
     fn fill_functions<I: Isa, T: Tabled>(
         isa: I,
         _: &Plane<f64>,

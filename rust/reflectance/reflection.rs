@@ -42,6 +42,12 @@ pub trait Reflection: Copy + Debug + Default + Send + Sync + 'static {
     /// The functions of one pixel at its clamped n·v.
     fn functions(cosine: f64, roughness: f64) -> Self::Functions;
 
+    /// The same under light that is alike from all sides, of which band 0 is all: others may be 0.
+    #[inline(always)]
+    fn functions_of_band_0(cosine: f64, roughness: f64) -> Self::Functions {
+        Self::functions(cosine, roughness)
+    }
+
     /// Fills in the functions of a block at its clamped n·v; derivatives by n·v only where they are
     /// asked for.
     fn fill_functions<I: Isa, T: Tabled>(

@@ -30,19 +30,20 @@ fn the_gradient_is_half_of_the_slope_of_the_cost() {
     for model in [Model::Paper, Model::Principled] {
         for limit in [0, AT_LEAST, AT_MOST] {
             let given = LampPictures {
-                pictures: &[[0.1, 0.9, 0.2], [0.5; 3], [0.0, 0.6, 2.0], [0.2, 0.1, 0.3]],
-                weights: &[[1.0, 2.0, 0.5], [1.0; 3], [0.0, 3.0, 1.0], [4.0, 1.0, 1.0]],
-                limits: Some(&[[limit; 3], [0, limit, limit], [limit; 3], [limit; 3]]),
-                views: &[unit(-0.1, 0.1)],
-                directions: &directions,
-                intensities: &intensities,
-                picture_of: &[0, 0, 1, 2],
-                ambient: &ambient,
-                base_normals: &[base],
-                prior_mean: &[[0.0, 0.1, 0.5, 0.5, 0.5, 0.3, 0.0]],
-                prior_precision: &[[0.5, 0.6, 0.1, 0.2, 0.0, 0.3, 0.4]],
+                pictures: vec![[0.1, 0.9, 0.2], [0.5; 3], [0.0, 0.6, 2.0], [0.2, 0.1, 0.3]],
+                limits: Some(vec![[limit; 3], [0, limit, limit], [limit; 3], [limit; 3]]),
+                views: vec![unit(-0.1, 0.1)],
+                directions: directions.to_vec(),
+                intensities: intensities.to_vec(),
+                picture_of: vec![0, 0, 1, 2],
+                ambient: ambient.to_vec(),
+                model,
+                threads: 1,
             };
-            let samples = Samples::new(&given, &lights, model, 0);
+            let mean = [0.0, 0.1, 0.5, 0.5, 0.5, 0.3, 0.0];
+            let weights = [[1.0, 2.0, 0.5], [1.0; 3], [0.0, 3.0, 1.0], [4.0, 1.0, 1.0]];
+            let samples = Samples::new(&given, &weights, &lights, 0)
+                .with_prior(&mean, &[0.5, 0.6, 0.1, 0.2, 0.0, 0.3, 0.4]);
             let by_offset = offset_normal(base, [0.12, -0.07]).by_offset;
             let point = at(values);
             let (_, equations) =

@@ -1,13 +1,14 @@
-"""Results with lamps, made by hand."""
+"""Results with lamps, made by hand; samples under lamps in the core, by names."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from pbrfit import Result
+from pbrfit import Result, _core
 from pbrfit.model.lamps import Lamps
 from relit import SIDE, ball, fitted
 
@@ -37,3 +38,25 @@ def ball_under_lamps() -> Result:
         lamps=far_and_none(),
         height=height.astype(np.float32),
     )
+
+
+def of_lamp_samples(method: str, given: dict[str, Any]) -> Any:
+    """What a method of `_core.LampSamples` finds, all that it is told by name in one place."""
+    told = ("pictures", "limits", "views", "directions", "intensities", "picture_of", "ambient")
+    own = {name: given[name] for name in (*told, "threads", "model") if name in given}
+    fits = method == "fit"
+    groups = {
+        "start" if fits else "surfaces": (
+            *("start_normals" if fits else "normals", "albedo", "roughness", "metallic"),
+        ),
+        "prior": ("prior_mean", "prior_precision"),
+        "free": ("free_normals", "free_metallic", "free_roughness"),
+        "noise": ("floor", "growth", "proportional", "least"),
+    }
+    grouped = {
+        group: tuple(given[name] for name in names)
+        for group, names in groups.items()
+        if names[0] in given
+    }
+    rest = set(given) - set(own) - {name for names in groups.values() for name in names}
+    return getattr(_core.LampSamples(**own), method)(**grouped, **{n: given[n] for n in rest})

@@ -178,7 +178,10 @@ def decompose(
     if how.light == "lamps":
         found = fit_lamps(scene, setup, start_shape, chosen.found)
         if start_shape is not None:
-            found = replace(found, height=height_of(found.normals, scene))
+            with trace.stage("height"):
+                height = height_of(found.normals, scene)
+            stages = (*found.stages, trace.stages[-1])
+            found = replace(found, height=height, stages=stages, seconds=trace.elapsed)
             scene = replace(scene, normals=found.normals, normals_known=True)
         return _result(scene, setup, found, options, chosen)
     if start_shape is not None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 import reference
 from pbrfit import InputError, _core
+from under_lamps import of_lamp_samples
 
 Array = NDArray[Any]
 Arguments = dict[str, Any]
@@ -197,6 +198,11 @@ def alone(function: Callable[..., Any]) -> Callable[[Kind, np.random.Generator, 
     return lambda _, __, arguments: function(**arguments)
 
 
+def of_lamps(name: str) -> Callable[[Kind, np.random.Generator, Arguments], Any]:
+    """The call of a method of samples under lamps."""
+    return lambda _, __, arguments: of_lamp_samples(name, arguments)
+
+
 def of_problem(name: str, **more: Any) -> Callable[[Kind, np.random.Generator, Arguments], Any]:
     """The call of a method of a good problem."""
 
@@ -237,10 +243,10 @@ FUNCTIONS = {
     "shade_vjp": Function(with_cotangent, alone(_core.shade_vjp)),
     "render": Function(with_lighting, alone(_core.render)),
     "lamp_radiance": Function(lamplit_of, alone(_core.lamp_radiance)),
-    "lamp_system": Function(under_moving_lamps, alone(_core.lamp_system)),
+    "LampSamples.system": Function(under_moving_lamps, of_lamps("system")),
     # Odds of samples that no shadow explains are infinite.
-    "judge_samples": Function(with_noise, alone(lambda **given: _core.judge_samples(**given)[1:])),
-    "fit_under_lamps": Function(under_lamps, alone(_core.fit_under_lamps)),
+    "LampSamples.judge": Function(with_noise, lambda *given: of_lamps("judge")(*given)[1:]),
+    "LampSamples.fit": Function(under_lamps, of_lamps("fit")),
     "Problem": Function(problem_of, evaluate),
     "Problem among surroundings": Function(
         among_of,

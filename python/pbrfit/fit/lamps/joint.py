@@ -30,13 +30,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import _core
 from pbrfit.fit.lamps.problem import (
     LampPixels,
     LampState,
-    by_pieces,
     by_place,
-    given_to_core,
     surface_of,
     tangents,
 )
@@ -123,27 +120,15 @@ def fit_surfaces(
     turned = np.einsum("px,px->p", state.normals, pixels.normals) < COSINE_MIN
     begin = np.where(turned[:, None], pixels.normals, state.normals)
 
-    def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
-        of_rows = state.of_rows(rows)
-        return _core.fit_under_lamps(
-            *given_to_core(some, of_rows, weights[rows]),
-            some.normals,
-            begin[rows],
-            of_rows.albedo,
-            of_rows.roughness,
-            of_rows.metallic,
-            prior.mean[rows],
-            prior.precision[rows],
-            free_normals,
-            False,  # metallic waits
-            free_roughness,
-            iterations,
-            some.threads,
-            some.model,
-        )
-
-    normals, albedo, roughness, metallic, cost, information = by_pieces(pixels, of)
-    return state.with_surface(normals, albedo, roughness, metallic), cost, information
+    *surface, cost, information = pixels.under(state).fit(
+        weights,
+        pixels.normals,
+        (begin, state.albedo, state.roughness, state.metallic),
+        (prior.mean, prior.precision),
+        (free_normals, False, free_roughness),  # metallic waits
+        iterations,
+    )
+    return state.with_surface(*surface), cost, information
 
 
 def turned(normals: Array, matrix: Array) -> Array:
@@ -280,7 +265,7 @@ class JointLamps:
 
         (P,) of each pixel, and of the priors.
         """
-        _, own, mixed, of_pixels, pushes = self._equations()
+        own, mixed, of_pixels, pushes, _ = self._equations()
         solved = np.linalg.solve(own, of_pixels[..., None])[..., 0]
         of_priors = self._priors(len(direction))[1] @ direction
         each = (pushes - (mixed * solved[..., None]).sum(axis=1)) @ direction
@@ -290,7 +275,8 @@ class JointLamps:
         """Matrix and gradient of what is shared, A, B and gradients of the pixels."""
         from scipy.linalg import block_diag
 
-        shared, own, mixed, gradients, pushes = self._equations()
+        own, mixed, gradients, pushes, shared = self._equations()
+        assert shared is not None
         precision, gradient = self._priors(self._size())
         shared += precision
         gradient += pushes.sum(axis=0)
@@ -317,20 +303,21 @@ class JointLamps:
 
     def pixel_system(self) -> tuple[Array, Array]:
         """A (P, 6, 6) and B (P, 6, M) of the pixels alone."""
-        _, own, mixed, _, _ = self._equations()
+        own, mixed, *_ = self._equations(of_lights=False)
         return own, mixed
 
-    def _equations(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Of the samples Σ J_yᵀ W J_y; with the priors of pixels A, B, g; J_yᵀ W e (P, M)."""
+    def _equations(
+        self, *, of_lights: bool = True
+    ) -> tuple[Array, Array, Array, Array, Array | None]:
+        """With the priors of pixels A, B, g; of samples J_yᵀ W e (P, M), Σ J_yᵀ W J_y if asked."""
         state, count = self.state, len(self.pixels)
         directions, strengths = state.incident(self.pixels)
-        shared, rows, mixed = _core.lamp_system(
-            *given_to_core(self.pixels, state, self.weights),
-            *surface_of(state),
+        rows, mixed, shared = self.pixels.under(state).system(
+            self.weights,
+            surface_of(state),
             strengths,
             by_place(self.pixels, state.lamps, directions),
-            self.pixels.threads,
-            self.pixels.model,
+            of_lights,
         )
         own, gradients = rows[:, :UNKNOWNS], rows[:, UNKNOWNS]
         mixed, pushes = mixed[:, :UNKNOWNS], mixed[:, UNKNOWNS]
@@ -354,7 +341,7 @@ class JointLamps:
         diagonal[held] = 1.0
         gradients[held] = 0.0
         mixed[held] = 0.0
-        return shared, own, mixed, gradients, pushes
+        return own, mixed, gradients, pushes, shared
 
     def _priors(self, size: int) -> tuple[Array, Array]:
         """Matrix (M, M) and gradient (M,) of the priors of what is shared."""

@@ -30,8 +30,6 @@ from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
 
-Given = tuple[Array, Array, NDArray[np.uint8], Array, Array, Array, NDArray[np.uint64], Array]
-
 
 @dataclass(frozen=True, eq=False)
 class LampPixels:
@@ -133,6 +131,21 @@ class LampPixels:
         """(P, N, 3): values that are data and at no limit."""
         return np.asarray((self.weights > 0) & (self.limits == 0))
 
+    def under(self, state: LampState) -> _core.LampSamples:
+        """The samples in the core, under the lights of a state."""
+        directions, strengths = state.incident(self)
+        return _core.LampSamples(
+            self.samples,
+            self.limits,
+            self.views,
+            directions,
+            strengths[..., None] * state.lamps.colors,
+            state.lamps.pictures.astype(np.uint64),
+            np.ascontiguousarray(state.ambient[:, 0]),
+            self.threads,
+            self.model,
+        )
+
     def residuals(self, radiance: Array) -> Array:
         """(P, N, 3): what a radiance is too much; 0 where a sample only bounds it, and is kept."""
         residual = radiance - self.samples
@@ -167,8 +180,11 @@ class LampState:
         return self.with_surface(*(values[rows] for values in surface_of(self)))
 
     def incident(self, pixels: LampPixels) -> tuple[Array, Array]:
-        """Unit vectors to the lamps (P, K, 3), and what colours are multiplied by (P, K)."""
-        return self.lamps.at(pixels.points, len(pixels))
+        """Unit vectors to the lamps (P, K, 3), and what colours are multiplied by (P, K).
+
+        Both are (1, ...) where all lamps are far, as these are alike of all pixels.
+        """
+        return self.lamps.at(pixels.points if self.lamps.near.any() else None)
 
 
 def surface_of(state: LampState) -> tuple[Array, Array, Array, Array]:
@@ -179,6 +195,7 @@ def surface_of(state: LampState) -> tuple[Array, Array, Array, Array]:
 def radiance(pixels: LampPixels, state: LampState) -> Array:
     """(P, N, 3)."""
     directions, strengths = state.incident(pixels)
+    directions = np.broadcast_to(directions, (len(pixels), *directions.shape[1:]))
     normals, albedo, roughness, metallic = surface_of(state)
     of_lamps = _core.lamp_radiance(
         normals, pixels.views, albedo, roughness, metallic, directions, pixels.threads, pixels.model
@@ -199,21 +216,6 @@ def _ambient(weights: Array, state: LampState) -> Array:
     """(P, N, 3): what ambient light brings, by the weights (P, 3, 16)."""
     used = np.flatnonzero(state.ambient.any(axis=(0, 2)))
     return sum((weights[:, None, :, j] * state.ambient[:, j] for j in used), np.zeros(()))
-
-
-def given_to_core(pixels: LampPixels, state: LampState, weights: Array) -> Given:
-    """What pictures show of pixels, with weights (P, N, 3), and the lights of a state."""
-    directions, strengths = state.incident(pixels)
-    return (
-        pixels.samples,
-        np.ascontiguousarray(weights),
-        pixels.limits,
-        pixels.views,
-        directions,
-        strengths[..., None] * state.lamps.colors,
-        state.lamps.pictures.astype(np.uint64),
-        np.ascontiguousarray(state.ambient[:, 0]),
-    )
 
 
 def by_pieces(

@@ -27,15 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit import _core
-from pbrfit.fit.lamps.problem import (
-    LampPixels,
-    LampState,
-    by_pieces,
-    given_to_core,
-    radiance,
-    surface_of,
-)
+from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance, surface_of
 from pbrfit.fit.settings import MEAN_RADIANCE
 
 Array = NDArray[np.float64]
@@ -112,22 +104,10 @@ class Noise:
         Channels of a sample share what is left of them, so they tell as much as one.
         """
         growth = self.relative**2 * (1.0 if self.proportional else MEAN_RADIANCE)
-
-        def of(some: LampPixels, rows: slice) -> tuple[Array, ...]:
-            surfaces = state.of_rows(rows)
-            return _core.judge_samples(
-                *given_to_core(some, surfaces, some.weights),
-                *surface_of(surfaces),
-                self.floor,
-                growth,
-                self.proportional,
-                NOISE_MIN,
-                np.clip(self.shadows, *SHADOWS),
-                some.threads,
-                some.model,
-            )
-
-        return Judged(*by_pieces(pixels, of))
+        shadows = np.clip(self.shadows, *SHADOWS)
+        noise = self.floor, growth, self.proportional, NOISE_MIN
+        given = pixels.weights, surface_of(state), noise, shadows
+        return Judged(*pixels.under(state).judge(*given))
 
     def renewed(self, pixels: LampPixels, state: LampState, freedom: float) -> Noise:
         """From what is left; `freedom` is the share that the unknowns have not taken up."""

@@ -184,7 +184,8 @@ def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
     of_lamps = pixels.samples.mean(axis=-1)[:, state.lamps.pictures]
     lit = strengths * state.lamps.colors.mean(axis=-1)
     brightest = np.argmax(of_lamps / np.maximum(lit, 1e-12), axis=1)
-    halves = directions[np.arange(len(pixels)), brightest] + pixels.views
+    rows = np.arange(len(pixels)) if len(directions) > 1 else 0
+    halves = directions[rows, brightest] + pixels.views
     halves /= np.maximum(np.linalg.norm(halves, axis=-1, keepdims=True), 1e-9)
     return state.with_surface(halves, state.albedo, state.roughness, state.metallic)
 

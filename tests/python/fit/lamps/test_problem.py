@@ -92,6 +92,13 @@ def assert_alike(found: Array, expected: Array) -> None:
     assert np.abs(found - expected).max() < 1e-6 * max(float(np.abs(expected).max()), 1.0)
 
 
+def joint(pixels: LampPixels, state: LampState) -> JointLamps:
+    """Without priors on surfaces."""
+    nothing = SurfacePrior(np.zeros((PIXELS, 7)), np.zeros((PIXELS, 7)))
+    noise = Noise(1.0, 0.0, np.zeros(PICTURES))
+    return JointLamps(pixels, state, noise, nothing, Freedom(normals=True))
+
+
 every_model = pytest.mark.parametrize("model", MODELS)
 
 
@@ -102,9 +109,7 @@ def test_the_joint_system_is_of_all_slopes_and_weights(model: Model, ambient: bo
     rng, shape = np.random.default_rng(1), pixels.samples.shape
     pixels = replace(pixels, samples=rng.uniform(0, 1, shape))
     pixels.limits[:, 0] = rng.integers(0, 3, (PIXELS, 3))
-    nothing = SurfacePrior(np.zeros((PIXELS, 7)), np.zeros((PIXELS, 7)))
-    noise = Noise(1.0, 0.0, np.zeros(PICTURES))
-    fit = JointLamps(pixels, state, noise, nothing, Freedom(normals=True))
+    fit = joint(pixels, state)
     fit.weights = rng.uniform(0, 1, shape)
     by_all, size = differences(pixels, state), 6 * len(NEAR) + 3 * PICTURES
     left = pixels.residuals(radiance(pixels, state))
@@ -118,6 +123,8 @@ def test_the_joint_system_is_of_all_slopes_and_weights(model: Model, ambient: bo
     assert_alike(own, squares[:, size:, size:])
     assert_alike(mixed, squares[:, size:, :size])
     assert_alike(gradients, pushes[:, size:])
+    for alone, of_all in zip(fit.pixel_system(), (own, mixed), strict=True):
+        np.testing.assert_array_equal(alone, of_all)
     along = rng.normal(size=size)
     solved = np.linalg.solve(own, gradients[..., None])
     each, of_priors = fit.scores(along)
@@ -165,10 +172,7 @@ def test_matrices_that_rounding_made_indefinite_tell_nothing(
 def test_a_scale_that_albedos_contradict_is_uncertain(apart: float, wrong: float) -> None:
     """Lamps e^1.3 too bright for usual albedos: these may be brighter by e^1.2 − 1, a factor."""
     pixels, state = example("paper")
-    pixels = replace(pixels, samples=radiance(pixels, state))
-    nothing = SurfacePrior(np.zeros((PIXELS, 7)), np.zeros((PIXELS, 7)))
-    noise = Noise(1.0, 0.0, np.zeros(PICTURES))
-    fit = JointLamps(pixels, state, noise, nothing, Freedom(normals=True))
+    fit = joint(replace(pixels, samples=radiance(pixels, state)), state)
     brighter = np.exp(apart - ALBEDO_SPREAD * fit.scale_of(state.lamps)[0])
     lamps = replace(state.lamps, colors=state.lamps.colors * brighter)
     fit.state = replace(state, lamps=lamps)
