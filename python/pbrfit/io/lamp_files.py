@@ -1,8 +1,7 @@
 """Files that say where the lamps of pictures are: found in a scene folder, read, paired, written.
 
 `.lp` is the form of reflectance transformation imaging: a count, then a line a picture with its
-file name and a direction. `.relight` is a project of RelightLab. `lights.json` is our own form. All
-have X right, Y up, Z to the viewer.
+file name and a direction. `.relight` is RelightLab's. All have X right, Y up, Z to the viewer.
 """
 
 from __future__ import annotations
@@ -43,6 +42,8 @@ LENGTH_OFF_MAX = 0.02
 BEHIND_MAX = 0.5
 """Share of directions that may point away from the viewer: above, the file has another Z axis."""
 
+KEYS = ("picture", "direction", "position", "color", "axis", "exponent")
+
 COLUMNS = ("picture", "x", "y", "z", "r", "g", "b", "kind")
 """Columns of a table, in the order that they have without a header."""
 
@@ -54,6 +55,7 @@ SYNONYMS = dict.fromkeys(("file", "filename", "image", "imagename", "name"), "pi
 QUOTES = "\"'`´“”„‟‘’‚‛«»‹›"
 """Marks that writers of names with spaces put around them."""
 
+_is_row = re.compile(r"\s*[^#\s]").match
 _EXTENSION = r"\.(?=\w*[^\W\d])\w{1,5}"
 """Up to five letters and digits, not digits alone: those of `scan.001` tell scans apart."""
 
@@ -107,8 +109,8 @@ def read_lamps(path: Path) -> tuple[list[LampRow], str]:
 
     Raises InputError if the file is of another form, or has vectors that are no directions.
     """
-    readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_txt, ".json": _of_json}
-    readers |= {".relight": _of_relight}
+    readers = {".lp": _of_lp, ".csv": _of_csv, ".txt": _of_txt}
+    readers |= dict.fromkeys((".json", ".relight"), _of_json)
     read = readers.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: expected lamps in {', '.join(readers)}, found another form")
@@ -149,10 +151,6 @@ def _lines(path: Path) -> list[str]:
     """Lines of a text file that hold something, comments among them."""
     lines = read_text(path, LIST_BYTES, "cp1252").splitlines()
     return [line for line in lines if re.search(r'[^\s,;"]', line)]
-
-
-def _is_row(line: str) -> bool:
-    return not line.lstrip().startswith("#")
 
 
 def _of_lp(path: Path) -> list[LampRow]:
@@ -268,11 +266,14 @@ def _as_json(row: dict[str, str]) -> dict[str, Any]:
 
 def _of_json(path: Path) -> list[LampRow]:
     expected = "JSON with version and lamps, each with picture and direction or position"
-    content = read_json(path, expected)
     try:
-        content = table(content)
+        content = table(read_json(path, expected))
         if "lights" in content:
             return _of_meshroom(path, content["lights"])
+        if "images" in content:  # a project of RelightLab
+            seen = [one for one in map(table, content["images"]) if not one.get("skip")]
+            lamps = [(one["filename"], [one["direction"][c] for c in "xyz"]) for one in seen]
+            return rows_of_json(path, [{"picture": p, "direction": d} for p, d in lamps])
         version, lamps = content["version"], list(content["lamps"])
         if version != VERSION:
             raise ValueError(f"version {quoted(version)} in place of {VERSION}")
@@ -302,21 +303,6 @@ def _of_meshroom(path: Path, lights: Any) -> list[LampRow]:
     return rows_of_json(path, list(lights), entry)
 
 
-def _of_relight(path: Path) -> list[LampRow]:
-    """Lamps of a project of RelightLab, without pictures that it skips."""
-    expected = "a project with images, each with filename and direction"
-    try:
-        images = [table(one) for one in table(read_json(path, expected))["images"]]
-    except UNFIT as error:
-        raise unfit(path, expected, error) from None
-
-    def entry(image: dict[str, Any]) -> dict[str, Any]:
-        place = table(image["direction"])
-        return {"picture": image["filename"], "direction": [place[axis] for axis in "xyz"]}
-
-    return rows_of_json(path, [one for one in images if not one.get("skip", False)], entry)
-
-
 def rows_of_json(
     path: Path, lamps: Sequence[Any], entry: Callable[[Any], Any] = table
 ) -> list[LampRow]:
@@ -331,9 +317,6 @@ def rows_of_json(
             where = f"{path}: lamp {i + 1}"
             raise unfit(where, "picture and direction or position", error) from None
     return rows
-
-
-KEYS = ("picture", "direction", "position", "color", "axis", "exponent")
 
 
 def _from_json(lamp: dict[str, Any]) -> LampRow:

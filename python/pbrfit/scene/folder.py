@@ -26,9 +26,7 @@ from pbrfit.scene.options import Settings
 
 log = logging.getLogger("pbrfit")
 
-NOT_PICTURES = frozenset(
-    {".csv", ".db", ".ini", ".json", ".lp", ".md", ".relight", ".toml", ".txt", ".xmp"}
-)
+NOT_PICTURES = {".csv", ".db", ".ini", ".json", ".lp", ".md", ".relight", ".toml", ".txt", ".xmp"}
 """Suffixes of files that may lie beside pictures."""
 
 MAX_ID = 65535
@@ -325,12 +323,8 @@ def warn_of_near_misses(folder: Path) -> None:
     """Say which files look like parts of a scene but are not read: `mask.tif`, `Normals.exr`."""
     stems = _STEMS | {"normal", "segment", "weight", RELATIVE}
     for path in sorted((*folder.iterdir(), *(folder / "images").glob(f"{RELATIVE}.*"))):
-        if path.name in _EVERY_PART or path.suffix.lower() in (
-            ".lp",
-            ".relight",
-        ):  # which may have any name
-            continue
-        if path.is_file() and path.stem.lower() in stems:
+        known = path.name in _EVERY_PART or path.suffix.lower() in (".lp", ".relight")
+        if not known and path.is_file() and path.stem.lower() in stems:
             expected = f"expected {', '.join(_EVERY_PART)}"
             of_lamps = path.stem.lower() == RELATIVE
             log.warning("%s: not read; %s", path, STRENGTHS if of_lamps else expected)

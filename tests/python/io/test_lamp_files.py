@@ -213,11 +213,11 @@ def test_files_of_other_pictures_are_refused(name: str) -> None:
 
 NEAR = {"picture": "a", "position": [0, 0, 1]}
 BAD_FILES: dict[str, tuple[str, str, str]] = {
-    "no project": ("d.relight", "{}", "d.relight: expected a project with images"),
+    "no project": ("d.relight", "{}", "d.relight: expected JSON with version and lamps"),
     "no direction": (
         "d.relight",
         '{"images": [{"filename": "a"}]}',
-        "lamp 1: expected .*direction",
+        "d.relight: expected .*direction",
     ),
     "another form": ("lights.xml", LP, r"lights.xml: expected lamps in .lp, .csv, .txt, .json"),
     "no text": ("d.lp", "", "d.lp: expected a count, .* found an empty file in place of the count"),
