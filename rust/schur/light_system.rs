@@ -15,7 +15,7 @@ use crate::runtime::memory::zeros;
 use crate::runtime::{Error, Result, check, pool};
 
 /// Blocks in a piece of work of a product.
-pub(super) const CHUNK: usize = 4;
+pub(super) const CHUNK: usize = 8;
 
 /// How the lights lie that are unknown.
 #[derive(Clone, Copy, Debug)]
