@@ -15,7 +15,6 @@ from pbrfit._core import InputError
 from pbrfit.fit import settings
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.penalties import penalties
-from pbrfit.fit.sampling import evenly_spaced
 from pbrfit.io.checks import real_array
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, chosen_model, whole_number
@@ -177,19 +176,17 @@ class Objective:
     def start(self) -> Array:
         """Albedo from the mean picture, constant roughness and metallic, best lights for them.
 
-        These are by as many pixels as it takes (`LIGHTS_PIXELS`). Free normals are the given ones.
+        Where normals are free they are the given ones.
         """
-        x = np.zeros(self.size)
+        maps = np.empty(self.layout.maps.stop)
         albedo = settings.START_MEAN_ALBEDO / settings.MEAN_RADIANCE * self._mean_image()
-        x[self.albedo] = np.clip(albedo, *settings.START_ALBEDO_RANGE).T.ravel()
-        x[self.roughness] = settings.START_ROUGHNESS
+        maps[self.albedo] = np.clip(albedo, *settings.START_ALBEDO_RANGE).T.ravel()
+        maps[self.roughness] = settings.START_ROUGHNESS
         if self.metallic is not None:
-            x[self.metallic] = settings.START_METALLIC
-        if self.pixels <= settings.LIGHTS_PIXELS:
-            return self.with_best_lights(x)
-        few = evenly_spaced(self.pixels, settings.LIGHTS_PIXELS)
-        self.put_part(x, few, self.restricted(few).with_best_lights(self.part_of(x, few)))
-        return x
+            maps[self.metallic] = settings.START_METALLIC
+        if self.tangent_offsets is not None:
+            maps[self.tangent_offsets] = 0.0
+        return self.with_best_lights(maps)
 
     def with_best_lights(self, maps: Array) -> Array:
         """X with the maps of `maps`, which is x or its first part, and the lights that fit best.
