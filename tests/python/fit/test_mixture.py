@@ -155,19 +155,14 @@ def test_a_fitted_prior_holds_all_pixels(room: Scene, kind: str) -> None:
     assert prior.precision.min() > 0
     for block, mean in zip(blocks, prior.mean.T, strict=True):
         np.testing.assert_array_equal(found[block], mean)
-    same_lights = np.array_equal(
-        found[objective.layout.maps.stop :], x[objective.layout.maps.stop :]
-    )
-    assert same_lights == (lights.shared is None)
+    of_lights = slice(objective.layout.maps.stop, None)
+    assert np.array_equal(found[of_lights], x[of_lights]) == (lights.shared is None)
     # It is twice as stiff if it is twice as strong, and weaker where pixels say less.
     alone = lights.misfit.of_likelihood
     once, twice, unsure = (
-        fit_prior(objective, found, *of, counted_once=False)
+        known(fit_prior(objective, found, *of, counted_once=False))
         for of in ((1.0, alone), (2.0, alone), (1.0, 9 * alone))
     )
-    assert once is not None
-    assert twice is not None
-    assert unsure is not None
     np.testing.assert_allclose(twice[1].precision, 2 * once[1].precision)
     assert np.median(unsure[1].precision) < 9 * np.median(once[1].precision)
     # Held for the same pixels and lights it is the same prior.
