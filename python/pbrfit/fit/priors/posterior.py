@@ -184,12 +184,12 @@ class Distributions:
         """
         from scipy.ndimage import label
 
-        likelihood, threads = found.values, grid.objective.threads
+        likelihood = found.values
         base = np.full(likelihood.shape[1], 1 / likelihood.shape[1], np.float32)
         if pooling is not None:
             base = population(*grid.nodes.T)
         more = 0.0 if pooling is None else pooling.prior_pixels(len(likelihood))
-        whole = mixture_of(likelihood, base, more, threads)
+        whole = mixture_of(likelihood, base, more)
         order = np.argsort(labels, kind="stable")
         segments, starts = np.unique(labels[order], return_index=True)
         large = [
@@ -204,7 +204,7 @@ class Distributions:
                 more = pooling.prior_pixels(len(pixels))
             return mixture_of(likelihood[pixels], whole, more)
 
-        rows = [whole, *in_pieces(threads, of_pixels, large)]
+        rows = [whole, *map(of_pixels, large)]
         row = np.zeros(labels.max() + 1, np.intp)
         row[[labels[pixels[0]] for pixels in large]] = np.arange(1, len(rows))
         probabilities = np.stack(rows)
@@ -325,10 +325,7 @@ def _interval(
 
 
 def mixture_of(
-    likelihood: NDArray[np.float32],
-    prior: NDArray[np.float32],
-    prior_pixels: float,
-    threads: int = 1,
+    likelihood: NDArray[np.float32], prior: NDArray[np.float32], prior_pixels: float
 ) -> NDArray[np.float32]:
     """Probabilities of the nodes by EM, where their prior counts for so many pixels more."""
     # Both products of a step read each part while a processor's cache still holds it.
@@ -340,7 +337,8 @@ def mixture_of(
         return np.asarray(np.reciprocal(part @ probabilities) @ part)
 
     for _ in range(settings.EM_ITERATIONS):
-        probabilities = probabilities * np.sum(in_pieces(threads, shares, parts), axis=0)
+        # On one thread: a part takes no longer than handing it to another.
+        probabilities = probabilities * np.sum([shares(part) for part in parts], axis=0)
         probabilities += np.float32(prior_pixels) * prior
         probabilities /= probabilities.sum()
         np.maximum(probabilities, settings.NODE_PROBABILITY_MIN, out=probabilities)
