@@ -46,6 +46,24 @@ struct Sight {
     material: Material,
 }
 
+fn sight(model: Model, [normal, view, light]: [DVec3; 3], material: Material) -> Sight {
+    Sight {
+        model,
+        normal,
+        view,
+        light,
+        material,
+    }
+}
+
+fn material(albedo: [f64; 3], roughness: f64, metallic: f64) -> Material {
+    Material {
+        albedo,
+        roughness,
+        metallic,
+    }
+}
+
 impl Sight {
     fn radiance(&self) -> [f64; 3] {
         let surface = Surface::<false>::new(self.model, self.normal, self.view, &self.material);
@@ -138,14 +156,8 @@ fn slopes_are_those_of_the_values() {
         for _ in 0..100 {
             let normal = numbers.direction();
             let view = numbers.direction_over(normal, 0.05);
-            Sight {
-                model,
-                normal,
-                view,
-                light: numbers.direction_over(normal, 0.05),
-                material: numbers.material(),
-            }
-            .check();
+            let light = numbers.direction_over(normal, 0.05);
+            sight(model, [normal, view, light], numbers.material()).check();
         }
     }
 }
@@ -161,17 +173,9 @@ fn slopes_hold_in_the_lobe() {
             let width = material.roughness * material.roughness;
             let mirror = 2.0 * normal.dot(view) * normal - view;
             let light = (mirror + width * numbers.direction()).normalize();
-            if normal.dot(light) < 0.05 {
-                continue;
+            if normal.dot(light) >= 0.05 {
+                sight(model, [normal, view, light], material).check();
             }
-            Sight {
-                model,
-                normal,
-                view,
-                light,
-                material,
-            }
-            .check();
         }
     }
 }
@@ -199,36 +203,17 @@ fn slopes_hold_at_the_borders_of_the_formulas() {
         for (n_dot_v, n_dot_l) in cosines {
             for roughness in [0.05, 0.4, 1.0] {
                 for (metallic, albedo) in [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)] {
-                    Sight {
-                        model,
-                        normal,
-                        view: at(n_dot_v, 0.4),
-                        light: at(n_dot_l, 2.9),
-                        material: Material {
-                            albedo: [albedo, 0.3, 0.8],
-                            roughness,
-                            metallic,
-                        },
-                    }
-                    .check();
+                    let vectors = [normal, at(n_dot_v, 0.4), at(n_dot_l, 2.9)];
+                    let material = material([albedo, 0.3, 0.8], roughness, metallic);
+                    sight(model, vectors, material).check();
                 }
             }
         }
         // The lamp beside the camera, and the middle of the lobe, whose slopes by directions are 0.
         for (n_dot_v, azimuth) in [(0.6, 0.0), (0.6, std::f64::consts::PI)] {
             for roughness in [0.05, 1.0] {
-                Sight {
-                    model,
-                    normal,
-                    view: at(n_dot_v, 0.4),
-                    light: at(n_dot_v, 0.4 + azimuth),
-                    material: Material {
-                        albedo: [0.2, 0.5, 0.9],
-                        roughness,
-                        metallic: 0.5,
-                    },
-                }
-                .check();
+                let vectors = [normal, at(n_dot_v, 0.4), at(n_dot_v, 0.4 + azimuth)];
+                sight(model, vectors, material([0.2, 0.5, 0.9], roughness, 0.5)).check();
             }
         }
     }
@@ -242,14 +227,7 @@ fn turning_surface_and_lamp_about_the_view_changes_nothing() {
             let normal = numbers.direction();
             let view = numbers.direction_over(normal, 0.0);
             let light = numbers.direction_over(normal, 0.0);
-            let sight = Sight {
-                model,
-                normal,
-                view,
-                light,
-                material: numbers.material(),
-            };
-            let slopes = sight.slopes();
+            let slopes = sight(model, [normal, view, light], numbers.material()).slopes();
             for c in 0..3 {
                 let by_direction = DVec3::from(slopes.by_direction()[c]);
                 let by_normal = slopes.along(view.cross(normal))[c];
@@ -278,25 +256,11 @@ fn slopes_are_finite_everywhere() {
         for view in directions {
             for light in directions {
                 for roughness in [0.0, 5e-324, 1e-154, 1e-80, 1e-16, 1e-8, 1e-3, 1.0] {
-                    let slopes = Sight {
-                        model,
-                        normal: DVec3::Z,
-                        view,
-                        light,
-                        material: Material {
-                            albedo: [0.0, 0.5, 1.0],
-                            roughness,
-                            metallic: 0.5,
-                        },
-                    }
-                    .slopes();
+                    let of_gray = material([0.0, 0.5, 1.0], roughness, 0.5);
+                    let slopes = sight(model, [DVec3::Z, view, light], of_gray).slopes();
+                    let by = [slopes.by_albedo, slopes.by_roughness, slopes.by_metallic];
                     for c in 0..3 {
-                        let scalars = [
-                            slopes.radiance[c],
-                            slopes.by_albedo[c],
-                            slopes.by_roughness[c],
-                            slopes.by_metallic[c],
-                        ];
+                        let scalars = [slopes.radiance[c], by[0][c], by[1][c], by[2][c]];
                         let turned = [DVec3::X, DVec3::Y].map(|turned| slopes.along(turned)[c]);
                         assert!(
                             scalars.iter().chain(&turned).all(|x| x.is_finite())

@@ -44,11 +44,9 @@ def of_lamp_samples(method: str, given: dict[str, Any]) -> Any:
     """What a method of `_core.LampSamples` finds, all that it is told by name in one place."""
     told = ("pictures", "limits", "views", "directions", "intensities", "picture_of", "ambient")
     own = {name: given[name] for name in (*told, "threads", "model") if name in given}
-    fits = method == "fit"
+    fits, maps = method == "fit", ("albedo", "roughness", "metallic")
     groups = {
-        "start" if fits else "surfaces": (
-            *("start_normals" if fits else "normals", "albedo", "roughness", "metallic"),
-        ),
+        "start" if fits else "surfaces": ("start_normals" if fits else "normals", *maps),
         "prior": ("prior_mean", "prior_precision"),
         "free": ("free_normals", "free_metallic", "free_roughness"),
         "noise": ("floor", "growth", "proportional", "least"),
