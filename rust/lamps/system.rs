@@ -253,10 +253,8 @@ impl<M: Reflection> Kernel for OfPixel<'_, M> {
         for i in 0..3 * self.pictures.len() {
             let (weight, rows) = &samples.as_flattened()[i];
             let at = &self.pictures.as_flattened()[i][..];
-            let (by, sums) = (
-                &by_light.as_flattened()[i][..at.len()],
-                &mut self.sums[i][..],
-            );
+            let by = &by_light.as_flattened()[i][..at.len()];
+            let sums = &mut self.sums[i][..];
             for x in 0..ROWS {
                 let weighted = weight * rows[x];
                 // Two of the albedos are of other channels.

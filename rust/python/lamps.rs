@@ -96,7 +96,7 @@ impl PyLampSamples {
         }))
     }
 
-    #[expect(clippy::type_complexity)]
+    #[expect(clippy::too_many_arguments)]
     fn fit<'py>(
         &self,
         py: Python<'py>,
@@ -131,7 +131,8 @@ impl PyLampSamples {
             },
             iterations,
         };
-        let fitted = py.detach(|| fit_under_lamps(&self.0, &weights, &start.0, &start.1, how))?;
+        let fitted =
+            py.detach(|| fit_under_lamps(&self.0, weights.as_chunks().0, &start.0, &start.1, how))?;
         let of_fitted = || fitted.materials.iter();
         let information = fitted.information.into_flattened().into_flattened();
         let normals = fitted.normals.iter().map(DVec3::to_array);
@@ -146,7 +147,6 @@ impl PyLampSamples {
     }
 
     #[pyo3(signature = (weights, surfaces, strengths, by_place, of_lights = true))]
-    #[expect(clippy::type_complexity)]
     fn system<'py>(
         &self,
         py: Python<'py>,
@@ -167,7 +167,8 @@ impl PyLampSamples {
             by_place: by_place.as_chunks().0,
             of_lights,
         };
-        let found = py.detach(|| lamp_system(&self.0, &weights, movable, &at.0, &at.1))?;
+        let found =
+            py.detach(|| lamp_system(&self.0, weights.as_chunks().0, movable, &at.0, &at.1))?;
         let columns = 6 * lamps + 3 * self.0.ambient.len();
         let own = found.own.into_flattened().into_flattened();
         Ok((
@@ -196,7 +197,7 @@ impl PyLampSamples {
             least: noise.3,
             shadows: &shadows,
         };
-        let found = py.detach(|| judge(&self.0, &weights, noise, &at.0, &at.1))?;
+        let found = py.detach(|| judge(&self.0, weights.as_chunks().0, noise, &at.0, &at.1))?;
         let weights = found.weights.into_flattened().into_flattened();
         Ok((
             out(py, found.odds, [pixels, count]),
@@ -217,9 +218,9 @@ impl PyLampSamples {
         Ok((vectors(name, normals, materials.len())?, materials))
     }
 
-    fn weights(&self, weights: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
+    fn weights(&self, weights: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
         let samples = [self.0.views.len(), self.0.ambient.len(), 3];
-        triples("weights", weights, samples)
+        values("weights", weights, samples)
     }
 }
 

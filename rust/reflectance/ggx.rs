@@ -95,9 +95,12 @@ fn legendre_from_moments(m: [f64; 4]) -> [f64; 4] {
     [m[0], m[1], 1.5 * m[2] - 0.5 * m[0], 2.5 * m[3] - 1.5 * m[1]]
 }
 
-/// h₀ = 4/(1 + r⁴) and its derivative alone; the other bands are 0.
+/// h₀ = 4/(1 + r⁴) and its derivative; the other bands are 0, or those of the closed form.
 #[inline(always)]
 pub fn band_0(r: f64) -> Bands {
+    if r < SERIES_FROM {
+        return closed_form(r);
+    }
     let r3 = r * r * r;
     let e1 = 1.0 + r3 * r;
     Bands {

@@ -13,7 +13,7 @@ that makes their mean radiance `MEAN_RADIANCE`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,8 @@ class LampPixels:
     threads: int
     largest_weight: float = 1.0
     """Of the scene's samples, by which all are divided."""
+    _kept: tuple[Lamps, Array, _core.LampSamples] | None = field(default=None, init=False)
+    """What `under` made last, and the lights that it is of."""
 
     @classmethod
     def of(
@@ -132,9 +134,11 @@ class LampPixels:
         return np.asarray((self.weights > 0) & (self.limits == 0))
 
     def under(self, state: LampState) -> _core.LampSamples:
-        """The samples in the core, under the lights of a state."""
+        """The samples in the core, under the lights of a state; the last ones are kept."""
+        if self._kept and self._kept[0] is state.lamps and self._kept[1] is state.ambient:
+            return self._kept[2]
         directions, strengths = state.incident(self)
-        return _core.LampSamples(
+        made = _core.LampSamples(
             self.samples,
             self.limits,
             self.views,
@@ -145,6 +149,8 @@ class LampPixels:
             self.threads,
             self.model,
         )
+        object.__setattr__(self, "_kept", (state.lamps, state.ambient, made))
+        return made
 
     def residuals(self, radiance: Array) -> Array:
         """(P, N, 3): what a radiance is too much; 0 where a sample only bounds it, and is kept."""
