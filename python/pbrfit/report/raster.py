@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -58,9 +59,9 @@ def reduced_difference(difference: Difference, side: int) -> Difference:
 
 def picture_png(encoded: Values) -> bytes:
     """(H, W) or (H, W, 3) as it goes to the screen; transparent where it is NaN."""
-    outside = np.isnan(encoded) if encoded.ndim == 2 else np.isnan(encoded).any(axis=-1)
-    clean = np.where(np.isnan(encoded), 0.0, np.clip(encoded, 0.0, 1.0))
-    codes = np.rint(255 * clean).astype(np.uint8)
+    unknown = np.isnan(encoded)
+    outside = unknown if encoded.ndim == 2 else reduce(np.logical_or, np.moveaxis(unknown, -1, 0))
+    codes = np.rint(255 * np.where(unknown, 0.0, np.clip(encoded, 0.0, 1.0))).astype(np.uint8)
     if not outside.any():
         return _png(Image.fromarray(codes))
     alpha = np.where(outside, 0, 255).astype(np.uint8)

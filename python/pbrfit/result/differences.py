@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -126,7 +127,7 @@ def residual(
     Both are (H, W, 3), and `rendered` is NaN outside the mask. Values of weight (H, W, 3) 0 took no
     part in the fit and have none here; pixels with no others are white.
     """
-    used: NDArray[np.bool_] = np.asarray(np.isfinite(rendered).all(axis=-1))
+    used: NDArray[np.bool_] = reduce(np.logical_and, np.isfinite(np.moveaxis(rendered, -1, 0)))
     if weights is None and used.all():
         error = np.asarray(rendered) - np.asarray(picture)
         mean = np.einsum("hwc,hwc->hw", error, error) / error.shape[-1]

@@ -6,6 +6,7 @@ NaN pixels, which are the ones outside the mask, never enter.
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -130,5 +131,5 @@ def showable(
     """
     counted = mask[..., None] if weights is None else mask[..., None] & (weights > 0)
     white = white_of(np.where(counted, picture, np.nan))
-    finite = np.isfinite(picture).all(axis=-1, keepdims=True)
-    return np.where(finite, picture, np.nan), white
+    finite = reduce(np.logical_and, np.isfinite(np.moveaxis(picture, -1, 0)))
+    return np.where(finite[..., None], picture, np.nan), white
