@@ -136,8 +136,8 @@ class LampSamples:
     surfaces: normals (P, 3), albedo (P, 3), roughness and metallic (P,).
     """
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         pictures: NDArray[np.float64],
         limits: NDArray[np.uint8] | None,
         views: NDArray[np.float64],
@@ -147,7 +147,7 @@ class LampSamples:
         ambient: NDArray[np.float64],
         threads: int,
         model: str = "paper",
-    ) -> None: ...
+    ) -> Self: ...
     def fit(
         self,
         weights: NDArray[np.float64],
