@@ -147,7 +147,7 @@ class LampSamples:
         ambient: NDArray[np.float64],
         threads: int,
         model: str = "paper",
-    ) -> Self: ...
+    ) -> LampSamples: ...
     def fit(
         self,
         weights: NDArray[np.float64],
