@@ -23,7 +23,6 @@ from pathlib import PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from pbrfit._core import InputError
 from pbrfit.io.color import encode_srgb
@@ -168,6 +167,8 @@ def hemispherical(result: Result) -> tuple[bytes, dict[str, bytes], float]:
     has a whole code. Pixels outside the mask are black. `.rti` has rows from below, and of each
     pixel all of red, green, blue; plane k of the web is a JPEG of coefficient k of the three.
     """
+    from PIL import Image  # here: it takes longer to import than most of this package
+
     coefficients, _, white = _fitted(result, harmonics)
     steps, zeros = _steps(coefficients.reshape(9, -1))
     codes = np.empty((*result.mask.shape, 9, 3), np.uint8)
