@@ -181,13 +181,8 @@ def hemispherical(result: Result) -> tuple[bytes, dict[str, bytes], float]:
     little = (part.astype("<f4").tobytes() for part in (scale, low))
     rti = b"".join([head, *little, codes[::-1].swapaxes(2, 3).tobytes()])
     info = {
-        "width": width,
-        "height": height,
-        "format": "jpg",
-        "type": "hsh",
-        "colorspace": "rgb",
-        "nplanes": 27,
-        "quality": JPEG_QUALITY,
+        **{"width": width, "height": height, "format": "jpg", "quality": JPEG_QUALITY},
+        **{"type": "hsh", "colorspace": "rgb", "nplanes": 27},
         "materials": [{"scale": _thrice(scale), "bias": _thrice(zeros / 255)}],
     }
     files = {"info.json": json.dumps(info, indent=1).encode()}
