@@ -180,11 +180,9 @@ def hemispherical(result: Result) -> tuple[bytes, dict[str, bytes], float]:
     head = f"#HSH1.2\n3\n{width} {height} 3\n9 2 1\n".encode("ascii")
     little = (part.astype("<f4").tobytes() for part in (scale, low))
     rti = b"".join([head, *little, codes[::-1].swapaxes(2, 3).tobytes()])
-    info = {
-        **{"width": width, "height": height, "format": "jpg", "quality": JPEG_QUALITY},
-        **{"type": "hsh", "colorspace": "rgb", "nplanes": 27},
-        "materials": [{"scale": _thrice(scale), "bias": _thrice(zeros / 255)}],
-    }
+    info = {"width": width, "height": height, "format": "jpg", "quality": JPEG_QUALITY}
+    info |= {"type": "hsh", "colorspace": "rgb", "nplanes": 27}
+    info["materials"] = [{"scale": _thrice(scale), "bias": _thrice(zeros / 255)}]
     files = {"info.json": json.dumps(info, indent=1).encode()}
     for k in range(9):
         plane = io.BytesIO()
