@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
 from pbrfit.export.rti import basis as polynomial
+from pbrfit.export.rti import harmonics
 from pbrfit.fit.lamps.samples import grey_samples
 from pbrfit.model.lamps import Lamps
-from pbrfit.model.reflection import sh_basis
 from pbrfit.scene.scene import Scene
 from pbrfit_evaluation.heldout.light import (
     Score,
@@ -32,7 +32,6 @@ from pbrfit_evaluation.heldout.light import (
     score,
     target,
 )
-from pbrfit_evaluation.normal_errors import unit
 
 Array = NDArray[np.float64]
 
@@ -112,11 +111,10 @@ def _interpolated(
 ) -> Array:
     """(M, P, 3): pictures under far lamps along `seek` (M, 3), as relightable images give them.
 
-    Of samples (N, P, 3) with their weights under lamps along `under` (N, 3). "ptm": the polynomial
-    of order 2 in (l_u, l_v) of `pbrfit.export.rti`. "hsh": hemispherical harmonics up to order 2
-    (Gautron et al., "A novel hemispherical basis", EGSR 2004), spherical ones of the direction
-    whose cosine is 2 l_w - 1. "pca": principal components of the pictures, whose factors are
-    interpolated over (l_u, l_v) by thin plates.
+    Of samples (N, P, 3) with their weights under lamps along `under` (N, 3). "ptm" and
+    "hsh": the polynomial and the hemispherical harmonics, both of order 2, of `pbrfit.export.rti`.
+    "pca": principal components of the pictures, whose factors are interpolated over (l_u, l_v) by
+    thin plates.
     """
     flat = samples.reshape(len(samples), -1)
     if way == "pca":
@@ -125,20 +123,10 @@ def _interpolated(
         factors = RBFInterpolator(under[:, :2], left[:, :COMPONENTS])(seek[:, :2])
         found = mean + (factors * values[:COMPONENTS]) @ right[:COMPONENTS]
     else:
-        terms = polynomial if way == "ptm" else _hemispherical
+        terms = polynomial if way == "ptm" else harmonics
         factors = _least_squares(flat, weights.reshape(flat.shape), terms(under))
         found = terms(seek) @ factors.T
     return np.asarray(np.maximum(found, 0.0).reshape(-1, *samples.shape[1:]))
-
-
-def _hemispherical(directions: Array) -> Array:
-    """(N, 9)."""
-    along = np.clip(2 * directions[:, 2] - 1, -1.0, 1.0)
-    across = (
-        directions[:, :2] / np.maximum(np.linalg.norm(directions[:, :2], axis=1), 1e-12)[:, None]
-    )
-    stretched = np.column_stack([across * np.sqrt(1 - along**2)[:, None], along])
-    return sh_basis(unit(stretched))[:, :9]
 
 
 def unknown_lamps(samples: Array) -> Array:

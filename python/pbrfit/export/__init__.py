@@ -167,17 +167,15 @@ def export_result(
             put("material.mtlx", materialx.mtlx(planned).encode(), materialx.HOLDS, colors)
         if preset == "blender" and "png" in planned.formats:
             put(blender.ZIP_FILE, blender.extension(), blender.ZIP_HOLDS, "none")
-        if "ptm" in planned.formats:
-            content, white = rti.ptm(result)
-            put(rti.PTM_FILE, content, rti.PTM_HOLDS, _codes(white))
-        if {"rti", "openlime"} & {*planned.formats}:
-            content, of_web, white = rti.hemispherical(result)
-            if "rti" in planned.formats:
-                put(rti.RTI_FILE, content, rti.RTI_HOLDS, _codes(white))
-            else:
-                (folder / rti.WEB_FOLDER).mkdir()
-                for name, one in of_web.items():
-                    put(f"{rti.WEB_FOLDER}/{name}", one, rti.WEB_HOLDS[name], _codes(white))
+        for form, (make, holds) in rti.FILES.items():
+            if form in planned.formats:
+                content, white = make(result)
+                put(f"relit.{form}", content, holds, _codes(white))
+        if "openlime" in planned.formats:
+            of_web, white = rti.openlime(result)
+            (folder / rti.WEB_FOLDER).mkdir()
+            for name, one in of_web.items():
+                put(f"{rti.WEB_FOLDER}/{name}", one, rti.WEB_HOLDS[name], _codes(white))
         (folder / "lights").mkdir()
         if "lp" in planned.formats or rti.one_lamp_a_picture(result.lamps, len(result.pictures)):
             put(f"lights/{rti.LP_FILE}", rti.lp(result).encode(), rti.LP_HOLDS, "unit vectors")

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.io.color import encode_srgb
 from pbrfit.model.lamps import Lamps
+from pbrfit.model.reflection import sh_basis
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
@@ -35,12 +36,6 @@ Array = NDArray[np.float64]
 
 LP_FILE = "lamps.lp"
 LP_HOLDS = "directions to the lamps, X right, Y up, Z to the viewer, by picture file"
-
-PTM_FILE = "relit.ptm"
-PTM_HOLDS = "polynomial texture map, LRGB: the surface under a hard light from any direction"
-
-RTI_FILE = "relit.rti"
-RTI_HOLDS = "hemispherical harmonics for RTIViewer: the surface under a hard light"
 
 WEB_FOLDER = "openlime"
 WEB_HOLDS = {
@@ -136,64 +131,60 @@ def _fitted(result: Result, terms: Callable[[Array], Array]) -> tuple[Array, Arr
 
 
 def harmonics(light: Array) -> Array:
-    """(..., 9) hemispherical harmonics H_k of unit vectors (..., 3) to lights.
+    """(N, 9) hemispherical harmonics up to order 2, in the order of `.rti`, of unit vectors (N, 3).
 
-    With z = l_w, s = √(z − z²), c and s' of the azimuth: orders 0 to 2, in the order of `.rti`.
+    Spherical ones, times √2, of directions that have the same azimuth and the cosine t = 2 l_w − 1.
     """
-    z = light[..., 2]
-    around = np.arctan2(light[..., 1], light[..., 0])
-    cosine, sine, s, t = np.cos(around), np.sin(around), np.sqrt(z - z * z), 2 * z - 1
-    one, two, three = np.sqrt(6 / np.pi), np.sqrt(30 / np.pi), 1 / np.sqrt(2 * np.pi)
-    return np.stack(
-        [
-            np.full_like(z, three),
-            one * cosine * s,
-            np.sqrt(3) * three * t,
-            one * sine * s,
-            two * np.cos(2 * around) * (z * z - z),
-            two * cosine * t * s,
-            np.sqrt(5) * three * (1 - 6 * z + 6 * z * z),
-            two * sine * t * s,
-            two * np.sin(2 * around) * (z * z - z),
-        ],
-        axis=-1,
-    )
+    t = 2 * np.clip(light[:, 2:], 0.0, 1.0) - 1
+    across = light[:, :2] / np.maximum(np.linalg.norm(light[:, :2], axis=1, keepdims=True), 1e-12)
+    spherical = sh_basis(np.concatenate([across * np.sqrt(1 - t * t), t], axis=1))
+    signs = np.sqrt(2) * np.array([1, 1, 1, 1, -1, 1, 1, 1, -1])
+    return np.asarray(signs * spherical[:, [0, 3, 2, 1, 8, 7, 6, 5, 4]])
 
 
-def hemispherical(result: Result) -> tuple[bytes, dict[str, bytes], float]:
-    """Hemispherical harmonics of a result: `.rti`, files for the web, and the radiance of white.
+def rti(result: Result) -> tuple[bytes, float]:
+    """Hemispherical harmonics of a result for RTIViewer, and the radiance that is their white.
 
-    A code c from 0 to 255 of coefficient k means c/255 · scale_k + low_k in all channels, and 0
-    has a whole code. Pixels outside the mask are black. `.rti` has rows from below, and of each
-    pixel all of red, green, blue; plane k of the web is a JPEG of coefficient k of the three.
+    A code c of coefficient k means c/255 · scale_k + low_k in all channels. Rows are from below; of
+    a pixel all of red, green, blue. Pixels outside the mask are black.
+    """
+    codes, steps, zeros, white = _planes(result)
+    height, width = result.mask.shape
+    head = f"#HSH1.2\n3\n{width} {height} 3\n9 2 1\n".encode("ascii")
+    little = (part.astype("<f4").tobytes() for part in (255 * steps, 0.0 - zeros * steps))
+    return b"".join([head, *little, codes[::-1].swapaxes(2, 3).tobytes()]), white
+
+
+def openlime(result: Result) -> tuple[dict[str, bytes], float]:
+    """The same as the files of `WEB_HOLDS`, a JPEG for each coefficient of the three channels.
+
+    A value c from 0 to 1 means (c − bias) · scale.
     """
     from PIL import Image  # here: it takes longer to import than most of this package
 
-    coefficients, _, white = _fitted(result, harmonics)
-    steps, zeros = _steps(coefficients.reshape(9, -1))
-    codes = np.empty((*result.mask.shape, 9, 3), np.uint8)
-    codes[:] = zeros[:, None]
-    values = np.moveaxis(coefficients, 0, 1) / steps[:, None] + zeros[:, None]
-    codes[result.mask] = np.clip(np.rint(values), 0, 255)
-    scale, low = 255 * steps, -zeros * steps
+    codes, steps, zeros, white = _planes(result)
     height, width = result.mask.shape
-    head = f"#HSH1.2\n3\n{width} {height} 3\n9 2 1\n".encode("ascii")
-    little = (part.astype("<f4").tobytes() for part in (scale, low))
-    rti = b"".join([head, *little, codes[::-1].swapaxes(2, 3).tobytes()])
     info = {"width": width, "height": height, "format": "jpg", "quality": JPEG_QUALITY}
     info |= {"type": "hsh", "colorspace": "rgb", "nplanes": 27}
-    info["materials"] = [{"scale": _thrice(scale), "bias": _thrice(zeros / 255)}]
+    scale, bias = np.repeat([255 * steps, zeros / 255], 3, axis=1).tolist()
+    info["materials"] = [{"scale": scale, "bias": bias}]
     files = {"info.json": json.dumps(info, indent=1).encode()}
     for k in range(9):
         plane = io.BytesIO()
         image = Image.fromarray(codes[:, :, k])
         image.save(plane, "JPEG", quality=JPEG_QUALITY, subsampling=0)
         files[f"plane_{k}.jpg"] = plane.getvalue()
-    return rti, files, white
+    return files, white
 
 
-def _thrice(values: Array) -> list[float]:
-    return np.repeat(values, 3).astype(float).tolist()
+def _planes(result: Result) -> tuple[NDArray[np.uint8], Array, Array, float]:
+    """Codes (H, W, 9, 3) of hemispherical harmonics, steps and zeros (9,) as of `_coded`, white."""
+    coefficients, _, white = _fitted(result, harmonics)
+    of_pixels, steps, zeros = _coded(coefficients.reshape(9, -1))
+    codes = np.empty((*result.mask.shape, 9, 3), np.uint8)
+    codes[:] = zeros[:, None]
+    codes[result.mask] = np.moveaxis(of_pixels.reshape(coefficients.shape), 0, 1)
+    return codes, steps, zeros, white
 
 
 def directions() -> Array:
@@ -216,18 +207,19 @@ def _relit(result: Result, direction: Array) -> Array:
     return relight(result, lamp)
 
 
-def _steps(coefficients: Array) -> tuple[Array, NDArray[np.intp]]:
-    """What a code of each coefficient (K, ...) means, and the code that means 0."""
+def _coded(coefficients: Array) -> tuple[Array, Array, Array]:
+    """Codes of coefficients (K, M); what a code of each means, and which means 0, (K,)."""
     low = np.minimum(coefficients.min(axis=1), 0.0)
     high = np.maximum(coefficients.max(axis=1), 0.0)
     steps = np.round(np.maximum((high - low) / CODES, SCALE_MIN), 9)
-    return steps, np.rint(-low / steps).astype(np.intp)
+    zeros = np.abs(np.rint(low / steps))
+    codes = np.rint(coefficients / steps[:, None]) + zeros[:, None]
+    return np.clip(codes, 0, 255), steps, zeros
 
 
 def _file(coefficients: Array, color: Array, inside: NDArray[np.bool_]) -> bytes:
     """Of coefficients (6, P) in codes of brightness and colours (P, 3) from 0 to 1."""
-    scales, biases = _steps(coefficients)
-    codes = np.clip(np.rint(coefficients / scales[:, None]) + biases[:, None], 0, 255)
+    codes, scales, biases = _coded(coefficients)
     height, width = inside.shape
     blocks = []
     for values, outside in ((codes.T, biases), (np.rint(255 * color), np.zeros(3))):
@@ -238,7 +230,14 @@ def _file(coefficients: Array, color: Array, inside: NDArray[np.bool_]) -> bytes
     head = [
         *("PTM_1.2", "PTM_FORMAT_LRGB", str(width), str(height)),
         " ".join(f"{scale:.9f}" for scale in scales),
-        " ".join(map(str, biases.tolist())),
+        " ".join(f"{bias:.0f}" for bias in biases),
         "",
     ]
     return "\n".join(head).encode("ascii") + b"".join(blocks)
+
+
+FILES = {
+    "ptm": (ptm, "polynomial texture map, LRGB: the surface under a hard light from any direction"),
+    "rti": (rti, "hemispherical harmonics for RTIViewer: the surface under a hard light"),
+}
+"""What makes `relit.ptm` and `relit.rti`, and what these hold."""
