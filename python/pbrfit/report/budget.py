@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import accumulate
 from typing import Generic, TypeVar
 
 import numpy as np
+
+from pbrfit.threads import in_turn
 
 T = TypeVar("T")
 
@@ -82,12 +86,8 @@ def choose(
     many, evenly spread, as fit at it.
     """
     for side in range(sides):
-        total = 0
-        for i in range(count):
-            total += size(side, i)
-            if total > limit:
-                break
-        else:
+        taken = in_turn(0, partial(size, side), range(count))
+        if all(total <= limit for total in accumulate(taken)):
             return side, list(range(count))
     side = sides - 1
     for shown in range(count - 1, 0, -1):

@@ -103,7 +103,6 @@ def examine(result: Result, scene: Scene | None, sides: Sequence[int]) -> list[P
         coefficients = result.lighting[i]
         light = lights.measure(coefficients)
         fit, shown = _one(result, scene, i, sides)
-        shown.pngs(0)  # here, on all threads
         balls = None
         if result.lamps is None:
             balls = lights.pngs(coefficients, light, result.model)
