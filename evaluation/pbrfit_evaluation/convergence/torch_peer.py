@@ -82,17 +82,16 @@ def fit(
     """
     objective = Objective(scene, threads=threads, model="paper")  # which is what they have
     x, light_unit = objective.start(), LIGHT_UNIT[optimiser]
-    problem: Problem
+    kind = OnGpu if gpu else Problem
+    problem = kind(scene, objective, x, light_unit)
     if gpu:
         budget = replace(budget, evaluations=GPU_EVALUATIONS * budget.evaluations)
-        problem = OnGpu(scene, objective, x, light_unit)
         problem.evaluate()  # compiles it
     else:
-        problem = Problem(scene, objective, x, light_unit)
         _choose_threads(problem, threads)
     tracker.start()
-    if not gpu and not problem.compiled:  # else it would be compiled again
-        problem = Problem(scene, objective, x, light_unit)
+    if not problem.compiled:  # else it would be compiled again
+        problem = kind(scene, objective, x, light_unit)
     run = _lbfgs if optimiser == "lbfgs" else _adam
     iterations, evaluations, reason = run(problem, budget, tracker)
     tracker.end(tracker.seconds, iterations, evaluations, problem.state)
@@ -102,13 +101,16 @@ def fit(
 class Problem:
     """The objective as a function of float32 tensors without bounds."""
 
-    device = "cpu"
+    device, compiled_from = "cpu", COMPILED_FROM
 
     def __init__(self, scene: Scene, objective: Objective, start: Array, light_unit: float) -> None:
         import torch
 
-        view = view_of(scene, objective)
-        self.compiled = view.pixels >= COMPILED_FROM
+        valid = scene.valid
+        images = np.stack([scene.samples(i) for i in range(len(scene.images))]) / objective.scale
+        normals = scene.normals[valid].astype(np.float64)
+        view = View(images.astype(np.float32), normals, scene.views[valid])
+        self.compiled = view.pixels >= self.compiled_from
         self._loss = self._compiled(view)
         self.samples = view.images.size
         """Terms in the mean that the loss is."""
@@ -152,7 +154,7 @@ class Problem:
 class OnGpu(Problem):
     """The same by one kernel on a GPU, where the unknowns stay."""
 
-    device = "cuda"
+    device, compiled_from = "cuda", 0
 
     def _compiled(self, view: View) -> Any:
         from pbrfit_evaluation.gpu_loss import Kernel
@@ -167,14 +169,6 @@ class OnGpu(Problem):
         self.maps.grad = factor * by_maps * maps * (1 - maps)
         self.lights.grad = (factor * self._light_unit * by_lights.permute(1, 2, 0)).contiguous()
         return factor * loss
-
-
-def view_of(scene: Scene, objective: Objective) -> View:
-    """Pictures and view of a scene, in the objective's units."""
-    valid = scene.valid
-    images = np.stack([scene.samples(i) for i in range(len(scene.images))]) / objective.scale
-    normals = scene.normals[valid].astype(np.float64)
-    return View(images.astype(np.float32), normals, scene.views[valid])
 
 
 def _choose_threads(problem: Problem, threads: int) -> None:
