@@ -149,13 +149,13 @@ def _loaded(method: str, model: str | None, device: str, longer_side: int) -> Pe
     assert model is not None
     try:
         if method == "marigold":
-            from pbrfit_evaluation.peers.marigold import Marigold
+            from pbrfit.acquire.maps.marigold import Marigold
 
             marigold = Marigold(model, device=device)
             return lambda picture, task: marigold.maps(
                 picture, seed=task.seed, samples=task.samples, steps=task.steps
             )
-        from pbrfit_evaluation.peers.rgbx import RgbToX
+        from pbrfit.acquire.maps.rgbx import RgbToX
 
         rgbx = RgbToX(model, device=device, longer_side=longer_side)
         return lambda picture, task: rgbx.maps(picture, seed=task.seed, steps=task.steps)

@@ -22,6 +22,7 @@ SUMMARIES = {
     "depth": "give depth to a folder of pictures",
     "lights": "give known lamps to a folder of pictures",
     "segments": "give segments to a folder of pictures",
+    "maps": "give estimates of materials to a folder of pictures",
     "synth": "render a synthetic scene folder with ground truth",
     "check-gradients": "compare the gradient with finite differences",
     "evaluate": "measure this package and write a report",

@@ -121,7 +121,7 @@ def decompose(
     # loading it is no part of the fit.
     importlib.import_module("scipy.optimize")
     address_space.reserve_blas()
-    from pbrfit.fit import compare
+    from pbrfit.fit import compare, estimates
     from pbrfit.fit.lamps.estimator import check_light, fit_lamps, settled
     from pbrfit.fit.lamps.shape import first_shape, height_of
 
@@ -130,6 +130,7 @@ def decompose(
     if options.align == "auto" and "alignment" not in scene.assumed:
         with trace.stage("alignment"):
             scene = aligned(scene, stop=trace.out_of_time, threads=threads)
+    scene, options = estimates.used(scene, options)
     hindered = hindrance(scene)
     if options.refine_normals == "off":
         hindered = "not asked for"
@@ -206,6 +207,11 @@ def decompose(
         surrounded = Surrounded(scene, chosen.transport, chosen.scenery)
         setup = replace(setup, surrounded=surrounded)
     found = (fit_tiles if way.tiled else fit_whole)(scene, setup, begin)
+    if scene.estimates is not None and found.uncertainty is not None:
+        materials, uncertainty = estimates.fused(
+            found.materials, found.uncertainty, scene.estimates, grey=scene.grey
+        )
+        found = replace(found, materials=materials, uncertainty=uncertainty)
     if start_shape is not None:
         found = replace(found, refinement=found.refinement.of_normals_from_pictures())
     return _result(scene, setup, found, options, chosen)
@@ -249,6 +255,8 @@ def _result(
         elif chosen.held_out is None:
             why = "not compared with environment light"
         left_out = (*left_out, f"lamps: {why}")
+    elif scene.estimates is not None:
+        left_out = (*left_out, "estimates: they are evidence under environment light alone")
     uncertainty = found.uncertainty
     if uncertainty is not None:
         verdicts = with_causes(

@@ -381,6 +381,15 @@ class Objective:
             found[i] = np.square(sigma[:, : self.channels].astype(np.float64) / unit)
         return found
 
+    def estimated_finish(self, pixels: NDArray[np.uint64]) -> Array | None:
+        """(Q, 2): roughness and metallic of some pixels as the scene's estimates have them."""
+        estimates = self._scene.estimates
+        if estimates is None:
+            return None
+        places = self._all_places()[pixels]
+        planes = (estimates.roughness, estimates.metallic)
+        return np.stack([plane.ravel()[places] for plane in planes], axis=-1).astype(np.float64)
+
     @property
     def file_correlation(self) -> float:
         """As of the scene."""

@@ -43,14 +43,11 @@ from pbrfit.fit.priors.population import (
 from pbrfit.fit.priors.posterior import Distributions, Grid, Posterior
 from pbrfit.fit.sampling import slices
 from pbrfit.model.materials import Materials
-from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
 from pbrfit.threads import in_pieces
 
 Array = NDArray[np.float64]
-
-TWO_SIDED = 1.96
-"""Deviations of a normal distribution on each side that hold 0.95 of it."""
 
 
 @dataclass(frozen=True, eq=False)

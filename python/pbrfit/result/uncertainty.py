@@ -16,6 +16,9 @@ from pbrfit.result.verdict import PARAMETERS, Verdict, verdicts_of
 KINDS = ("", "low.", "high.")
 """Prefixes of the channels of deviations and of both quantiles."""
 
+TWO_SIDED = 1.96
+"""Deviations of a normal distribution on each side that hold 0.95 of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:

@@ -21,6 +21,7 @@ from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import Model, checked_model
+from pbrfit.scene import estimates as of_tools
 from pbrfit.scene.correction import Correction
 from pbrfit.scene.depth import checked_depth
 from pbrfit.scene.options import Source
@@ -75,6 +76,7 @@ _NEEDED |= {"fov_known": bool, "normals_known": bool}
 _OTHERS: dict[str, type] = {
     "file_noise": Sequence,
     "truth": Truth,
+    "estimates": Materials,
     "source": Source,
     "lamps": Lamps,
 }
@@ -148,6 +150,9 @@ class SceneArrays:
         Known lamps of the pictures, whose colours may be unknown; None = unknown.
     normals_known
         Whether somebody told the normals; False where they stand for ones that nobody told.
+    estimates
+        Maps of materials (H, W) that a network or another tool estimated, linear, in [0, 1], NaN
+        where unknown: evidence beside the pictures, under environment light. None = there are none.
     response
         The tone curve that the files' values were decoded by, "srgb" or "linear", where nobody told
         which is right; None = it is known, or there are no files of integers. A fit decides.
@@ -180,6 +185,7 @@ class SceneArrays:
     lamps: Lamps | None = None
     normals_known: bool = True
     response: Curve | None = None
+    estimates: Materials | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (_NEEDED | _OTHERS).items():
@@ -217,6 +223,9 @@ class SceneArrays:
             segments = any_array("segments", segments, (height, width))
             if not np.issubdtype(segments.dtype, np.integer):
                 raise InputError(f"segments: expected integer ids, found {segments.dtype}")
+        estimates = self.estimates
+        if estimates is not None:
+            estimates = of_tools.of_maps(vars(estimates), (height, width))
         if lighting is not None:
             lighting = real_array("lighting", lighting, (n, 16, 3))
             if not np.isfinite(lighting).all():
@@ -271,6 +280,7 @@ class SceneArrays:
             depth=depth,
             fov=fov,
             segments=segments,
+            estimates=estimates,
             lighting=lighting,
             file_noise=None if self.file_noise is None else file_noise,
             assumed=assumed,
@@ -290,7 +300,7 @@ class SceneArrays:
         ]
         if not self.all_valid:
             parts.append(f"{np.count_nonzero(self.valid)} of {self.valid.size} pixels valid")
-        known = ("depth", "segments", "lighting", "lamps", "weights", "truth")
+        known = ("depth", "segments", "estimates", "lighting", "lamps", "weights", "truth")
         parts += [f"{name} known" for name in known if getattr(self, name) is not None]
         return f"{type(self).__name__}({', '.join(parts)})"
 

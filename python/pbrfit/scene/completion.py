@@ -1,4 +1,4 @@
-"""What a folder of pictures lacks to be a scene: normals, weights, segments, depth, lamps."""
+"""What a folder of pictures lacks to be a scene: normals, weights, segments, depth, estimates, lamps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from pbrfit.io.normal_files import NORMAL_FILES, find_normals, write_normals
 from pbrfit.io.output import check_free_file, new_file
 from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model.lamps import Lamps, rows_of_lamps
+from pbrfit.model.materials import Materials
 from pbrfit.scene import folder as scene_folder
+from pbrfit.scene.estimates import ESTIMATES_FILE, write
 from pbrfit.scene.folder import HEIGHT_FILE
 from pbrfit.scene.writing import write_height
 
@@ -144,6 +146,18 @@ def check_no_lamps(folder: Path, *, overwrite: bool) -> None:
     other = f"it is read as it is; move it away to write {LAMP_FILES[0]}"
     remedy = "overwrite=True replaces" if own else other
     raise FileExistsError(f"{path}: expected no lamps yet, found some; {remedy}")
+
+
+def add_estimates(folder: Path, estimates: Materials, *, overwrite: bool = False) -> Path:
+    """Write `estimates.exr`; returns its path.
+
+    Raises FileExistsError if there are some and `overwrite` is False; InputError if sizes differ.
+    """
+    check_none(folder, [ESTIMATES_FILE], "estimates", overwrite=overwrite)
+    any_array("estimates", estimates.roughness, picture_size(folder))
+    path = folder / ESTIMATES_FILE
+    write(path, estimates)
+    return path
 
 
 def add_segments(folder: Path, ids: NDArray[np.uint16], *, overwrite: bool = False) -> Path:

@@ -22,6 +22,7 @@ from pbrfit.io.output import FolderForm
 from pbrfit.io.quoting import listed, shown
 from pbrfit.io.raw_files import RAW_SUFFIXES
 from pbrfit.io.weight_files import WEIGHT_FILE
+from pbrfit.scene.estimates import ESTIMATES_FILE
 from pbrfit.scene.options import Settings
 
 log = logging.getLogger("pbrfit")
@@ -50,7 +51,7 @@ DIRECTIONS = "light_directions.txt"
 RELATIVE, STRENGTHS = "light_intensities", "strengths of lamps are fitted, or in lights.csv"
 """Stem of DiLiGenT's file of the strengths of lamps, whose unit nobody tells, and what to say."""
 
-PARTS = ("mask.png", SEGMENT_FILE, WEIGHT_FILE, "lighting.json", "scene.toml")
+PARTS = (*("mask.png", SEGMENT_FILE, WEIGHT_FILE, ESTIMATES_FILE, "lighting.json", "scene.toml"),)
 """Files of a scene folder beside pictures, normals, depth and ground truth."""
 
 _EVERY_PART = (*NORMAL_FILES, *DEPTH_FILES, *LAMP_FILES, *PARTS)

@@ -31,8 +31,9 @@ from pbrfit.io.resampling import at_centres, averaged, averaged_channels, reduce
 from pbrfit.io.weight_files import WEIGHT_FILE, read_weights, reduced
 from pbrfit.model import geometry
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.materials import read_materials
+from pbrfit.model.materials import Materials, read_materials
 from pbrfit.scene import depth as scene_depth
+from pbrfit.scene import estimates as of_tools
 from pbrfit.scene import known_lamps
 from pbrfit.scene.arrays import (
     FIRST_FOV,
@@ -214,13 +215,14 @@ def load(
     else:
         normals, sigma = _read_normals(notes, mask)
     segments = _read_segments(notes)
-    depth = _read_depth(notes)
+    depth, estimates = _read_depth(notes), _read_estimates(notes)
     if full_size != size:
         if sigma is not None:
             # Errors of neighbouring normals are much alike, so their mean is no more certain.
             sigma = averaged(np.where(mask, sigma, 0.0), size).astype(np.float32)
         normals, mask, segments = _averaged(normals, mask, segments, size)
         depth = None if depth is None else scene_depth.reduced(depth, size)
+        estimates = None if estimates is None else of_tools.reduced(estimates, size)
     factors = [] if pictures_alone else [_read_weights(notes, mask)]
     _tell_bad(read, mask, notes)
     changed = dark is not None or bool(files.find(find_flats))
@@ -263,6 +265,7 @@ def load(
             fov_known=fov_known,
             mask=mask,
             segments=segments,
+            estimates=estimates,
             lighting=lighting,
             weights=weights,
             limits=limits,
@@ -778,6 +781,18 @@ def _read_depth(notes: _Notes) -> scene_depth.Depth | None:
     said = f"{path.name}: {scene_depth.in_words(depth)}"
     notes.assumed["depth"] = "; ".join([said, *how, *holes])
     return depth
+
+
+def _read_estimates(notes: _Notes) -> Materials | None:
+    """Maps of materials that another tool estimated."""
+    if not notes.has(of_tools.ESTIMATES_FILE):
+        return None
+    path = notes.files.folder / of_tools.ESTIMATES_FILE
+    found = of_tools.read(path)
+    rows, columns = notes.window(path, found.roughness.shape)
+    known = listed(of_tools.known_maps(found))
+    notes.assumed["estimates"] = f"{known} from {path.name}: evidence beside the pictures"
+    return Materials(*(plane[rows, columns] for plane in vars(found).values()))
 
 
 def _averaged(

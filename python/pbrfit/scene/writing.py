@@ -17,6 +17,7 @@ from pbrfit.io.weight_files import WEIGHT_FILE, write_weights
 from pbrfit.model.lamps import rows_of_lamps
 from pbrfit.model.lighting import Lighting
 from pbrfit.model.materials import nearest_inside, write_materials
+from pbrfit.scene import estimates
 from pbrfit.scene.arrays import SceneArrays, Truth, consecutive_labels
 from pbrfit.scene.folder import MAX_ID, SCENE_FOLDER, SEGMENT_FILE
 
@@ -44,6 +45,8 @@ def save(scene: SceneArrays, path: Path, *, overwrite: bool = False) -> None:
             write_weights(folder / WEIGHT_FILE, scene.weights, scene.names)
         if scene.depth is not None:
             images.write_exr(folder / "depth.exr", {"Z": scene.depth})
+        if scene.estimates is not None:
+            estimates.write(folder / estimates.ESTIMATES_FILE, scene.estimates)
         if scene.segments is not None:
             images.write_png(folder / SEGMENT_FILE, _ids(scene.segments), tag=None)
         if scene.lighting is not None:

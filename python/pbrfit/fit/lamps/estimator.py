@@ -44,7 +44,6 @@ from pbrfit.fit.settings import (
     LAMP_PIXELS,
     MEAN_RADIANCE,
 )
-from pbrfit.fit.uncertainty import TWO_SIDED
 from pbrfit.fit.whole_picture import FitOutput, FitSetup
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import view_directions
@@ -53,7 +52,7 @@ from pbrfit.model.materials import Materials
 from pbrfit.result.camera import Camera
 from pbrfit.result.history import HistoryRow
 from pbrfit.result.refinement import FROM_PICTURES, Refinement
-from pbrfit.result.uncertainty import Uncertainty
+from pbrfit.result.uncertainty import TWO_SIDED, Uncertainty
 from pbrfit.result.verdict import by_deviations
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import one_blas_thread

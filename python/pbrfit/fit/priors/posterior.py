@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
+from pbrfit.fit.estimates import FINISH_SIGMA, squares
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.population import population
@@ -79,10 +80,16 @@ class Grid:
     """Likelihoods over the nodes, (roughness, metallic) row by row, with the lights of x."""
 
     def __init__(
-        self, objective: Objective, x: Array, variance: float, metallic: Array | None = None
+        self,
+        objective: Objective,
+        x: Array,
+        variance: float,
+        metallic: Array | None = None,
+        *,
+        estimates: bool = True,
     ) -> None:
         self._problem, self._x = objective.problem, objective.for_core(x)
-        self.objective, self._variance = objective, variance
+        self.objective, self._variance, self._estimates = objective, variance, estimates
         known = objective.known_metallic
         if metallic is None:
             metallic = METALLIC_NODES if objective.transfer is None else PURE_NODES
@@ -111,6 +118,10 @@ class Grid:
         sharpness = settings.PRIOR_NODE_SPACING**2 * (bend / NODE_DISTANCE**2)  # spacing²/σ²
         share = 1 / (1 + sharpness)  # η
         excess *= -share
+        evidence = squares(self.objective, pixels, self.nodes) if self._estimates else None
+        if evidence is not None:
+            excess -= evidence / 2
+            excess -= excess.max(axis=1, keepdims=True)
         np.maximum(excess, LOG_LIKELIHOOD_MIN, out=excess)
         np.exp(excess, out=excess)
         return Likelihood(excess, (sharpness * share)[:, 0])
@@ -152,6 +163,20 @@ class Posterior(NamedTuple):
     def part(self, pixels: slice | Pixels) -> Posterior:
         """Of some pixels."""
         return Posterior(*(of_all[pixels] for of_all in self))  # type: ignore[arg-type]
+
+    def doubted(self, alone: Posterior) -> Posterior:
+        """With the error that estimates share over a segment, as far as it rests on these.
+
+        `alone` is without them. Many pixels of a segment make its posterior sharp, but one error of
+        its estimate moves all of them.
+        """
+        tiny = np.finfo(np.float32).tiny
+        by_estimates = 1 - np.minimum(self.variance / np.maximum(alone.variance, tiny), 1)
+        variance = self.variance + np.float32(FINISH_SIGMA**2) * by_estimates
+        wider = np.sqrt(variance / np.maximum(self.variance, NODE_DISTANCE**2 / 12))
+        wider = np.maximum(wider, 1)
+        low, high = (self.mean + wider * (of - self.mean) for of in (self.low, self.high))
+        return self._replace(variance=variance, low=np.clip(low, 0, 1), high=np.clip(high, 0, 1))
 
     def prior(self, sigma_min: float, variance: float, objective: Objective) -> GaussianPrior:
         """On the unknown ones of roughness and metallic; `variance` is s² times the strength."""

@@ -130,6 +130,8 @@ def cut(scene: Scene, window: Window) -> PartialScene:
             parts[name] = parts[name][:, window.rows, window.columns]
     if scene.truth is not None:
         parts["truth"] = Truth(cut_maps(scene.truth.materials, window))
+    if scene.estimates is not None:
+        parts["estimates"] = cut_maps(scene.estimates, window)
     return PartialScene(**parts, whole=scene, window=window)
 
 
@@ -165,6 +167,7 @@ def without_shape(scene: Scene, side: int) -> Scene:
         normals=None,  # type: ignore[arg-type]  # unknown, as before
         depth=None,
         segments=None,
+        estimates=None,
         file_noise=None,
         normal_sigma=None,
         truth=None,
