@@ -17,16 +17,25 @@ from pbrfit.cli import main
 from pbrfit.export.lights import write_lights
 from pbrfit.io.json_files import read_json
 from pbrfit.io.normal_files import write_normals
+from pbrfit.model.materials import Materials
 from pbrfit.result import metrics
 from pbrfit.result.relighting import relight
 from pbrfit.result.result import Result
 from pbrfit.result.sheet import displayed
 from pbrfit.scene.scene import Scene
-from pbrfit_evaluation import cycles
+from pbrfit.synthetic import make_scene
+from pbrfit_evaluation import cycles, map_errors
 from pbrfit_evaluation.cycles.blender import rendered_export
 from pbrfit_evaluation.depth_errors import estimated
 from pbrfit_evaluation.everyday.disturbances import read_back, write_png
-from pbrfit_evaluation.generated.stand_ins import Array, room, segments_of, stand_ins
+from pbrfit_evaluation.generated.stand_ins import (
+    KIND,
+    OTHER_SEED,
+    Array,
+    room,
+    segments_of,
+    stand_ins,
+)
 from pbrfit_evaluation.generated.ways import NORMALS_OFF, WAYS
 from pbrfit_evaluation.grid import Case
 from pbrfit_evaluation.jobs import Values
@@ -66,6 +75,8 @@ def run(case: Case, threads: int) -> Values:
             assert depth is not None
             scene = replace(scene, normals=wrong, depth=estimated(depth, case.seed))
         scene = given(scene, pictures[kept], as_files=way.level != "exact")
+        if way.maps:
+            scene = replace(scene, estimates=maps_of(scene, pictures[0], case.seed, way.maps))
         result, in_blender = way.explain(scene, threads=threads, uncertainty=False), {}
     honest = {i for i, kind in enumerate(kinds) if kind == "honest"}
     found |= {
@@ -80,6 +91,14 @@ def run(case: Case, threads: int) -> Values:
             panels["Blender"] = in_blender["picture"]
         found |= {"maps": packed(panels), "inputs": packed(inputs(pictures, kinds)), "kinds": kinds}
     return found
+
+
+def maps_of(scene: Scene, photograph: Array, seed: int, whose: str) -> Materials:
+    """Estimates of a network for a room, or those of another room."""
+    if whose == "own":
+        return map_errors.estimated(scene, photograph, seed)
+    other = make_scene(KIND, size=scene.width, lights=2, held_out=1, seed=seed + OTHER_SEED)
+    return map_errors.estimated(other, other.images[0].astype(np.float64), seed)
 
 
 def reviewed(pictures: Array) -> list[int]:

@@ -49,12 +49,15 @@ class Handled(Way):
         "true", or "estimated": with the errors of an estimator, and with a network's depth.
     path
         Whether commands do it, from files to files.
+    maps
+        Whose maps are estimates of the scene: "own" or "another"'s; empty = there are none.
     """
 
     level: Level = "repainted"
     review: bool = False
     normals: str = "true"
     path: bool = False
+    maps: str = ""
 
 
 WAYS: Mapping[str, Handled] = {
@@ -68,18 +71,29 @@ WAYS: Mapping[str, Handled] = {
     "robust": Handled("all damage: robust weights alone", {**BARE, **ROBUST}),
     "exposure": Handled("all damage: exposure handling alone", {**BARE, **EXPOSURE}),
     "together": Handled("all damage: all together", TOGETHER, review=True),
+    "maps": Handled("all together, a network's maps", TOGETHER, review=True, maps="own"),
+    "other-maps": Handled(
+        "all together, maps of another room", TOGETHER, review=True, maps="another"
+    ),
     "estimated": Handled(
         "all together, estimated normals and depth",
         {**TOGETHER, "refine_normals": "auto"},
         review=True,
         normals="estimated",
     ),
+    "estimated-maps": Handled(
+        "all together, estimated normals and depth, a network's maps",
+        {**TOGETHER, "refine_normals": "auto"},
+        review=True,
+        normals="estimated",
+        maps="own",
+    ),
     "exact-handled": Handled("exact pictures: all together", TOGETHER, level="exact", review=True),
     "path": Handled("all damage: generate, decompose, export", review=True, path=True),
 }
 """By key; words are those of tables."""
 
-FEW = ("constant", "exact", "repainted", "together", "path")
+FEW = ("constant", "exact", "repainted", "together", "maps", "path")
 """Those of a quick look."""
 
 PICTURED = ("exact", "repainted", "together", "path")

@@ -1,4 +1,4 @@
-"""What a folder of pictures lacks to be a scene: normals, weights, segments, depth, estimates, lamps."""
+"""What a folder of pictures lacks: normals, weights, segments, depth, estimates, lamps."""
 
 from __future__ import annotations
 

@@ -172,9 +172,9 @@ class Posterior(NamedTuple):
         """
         tiny = np.finfo(np.float32).tiny
         by_estimates = 1 - np.minimum(self.variance / np.maximum(alone.variance, tiny), 1)
-        variance = self.variance + np.float32(FINISH_SIGMA**2) * by_estimates
+        variance = (self.variance + FINISH_SIGMA**2 * by_estimates).astype(np.float32)
         wider = np.sqrt(variance / np.maximum(self.variance, NODE_DISTANCE**2 / 12))
-        wider = np.maximum(wider, 1)
+        wider = np.maximum(wider, 1).astype(np.float32)
         low, high = (self.mean + wider * (of - self.mean) for of in (self.low, self.high))
         return self._replace(variance=variance, low=np.clip(low, 0, 1), high=np.clip(high, 0, 1))
 
