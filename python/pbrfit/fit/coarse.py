@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.estimates import squares
 from pbrfit.fit.joint import SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
@@ -173,10 +172,6 @@ def pure_prior(objective: Objective, x: Array, left: Misfit) -> GaussianPrior:
     variance = misfit.variance(objective, best)
     shared = left.of_likelihood / left.variance if np.isfinite(left.variance) else 1.0
     grid = (grid - best[:, None, None]) / (2 * variance * shared)
-    pairs = np.stack(np.meshgrid(nodes, [0.0, 1.0], indexing="ij"), axis=-1)
-    estimated = squares(objective, objective.everything, pairs.reshape(-1, 2))
-    if estimated is not None:
-        grid += estimated.reshape(grid.shape) / 2
     largest = settings.PURE_EVIDENCE_MAX
     evidence = np.clip(np.subtract(*grid.min(axis=1).T), -largest, largest)
     labels = objective.layout.segments

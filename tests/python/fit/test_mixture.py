@@ -118,7 +118,7 @@ def test_a_pixel_unlike_all_fitted_ones_keeps_its_own_material(room: Scene) -> N
 
     def sharp(at: list[int]) -> posterior.Likelihood:
         none = np.zeros(len(at), np.float32)
-        return posterior.Likelihood(nodes[at], none)
+        return posterior.Likelihood(nodes[at], none, np.ones((len(at), 1), np.float32))
 
     fitted = posterior.Distributions.of(sharp([3] * 50), np.ones(50, np.intp), grid)
     found = fitted.posterior(sharp([200, 3]), np.ones(2, np.intp))

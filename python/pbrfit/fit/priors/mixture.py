@@ -60,8 +60,6 @@ class FittedPrior:
 
     distributions: Distributions
     """Of the segments."""
-    by_pictures: Distributions | None
-    """By the pictures alone; None where these are all there is."""
     variance: float
     """s², of samples of weight 1, in units of x."""
     strength: float
@@ -85,12 +83,6 @@ class FittedPrior:
             # What clusters of pixels are made of has been found together with the lights.
             precision = prior.precision / posterior.unused[:, None]
             prior = replace(prior, precision=precision, cluster=None)
-        if self.by_pictures is not None:
-            grid = Grid(objective, x, self.variance, estimates=False)
-            alone = self.by_pictures.of_all(grid, stop)
-            if alone is None:
-                return None
-            posterior = posterior.doubted(alone)
         x = x.copy()
         _put(objective, x, prior.mean)
         return x, prior, posterior
@@ -113,10 +105,7 @@ def fit_prior(
     pieces of the pixels.
     """
     distributions = _fit_distributions(Grid(objective, x, variance), pooling)
-    by_pictures = None
-    if objective.estimated_finish(objective.everything[:1]) is not None:
-        by_pictures = _fit_distributions(Grid(objective, x, variance, estimates=False), pooling)
-    fitted = FittedPrior(distributions, by_pictures, variance, strength, counted_once)
+    fitted = FittedPrior(distributions, variance, strength, counted_once)
     applied = fitted.applied(objective, x, stop)
     return None if applied is None else (*applied, fitted)
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.estimates import FINISH_SIGMA, squares
+from pbrfit.fit.estimates import evidence
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.population import population
@@ -80,16 +80,10 @@ class Grid:
     """Likelihoods over the nodes, (roughness, metallic) row by row, with the lights of x."""
 
     def __init__(
-        self,
-        objective: Objective,
-        x: Array,
-        variance: float,
-        metallic: Array | None = None,
-        *,
-        estimates: bool = True,
+        self, objective: Objective, x: Array, variance: float, metallic: Array | None = None
     ) -> None:
         self._problem, self._x = objective.problem, objective.for_core(x)
-        self.objective, self._variance, self._estimates = objective, variance, estimates
+        self.objective, self._variance = objective, variance
         known = objective.known_metallic
         if metallic is None:
             metallic = METALLIC_NODES if objective.transfer is None else PURE_NODES
@@ -118,13 +112,11 @@ class Grid:
         sharpness = settings.PRIOR_NODE_SPACING**2 * (bend / NODE_DISTANCE**2)  # spacing²/σ²
         share = 1 / (1 + sharpness)  # η
         excess *= -share
-        evidence = squares(self.objective, pixels, self.nodes) if self._estimates else None
-        if evidence is not None:
-            excess -= evidence / 2
-            excess -= excess.max(axis=1, keepdims=True)
         np.maximum(excess, LOG_LIKELIHOOD_MIN, out=excess)
         np.exp(excess, out=excess)
-        return Likelihood(excess, (sharpness * share)[:, 0])
+        return Likelihood(
+            excess, (sharpness * share)[:, 0], evidence(self.objective, pixels, self.nodes)
+        )
 
 
 def _least(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -142,6 +134,8 @@ class Likelihood(NamedTuple):
     """A, (Q, nodes); 1 at the best node of each pixel."""
     unused: NDArray[np.float32]
     """1 − η, (Q,)."""
+    evidence: NDArray[np.float32]
+    """E, (Q, nodes): what estimates say, which is no part of the values; (Q, 1) where nothing."""
 
 
 class Posterior(NamedTuple):
@@ -163,20 +157,6 @@ class Posterior(NamedTuple):
     def part(self, pixels: slice | Pixels) -> Posterior:
         """Of some pixels."""
         return Posterior(*(of_all[pixels] for of_all in self))  # type: ignore[arg-type]
-
-    def doubted(self, alone: Posterior) -> Posterior:
-        """With the error that estimates share over a segment, as far as it rests on these.
-
-        `alone` is without them. Many pixels of a segment make its posterior sharp, but one error of
-        its estimate moves all of them.
-        """
-        tiny = np.finfo(np.float32).tiny
-        by_estimates = 1 - np.minimum(self.variance / np.maximum(alone.variance, tiny), 1)
-        variance = (self.variance + FINISH_SIGMA**2 * by_estimates).astype(np.float32)
-        wider = np.sqrt(variance / np.maximum(self.variance, NODE_DISTANCE**2 / 12))
-        wider = np.maximum(wider, 1).astype(np.float32)
-        low, high = (self.mean + wider * (of - self.mean) for of in (self.low, self.high))
-        return self._replace(variance=variance, low=np.clip(low, 0, 1), high=np.clip(high, 0, 1))
 
     def prior(self, sigma_min: float, variance: float, objective: Objective) -> GaussianPrior:
         """On the unknown ones of roughness and metallic; `variance` is s² times the strength."""
@@ -214,7 +194,7 @@ class Distributions:
         if pooling is not None:
             base = population(*grid.nodes.T)
         more = 0.0 if pooling is None else pooling.prior_pixels(len(likelihood))
-        whole = mixture_of(likelihood, base, more)
+        whole = mixture_of(likelihood, with_evidence(base, found.evidence), more)
         order = np.argsort(labels, kind="stable")
         segments, starts = np.unique(labels[order], return_index=True)
         large = [
@@ -227,7 +207,9 @@ class Distributions:
             more = settings.PICTURE_PSEUDO_PIXELS
             if pooling is not None:
                 more = pooling.prior_pixels(len(pixels))
-            return mixture_of(likelihood[pixels], whole, more)
+            return mixture_of(
+                likelihood[pixels], with_evidence(whole, found.evidence[pixels]), more
+            )
 
         rows = [whole, *map(of_pixels, large)]
         row = np.zeros(labels.max() + 1, np.intp)
@@ -310,6 +292,9 @@ class Distributions:
         rows = self.rows(labels)
         posterior = self.probabilities[rows]
         posterior *= likelihood.values
+        if likelihood.evidence.shape[1] > 1:
+            alone = rows == 0
+            posterior[alone] *= likelihood.evidence[alone]
         sums = posterior @ self._functions
         sums /= sums[:, :1]
         mean, squares, product = sums[:, 1:3], sums[:, 3:5], sums[:, 5]
@@ -331,6 +316,17 @@ class Distributions:
         cluster = labels * count + group
         mean = np.clip(mean, 0, 1)
         return Posterior(mean, variance, covariance, low, high, cluster, likelihood.unused)
+
+
+def with_evidence(
+    probabilities: NDArray[np.float32], evidence: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Probabilities of nodes times the mean of what estimates say of pixels of one material."""
+    if evidence.shape[1] == 1:
+        return probabilities
+    found = probabilities * evidence.mean(axis=0)
+    found = np.maximum(found / found.sum(), settings.NODE_PROBABILITY_MIN)
+    return found.astype(np.float32)
 
 
 def _interval(
