@@ -325,8 +325,7 @@ def with_evidence(
     if evidence.shape[1] == 1:
         return probabilities
     found = probabilities * evidence.mean(axis=0)
-    found = np.maximum(found / found.sum(), settings.NODE_PROBABILITY_MIN)
-    return found.astype(np.float32)
+    return np.asarray(np.maximum(found / found.sum(), settings.NODE_PROBABILITY_MIN), np.float32)
 
 
 def _interval(
