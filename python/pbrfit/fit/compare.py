@@ -46,10 +46,9 @@ from pbrfit.fit.left_out import (
 )
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.run import Run
+from pbrfit.fit.run import FitSetup, Run
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.fit.transport import Surrounded, search
-from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.io.color import Curve
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
@@ -586,15 +585,14 @@ class _Comparison:
         if kind.other_fov:
             scene = replace(scene, fov_known=False)
         if kind.free_normals:
-            run = setup.run(scene, setup.objective(scene))
+            run = Run(setup, scene, setup.objective(scene))
             start = run.objective.start()
-            found = refined_fit.fit(run, start, setup.objective, start_given=False, refines=True)
-            run, x = found.run, found.x
+            state = refined_fit.fit(run, start, setup.objective, start_given=False, refines=True)
         else:
             key = replace(kind, material=0.0), fold
-            run, lights = self._under_lights(setup, key, scene, among)
-            x = fit_materials(run, lights)
-        scene, (materials, _) = run.scene, run.objective.unpack(x)
+            state = fit_materials(*self._under_lights(setup, key, scene, among))
+        run = state.run
+        scene, (materials, _) = run.scene, run.objective.unpack(state.x)
         valid, camera = scene.valid, run.camera
         sigma = camera.fov_sigma
         return _Fitted(
@@ -619,13 +617,11 @@ class _Comparison:
             objective = setup.objective(scene)
             if among is not None:
                 objective = objective.among(among)
-            run = setup.run(scene, objective)
+            run = Run(setup, scene, objective)
             self._lit[key] = run, lights_and_noise(run, objective.start())
         run, lights = self._lit[key]
-        run = copy(run)
-        run.options, run.objective = setup.options, copy(run.objective)
-        shared = copy(lights.shared)
-        return run, replace(lights, x=lights.x.copy(), shared=shared)
+        run = run.continued(run.scene, copy(run.objective), options=setup.options)
+        return run, replace(lights, x=lights.x.copy(), shared=copy(lights.shared))
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
         fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)

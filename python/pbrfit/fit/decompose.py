@@ -20,12 +20,12 @@ from pbrfit._core import InputError
 from pbrfit.fit import memory, plan
 from pbrfit.fit.bar import notebook_bar
 from pbrfit.fit.causes import with_causes
-from pbrfit.fit.run import Progress, Trace, material_errors
+from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.transport import Surrounded
-from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
+from pbrfit.fit.whole_picture import FitOutput, fit_whole
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import (
@@ -125,8 +125,8 @@ def decompose(
     from pbrfit.fit.lamps.estimator import check_light, fit_lamps, settled
     from pbrfit.fit.lamps.shape import first_shape, height_of
 
-    began = time.perf_counter()
-    trace = Trace(options, progress=progress or None, began=began)
+    setup = FitSetup(options, threads, progress or None, time.perf_counter())
+    trace = Trace(setup)
     if options.align == "auto" and "alignment" not in scene.assumed:
         with trace.stage("alignment"):
             scene = aligned(scene, stop=trace.out_of_time, threads=threads)
@@ -145,13 +145,8 @@ def decompose(
             raise InputError("white: expected unknown lights, found known ones, which have a scale")
         size = None if scene.source is None else scene.source.size
         white = checked_white(white, scene.valid, size or scene.valid.shape)
-    setup = FitSetup(
-        options=replace(options, model=model, white=white),
-        threads=threads,
-        progress=progress or None,
-        began=began,
-        why_normals=hindered or "",
-    )
+    options_now = replace(options, model=model, white=white)
+    setup = replace(setup, options=options_now, why_normals=hindered or "")
     check_light(scene, setup)
     with trace.stage("model selection"):
         chosen = compare.choose(scene, setup, start_given=begin is not None)

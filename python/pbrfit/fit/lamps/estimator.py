@@ -36,7 +36,7 @@ from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD
 from pbrfit.fit.priors.population import METALLIC_DEVIATION
-from pbrfit.fit.run import Trace, material_errors
+from pbrfit.fit.run import FitSetup, Trace, material_errors
 from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
 from pbrfit.fit.settings import (
     COMPARE_LAMP_ROUNDS,
@@ -45,7 +45,7 @@ from pbrfit.fit.settings import (
     MEAN_RADIANCE,
 )
 from pbrfit.fit.uncertainty import TWO_SIDED
-from pbrfit.fit.whole_picture import FitOutput, FitSetup
+from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
@@ -222,9 +222,7 @@ class LampFit:
     ) -> None:
         self.scene, self.setup, self.options = scene, setup, setup.options
         self.begin, self.rounds = begin, rounds
-        self.trace = Trace(
-            setup.options, progress=setup.progress, began=setup.began, stages=setup.stages
-        )
+        self.trace = Trace(setup)
         assert setup.options.model is not None
         self.model = setup.options.model
         self.start = start
