@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.sampling import placed
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
 
@@ -83,12 +84,9 @@ class ParameterLayout:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))
 
-    def whole(self, values: NDArray[np.floating[Any]], fill: float = np.nan) -> NDArray[np.float64]:
-        """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
-        shape = self.valid.shape + values.shape[1:]
-        found = np.full(shape, fill)
-        found[self.valid] = values
-        return found
+    def whole(self, values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """(H, W, ...) of values (P, ...) of the valid pixels; NaN elsewhere."""
+        return placed(values, self.valid)
 
     @property
     def sh_order(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,15 @@ def stride(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int, int]:
             return step, row, column
         # A long and narrow picture has more pixels in every s-th row and column than a square.
         step += 1
+
+
+def placed(
+    values: NDArray[np.floating[Any]], valid: NDArray[np.bool_], fill: float = np.nan
+) -> NDArray[np.float64]:
+    """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
+    found = np.full(valid.shape + values.shape[1:], fill)
+    found[valid] = values
+    return found
 
 
 def pixel_index(valid: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -11,7 +11,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +36,7 @@ from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD
 from pbrfit.fit.priors.population import METALLIC_DEVIATION
 from pbrfit.fit.run import FitSetup, Trace, material_errors
-from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
+from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over, placed
 from pbrfit.fit.settings import (
     COMPARE_LAMP_ROUNDS,
     DEGREES_OF_FREEDOM_SHARE_MIN,
@@ -75,34 +74,12 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
 the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 
-COMPARED_PIXELS = 250
-"""Pixels that find lamps where explanations are compared: these have eight numbers each."""
-
 HELD_ROUNDS = 2
 """First rounds, in which lamps stay as diffuse shading has them but for their scale. A fit which
 goes on from what others have found begins after them."""
 
 LOOK_LAST = 4
 """From which round on normals are no longer sought at highlights, and roughness near what it is."""
-
-FREE_SCALE_ROUNDS, NOTHING_LEFT = 2, 0.02
-"""Last rounds in which the scale is free where less is left of the samples than this share: such
-pictures obey the model, and all of their samples tell the same scale."""
-
-ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
-"""Tried for each label at first: half an octave apart, less than what a lobe's width tells."""
-
-NEARER_ROUGHNESSES = tuple(2.0 ** np.linspace(-0.5, 0.5, 5))
-"""Factors on the roughness of each label that are tried last, over the spacing of the first. A
-highlight is as bright as r⁻⁴, so that a roughness which stays a quarter of an octave off asks for
-lamps twice as bright."""
-
-LOOK_PICTURES_MIN = 6
-"""From which on every third picture is left out where roughness, scale and camera are chosen:
-the others are four at least, twelve samples for a pixel's six unknowns."""
-
-LOOK_PIXELS = 400
-"""By which they are tried: thousands of samples, of which a narrow lobe shows in some per cent."""
 
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
@@ -114,26 +91,8 @@ too."""
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
-ROUGHNESS_SPREADS = (0.02, 0.05)
-"""Least and greatest spread of roughness inside a label: less is seen by nobody; with more, each
-pixel takes what its own few highlights are off the model's for a roughness of its own."""
-
-KNOWN_NORMALS_SPREADS = (0.03, 0.25)
-"""The same where normals are known and held."""
-
-FREE_OFFSETS = 0.09
-"""Prior standard deviation of the tangent offsets of normals that diffuse shading has told, from
-these: 5 degrees, what they are off on glossy surfaces."""
-
-GIVEN_DEGREES = 5.0
-"""Of given normals whose deviation nobody told, where they are refined."""
-
-
 UNIFORM_VARIANCE = 1 / 12
 """Largest variance of albedo and roughness: that of a uniform distribution in [0, 1]."""
-
-BY_HIGHLIGHTS = "by the highlights of dielectrics, around a mean albedo of 0.35"
-"""What the scale between lamps and albedo rests on where there is no reference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +265,10 @@ class LampFit:
             albedo = self.start.albedo.reshape(-1, 3)[places]
             return few, [(self.start.note, *balanced(few, lamps, albedo))]
         if known is not None:
-            return few, [("known lamps", *colored(few, known))]
+            directions, strengths = known.at(few.points, len(few))
+            cosines = np.maximum(np.einsum("px,pkx->pk", few.normals, directions), 0) * strengths
+            start = colored_by(few, known, cosines, (cosines > 0).astype(np.float64))
+            return few, [("known lamps", *start)]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
         if few.points is not None:
             found.append(("near lamps", *near_lamps(few)))
@@ -316,8 +278,8 @@ class LampFit:
         """(P,): prior standard deviation of each tangent offset, radians."""
         scene = self.scene
         if self.start is not None:
-            return np.full(len(places), FREE_OFFSETS)
-        degrees = np.full(len(places), GIVEN_DEGREES)
+            return np.full(len(places), 0.09)  # 5 degrees: what matt shading tells of gloss
+        degrees = np.full(len(places), 5.0)
         if scene.normal_sigma is not None:
             degrees = np.maximum(scene.normal_sigma.reshape(-1)[places], 0.1)
         return np.asarray(np.radians(degrees) / np.sqrt(2))
@@ -334,12 +296,8 @@ class LampFit:
             np.full(len(few), self.options.metallic or 0.0),
         )
         known = self.scene.lamps
-        freedom = Freedom(
-            normals=self.free_normals,
-            places=False,
-            colors=False,
-            same_lamp=self.options.same_lamp,
-        )
+        same, free = self.options.same_lamp, self.free_normals
+        freedom = Freedom(normals=free, places=False, colors=False, same_lamp=same)
         prior = first_prior(few, self._offset_sigma(few.places))
         if self.begin is not None:
             for label, value in self.begin.roughness.items():
@@ -374,17 +332,16 @@ class LampFit:
             if number == HELD_ROUNDS and not near:
                 shape = self.relief is not None
                 fit.freedom = replace(fit.freedom, places=known is None, colors=True, shape=shape)
-            if (
-                number == self.rounds - FREE_SCALE_ROUNDS
-                and self._relative_left(fit) < NOTHING_LEFT
-            ):
+            # Pictures that obey the model tell the same scale by all of their samples.
+            if number == self.rounds - 2 and self._relative_left(fit) < 0.02:
                 fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
             made = minimize(fit, steps=STEPS, stop=lambda: not self.trace.goes_on)
             self.trace.iteration += made
             self.trace.evaluations += made
             fit.state, fit.cost = fit.fitted(fit.state, surfaces.STEPS)
-            # With normals that are known a highlight says how rough a surface is.
-            spreads = ROUGHNESS_SPREADS if freedom.normals else KNOWN_NORMALS_SPREADS
+            # Least and greatest: with normals that are known a highlight says how rough a surface
+            # is; else pixels would take what few highlights are off for a roughness of their own.
+            spreads = (0.02, 0.05) if freedom.normals else (0.03, 0.25)
             fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)
             fit.reweigh()
             self._record(fit)
@@ -412,14 +369,18 @@ class LampFit:
         as it is. Highlights tell all three, and only together: where they are shown in wrong
         places, a rough surface without any is better.
         """
-        of = evenly_spaced_over(fit.pixels.labels, LOOK_PIXELS).astype(np.intp)
+        # Thousands of samples, of which a narrow lobe shows in some per cent.
+        of = evenly_spaced_over(fit.pixels.labels, 400).astype(np.intp)
         few = fit.pixels.of_rows(of)
         given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
         labels = np.unique(few.labels)
         independent = INDEPENDENT_SHARE * len(few)
-        roughnesses = np.outer(ROUGHNESSES, np.ones(len(few)))
+        # Half an octave apart, less than what a lobe's width tells, and then over that: a highlight
+        # is as bright as r⁻⁴, so that a quarter of an octave asks for lamps twice as bright.
+        roughnesses = np.outer((0.1, 0.18, 0.3, 0.45, 0.7), np.ones(len(few)))
         if number >= LOOK_LAST:
-            roughnesses = np.clip(np.outer(NEARER_ROUGHNESSES, prior.mean[:, 5]), ROUGHNESS_MIN, 1)
+            nearer = np.outer(2.0 ** np.linspace(-0.5, 0.5, 5), prior.mean[:, 5])
+            roughnesses = np.clip(nearer, ROUGHNESS_MIN, 1)
         metallic = np.broadcast_to(given.metallic, roughnesses.shape)
         if number == HELD_ROUNDS and self.options.metallic is None and labels.any():
             # From here on lamps would bend to metals that stay dielectrics.
@@ -495,7 +456,7 @@ class LampFit:
         and a narrow lobe of its own a pixel can show any one highlight, but not the next.
         """
         left_out = np.zeros(few.pictures, bool)
-        if few.pictures >= LOOK_PICTURES_MIN:
+        if few.pictures >= 6:  # four others, twelve samples for a pixel's six unknowns
             left_out[1::3] = True
         counted = left_out if left_out.any() else ~left_out
         # All at once: each pixel with one roughness after the other.
@@ -660,7 +621,7 @@ class LampFit:
         scale = fit.pixels.scale
 
         def whole(name: str) -> Array:
-            return _map(np.concatenate([getattr(one.state, name) for one in bands]), scene.valid)
+            return placed(np.concatenate([getattr(one.state, name) for one in bands]), scene.valid)
 
         squares = sum(one.squares for one in bands)
         total = sum(one.total for one in bands)
@@ -676,6 +637,7 @@ class LampFit:
         shown = self._shown(fit.pixels, squares / max(total, 1e-300))
         refined = self.free_normals and scene.normals_known
         why = "asked for" if refined else FROM_PICTURES if self.free_normals else "held"
+        by_highlights = "by the highlights of dielectrics, around a mean albedo of 0.35"
         return FitOutput(
             materials=maps,
             lighting=fit.state.ambient * scale,
@@ -692,7 +654,7 @@ class LampFit:
             refinement=Refinement(self.options.refine_normals, refined, why),
             camera=Camera(self.fov, "given" if scene.fov_known else "fitted"),
             exposures=None,
-            scale=BY_HIGHLIGHTS if self._reference is None else self._reference.said,
+            scale=by_highlights if self._reference is None else self._reference.said,
             measured_lighting=None,
             recon_rmse=rmse,
             lamps=lamps,
@@ -704,7 +666,7 @@ class LampFit:
         if not (self.free_normals and self.options.uncertainty):
             return None
         variances = np.concatenate([one.marginal[:, :2].sum(axis=1) for one in bands])
-        return _map(np.degrees(np.minimum(np.sqrt(variances), np.pi / 2)), self.scene.valid)
+        return placed(np.degrees(np.minimum(np.sqrt(variances), np.pi / 2)), self.scene.valid)
 
     def _shown(self, pixels: LampPixels, square: float) -> Shown:
         """By pixels that leave this mean square of samples."""
@@ -740,7 +702,7 @@ class LampFit:
         reach = TWO_SIDED * sigma
 
         def maps(values: Array) -> Materials:
-            found = _map(values, valid)
+            found = placed(values, valid)
             return Materials(found[..., :3], found[..., 3], found[..., 4])
 
         deviation = maps(sigma)
@@ -783,20 +745,6 @@ def albedo_under(pixels: LampPixels, lamps: Lamps) -> Array:
     return np.asarray(np.clip(np.median(ratio, axis=1), 0.01, 0.95))
 
 
-def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
-    """Known lamps with colours to begin with, and albedos (P, 3), by the given normals."""
-    directions, strengths = known.at(pixels.points, len(pixels))
-    cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
-    return colored_by(pixels, known, cosines, (cosines > 0).astype(np.float64))
-
-
-def _map(values: NDArray[Any], valid: NDArray[np.bool_], fill: float = np.nan) -> NDArray[Any]:
-    """(H, W, ...): values of the valid pixels at their places."""
-    found = np.full((*valid.shape, *values.shape[1:]), fill, values.dtype)
-    found[valid] = values
-    return found
-
-
 def _spread(values: Array, few: NDArray[np.intp], places: NDArray[np.intp], width: int) -> Array:
     """(P, ...): at places, what the nearest of some others have."""
     from scipy.spatial import cKDTree
@@ -814,9 +762,9 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
 
 
 def some_places(scene: Scene) -> NDArray[np.intp]:
-    """As many of a scene's places as find lamps where explanations are compared."""
+    """As many of a scene's places as find lamps, of eight numbers each, for a comparison."""
     places = scene.places
-    return np.asarray(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
+    return np.asarray(places[evenly_spaced(len(places), 250).astype(np.intp)])
 
 
 @one_blas_thread()

@@ -51,17 +51,11 @@ UNKNOWNS = 6
 """Number for each pixel in joint steps: two offsets of the normal, albedo, roughness. Metallic
 waits."""
 
-OFFSET_STEP_MAX = 0.3
-"""Largest step of a normal's tangent offset, a tangent."""
-
 ROUGHNESS_MIN = 0.03
 """Least roughness that a step leads to: below, a lobe shows in no sample."""
 
 COSINE_MIN = 0.1
 """Least cosine of the angle between a normal and the one that its offsets are from: 84 degrees."""
-
-PLACE_STEP_MAX = 0.5
-"""Largest step of a lamp's place, of the distance or of the direction, a tangent."""
 
 AMBIENT_SHARE = 0.1
 """Prior standard deviation of each ambient coefficient, of the mean radiance: a lamp in a room
@@ -377,7 +371,8 @@ class JointLamps:
         if self.freedom.shape:
             matrix += np.tensordot(change[self._size() :], BAS_RELIEF, 1)
         reach = np.where(lamps.near, np.linalg.norm(lamps.places, axis=-1), 1.0)
-        longest = np.maximum(np.linalg.norm(places, axis=-1) / (PLACE_STEP_MAX * reach), 1.0)
+        # Half of the distance, or of a tangent, at most.
+        longest = np.maximum(np.linalg.norm(places, axis=-1) / (0.5 * reach), 1.0)
         moved = lamps.places + places / longest[:, None]
         far = ~lamps.near
         moved[far] /= np.linalg.norm(moved[far], axis=-1, keepdims=True)
@@ -385,7 +380,7 @@ class JointLamps:
         normals = self.state.normals
         if self.freedom.normals:
             offsets = of_pixels[:, :2]
-            length = np.maximum(np.linalg.norm(offsets, axis=-1) / OFFSET_STEP_MAX, 1.0)
+            length = np.maximum(np.linalg.norm(offsets, axis=-1) / 0.3, 1.0)
             offsets = offsets / length[:, None]
             moved_normals = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
             moved_normals /= np.linalg.norm(moved_normals, axis=-1, keepdims=True)

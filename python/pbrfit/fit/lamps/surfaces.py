@@ -40,20 +40,8 @@ from pbrfit.fit.sampling import beside
 
 Array = NDArray[np.float64]
 
-BAND_PIXELS = 40_000
-"""That are fitted at once: some 100 MB with 12 pictures."""
-
-ROUNDS = 2
-"""Of weights and surfaces: shadows that hide behind a wrong normal show in the second."""
-
 METAL_STARTS = (0.35, 0.6)
 """Roughness that a metal begins with."""
-
-AS_SEEN_DEVIATION = 0.1
-"""Deviation of a sample in the last fit by least squares, where the mean radiance is 0.4."""
-
-ROUGHNESS_STARTS = (0.15, 0.35, 0.75)
-"""That pixels with known normals begin with, too: a lobe that misses all samples has no slope."""
 
 STEPS = 12
 """Of each pixel in a round."""
@@ -61,24 +49,11 @@ STEPS = 12
 METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
 
-VOTE_MAX, VOTERS = 3.0, 8
-"""Log odds that a pixel of a segment adds at most, and pixels that count as one."""
-
-SEGMENT_SHARES = (0.01, 0.95)
-"""Least and greatest share of metals in a segment: what is on it, or shines through, is little."""
-
-MISFIT_MIN = 0.01
-"""Least of what is left, in variances of the weights: a tenth of the 5 % they take at least."""
-
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
 
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
-
-INDEPENDENT = 1 / 3
-"""Share of a pixel's samples that count in the choice between dielectric and metal: the three
-channels of a sample share what is left of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +70,8 @@ class Band:
     """Weighted sum of squared residuals, and sum of the scene's weights."""
 
 
-def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slice]:
-    """Ranges of the valid pixels that make up whole rows."""
+def bands(valid: NDArray[np.bool_], at_most: int = 40_000) -> Iterator[slice]:
+    """Ranges of the valid pixels that make up whole rows: some 100 MB with 12 pictures."""
     size, start = 0, 0
     for count in valid.sum(axis=1).tolist():
         if size and size + count > at_most:
@@ -290,11 +265,12 @@ def _from_more_starts(
         moved, least = from_neighbours(pixels, state, left, noise, prior, width)
         state, left = improved(moved, np.flatnonzero(least < left))
     else:
-        for roughness in ROUGHNESS_STARTS:
+        for roughness in (0.15, 0.35, 0.75):  # a lobe that misses all samples has no slope
             begin = replace(state, roughness=np.full(len(pixels), roughness))
             state, left = improved(begin, np.arange(len(pixels)))
+    # Shadows that hide behind a wrong normal show in the second round.
     state, weights, cost, information = robust_surfaces(
-        pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
+        pixels, state, noise, prior, rounds=2, free_normals=free, width=width
     )
     of_kind = state.metallic * (1 - state.metallic)
     if metals is not None:
@@ -315,7 +291,7 @@ def _as_seen(pixels: LampPixels, state: LampState, prior: SurfacePrior) -> LampS
     mean, precision = prior.mean.copy(), prior.precision.copy()
     mean[:, 5] = state.roughness
     around = replace(pixels, normals=state.normals)
-    weights = pixels.weights / AS_SEEN_DEVIATION**2
+    weights = pixels.weights / 0.1**2  # a deviation where the mean radiance is 0.4
     state, _, _ = fit_surfaces(
         around, state, weights, SurfacePrior(mean, precision), iterations=STEPS, free_normals=True
     )
@@ -348,11 +324,12 @@ def _with_metals(
         metal, metal_cost = better_of(metal, metal_cost, begin, of_begin)
         metal_information = np.where(take[:, None, None], told, metal_information)
     # What the better of both leaves is misfit, of which costs count as so many samples: that of a
-    # pixel that neither explains, for its costs tell as much less, or what is usual.
+    # pixel that neither explains, for its costs tell as much less, or what is usual, or a tenth of
+    # the deviation that weights take at least. Three channels share what is left of a sample.
     samples = np.maximum((pixels.weights > 0).sum(axis=(1, 2)) - UNKNOWNS, 1)
     left_over = np.minimum(cost, metal_cost) / samples
-    misfit = np.maximum(left_over, max(float(np.median(left_over)), MISFIT_MIN))
-    odds = -0.5 * INDEPENDENT * (metal_cost - cost) / misfit
+    misfit = np.maximum(left_over, max(float(np.median(left_over)), 0.01))
+    odds = -0.5 * (1 / 3) * (metal_cost - cost) / misfit
     odds -= 0.5 * (_told(metal_information, priors[1]) - _told(information, priors[0]))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
@@ -387,17 +364,18 @@ def _told(information: Array, prior: SurfacePrior) -> Array:
 def metal_shares(odds: Array, labels: NDArray[np.intp]) -> Array:
     """(P,): share of metals of each pixel's label.
 
-    A segment is of one kind, which its pixels vote for, none with more than `VOTE_MAX` and eight as
-    one, as neighbours share what is left of them; some of its pixels may be of another. Of what is
-    in no segment the share is found by expectation and maximisation.
+    A segment is of one kind, which its pixels vote for, none with log odds of more than 3 and eight
+    as one, as neighbours share what is left of them; some of its pixels may be of another: what is
+    on it, or shines through. Of what is in no segment the share is found by expectation and
+    maximisation.
     """
     found = np.full(len(odds), METAL_SHARE)
     for label in np.unique(labels):
         of = odds[labels == label]
         if label > 0:
-            votes = float(np.clip(of, -VOTE_MAX, VOTE_MAX).sum()) / VOTERS
+            votes = float(np.clip(of, -3.0, 3.0).sum()) / 8
             total = votes + np.log(METAL_SHARE / (1 - METAL_SHARE))
-            found[labels == label] = np.clip(probability(np.array(total)), *SEGMENT_SHARES)
+            found[labels == label] = np.clip(probability(np.array(total)), 0.01, 0.95)
             continue
         share = METAL_SHARE
         for _ in range(30):
