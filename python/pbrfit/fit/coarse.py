@@ -11,13 +11,12 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
@@ -25,7 +24,7 @@ from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_level, retry_outliers
+from pbrfit.fit.pixels import fit_level, is_exact, retry_outliers
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
@@ -98,9 +97,9 @@ def rounds(
         sum_sq = fit_level(objective, x, fixed)
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
-        exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
-        left, before, fit = left_of(level, x, sum_sq, shared, noise, fixed), weight, None
         total = float(sum_sq.sum())
+        exact = is_exact(objective, total)
+        left, before, fit = left_of(level, x, sum_sq, shared, noise, fixed), weight, None
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
             shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
@@ -198,16 +197,31 @@ def left_of(
     noise: NoiseModel | None,
     prior: GaussianPrior | None = None,
 ) -> Misfit:
-    """What is left of a level at x, whose pixels have a prior."""
+    """What is left of a level at x, whose pixels have a prior.
+
+    κ is that of the scores s_b of square patches, their mean removed.
+    """
     objective, of_files = level.objective, 1.0 if noise is None else noise.picture_effect
     variance = misfit.variance(objective, sum_sq)
     share = misfit.independent_share(objective, x)
     if shared is None:
         return Misfit(variance, 1.0, share, of_files)
-    if shared.inverse is None or shared.stale:
+    renewed = shared.inverse is None or shared.stale
+    if renewed:
         shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
-        shared.joint_fit(objective, x, sum_sq, prior=prior).renew_preconditioner()
-    effect = misfit.design_effect(level, x, sum_sq, partial(shared.solved, objective), prior)
+    fit = JointFit(objective, x, sum_sq, shared, prior, lambda: False)
+    if renewed:
+        fit.renew_preconditioner()
+    finer, count = (
+        round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS)),
+        x[objective.layout.lighting].size,
+    )
+    patches, effect = level.patches(settings.PATCH_SIDE * max(finer, 1)), 1.0
+    if len(patches) >= settings.PATCHES_MIN:
+        scores = np.array([fit.kept_system(patch).gradient for patch in patches])
+        scores -= scores.mean(axis=0)
+        sizes = sum(float(score @ shared.solved(objective, score)) for score in scores)
+        effect = len(patches) / (len(patches) - 1) * sizes / (variance * count)
     return Misfit(variance, effect, share, of_files)
 
 
@@ -233,8 +247,7 @@ def judged(
     if shared is not None:
         weight = left.design_effect * left.variance
         shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
-    exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * few.total_weight
-    return Lights(x, left, exact, shared, noise=noise)
+    return Lights(x, left, is_exact(few, float(sum_sq.sum())), shared, noise=noise)
 
 
 def _weighed(given: Objective, x: Array, noise: NoiseModel | None) -> Objective:

@@ -232,7 +232,8 @@ def fit_all_pixels(state: State, lights: Lights, prior: GaussianPrior | None) ->
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")
             return state
-        if is_exact(objective, sum_sq):
+        # Of all that half of the pixels leave nothing but rounding of.
+        if is_exact(objective, float(np.median(sum_sq)) * objective.pixels):
             retry_outliers(objective, x, sum_sq, run.out_of_time)
         watch.visit(x, sum_sq)
     return replace(state, x=x)
@@ -264,7 +265,7 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
         sum_sq = fit_all(few, part, starts=starts, prior=rows, stop=run.out_of_time)
         if sum_sq is None:
             break
-        if is_exact(few, sum_sq):
+        if is_exact(few, float(np.median(sum_sq)) * few.pixels):
             retry_outliers(few, part, sum_sq, run.out_of_time)
         elif number == 0 and prior is None:
             found = left_of(level, part, sum_sq, shared, lights.noise)

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit import _core
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import variance
@@ -138,6 +139,12 @@ class JointFit:
             found |= {"precision": self.prior.precision[of_all], "deviation": values - mean}
         return found
 
+    def kept_system(self, pixels: Pixels) -> _core.KeptSystem:
+        """The gradient s and products with S, of some pixels without the priors of the lights."""
+        options = self.options(self.objective, self.x, pixels, pixels)
+        problem, for_core = self.objective.problem, self.objective.for_core(self.x)
+        return problem.kept_system(for_core, pixels, **options)
+
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
         few, part, times, options = _sample(self, settings.PRECONDITIONER_PIXELS)
@@ -148,9 +155,7 @@ class JointFit:
 
     def _system(self) -> tuple[Array, Callable[[Array], Array]]:
         """The gradient s, in order, and S v; the preconditioner is renewed where it is stale."""
-        end, every = self.lights.mean.size, self.objective.everything
-        options = self.options(self.objective, self.x, every, every)
-        kept = self.objective.problem.kept_system(self.objective.for_core(self.x), every, **options)
+        end, kept = self.lights.mean.size, self.kept_system(self.objective.everything)
         gradient = kept.gradient
         gradient[:end] += self.lights.half_gradient(self.objective.lights_in_core(self.x).ravel())
         if self.offsets is not None:

@@ -232,9 +232,7 @@ class _Curve:
 
     def _moves(self, group: Pixels) -> tuple[Array, Array]:
         """(C,) each: u of a group before it is divided, and the share of S it has."""
-        fit = self.fit
-        objective, options = fit.objective, fit.options(fit.objective, fit.x, group, group)
-        kept = objective.problem.kept_system(objective.for_core(fit.x), group, **options)
+        kept = self.fit.kept_system(group)
         own = [one @ kept.product(one) for one in self.solved]
         return self.solved @ kept.gradient, np.array(own) / np.diag(self.covariance)
 
