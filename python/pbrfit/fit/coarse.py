@@ -212,16 +212,14 @@ def left_of(
     fit = JointFit(objective, x, sum_sq, shared, prior, lambda: False)
     if renewed:
         fit.renew_preconditioner()
-    finer, count = (
-        round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS)),
-        x[objective.layout.lighting].size,
-    )
+    finer = round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS))
     patches, effect = level.patches(settings.PATCH_SIDE * max(finer, 1)), 1.0
     if len(patches) >= settings.PATCHES_MIN:
         scores = np.array([fit.kept_system(patch).gradient for patch in patches])
         scores -= scores.mean(axis=0)
         sizes = sum(float(score @ shared.solved(objective, score)) for score in scores)
-        effect = len(patches) / (len(patches) - 1) * sizes / (variance * count)
+        unbiased = len(patches) / (len(patches) - 1)
+        effect = unbiased * sizes / (variance * scores.shape[1])
     return Misfit(variance, effect, share, of_files)
 
 

@@ -56,10 +56,6 @@ __all__ = ["Progress", "decompose"]
 
 log = logging.getLogger("pbrfit")
 
-RENDERED_SAMPLES = 1 << 21
-"""Pixels times pictures that are rendered at once for the final errors: little beside the pictures
-of a large scene, much beside what a call costs."""
-
 Start = Materials | tuple[Materials, NDArray[Any]] | Result | None
 
 
@@ -351,9 +347,9 @@ def _recon_rmse(scene: Scene, fit: FitOutput, model: Model, threads: int) -> flo
     """Of all samples by their weights; each picture's divided by its exposure.
 
     All pictures have the same work for their materials, so they are rendered together, a few rows
-    at a time.
+    at a time: little beside the pictures of a large scene, much beside what a call costs.
     """
-    count = max(1, RENDERED_SAMPLES // (len(scene.images) * scene.width))
+    count = max(1, (1 << 21) // (len(scene.images) * scene.width))
 
     def of_rows(rows: slice) -> list[tuple[float, float]]:
         """Error and weight of each picture there."""

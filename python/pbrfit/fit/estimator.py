@@ -232,7 +232,7 @@ def fit_all_pixels(state: State, lights: Lights, prior: GaussianPrior | None) ->
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")
             return state
-        # Of all that half of the pixels leave nothing but rounding of.
+        # Half of the pixels leave nothing but rounding.
         if is_exact(objective, float(np.median(sum_sq)) * objective.pixels):
             retry_outliers(objective, x, sum_sq, run.out_of_time)
         watch.visit(x, sum_sq)

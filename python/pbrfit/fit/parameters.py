@@ -13,9 +13,6 @@ from pbrfit.fit.sampling import placed
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
 
-ORDER_2 = 9
-"""Coefficients of a light of order 2; those from here on are band 3."""
-
 
 @dataclass(frozen=True, eq=False)
 class ParameterLayout:
@@ -62,7 +59,7 @@ class ParameterLayout:
         changes the fit.
         """
         channels = 1 if scene.grey else 3
-        if scene.lighting is not None and not scene.lighting[:, ORDER_2:].any():
+        if scene.lighting is not None and not scene.lighting[:, 9:].any():
             sh_order = 2
         segments, count = scene.labels or (None, 0)
         return cls(

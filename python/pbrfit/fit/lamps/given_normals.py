@@ -43,7 +43,10 @@ TINY = 1e-12
 def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     """A lamp far away for each picture, and albedos (P, 3), by the given normals."""
     grey, usable = grey_samples(pixels.samples, pixels.told)
-    albedo = _typical(grey, usable)
+    # To begin with brightness over the pictures, each over its mean.
+    mean = (grey * usable).sum(axis=0) / np.maximum(usable.sum(axis=0), 1)
+    albedo = (grey / np.maximum(mean, TINY) * usable).sum(axis=1)
+    albedo = np.maximum(albedo / np.maximum(usable.sum(axis=1), 1), 0) + TINY
     vectors = np.zeros((pixels.pictures, 3))
     weights = usable.astype(np.float64)
     for _ in range(25):  # each costs two sums over the samples
@@ -190,14 +193,6 @@ def _judged(
     found = np.where(usable, left, 0.0).sum(axis=1) / max(int(usable.sum()), 1)
     known = np.isfinite(color)
     return np.where(known, found, np.inf), np.where(known, np.exp(np.where(known, color, 0)), 0.0)
-
-
-def _typical(grey: Array, usable: NDArray[np.bool_]) -> Array:
-    """(P,): brightness over the pictures, each over its mean: an albedo to begin with."""
-    count = np.maximum(usable.sum(axis=0), 1)
-    mean = np.maximum((grey * usable).sum(axis=0) / count, TINY)
-    found = (grey / mean * usable).sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
-    return np.asarray(np.maximum(found, 0) + TINY)
 
 
 def colored_by(

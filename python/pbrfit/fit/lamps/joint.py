@@ -170,17 +170,14 @@ class JointLamps:
     def reweigh(self, *, renew: bool = True) -> None:
         """New noise and weights by what is left now."""
         if renew:
-            self.noise = self.noise.renewed(self.pixels, self.state, self._free_share())
+            samples = max(int(np.count_nonzero(self.pixels.weights)), 1)
+            own = 6 if self.freedom.normals else 4
+            free = float(max(1 - (own * len(self.pixels) + self._size()) / samples, 0.1))
+            self.noise = self.noise.renewed(self.pixels, self.state, free)
         self.weights = self.noise.judged(self.pixels, self.state).weighed()
         if self.lit is not None:
             self.weights *= self.lit(self.state.lamps)[..., None]
         self.cost = self.fitted(self.state, 0)[1]
-
-    def _free_share(self) -> float:
-        samples = max(int(np.count_nonzero(self.pixels.weights)), 1)
-        own = 6 if self.freedom.normals else 4
-        taken = own * len(self.pixels) + self._size()
-        return float(max(1 - taken / samples, 0.1))
 
     def _size(self) -> int:
         return 6 * len(self.state.lamps) + 3 * self.pixels.pictures
@@ -197,14 +194,6 @@ class JointLamps:
         level = float((colors.mean(axis=-1) + np.log(shading)).mean()) - self._log_brightness
         tint = colors.mean(axis=0)
         return np.concatenate([[level / ALBEDO_SPREAD], (tint - tint.mean()) / TINT_SPREAD])
-
-    def _slope_of_scale(self, lamps: Lamps) -> Array:
-        """(4, 3 K): its derivatives by the colours."""
-        by_log = np.concatenate(
-            [np.full((1, 3), 1 / 3) / ALBEDO_SPREAD, (np.eye(3) - 1 / 3) / TINT_SPREAD]
-        )
-        slope = by_log[:, None] / np.maximum(lamps.colors, 1e-12) / len(lamps)
-        return np.asarray(slope.reshape(4, -1))
 
     def fitted(self, state: LampState, iterations: int) -> tuple[LampState, float]:
         """A state with surfaces that took so many steps, and the cost of all."""
@@ -345,8 +334,11 @@ class JointLamps:
         gradient[first:] += precision_of * self.state.ambient[:, 0].reshape(-1)
         np.einsum("mm->m", shared)[first:] += precision_of
         if self.freedom.colors:
+            by_level = np.full((1, 3), 1 / 3) / ALBEDO_SPREAD
+            by_log = np.concatenate([by_level, (np.eye(3) - 1 / 3) / TINT_SPREAD])
+            by_color = by_log[:, None] / np.maximum(self.state.lamps.colors, 1e-12) / lamps
             slope = np.zeros((4, size))
-            slope[:, 3 * lamps : first] = self._slope_of_scale(self.state.lamps)
+            slope[:, 3 * lamps : first] = by_color.reshape(4, -1)
             shared += slope.T @ slope
             gradient += slope.T @ self.scale_of(self.state.lamps)
         return shared, gradient
