@@ -216,30 +216,20 @@ class JointFit:
             )
             place(objective, trial, every, followed)
             prior = self.pixel_prior(offsets)
-            left = fit_all(
-                objective,
-                trial,
-                starts=0,
-                steps=settings.DESCENT_STEPS_AFTER_JOINT,
-                prior=prior,
-                stop=self.stop,
-            )
+            steps, stop = settings.DESCENT_STEPS_AFTER_JOINT, self.stop
+            left = fit_all(objective, trial, starts=0, steps=steps, prior=prior, stop=stop)
             if left is None:
                 return None
-            self._restart_worse(trial, left, prior)
+            # Pixels that the step left worse off start again.
+            worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
+            rows = None if prior is None else prior.rows(worse)
+            own = taken(objective, self.x, worse)
+            try_from(objective, trial, left, worse, own, steps=2 * steps, starts=1, prior=rows)
             lower = self.total(trial, left, offsets)
             if lower < total:
                 self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
                 return lower
         return None
-
-    def _restart_worse(self, trial: Array, left: Array, prior: GaussianPrior | None) -> None:
-        """Let pixels that a step to `trial` left worse off start again; it and the sums change."""
-        worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
-        steps = 2 * settings.DESCENT_STEPS_AFTER_JOINT
-        own = taken(self.objective, self.x, worse)
-        rows = None if prior is None else prior.rows(worse)
-        try_from(self.objective, trial, left, worse, own, steps=steps, starts=1, prior=rows)
 
 
 def _sample(fit: JointFit, at_most: int) -> tuple[Objective, Array, float, dict[str, Any]]:

@@ -29,6 +29,13 @@ def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
     return np.asarray(borders[:-1] + (fraction * np.diff(borders)).astype(np.int64), np.uint64)
 
 
+def groups_of(labels: NDArray[np.integer[Any]]) -> list[NDArray[np.uint64]]:
+    """Indices into `labels` (P,), at least one, of each label, in order."""
+    order = np.argsort(labels, kind="stable").astype(np.uint64)
+    starts = np.flatnonzero(np.diff(labels[order], prepend=labels.min() - 1))
+    return np.split(order, starts[1:])
+
+
 def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uint64]:
     """Indices into `labels` (P,), in order, at most so many: spread evenly in each label.
 
@@ -37,12 +44,11 @@ def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uin
     """
     if len(labels) <= at_most:
         return np.arange(len(labels), dtype=np.uint64)
-    order = np.argsort(labels, kind="stable")
-    starts = np.flatnonzero(np.diff(labels[order], prepend=labels[order[0]] - 1))
-    share = at_most // 2 // len(starts)
+    groups = groups_of(labels)
+    order, share = np.concatenate(groups), at_most // 2 // len(groups)
     taken = np.zeros(len(labels), dtype=bool)
     if share:
-        for of_label in np.split(order, starts[1:]):
+        for of_label in groups:
             taken[of_label[evenly_spaced(len(of_label), share)]] = True
     rest = order[~taken[order]]
     taken[rest[evenly_spaced(len(rest), at_most - int(np.count_nonzero(taken)))]] = True

@@ -38,7 +38,7 @@ from pbrfit.fit.objective import Objective, in_channels
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import Pixels, fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.sampling import evenly_spaced, groups_of
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
@@ -216,9 +216,7 @@ class _Curve:
         """(C,): variances by groups."""
         from scipy.special import stdtrit
 
-        order = np.argsort(labels, kind="stable").astype(np.uint64)
-        starts = np.flatnonzero(np.diff(labels[order], prepend=labels.min() - 1))
-        groups = np.split(order, starts[1:])
+        groups = groups_of(labels)
         count = len(groups)
         if count < settings.PATCHES_MIN:
             return np.zeros(len(self.solved))

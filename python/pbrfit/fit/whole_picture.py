@@ -51,7 +51,6 @@ class FitOutput:
     reason: str
     rows: tuple[HistoryRow, ...]
     evaluations: int
-    iterations: int
     stages: tuple[Stage, ...]
     """How it went."""
     seconds: float
@@ -120,7 +119,6 @@ def output_of(state: State, setup: FitSetup, refinement: Refinement, **others: A
         reason=state.ended[1],
         rows=tuple(run.rows),
         evaluations=run.evaluations,
-        iterations=run.iteration,
         stages=tuple(run.stages),
         seconds=run.elapsed,
         refinement=refinement,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,17 +156,6 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
     return np.asarray((pixels.weights * roots**2).sum(axis=2))
 
 
-def likely_roughness(tried: Array, sums: Array, pixels: int) -> float:
-    """The mean of roughnesses by their likelihood, from what looks wrong with each.
-
-    Where none looks better than another, that is the middle one.
-    """
-    independent = INDEPENDENT_SHARE * pixels
-    logs = -0.5 * independent * np.log(np.maximum(sums, 1e-12) / max(float(sums.min()), 1e-12))
-    shares = np.exp(logs)
-    return float(shares @ tried / shares.sum())
-
-
 class LampFit:
     """A fit of a scene under lamps, stage by stage."""
 
@@ -182,8 +170,7 @@ class LampFit:
         self.scene, self.setup, self.options = scene, setup, setup.options
         self.begin, self.rounds = begin, rounds
         self.trace = Trace(setup)
-        assert setup.options.model is not None
-        self.model = setup.options.model
+        self.model = setup.model
         self.start = start
         self.relief = None if start is None else start.relief
         """The cues on bas-reliefs, where one is open; normals are free then."""
@@ -333,8 +320,13 @@ class LampFit:
                 shape = self.relief is not None
                 fit.freedom = replace(fit.freedom, places=known is None, colors=True, shape=shape)
             # Pictures that obey the model tell the same scale by all of their samples.
-            if number == self.rounds - 2 and self._relative_left(fit) < 0.02:
-                fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
+            if number == self.rounds - 2:
+                residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
+                size = float((fit.pixels.weights * fit.pixels.samples**2).sum())
+                left = float((fit.pixels.weights * residual**2).sum())
+                if np.sqrt(left / max(size, 1e-300)) < 0.02:
+                    more = replace(fit.freedom, scale=True, places=known is None, colors=True)
+                    fit.freedom = more
             made = minimize(fit, steps=STEPS, stop=lambda: not self.trace.goes_on)
             self.trace.iteration += made
             self.trace.evaluations += made
@@ -403,7 +395,10 @@ class LampFit:
                 best_of = int(np.argmin(sums))
                 values, kinds = (of[:, own][:, 0] for of in (roughnesses, metallic))
                 same = kinds == kinds[best_of]
-                likely = likely_roughness(values[same], sums[same], int(own.sum()))
+                # The mean by likelihood: the middle one where none looks better than another.
+                wrong = np.maximum(sums[same], 1e-12) / max(float(sums[same].min()), 1e-12)
+                shares = np.exp(-0.5 * (INDEPENDENT_SHARE * int(own.sum())) * np.log(wrong))
+                likely = float(shares @ values[same] / shares.sum())
                 chosen[label] = likely, float(kinds[best_of])
                 total += float(sums[best_of])
                 offset += float(turned[best_of, own].sum())
@@ -467,11 +462,10 @@ class LampFit:
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
         begin = given.with_surface(given.normals, albedo, roughnesses.ravel(), metallic.ravel())
         starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
+        to_some = surfaces.SurfaceFit(fitted, fit.noise, prior, free)
         errors, shown, squares = [], [], []
         for start in starts:
-            state, *_ = surfaces.robust_surfaces(
-                fitted, start, fit.noise, prior, free_normals=free, free_roughness=False
-            )
+            state, *_ = to_some.robust(start, free_roughness=False)
             seen = seen_error(few, state, relative=relative)
             errors.append(seen @ ~left_out)
             shown.append(seen @ counted)
@@ -481,20 +475,13 @@ class LampFit:
         wrong, turned = (np.take_along_axis(np.array(of), best, 0) for of in (shown, squares))
         return wrong.reshape(roughnesses.shape), turned.reshape(roughnesses.shape)
 
-    def _relative_left(self, fit: JointLamps) -> float:
-        """Root mean square of what is left, of that of the samples."""
-        residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
-        size = float((fit.pixels.weights * fit.pixels.samples**2).sum())
-        left = float((fit.pixels.weights * residual**2).sum())
-        return float(np.sqrt(left / max(size, 1e-300)))
-
     def _turn(self, fit: JointLamps) -> None:
         """Let pixels turn to their brightest lamp where that surprises less."""
-        few, fitted = fit.pixels, partial(surfaces.robust_surfaces, rounds=2, free_normals=True)
-        state, *_ = fitted(few, fit.state, fit.noise, fit.prior)
-        turned, *_ = fitted(few, surfaces.facing_highlights(few, state), fit.noise, fit.prior)
-        left = [surfaces.surprise(few, one, fit.noise, fit.prior) for one in (state, turned)]
-        fit.state, _ = surfaces.better_of(state, left[0], turned, left[1])
+        given = surfaces.SurfaceFit(fit.pixels, fit.noise, fit.prior, free_normals=True)
+        state, *_ = given.robust(fit.state, 2)
+        turned, *_ = given.robust(surfaces.facing_highlights(fit.pixels, state), 2)
+        left, of_turned = given.surprise(state), given.surprise(turned)
+        fit.state, _ = surfaces.better_of(state, left, turned, of_turned)
 
     def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
         """Which samples of some pixels lamps reach, by rays; None without surroundings."""
@@ -648,7 +635,6 @@ class LampFit:
             reason=reason,
             rows=(*trace.rows, row),
             evaluations=trace.evaluations,
-            iterations=trace.iteration,
             stages=tuple(trace.stages),
             seconds=trace.elapsed,
             refinement=Refinement(self.options.refine_normals, refined, why),

@@ -137,6 +137,12 @@ def offsets(base: Array, normals: Array) -> Array:
     return np.asarray(np.einsum("px,ptx->pt", normals, tangents(base)) / cosine[:, None])
 
 
+def unknowns_of(pixels: LampPixels, state: LampState) -> Array:
+    """(P, 6): offsets of the normals, albedo, roughness."""
+    away = offsets(pixels.normals, state.normals)
+    return np.concatenate([away, state.albedo, state.roughness[:, None]], axis=-1)
+
+
 class JointLamps:
     """The joint fit of some pixels; `state` is where it stands.
 
@@ -305,10 +311,7 @@ class JointLamps:
         own, gradients = rows[:, :UNKNOWNS], rows[:, UNKNOWNS]
         mixed, pushes = mixed[:, :UNKNOWNS], mixed[:, UNKNOWNS]
         prior = self.prior
-        surface = np.concatenate(
-            [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
-            axis=-1,
-        )
+        surface = unknowns_of(self.pixels, state)
         precision = prior.precision[:, :UNKNOWNS]
         gradients += precision * (surface - prior.mean[:, :UNKNOWNS])
         np.einsum("puu->pu", own)[:] += precision
