@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,8 +179,6 @@ class LampFit:
         self.free_normals = not told or self.options.refine_normals == "on"
         self.fov = (scene.fov if scene.fov_known else FOV_MEAN) if begin is None else begin.fov
         self._matrix = np.eye(3)
-        self._shared_covariance: Array | None = None
-        self._reference: reference.Reference | None = None
 
     def solve(self) -> FitOutput:
         """All stages."""
@@ -189,10 +188,10 @@ class LampFit:
         rows = evenly_spaced_over(labels, LAMP_PIXELS).astype(np.intp)
         fit = self.joint(places[rows])
         with self.trace.stage("surfaces") as notes:
-            bands = self._bands(fit)
+            bands, known = self._bands(fit)
             metal = float(np.mean(np.concatenate([one.state.metallic for one in bands]) > 0.5))
             notes.append(f"{len(places)} pixels, {100 * metal:.2g} % metal")
-        return self._output(fit, bands)
+        return self._output(fit, bands, known)
 
     def joint(self, places: NDArray[np.intp]) -> JointLamps:
         """The joint fit of pixels at places that explains them best."""
@@ -527,25 +526,22 @@ class LampFit:
 
     # Surfaces
 
-    def _bands(self, fit: JointLamps) -> list[surfaces.Band]:
+    def _bands(self, fit: JointLamps) -> tuple[list[surfaces.Band], reference.Reference | None]:
         """All pixels, under lights of the scale that a reference tells, if there is one."""
         valid, white = self.scene.valid, self.options.white
         if white is None:
-            return self._surfaces(fit, valid)
-
-        def under_lights(mask: NDArray[np.bool_]) -> list[surfaces.Band]:
-            self._shared_covariance = None
-            return self._surfaces(fit, mask)
-
-        bands, self._reference = reference.refer(fit, valid, white, under_lights)
+            return self._surfaces(fit, valid), None
+        bands, known = reference.refer(fit, valid, white, partial(self._surfaces, fit))
         if self.options.uncertainty:
-            self._shared_covariance = None
-            bands = self._surfaces(fit, valid)
-        return bands
+            bands = self._surfaces(fit, valid, known)
+        return bands, known
 
-    def _surfaces(self, fit: JointLamps, mask: NDArray[np.bool_]) -> list[surfaces.Band]:
+    def _surfaces(
+        self, fit: JointLamps, mask: NDArray[np.bool_], known: reference.Reference | None = None
+    ) -> list[surfaces.Band]:
         """Pixels of a mask under the lights of a fit, band by band."""
         scene, few = self.scene, fit.pixels
+        uncertain = self._covariance(fit, known) if self.options.uncertainty else None
         places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
         seen, found = scene.through(self.fov), []
@@ -577,33 +573,31 @@ class LampFit:
                     fit.freedom,
                     scene.width,
                     metals=first_prior(pixels, sigma) if self.options.metallic is None else None,
-                    uncertain=self._covariance(fit) if self.options.uncertainty else None,
+                    uncertain=uncertain,
                     once=self.trace.out_of_time(),
                 )
             )
         return found
 
-    def _covariance(self, fit: JointLamps) -> Array:
+    def _covariance(self, fit: JointLamps, known: reference.Reference | None) -> Array:
         """(M, M): of what all pixels share."""
-        if self._shared_covariance is None:
-            shared = fit.information()
-            # Looks have found the scale where steps have not, and it is as uncertain.
-            freedom = fit.freedom
-            fit.freedom = replace(freedom, scale=True, shape=False)
-            basis, _ = fit.directions()
-            fit.freedom = freedom
-            inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
-            found = basis @ inner @ basis.T
-            if self._reference is None:
-                found = scale_by_highlights.with_pulls(found, fit, self.scene.width)
-            else:
-                found = reference.with_known_scale(found, fit, self._reference.variance)
-            self._shared_covariance = found
-        return self._shared_covariance
+        shared = fit.information()
+        # Looks have found the scale where steps have not, and it is as uncertain.
+        freedom = fit.freedom
+        fit.freedom = replace(freedom, scale=True, shape=False)
+        basis, _ = fit.directions()
+        fit.freedom = freedom
+        inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
+        found = basis @ inner @ basis.T
+        if known is None:
+            return scale_by_highlights.with_pulls(found, fit, self.scene.width)
+        return reference.with_known_scale(found, fit, known.variance)
 
     # Output
 
-    def _output(self, fit: JointLamps, bands: list[surfaces.Band]) -> FitOutput:
+    def _output(
+        self, fit: JointLamps, bands: list[surfaces.Band], known: reference.Reference | None
+    ) -> FitOutput:
         scene, trace = self.scene, self.trace
         scale = fit.pixels.scale
 
@@ -629,7 +623,9 @@ class LampFit:
             materials=maps,
             lighting=fit.state.ambient * scale,
             normals=whole("normals"),
-            uncertainty=self._uncertainty(fit, bands, shown) if self.options.uncertainty else None,
+            uncertainty=self._uncertainty(fit, bands, shown, known)
+            if self.options.uncertainty
+            else None,
             shown=shown,
             status=status,
             reason=reason,
@@ -640,7 +636,7 @@ class LampFit:
             refinement=Refinement(self.options.refine_normals, refined, why),
             camera=Camera(self.fov, "given" if scene.fov_known else "fitted"),
             exposures=None,
-            scale=by_highlights if self._reference is None else self._reference.said,
+            scale=by_highlights if known is None else known.said,
             measured_lighting=None,
             recon_rmse=rmse,
             lamps=lamps,
@@ -662,13 +658,17 @@ class LampFit:
         return Shown.by(*of_pictures, unknowns)
 
     def _uncertainty(
-        self, fit: JointLamps, bands: list[surfaces.Band], shown: Shown
+        self,
+        fit: JointLamps,
+        bands: list[surfaces.Band],
+        shown: Shown,
+        known: reference.Reference | None,
     ) -> Uncertainty:
         valid, scale = self.scene.valid, fit.pixels.scale
-        covariance = self._covariance(fit)
-        scales = np.full(3, scale_by_highlights.deviation(fit, covariance))
-        if self._reference is not None:
-            scales = np.sqrt(self._reference.variance)
+        if known is None:
+            scales = np.full(3, scale_by_highlights.deviation(fit, self._covariance(fit, None)))
+        else:
+            scales = np.sqrt(known.variance)
         red, green, blue = scales.tolist()
         # By the data; of albedo and roughness it is known beside that they are in [0, 1].
         variances = np.concatenate([one.marginal for one in bands])[:, 2:]

@@ -203,14 +203,8 @@ class JointLamps:
 
     def fitted(self, state: LampState, iterations: int) -> tuple[LampState, float]:
         """A state with surfaces that took so many steps, and the cost of all."""
-        state, costs, _ = fit_surfaces(
-            self.pixels,
-            state,
-            self.weights,
-            self.prior,
-            iterations=iterations,
-            free_normals=self.freedom.normals,
-        )
+        given, free = (self.pixels, state, self.weights, self.prior), self.freedom.normals
+        state, costs, _ = fit_surfaces(*given, iterations=iterations, free_normals=free)
         scale, ambient = self.scale_of(state.lamps), state.ambient / (AMBIENT_SHARE * MEAN_RADIANCE)
         cost = float(costs.sum() + (scale**2).sum() + (ambient**2).sum())
         if self.relief is not None:

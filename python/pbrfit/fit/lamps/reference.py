@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.lamps.joint import JointLamps, fit_surfaces
+from pbrfit.fit.lamps.joint import JointLamps
 from pbrfit.fit.lamps.surfaces import STEPS, Band
 from pbrfit.fit.scale import reference_in_words, reference_region
 
@@ -86,14 +86,7 @@ def _brightened(fit: JointLamps, step: Array) -> Array:
         ambient=state.ambient * factor,
         albedo=np.clip(state.albedo / factor, 0.0, 1.0),
     )
-    fit.state, _, _ = fit_surfaces(
-        fit.pixels,
-        state,
-        fit.weights,
-        fit.prior,
-        iterations=STEPS,
-        free_normals=fit.freedom.normals,
-    )
+    fit.state, _ = fit.fitted(state, STEPS)
     return np.asarray(step)
 
 
