@@ -55,20 +55,20 @@ def rounds(
     run: Run,
     level: Level,
     x: Array,
-    watch: Watch,
+    whole: Array,
     normals: FreeNormals | None = None,
     *,
     at_most: int = settings.COARSE_ROUNDS_MAX,
     dielectric: int = 0,
     nuisances: Nuisances | None = None,
 ) -> Lights:
-    """Rounds of materials and joint steps of a level's pixels, whose x changes.
+    """Rounds of materials and joint steps of a level's pixels, whose x changes; `whole` is of all.
 
     `normals` is for an objective that has them free. Without, pixels have a prior around a
     dielectric of middle roughness in the first rounds, as many as `dielectric` says. `nuisances`
     are fitted too; the level's objective then sees through what they were found to be.
     """
-    objective = level.objective
+    objective, watch = level.objective, Watch(run, whole, level)
     shared: SharedFit | None = None
     noise: NoiseModel | None = None
     if objective.lighting is not None:
@@ -104,7 +104,7 @@ def rounds(
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
             shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
             fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
-            minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit_few)
+            minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit)
             total, sum_sq = fit.total(x, fit.sum_sq, fit.offsets), fit.sum_sq
         if normals is not None:
             assert fixed is not None
@@ -128,17 +128,18 @@ def rounds(
         last = deviance
         if settled or exact or watch.stopped or run.out_of_time():
             break
-    if nuisances is not None:  # with the camera as it is now, after joint steps
+    changed = nuisances is not None
+    if changed:  # with the camera as it is now, after joint steps
         sum_sq = fit_level(objective, x, fixed)
     if noise is not None:
         noise = estimated(objective, x, outliers=True)
         if noise.tails.has_outliers:
-            objective = _weighed(given, x, noise)
+            changed, objective = True, _weighed(given, x, noise)
             level = replace(level, objective=objective)
             sum_sq = fit_level(objective, x, fixed)
             if shared is not None:
                 shared.stale = True
-    if nuisances is not None or (noise is not None and noise.tails.has_outliers):
+    if changed:
         left = left_of(level, x, sum_sq, shared, noise, fixed)
     if nuisances is not None:
         nuisances.judge(left)
@@ -255,21 +256,20 @@ def _weighed(given: Objective, x: Array, noise: NoiseModel | None) -> Objective:
 
 
 class Watch:
-    """Turns joint steps into iterations and rows of the history."""
+    """Tells how joint steps of a level's pixels go on, and when to stop."""
 
-    def __init__(self, run: Run, x: Array, level: Level | None = None) -> None:
+    def __init__(self, run: Run, x: Array, level: Level) -> None:
         self._run, self._x, self._level = run, x, level
         self._steps_of_few, self._most_of_few = 0, run.left
         self.stopped = False
 
-    def visit_few(self, part: Array, sum_sq: Array) -> bool:
+    def visit(self, part: Array, sum_sq: Array) -> bool:
         """A step of the level's pixels is done; whether to stop.
 
         Such steps do not count as iterations, for they cost little. But there are no more of them,
         so that few iterations take little time.
         """
         run, level = self._run, self._level
-        assert level is not None
         self._steps_of_few += 1
 
         def state() -> tuple[Materials, Array]:
@@ -281,15 +281,3 @@ class Watch:
         run.tell(run.objective.residual_rmse(mean), state)
         self.stopped = self._steps_of_few >= self._most_of_few or run.out_of_time()
         return self.stopped
-
-    def visit(self, x: Array, sum_sq: Array) -> bool:
-        """All pixels have new materials; whether to stop."""
-        run = self._run
-        # Pixels that are freed after the last iteration belong to that.
-        run.iteration += run.left > 0
-        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
-        loss = data = float(sum_sq.sum()) / run.objective.total_weight
-        if run.objective.penalties:
-            loss += run.objective.add_penalties(x, np.zeros(run.objective.size))
-        run.record(x, loss, data)
-        return run.left <= 0 or run.out_of_time()

@@ -136,10 +136,10 @@ def find_lights(run: Run, x: Array) -> Lights:
         best = None
         for dielectric in _starts(objective):
             nuisances = Nuisances(run.scene, unknown) if unknown else None
-            part, watch = objective.part_of(x, level.pixels), Watch(run, x, level)
-            found = rounds(run, level, part, watch, dielectric=dielectric, nuisances=nuisances)
+            part = objective.part_of(x, level.pixels)
+            found = rounds(run, level, part, x, dielectric=dielectric, nuisances=nuisances)
             if best is None or found.deviance < best[0].deviance:
-                best = replace(found, x=part), nuisances
+                best = found, nuisances
             if found.exact or found.cut_short:
                 break
         assert best is not None
@@ -215,7 +215,7 @@ def fit_all_pixels(state: State, lights: Lights, prior: GaussianPrior | None) ->
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
     run, x, posterior = state.run, state.x.copy(), state.posterior
-    objective, watch, shared = run.objective, Watch(run, x), lights.shared
+    objective, shared = run.objective, lights.shared
     if shared is not None:
         weight = sum(one.weight for one in objective.penalties if isinstance(one, Monochrome))
         of_sum = weight * objective.total_weight / objective.pixels
@@ -235,7 +235,7 @@ def fit_all_pixels(state: State, lights: Lights, prior: GaussianPrior | None) ->
         # Half of the pixels leave nothing but rounding.
         if is_exact(objective, float(np.median(sum_sq)) * objective.pixels):
             retry_outliers(objective, x, sum_sq, run.out_of_time)
-        watch.visit(x, sum_sq)
+        run.visit(x, sum_sq)
     return replace(state, x=x)
 
 
@@ -254,11 +254,11 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
     few, part = level.objective, objective.part_of(x, level.pixels)
     whole = len(level.pixels) == objective.pixels
     rows = None if prior is None else prior.rows(level.pixels)
-    watch = Watch(run, x, None if whole else level)
+    watch = Watch(run, x, level)
 
     def visit(part: Array, sum_sq: Array) -> bool:
         objective.put_part(x, level.pixels, part)
-        return watch.visit(x, sum_sq) if whole else watch.visit_few(part, sum_sq)
+        return run.visit(x, sum_sq) if whole else watch.visit(part, sum_sq)
 
     for number in range(settings.GLOBAL_ROUNDS_MAX):
         starts = 1 if number == 0 else 0

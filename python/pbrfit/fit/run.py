@@ -276,6 +276,17 @@ class Run(Trace):
         )
         self.tell(recon, lambda: self.objective.unpack(x), elapsed=elapsed)
 
+    def visit(self, x: Array, sum_sq: Array) -> bool:
+        """Record that all pixels have new materials, with sums of squares (P,); whether to stop."""
+        # Pixels that are freed after the last iteration belong to that.
+        self.iteration += self.left > 0
+        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
+        loss = data = float(sum_sq.sum()) / self.objective.total_weight
+        if self.objective.penalties:
+            loss += self.objective.add_penalties(x, np.zeros(self.objective.size))
+        self.record(x, loss, data)
+        return not self.goes_on
+
 
 @dataclass(frozen=True, eq=False)
 class State:

@@ -178,7 +178,6 @@ class LampFit:
         told = scene.normals_known and self.relief is None
         self.free_normals = not told or self.options.refine_normals == "on"
         self.fov = (scene.fov if scene.fov_known else FOV_MEAN) if begin is None else begin.fov
-        self._matrix = np.eye(3)
 
     def solve(self) -> FitOutput:
         """All stages."""
@@ -211,9 +210,8 @@ class LampFit:
         scene = self.scene
         fit = self.joint(some_places(scene))
         [band] = self._surfaces(fit, scene.valid)
-        pixels = LampPixels.of(
-            scene.through(self.fov), self.normals, self.model, self.setup.threads, like=fit.pixels
-        )
+        given = self.normals(fit.matrix), self.model, self.setup.threads
+        pixels = LampPixels.of(scene.through(self.fov), *given, like=fit.pixels)
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
         roughness = {
             int(label): float(np.median(fit.prior.mean[fit.pixels.labels == label, 5]))
@@ -221,12 +219,11 @@ class LampFit:
         }
         return pixels, band.state, Found(lamps, roughness, self.fov)
 
-    @property
-    def normals(self) -> Array:
-        """(H, W, 3): that pixels' own are offset from."""
+    def normals(self, matrix: Array) -> Array:
+        """(H, W, 3): that pixels' own are offset from, turned by the matrix of a joint fit."""
         if self.start is None:
             return np.asarray(self.scene.normals, np.float64)
-        return turned(np.asarray(self.start.normals, np.float64), self._matrix)
+        return turned(np.asarray(self.start.normals, np.float64), matrix)
 
     def _starts(
         self, places: NDArray[np.intp]
@@ -234,7 +231,8 @@ class LampFit:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
         seen = self.scene.through(self.fov)
-        few = LampPixels.of(seen, self.normals, self.model, self.setup.threads, places)
+        given = self.normals(np.eye(3)), self.model, self.setup.threads
+        few = LampPixels.of(seen, *given, places)
         if known is not None and known.colored:
             usual = MEAN_RADIANCE / ALBEDO_MEAN / max(float(known.colors.mean()), 1e-12)
             lamps = replace(known, colors=known.colors * usual)
@@ -264,8 +262,8 @@ class LampFit:
         """(P,): prior standard deviation of each tangent offset, radians."""
         scene = self.scene
         if self.start is not None:
-            return np.full(len(places), 0.09)  # 5 degrees: what matt shading tells of gloss
-        degrees = np.full(len(places), 5.0)
+            return np.full(len(places), 0.09)  # 5 degrees, by which matt shading is off on gloss
+        degrees = np.full(len(places), 5.0)  # where nobody told it
         if scene.normal_sigma is not None:
             degrees = np.maximum(scene.normal_sigma.reshape(-1)[places], 0.1)
         return np.asarray(np.radians(degrees) / np.sqrt(2))
@@ -318,7 +316,7 @@ class LampFit:
             if number == HELD_ROUNDS and not near:
                 shape = self.relief is not None
                 fit.freedom = replace(fit.freedom, places=known is None, colors=True, shape=shape)
-            # Pictures that obey the model tell the same scale by all of their samples.
+            # All samples of pictures that obey the model tell the same scale.
             if number == self.rounds - 2:
                 residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
                 size = float((fit.pixels.weights * fit.pixels.samples**2).sum())
@@ -336,7 +334,6 @@ class LampFit:
             fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)
             fit.reweigh()
             self._record(fit)
-        self._matrix = fit.matrix
         return fit
 
     def _record(self, fit: JointLamps) -> None:
@@ -360,7 +357,7 @@ class LampFit:
         as it is. Highlights tell all three, and only together: where they are shown in wrong
         places, a rough surface without any is better.
         """
-        # Thousands of samples, of which a narrow lobe shows in some per cent.
+        # These have thousands of samples, of which a narrow lobe shows in some per cent.
         of = evenly_spaced_over(fit.pixels.labels, 400).astype(np.intp)
         few = fit.pixels.of_rows(of)
         given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
@@ -544,11 +541,10 @@ class LampFit:
         uncertain = self._covariance(fit, known) if self.options.uncertainty else None
         places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
+        given = self.normals(fit.matrix), self.model, self.setup.threads
         seen, found = scene.through(self.fov), []
         for band in surfaces.bands(mask):
-            pixels = LampPixels.of(
-                seen, self.normals, self.model, self.setup.threads, places[band], like=few
-            )
+            pixels = LampPixels.of(seen, *given, places[band], like=few)
             sigma = self._offset_sigma(pixels.places)
             prior = of_labels(fit.prior, few, pixels, sigma)
             lit = self.lit_at(pixels)
@@ -759,9 +755,10 @@ def settled(scene: Scene, setup: FitSetup, start: FirstShape) -> FirstShape:
     if start.relief is None:
         return start
     fit = LampFit(scene, replace(setup, progress=None), start, rounds=COMPARE_LAMP_ROUNDS)
-    lamps = fit.joint(some_places(scene)).state.lamps
+    joint = fit.joint(some_places(scene))
+    lamps, normals = joint.state.lamps, fit.normals(joint.matrix)
     return replace(
-        start, normals=fit.normals, directions=lamps.places, strengths=lamps.colors, relief=None
+        start, normals=normals, directions=lamps.places, strengths=lamps.colors, relief=None
     )
 
 

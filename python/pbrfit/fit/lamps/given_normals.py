@@ -73,7 +73,7 @@ def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
 
 def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     """A near lamp for each picture, and albedos (P, 3)."""
-    few = pixels.of_rows(evenly_spaced(len(pixels), 400).astype(np.intp))
+    few = pixels.of_rows(evenly_spaced(len(pixels), 400).astype(np.intp))  # judge positions
     points = few.points
     assert points is not None
     grey, usable = grey_samples(few.samples, few.told)
@@ -90,13 +90,13 @@ def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     places = np.zeros((pixels.pictures, 3))
     everywhere = _shading(few, grid)
     corners = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    for _ in range(8):
+    for _ in range(8):  # of albedo and positions
         shading = np.zeros_like(grey)
         for i in range(pixels.pictures):
             scores, colors = _judged(grey[:, i], albedo, everywhere, usable[:, i])
             best = int(np.argmin(scores))
             place, width = grid[best], cell
-            for _ in range(5):  # to 1/32 of a cell
+            for _ in range(5):  # halved to 1/32 of a cell
                 around = place + corners * width
                 nearby = _shading(few, around)
                 scores, colors = _judged(grey[:, i], albedo, nearby, usable[:, i])

@@ -369,7 +369,7 @@ class JointLamps:
         normals = self.state.normals
         if self.freedom.normals:
             offsets = of_pixels[:, :2]
-            length = np.maximum(np.linalg.norm(offsets, axis=-1) / 0.3, 1.0)
+            length = np.maximum(np.linalg.norm(offsets, axis=-1) / 0.3, 1.0)  # of a tangent
             offsets = offsets / length[:, None]
             moved_normals = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
             moved_normals /= np.linalg.norm(moved_normals, axis=-1, keepdims=True)

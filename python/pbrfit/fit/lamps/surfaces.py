@@ -235,7 +235,7 @@ def _from_more_starts(
         turned = facing_highlights(pixels, state)
         state, left = improved(turned, missing_highlights(pixels, state, given.noise))
         moved, least = state, left
-        # From neighbours, a surface fits best where it was found: those that surprise less there.
+        # Surfaces of neighbours that surprise less there: one fits best where it was found.
         for other in beside(pixels.places, width, NEIGHBOURS):
             rows = np.flatnonzero((other >= 0) & (least[other] < least))
             if len(rows):

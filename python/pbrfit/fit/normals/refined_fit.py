@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.coarse import Lights, Watch, rounds
+from pbrfit.fit.coarse import Lights, rounds
 from pbrfit.fit.estimator import find_lights, solve
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_modes import light_modes
@@ -108,8 +108,7 @@ def _find_normals(
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
             of_level = FreeNormals.of(level, given[chosen], sigma)
             part = free.part_of(x, level.pixels)
-            watch = Watch(run, x, level)
-            found = rounds(run, level, part, watch, of_level, at_most=at_most, nuisances=nuisances)
+            found = rounds(run, level, part, x, of_level, at_most=at_most, nuisances=nuisances)
             x[free.layout.maps.stop :] = part[level.objective.layout.maps.stop :]
             if found.cut_short:
                 break
