@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from pbrfit.fit.settings import STRIDED_SUBSET_EXCESS
 
-_GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
-
 
 def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
     """Indices below `count`, spread evenly and in order: all of them, or `at_most`.
@@ -25,7 +23,7 @@ def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
     if chosen == 0:
         return np.empty(0, dtype=np.uint64)
     borders = np.arange(chosen + 1) * count // chosen
-    fraction = np.arange(chosen) * _GOLDEN_RATIO % 1.0
+    fraction = np.arange(chosen) * ((np.sqrt(5.0) - 1.0) / 2.0) % 1.0
     return np.asarray(borders[:-1] + (fraction * np.diff(borders)).astype(np.int64), np.uint64)
 
 

@@ -40,10 +40,7 @@ class Reference:
 
 
 def refer(
-    fit: JointLamps,
-    valid: NDArray[np.bool_],
-    white: tuple[float, float, float],
-    surfaces: Surfaces,
+    fit: JointLamps, valid: NDArray[np.bool_], white: tuple[float, float, float], surfaces: Surfaces
 ) -> tuple[list[Band], Reference]:
     """Surfaces of all pixels, with lights that give those at (column, row) the third as albedo.
 

@@ -113,10 +113,7 @@ def _with_black(start: FirstShape, seen: Mask) -> FirstShape:
     numbers = ", ".join(str(i + 1) for i in np.flatnonzero(~seen))
     words = f"Nothing is lit in picture {numbers}: where its lamp stands is not determined"
     return replace(
-        start,
-        directions=along,
-        strengths=strengths,
-        undetermined=(*start.undetermined, words),
+        start, directions=along, strengths=strengths, undetermined=(*start.undetermined, words)
     )
 
 
