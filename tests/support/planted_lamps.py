@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lamp_scenes import around
 from pbrfit import Scene
 from pbrfit.fit.lamps.problem import LampPixels, LampState, radiance
-from pbrfit.fit.whole_picture import FitOutput, FitSetup
+from pbrfit.fit.run import FitSetup
+from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.model import geometry
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import Model
@@ -70,12 +71,8 @@ def far(count: int, slant: float = 35, spread: float = 15) -> Lamps:
 def setup(model: Model = "principled", **options: Any) -> FitSetup:
     """Of a fit without anybody who looks on."""
     threads = options.pop("threads", 0)
-    return FitSetup(
-        FitOptions(**({"model": model, "light": "lamps"} | options)),
-        threads,
-        None,
-        time.perf_counter(),
-    )
+    chosen = FitOptions(**({"model": model, "light": "lamps"} | options))
+    return FitSetup(chosen, threads, None, time.perf_counter())
 
 
 def dome(size: int) -> tuple[Array, NDArray[np.bool_], Array]:

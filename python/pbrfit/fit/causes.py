@@ -23,15 +23,8 @@ from pbrfit.transport.decision import Transport
 
 Array = NDArray[np.float64]
 
-CLIPPED_SHARE = 0.05
-"""Share of the samples at a limit of their format from which clipping is named: highlights, which
-tell roughness and metallic, are a few percent of a picture."""
-
 FEW_PICTURES = 6
 """Pictures below which few are named: 3 samples each for 5 unknowns of a pixel, beside lights."""
-
-SCALE_PART = 0.5
-"""Part of an albedo map's squared error that the common scale makes, from which it is named."""
 
 
 def with_causes(
@@ -60,7 +53,7 @@ def with_causes(
     }
     of_albedo = found["albedo"]
     by_scale = np.nanmean(np.square(albedo)) * np.mean(albedo_scale) ** 2
-    if of_albedo.level != "usable" and by_scale > SCALE_PART * of_albedo.expected_error**2:
+    if of_albedo.level != "usable" and by_scale > 0.5 * of_albedo.expected_error**2:
         cause = f"the brightness of albedo is uncertain by {100 * np.mean(albedo_scale):.0f} %"
         remedy = "a patch of known albedo (option white) would help"
         found["albedo"] = replace(of_albedo, cause=cause, remedy=remedy)
@@ -96,7 +89,7 @@ def _causes(
     if count < FEW_PICTURES:
         yield f"only {count} picture{'s' * (count > 1)}", "pictures under other lights"
     clipped = 0.0 if scene.limits is None else np.mean(scene.limits[:, scene.valid] > 0)
-    if clipped > CLIPPED_SHARE:
+    if clipped > 0.05:  # highlights, which tell roughness and metallic, are a few percent
         yield f"{100 * clipped:.0f} % of the samples are clipped", "shorter exposures or RAW files"
     if discrepancy is not None and discrepancy.misfit**2 > discrepancy.of_noise:
         depth = lighting is not None and not transport.blocks

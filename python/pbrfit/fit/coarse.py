@@ -11,13 +11,12 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import misfit, settings
-from pbrfit.fit.joint import SharedFit, minimize
+from pbrfit.fit.joint import JointFit, SharedFit, minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import Misfit
@@ -25,7 +24,7 @@ from pbrfit.fit.noise import NoiseModel, estimated
 from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.nuisances import Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import fit_level, retry_outliers
+from pbrfit.fit.pixels import fit_level, is_exact, retry_outliers
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.run import Run
 from pbrfit.model.materials import Materials
@@ -56,20 +55,20 @@ def rounds(
     run: Run,
     level: Level,
     x: Array,
-    watch: Watch,
+    whole: Array,
     normals: FreeNormals | None = None,
     *,
     at_most: int = settings.COARSE_ROUNDS_MAX,
     dielectric: int = 0,
     nuisances: Nuisances | None = None,
 ) -> Lights:
-    """Rounds of materials and joint steps of a level's pixels, whose x changes.
+    """Rounds of materials and joint steps of a level's pixels, whose x changes; `whole` is of all.
 
     `normals` is for an objective that has them free. Without, pixels have a prior around a
     dielectric of middle roughness in the first rounds, as many as `dielectric` says. `nuisances`
     are fitted too; the level's objective then sees through what they were found to be.
     """
-    objective = level.objective
+    objective, watch = level.objective, Watch(run, whole, level)
     shared: SharedFit | None = None
     noise: NoiseModel | None = None
     if objective.lighting is not None:
@@ -98,14 +97,14 @@ def rounds(
         sum_sq = fit_level(objective, x, fixed)
         if number and prior is None:
             retry_outliers(objective, x, sum_sq)
-        exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * objective.total_weight
-        left, before, fit = left_of(level, x, sum_sq, shared, noise, fixed), weight, None
         total = float(sum_sq.sum())
+        exact = is_exact(objective, total)
+        left, before, fit = left_of(level, x, sum_sq, shared, noise, fixed), weight, None
         if shared is not None:
             weight = 0.0 if exact else min(weight, left.design_effect * left.variance)
             shared.lights = shared.lights.weighing(weight, left.variance, objective.pixels)
             fit = shared.joint_fit(objective, x, sum_sq, prior=prior, stop=run.out_of_time)
-            minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit_few)
+            minimize(fit, settings.COARSE_STEPS, settings.COARSE_GAIN_MIN, watch.visit)
             total, sum_sq = fit.total(x, fit.sum_sq, fit.offsets), fit.sum_sq
         if normals is not None:
             assert fixed is not None
@@ -129,17 +128,18 @@ def rounds(
         last = deviance
         if settled or exact or watch.stopped or run.out_of_time():
             break
-    if nuisances is not None:  # with the camera as it is now, after joint steps
+    changed = nuisances is not None
+    if changed:  # with the camera as it is now, after joint steps
         sum_sq = fit_level(objective, x, fixed)
     if noise is not None:
         noise = estimated(objective, x, outliers=True)
         if noise.tails.has_outliers:
-            objective = _weighed(given, x, noise)
+            changed, objective = True, _weighed(given, x, noise)
             level = replace(level, objective=objective)
             sum_sq = fit_level(objective, x, fixed)
             if shared is not None:
                 shared.stale = True
-    if nuisances is not None or (noise is not None and noise.tails.has_outliers):
+    if changed:
         left = left_of(level, x, sum_sq, shared, noise, fixed)
     if nuisances is not None:
         nuisances.judge(left)
@@ -198,16 +198,29 @@ def left_of(
     noise: NoiseModel | None,
     prior: GaussianPrior | None = None,
 ) -> Misfit:
-    """What is left of a level at x, whose pixels have a prior."""
+    """What is left of a level at x, whose pixels have a prior.
+
+    κ is that of the scores s_b of square patches, their mean removed.
+    """
     objective, of_files = level.objective, 1.0 if noise is None else noise.picture_effect
     variance = misfit.variance(objective, sum_sq)
     share = misfit.independent_share(objective, x)
     if shared is None:
         return Misfit(variance, 1.0, share, of_files)
-    if shared.inverse is None or shared.stale:
+    renewed = shared.inverse is None or shared.stale
+    if renewed:
         shared.lights = shared.lights.weighing(variance, variance, objective.pixels)
-        shared.joint_fit(objective, x, sum_sq, prior=prior).renew_preconditioner()
-    effect = misfit.design_effect(level, x, sum_sq, partial(shared.solved, objective), prior)
+    fit = JointFit(objective, x, sum_sq, shared, prior, lambda: False)
+    if renewed:
+        fit.renew_preconditioner()
+    finer = round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS))
+    patches, effect = level.patches(settings.PATCH_SIDE * max(finer, 1)), 1.0
+    if len(patches) >= settings.PATCHES_MIN:
+        scores = np.array([fit.kept_system(patch).gradient for patch in patches])
+        scores -= scores.mean(axis=0)
+        sizes = sum(float(score @ shared.solved(objective, score)) for score in scores)
+        unbiased = len(patches) / (len(patches) - 1)
+        effect = unbiased * sizes / (variance * scores.shape[1])
     return Misfit(variance, effect, share, of_files)
 
 
@@ -233,8 +246,7 @@ def judged(
     if shared is not None:
         weight = left.design_effect * left.variance
         shared.lights = shared.lights.weighing(weight, left.variance, few.pixels)
-    exact = float(sum_sq.sum()) <= settings.EXACT_RMSE**2 * few.total_weight
-    return Lights(x, left, exact, shared, noise=noise)
+    return Lights(x, left, is_exact(few, float(sum_sq.sum())), shared, noise=noise)
 
 
 def _weighed(given: Objective, x: Array, noise: NoiseModel | None) -> Objective:
@@ -244,21 +256,20 @@ def _weighed(given: Objective, x: Array, noise: NoiseModel | None) -> Objective:
 
 
 class Watch:
-    """Turns joint steps into iterations and rows of the history."""
+    """Tells how joint steps of a level's pixels go on, and when to stop."""
 
-    def __init__(self, run: Run, x: Array, level: Level | None = None) -> None:
+    def __init__(self, run: Run, x: Array, level: Level) -> None:
         self._run, self._x, self._level = run, x, level
         self._steps_of_few, self._most_of_few = 0, run.left
         self.stopped = False
 
-    def visit_few(self, part: Array, sum_sq: Array) -> bool:
+    def visit(self, part: Array, sum_sq: Array) -> bool:
         """A step of the level's pixels is done; whether to stop.
 
         Such steps do not count as iterations, for they cost little. But there are no more of them,
         so that few iterations take little time.
         """
         run, level = self._run, self._level
-        assert level is not None
         self._steps_of_few += 1
 
         def state() -> tuple[Materials, Array]:
@@ -270,15 +281,3 @@ class Watch:
         run.tell(run.objective.residual_rmse(mean), state)
         self.stopped = self._steps_of_few >= self._most_of_few or run.out_of_time()
         return self.stopped
-
-    def visit(self, x: Array, sum_sq: Array) -> bool:
-        """All pixels have new materials; whether to stop."""
-        run = self._run
-        # Pixels that are freed after the last iteration belong to that.
-        run.iteration += run.left > 0
-        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
-        loss = data = float(sum_sq.sum()) / run.objective.total_weight
-        if run.objective.penalties:
-            loss += run.objective.add_penalties(x, np.zeros(run.objective.size))
-        run.record(x, loss, data)
-        return run.left <= 0 or run.out_of_time()

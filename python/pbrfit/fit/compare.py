@@ -46,10 +46,9 @@ from pbrfit.fit.left_out import (
 )
 from pbrfit.fit.normals import refined_fit
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.run import Run
+from pbrfit.fit.run import FitSetup, Run
 from pbrfit.fit.tiles.windows import cut, strided_window, without_shape
 from pbrfit.fit.transport import Surrounded, search
-from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.io.color import Curve
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import DEFAULT_MODEL, Model, shade
@@ -66,10 +65,6 @@ SCORE = attrgetter("score")
 
 Array = NDArray[np.float64]
 
-LAMP_NUMBERS = 8
-"""Unknowns of a picture's lamp: direction, colour, and constant light around it."""
-
-HELD_BY_SURROUNDINGS = "surroundings block light, which is known for the given normals alone"
 NOT_COMPARED = "explanations were not compared"
 
 
@@ -314,7 +309,13 @@ class _Comparison:
         best = None
         for fold in range(len(self._folds)):
             for kind in kinds:
-                if fold == 0 and any(self._rules_out(kind, one) for one in self._results()):
+                # What one leaves may say that another need not be tried.
+                if fold == 0 and any(
+                    one.leaves_no_lamp
+                    if kind.light == "lamps"
+                    else one.is_noise and kind.surroundings != "none"
+                    for one in self._results()
+                ):
                     continue
                 if len(self._tried.get(kind, ())) == fold and not self._is_late():
                     self._try(kind, fold)
@@ -329,13 +330,6 @@ class _Comparison:
             if len(kinds) == 1:
                 break
         return best
-
-    @staticmethod
-    def _rules_out(kind: Explanation, one: LeftOut) -> bool:
-        """Whether what one leaves says that an explanation need not be tried."""
-        if kind.light == "lamps":
-            return one.leaves_no_lamp
-        return one.is_noise and kind.surroundings != "none"
 
     def _results(self, folds: int | None = None) -> list[LeftOut]:
         """What was tried, in its first folds or all; what no explanation explains tells nothing."""
@@ -458,7 +452,7 @@ class _Comparison:
         if chosen.free_normals:
             return "left-out pictures are explained better with other normals"
         if chosen.surroundings != "none":
-            return HELD_BY_SURROUNDINGS
+            return "surroundings block light, which is known for the given normals alone"
         if best.is_noise:
             return "the given normals explain left-out pictures up to noise"
         if contradicted:
@@ -523,7 +517,7 @@ class _Comparison:
         if self._scene.lighting is not None:
             return 0
         if kind.light == "lamps":
-            return LAMP_NUMBERS
+            return 8  # direction, colour, and constant light around it
         return int((self._options.sh_order + 1) ** 2 * (1 if self._options.mono_light else 3))
 
     def _among(self, kind: Explanation, pictures: Sequence[int]) -> PixelTransfer | None:
@@ -586,15 +580,14 @@ class _Comparison:
         if kind.other_fov:
             scene = replace(scene, fov_known=False)
         if kind.free_normals:
-            run = setup.run(scene, setup.objective(scene))
+            run = Run(setup, scene, setup.objective(scene))
             start = run.objective.start()
-            found = refined_fit.fit(run, start, setup.objective, start_given=False, refines=True)
-            run, x = found.run, found.x
+            state = refined_fit.fit(run, start, setup.objective, start_given=False, refines=True)
         else:
             key = replace(kind, material=0.0), fold
-            run, lights = self._under_lights(setup, key, scene, among)
-            x = fit_materials(run, lights)
-        scene, (materials, _) = run.scene, run.objective.unpack(x)
+            state = fit_materials(*self._under_lights(setup, key, scene, among))
+        run = state.run
+        scene, (materials, _) = run.scene, run.objective.unpack(state.x)
         valid, camera = scene.valid, run.camera
         sigma = camera.fov_sigma
         return _Fitted(
@@ -619,13 +612,11 @@ class _Comparison:
             objective = setup.objective(scene)
             if among is not None:
                 objective = objective.among(among)
-            run = setup.run(scene, objective)
+            run = Run(setup, scene, objective)
             self._lit[key] = run, lights_and_noise(run, objective.start())
         run, lights = self._lit[key]
-        run = copy(run)
-        run.options, run.objective = setup.options, copy(run.objective)
-        shared = copy(lights.shared)
-        return run, replace(lights, x=lights.x.copy(), shared=shared)
+        run = run.continued(run.scene, copy(run.objective), options=setup.options)
+        return run, replace(lights, x=lights.x.copy(), shared=copy(lights.shared))
 
     def _under_lamps(self, scene: Scene, shape: FirstShape | None) -> _Fitted:
         fit = LampFit(scene, self._setup_with(), shape, rounds=settings.COMPARE_LAMP_ROUNDS)
@@ -665,9 +656,8 @@ class _Comparison:
                 least = min(
                     float(np.square(true - _factor(values[i] * counted, true)).sum()) for i in kept
                 )
-                logs.append(
-                    math.log(max(least, 1e-300) / max(float(np.square(true).sum()), 1e-300))
-                )
+                size = float(np.square(true).sum())
+                logs.append(math.log(max(least, 1e-300) / max(size, 1e-300)))
         return math.exp(0.5 * float(np.mean(logs)))
 
 

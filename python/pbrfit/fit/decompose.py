@@ -20,12 +20,12 @@ from pbrfit._core import InputError
 from pbrfit.fit import memory, plan
 from pbrfit.fit.bar import notebook_bar
 from pbrfit.fit.causes import with_causes
-from pbrfit.fit.run import Progress, Trace, material_errors
+from pbrfit.fit.run import FitSetup, Progress, Trace, material_errors
 from pbrfit.fit.sampling import slices
 from pbrfit.fit.scale import checked_white
 from pbrfit.fit.tiles import fit_tiles
 from pbrfit.fit.transport import Surrounded
-from pbrfit.fit.whole_picture import FitOutput, FitSetup, fit_whole
+from pbrfit.fit.whole_picture import FitOutput, fit_whole
 from pbrfit.model.geometry import angles_between
 from pbrfit.model.materials import Materials
 from pbrfit.model.reflection import (
@@ -55,10 +55,6 @@ if TYPE_CHECKING:
 __all__ = ["Progress", "decompose"]
 
 log = logging.getLogger("pbrfit")
-
-RENDERED_SAMPLES = 1 << 21
-"""Pixels times pictures that are rendered at once for the final errors: little beside the pictures
-of a large scene, much beside what a call costs."""
 
 Start = Materials | tuple[Materials, NDArray[Any]] | Result | None
 
@@ -125,8 +121,8 @@ def decompose(
     from pbrfit.fit.lamps.estimator import check_light, fit_lamps, settled
     from pbrfit.fit.lamps.shape import first_shape, height_of
 
-    began = time.perf_counter()
-    trace = Trace(options, progress=progress or None, began=began)
+    setup = FitSetup(options, threads, progress or None, time.perf_counter())
+    trace = Trace(setup)
     if options.align == "auto" and "alignment" not in scene.assumed:
         with trace.stage("alignment"):
             scene = aligned(scene, stop=trace.out_of_time, threads=threads)
@@ -146,13 +142,8 @@ def decompose(
             raise InputError("white: expected unknown lights, found known ones, which have a scale")
         size = None if scene.source is None else scene.source.size
         white = checked_white(white, scene.valid, size or scene.valid.shape)
-    setup = FitSetup(
-        options=replace(options, model=model, white=white),
-        threads=threads,
-        progress=progress or None,
-        began=began,
-        why_normals=hindered or "",
-    )
+    options_now = replace(options, model=model, white=white)
+    setup = replace(setup, options=options_now, why_normals=hindered or "")
     check_light(scene, setup)
     with trace.stage("model selection"):
         chosen = compare.choose(scene, setup, start_given=begin is not None)
@@ -364,9 +355,9 @@ def _recon_rmse(scene: Scene, fit: FitOutput, model: Model, threads: int) -> flo
     """Of all samples by their weights; each picture's divided by its exposure.
 
     All pictures have the same work for their materials, so they are rendered together, a few rows
-    at a time.
+    at a time: little beside the pictures of a large scene, much beside what a call costs.
     """
-    count = max(1, RENDERED_SAMPLES // (len(scene.images) * scene.width))
+    count = max(1, (1 << 21) // (len(scene.images) * scene.width))
 
     def of_rows(rows: slice) -> list[tuple[float, float]]:
         """Error and weight of each picture there."""

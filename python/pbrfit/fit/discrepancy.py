@@ -101,18 +101,14 @@ class Discrepancy:
 
 
 def find(
-    objective: Objective,
-    x: Array,
-    picture_effect: float = 1.0,
-    *,
-    modes: Array | None = None,
-    refined: bool = False,
+    objective: Objective, x: Array, picture_effect: float = 1.0, *, modes: Array | None = None
 ) -> Discrepancy:
     """From some pixels under the lights of x, each with its best materials.
 
-    `modes` are those of the lights where these are held, though not known; `refined`, whether
-    normals have been found by these pictures.
+    `modes` are those of the lights where these are held, though not known, because normals have
+    been found by these pictures.
     """
+    refined = modes is not None
     pairs = neighbours(objective.layout)
     pixels = np.unique(pairs)
     if not pairs.size:

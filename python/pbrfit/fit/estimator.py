@@ -22,13 +22,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit import discrepancy, lbfgsb, misfit, settings
+from pbrfit.fit import lbfgsb, misfit, settings
 from pbrfit.fit.coarse import Lights, Watch, judged, left_of, rounds
-from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.joint import minimize
 from pbrfit.fit.levels import Level
 from pbrfit.fit.misfit import Misfit
-from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, RESPONSE, Nuisance, Nuisances
 from pbrfit.fit.objective import Objective
 from pbrfit.fit.pixels import NODE_SPACING, fit_all, is_exact, retry_outliers
@@ -36,56 +34,55 @@ from pbrfit.fit.plan import chosen_priors
 from pbrfit.fit.priors.gaussian import GaussianPrior
 from pbrfit.fit.priors.mixture import fit_prior, with_lights
 from pbrfit.fit.priors.penalties import Monochrome, penalties
-from pbrfit.fit.run import Run
+from pbrfit.fit.run import Run, State
 from pbrfit.result.data import Status
 
 Array = NDArray[np.float64]
 
 
-def solve(run: Run, x: Array, *, start_given: bool) -> tuple[Array, Status, str]:
-    """X of a fit from x by the solver of the options, and why it ended.
+def solve(run: Run, x: Array, *, start_given: bool) -> State:
+    """What a fit from x by the solver of the options has found.
 
     `start_given` tells L-BFGS-B to trust the start: it has no stages then.
     """
     loss = run.evaluate(x)[0]  # not the gradient, which is as large as x
     run.record(x, loss)
     if run.left <= 0:
-        return x, Status.ITERATION_LIMIT, "0 iterations asked for"
+        return State(run, x, ended=(Status.ITERATION_LIMIT, "0 iterations asked for"))
     if run.options.solver == "gauss-newton":
         return gauss_newton(run, x)
     return by_lbfgsb(run, x, loss, start_given=start_given)
 
 
-def gauss_newton(run: Run, x: Array) -> tuple[Array, Status, str]:
-    """X of the fit, and why it ended."""
-    start, rows = x, len(run.rows)
-    x = fit_materials(run, lights_and_noise(run, x))
-    if len(run.rows) == rows:  # lights without materials that were fitted under them
-        ended = run.ended("", "; all pixels were fitted once, under the lights so far")
-        return fit_once(run, start, x), *ended
-    return x, *run.ended("converged")
+def gauss_newton(run: Run, x: Array) -> State:
+    """What the fit has found."""
+    rows = len(run.rows)
+    state = fit_materials(run, lights_and_noise(run, x))
+    if len(run.rows) > rows:
+        return replace(state, ended=run.ended("converged"))
+    # Lights without materials that were fitted under them.
+    ended = run.ended("", "; all pixels were fitted once, under the lights so far")
+    return replace(state, x=fit_once(run, x, state.x), ended=ended)
 
 
 def lights_and_noise(run: Run, x: Array) -> Lights:
     """Lights from those of x, and the weights of samples, which the run's objective has then."""
     lights = find_lights(run, x)
-    noise = lights.noise if run.shared_state is None else run.shared_state.noise
-    run.noise = noise
     if not lights.exact and run.goes_on:
-        weigh_samples(run, run.objective, lights.x, noise)
+        weigh_samples(run, lights)
     return lights
 
 
-def fit_materials(run: Run, lights: Lights) -> Array:
-    """X of all pixels, from these lights on, with the material prior if there is to be one."""
-    x, prior = lights.x, None
+def fit_materials(run: Run, lights: Lights) -> State:
+    """All pixels, from these lights on, with the material prior if there is to be one."""
+    state, prior = State(run, lights.x, lights.noise), None
     if run.has_mixture_prior and run.goes_on:
         if lights.exact:
             with run.stage("material prior") as notes:
                 notes.append("left out: the pictures are explained to the last digit")
         else:
-            x, prior = fit_mixture_prior(run, lights)
-    return fit_all_pixels(run, x, lights, prior) if run.goes_on else x
+            state, prior = fit_mixture_prior(run, lights)
+    return fit_all_pixels(state, lights, prior) if run.goes_on else state
 
 
 def fit_once(run: Run, start: Array, x: Array) -> Array:
@@ -103,25 +100,26 @@ def fit_once(run: Run, start: Array, x: Array) -> Array:
     return x if run.rows[-1].loss <= loss else start
 
 
-def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> tuple[Array, Status, str]:
-    """X of the fit, and why it ended."""
+def by_lbfgsb(run: Run, x: Array, loss: float, *, start_given: bool) -> State:
+    """What the fit has found."""
     with run.stage("L-BFGS-B"):
         x, kept = lbfgsb.staged(run, x, loss, start_given=start_given)
+    state = State(run, x)
     if run.has_mixture_prior and not run.out_of_time():
-        x, prior = fit_mixture_prior(run, judged(run.objective, x))
+        state, prior = fit_mixture_prior(run, judged(run.objective, x))
         kept = kept if prior is None else ""
         if run.goes_on:  # scipy takes a step even where none is left
             with run.stage("L-BFGS-B with the material prior"):
-                _, x = lbfgsb.by_scipy(run, x, run.left)
+                state = replace(state, x=lbfgsb.by_scipy(run, state.x, run.left)[1])
     # With zero tolerances scipy stops early only where rounding hides any further descent.
-    return x, *run.ended("converged", kept)
+    return replace(state, ended=run.ended("converged", kept))
 
 
 def find_lights(run: Run, x: Array) -> Lights:
     """Lights that explain a level of pixels, from those of x; see `rounds`."""
     objective = run.objective
-    if run.shared_state is not None:  # a tile, which is told all that pixels share
-        return Lights(x, Misfit(0.0), False, None)
+    if run.shared is not None:  # a tile, which is told all that pixels share
+        return Lights(x, Misfit(0.0), False, None, noise=run.shared.noise)
     with run.stage("lights") as notes:
         level = Level.of(objective, settings.COARSE_PIXELS)
         known = "lights known; " if objective.lighting is None else ""
@@ -138,10 +136,10 @@ def find_lights(run: Run, x: Array) -> Lights:
         best = None
         for dielectric in _starts(objective):
             nuisances = Nuisances(run.scene, unknown) if unknown else None
-            part, watch = objective.part_of(x, level.pixels), Watch(run, x, level)
-            found = rounds(run, level, part, watch, dielectric=dielectric, nuisances=nuisances)
+            part = objective.part_of(x, level.pixels)
+            found = rounds(run, level, part, x, dielectric=dielectric, nuisances=nuisances)
             if best is None or found.deviance < best[0].deviance:
-                best = replace(found, x=part), nuisances
+                best = found, nuisances
             if found.exact or found.cut_short:
                 break
         assert best is not None
@@ -167,73 +165,48 @@ def _starts(objective: Objective) -> list[int]:
     return [0, second] if few and objective.lighting is not None else [0]
 
 
-def fit_mixture_prior(run: Run, lights: Lights) -> tuple[Array, GaussianPrior | None]:
-    """X with the material prior fitted around it, which is a penalty from here on; one iteration.
+def fit_mixture_prior(run: Run, lights: Lights) -> tuple[State, GaussianPrior | None]:
+    """What is found with the material prior, a penalty from here on, and this; one iteration.
 
     Where time runs out before, x is as it was and there is no prior. Weights that are chosen by
-    rule are chosen by the lights that were found with it.
+    rule are chosen by the lights that were found with it. A tile has the prior of the subset.
     """
-    objective, x = run.objective, lights.x
-    strength = run.options.priors.material_strength
+    objective, x, strength = run.objective, lights.x, run.options.priors.material_strength
+    state, prior, stop = State(run, x, lights.noise), None, run.out_of_time
     with run.stage("material prior") as notes:
         if lights.shared is not None and not lights.exact:
             variance = lights.misfit.of_likelihood
-            moved = with_lights(objective, x, strength, variance, lights.shared, run.out_of_time)
-            lights = replace(lights, x=moved)
-        found = _fitted_prior(run, lights, notes)
-        if found is None:
+            x = with_lights(objective, x, strength, variance, lights.shared, stop)
+        if stop():
+            pass
+        elif run.shared is not None:
+            assert run.shared.material is not None
+            if (applied := run.shared.material.applied(objective, x, stop)) is not None:
+                x, prior, posterior = applied
+                state = replace(state, posterior=posterior)
+        else:
+            found = replace(state, x=x).judged()
+            notes.append(found.in_words())
+            state, once = replace(state, discrepancy=found), run.options.solver == "gauss-newton"
+            given = x, strength, found.of_pixel, stop
+            fitted = fit_prior(objective, *given, counted_once=once, pooling=found.pooling)
+            if fitted is not None:
+                x, prior, posterior, material = fitted
+                state = replace(state, posterior=posterior, material=material)
+        if prior is None:
             notes.append("stopped before all pixels had theirs")
-            return x, None
-        x, prior = found
-        run.measured_lighting = objective.unpack(x)[1]
-        priors = chosen_priors(objective.layout, run.options.priors, run.measured_lighting)
+            return state, None
+        lighting = objective.unpack(x)[1]
+        priors = chosen_priors(objective.layout, run.options.priors, lighting)
         objective.penalties = [*penalties(objective.layout, priors), prior]
         loss = run.evaluate(x)[0]
         run.iteration += 1
         run.record(x, loss)
-    return x, prior
+    return replace(state, x=x, measured_lighting=lighting), prior
 
 
-def discrepancy_of(run: Run, objective: Objective, x: Array) -> Discrepancy:
-    """How far samples are off under the lights of x."""
-    refined = run.light_modes is not None
-    return discrepancy.find(
-        objective, x, run.picture_effect, modes=run.light_modes, refined=refined
-    )
-
-
-def _fitted_prior(run: Run, lights: Lights, notes: list[str]) -> tuple[Array, GaussianPrior] | None:
-    """X and the prior: that of the shared state, if there is one, else of the run's own pixels."""
-    strength, x = run.options.priors.material_strength, lights.x
-    if run.out_of_time():
-        return None
-    objective = run.objective
-    if run.shared_state is not None:
-        assert run.shared_state.material is not None
-        applied = run.shared_state.material.applied(objective, x, run.out_of_time)
-        if applied is None:
-            return None
-        x, prior, run.posterior = applied
-        return x, prior
-    run.discrepancy = discrepancy_of(run, objective, x)
-    notes.append(run.discrepancy.in_words())
-    fitted = fit_prior(
-        objective,
-        x,
-        strength,
-        run.discrepancy.of_pixel,
-        run.out_of_time,
-        counted_once=run.options.solver == "gauss-newton",
-        pooling=run.discrepancy.pooling,
-    )
-    if fitted is None:
-        return None
-    x, prior, run.posterior, run.fitted_prior = fitted
-    return x, prior
-
-
-def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None) -> Array:
-    """X with all pixels, and without a material prior the lights, fitted.
+def fit_all_pixels(state: State, lights: Lights, prior: GaussianPrior | None) -> State:
+    """With all pixels, and without a material prior the lights, fitted.
 
     With one, lights have been found by many pixels whose materials the prior summed up. Now that
     each pixel has its own, lights would follow the bias that these have in common (J. Neyman and
@@ -241,28 +214,29 @@ def fit_all_pixels(run: Run, x: Array, lights: Lights, prior: GaussianPrior | No
     here on, weighs.
     Where time runs out before all pixels have had their turn, x is as it was before.
     """
-    objective, watch, shared = run.objective, Watch(run, x), lights.shared
+    run, x, posterior = state.run, state.x.copy(), state.posterior
+    objective, shared = run.objective, lights.shared
     if shared is not None:
         weight = sum(one.weight for one in objective.penalties if isinstance(one, Monochrome))
         of_sum = weight * objective.total_weight / objective.pixels
         shared.lights = replace(shared.lights, grey=of_sum / shared.lights.mean.size)
     with run.stage("all pixels") as notes:
-        before = x.copy()
         if shared is not None and (prior is None or shared.lights.grey):
             of_all = move_lights(run, x, lights, prior)
             if of_all and not run.goes_on:
-                return x
+                return replace(state, x=x)
         wide: bool | NDArray[np.bool_] = True
-        if prior is not None and run.posterior is not None:
-            wide = np.any(run.posterior.variance > NODE_SPACING**2, axis=1)
+        if prior is not None and posterior is not None:
+            wide = np.any(posterior.variance > NODE_SPACING**2, axis=1)
         sum_sq = fit_all(objective, x, starts=wide, prior=prior, stop=run.out_of_time)
         if sum_sq is None:
             notes.append("stopped before all pixels had their turn")
-            return before
-        if is_exact(objective, sum_sq):
+            return state
+        # Half of the pixels leave nothing but rounding.
+        if is_exact(objective, float(np.median(sum_sq)) * objective.pixels):
             retry_outliers(objective, x, sum_sq, run.out_of_time)
-        watch.visit(x, sum_sq)
-    return x
+        run.visit(x, sum_sq)
+    return replace(state, x=x)
 
 
 def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None) -> bool:
@@ -280,18 +254,18 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
     few, part = level.objective, objective.part_of(x, level.pixels)
     whole = len(level.pixels) == objective.pixels
     rows = None if prior is None else prior.rows(level.pixels)
-    watch = Watch(run, x, None if whole else level)
+    watch = Watch(run, x, level)
 
     def visit(part: Array, sum_sq: Array) -> bool:
         objective.put_part(x, level.pixels, part)
-        return watch.visit(x, sum_sq) if whole else watch.visit_few(part, sum_sq)
+        return run.visit(x, sum_sq) if whole else watch.visit(part, sum_sq)
 
     for number in range(settings.GLOBAL_ROUNDS_MAX):
         starts = 1 if number == 0 else 0
         sum_sq = fit_all(few, part, starts=starts, prior=rows, stop=run.out_of_time)
         if sum_sq is None:
             break
-        if is_exact(few, sum_sq):
+        if is_exact(few, float(np.median(sum_sq)) * few.pixels):
             retry_outliers(few, part, sum_sq, run.out_of_time)
         elif number == 0 and prior is None:
             found = left_of(level, part, sum_sq, shared, lights.noise)
@@ -309,11 +283,12 @@ def move_lights(run: Run, x: Array, lights: Lights, prior: GaussianPrior | None)
     return whole
 
 
-def weigh_samples(run: Run, objective: Objective, x: Array, noise: NoiseModel | None) -> None:
+def weigh_samples(run: Run, lights: Lights) -> None:
     """Weigh the samples of all pixels by their noise; the objective changes, and x.
 
     Outliers show once pixels are fitted, and the fit is another then: so both are done in turn.
     """
+    objective, x, noise = run.objective, lights.x, lights.noise
     if noise is None or (noise.is_even and not objective.has_limits):
         return
     with run.stage("noise") as notes:

@@ -13,17 +13,6 @@ from pbrfit.fit.priors.penalties import Penalty
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-4
-"""Relative error up to which a derivative passes: differences carry float32's noise of 1e-5."""
-
-DIRECTIONS = 3
-"""Random directions for each kind of unknown."""
-
-FIRST_STEP = 0.1
-SHRINK = 1.4
-STEPS = 8
-"""Steps of Ridders' differences, by the unknowns' size: first, quotient of neighbours, number."""
-
 
 @dataclass(frozen=True)
 class GradientCheck:
@@ -36,8 +25,8 @@ class GradientCheck:
     analytic: float
     numeric: float
     """By the gradient, and by finite differences."""
-    tolerance: float = TOLERANCE
-    """Relative error that is none."""
+    tolerance: float = 1e-4
+    """Relative error that is none: differences carry float32's noise of 1e-5."""
 
     @property
     def relative_error(self) -> float:
@@ -93,7 +82,7 @@ def _along_blocks(
         block: slice | None = getattr(objective, unknowns)
         if block is None:
             continue  # known, no unknown
-        for _ in range(DIRECTIONS):
+        for _ in range(3):
             direction = np.zeros(objective.size)
             # Where the gradient is 0, forwards: a difference would show that it should not be.
             signs = np.where(gradient[block] < 0, -1, 1)
@@ -116,11 +105,12 @@ def ridders(f: Callable[[float], float]) -> float:
     """
     best, best_change = np.nan, np.inf
     previous: list[float] = []
-    for i in range(STEPS):
-        step = FIRST_STEP / SHRINK**i
+    shrink = 1.4
+    for i in range(8):
+        step = 0.1 / shrink**i  # of the unknowns' size
         row = [(f(step) - f(-step)) / (2 * step)]
         for j, older in enumerate(previous):
-            factor = SHRINK ** (2 * (j + 1))
+            factor = shrink ** (2 * (j + 1))
             row.append((factor * row[j] - older) / (factor - 1))
             change = max(abs(row[-1] - row[j]), abs(row[-1] - older))
             if change < best_change:

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit import _core
 from pbrfit.fit import settings
 from pbrfit.fit.light_prior import LightPrior
 from pbrfit.fit.misfit import variance
@@ -138,6 +139,12 @@ class JointFit:
             found |= {"precision": self.prior.precision[of_all], "deviation": values - mean}
         return found
 
+    def kept_system(self, pixels: Pixels) -> _core.KeptSystem:
+        """The gradient s and products with S, of some pixels without the priors of the lights."""
+        options = self.options(self.objective, self.x, pixels, pixels)
+        problem, for_core = self.objective.problem, self.objective.for_core(self.x)
+        return problem.kept_system(for_core, pixels, **options)
+
     def renew_preconditioner(self) -> None:
         """Make it anew, from some pixels."""
         few, part, times, options = _sample(self, settings.PRECONDITIONER_PIXELS)
@@ -148,9 +155,7 @@ class JointFit:
 
     def _system(self) -> tuple[Array, Callable[[Array], Array]]:
         """The gradient s, in order, and S v; the preconditioner is renewed where it is stale."""
-        end, every = self.lights.mean.size, self.objective.everything
-        options = self.options(self.objective, self.x, every, every)
-        kept = self.objective.problem.kept_system(self.objective.for_core(self.x), every, **options)
+        end, kept = self.lights.mean.size, self.kept_system(self.objective.everything)
         gradient = kept.gradient
         gradient[:end] += self.lights.half_gradient(self.objective.lights_in_core(self.x).ravel())
         if self.offsets is not None:
@@ -211,30 +216,20 @@ class JointFit:
             )
             place(objective, trial, every, followed)
             prior = self.pixel_prior(offsets)
-            left = fit_all(
-                objective,
-                trial,
-                starts=0,
-                steps=settings.DESCENT_STEPS_AFTER_JOINT,
-                prior=prior,
-                stop=self.stop,
-            )
+            steps, stop = settings.DESCENT_STEPS_AFTER_JOINT, self.stop
+            left = fit_all(objective, trial, starts=0, steps=steps, prior=prior, stop=stop)
             if left is None:
                 return None
-            self._restart_worse(trial, left, prior)
+            # Pixels that the step left worse off start again.
+            worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
+            rows = None if prior is None else prior.rows(worse)
+            own = taken(objective, self.x, worse)
+            try_from(objective, trial, left, worse, own, steps=2 * steps, starts=1, prior=rows)
             lower = self.total(trial, left, offsets)
             if lower < total:
                 self.x[:], self.sum_sq[:], self.offsets = trial, left, offsets
                 return lower
         return None
-
-    def _restart_worse(self, trial: Array, left: Array, prior: GaussianPrior | None) -> None:
-        """Let pixels that a step to `trial` left worse off start again; it and the sums change."""
-        worse = np.flatnonzero(left > settings.WORSE_RATIO * self.sum_sq).astype(np.uint64)
-        steps = 2 * settings.DESCENT_STEPS_AFTER_JOINT
-        own = taken(self.objective, self.x, worse)
-        rows = None if prior is None else prior.rows(worse)
-        try_from(self.objective, trial, left, worse, own, steps=steps, starts=1, prior=rows)
 
 
 def _sample(fit: JointFit, at_most: int) -> tuple[Objective, Array, float, dict[str, Any]]:

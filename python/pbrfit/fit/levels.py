@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pbrfit.fit import settings
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.sampling import pixel_index, stride
+from pbrfit.fit.sampling import groups_of, pixel_index, stride
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,4 @@ class Level:
         """Positions in `pixels` of square pieces of the picture, of so many pixels a side."""
         rows, columns = np.nonzero(self.index >= 0)
         patch = rows // side * (self.index.shape[1] // side + 1) + columns // side
-        order = np.argsort(patch, kind="stable").astype(np.uint64)
-        starts = np.flatnonzero(np.diff(patch[order], prepend=-1))
-        return [np.sort(of_patch) for of_patch in np.split(order, starts[1:])]
+        return groups_of(patch)

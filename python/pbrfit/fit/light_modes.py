@@ -20,9 +20,6 @@ from pbrfit.fit.sampling import evenly_spaced
 
 Array = NDArray[np.float64]
 
-DARK_SHARE = 1e-12
-"""Share of the largest eigenvalue of G up to which no pixel sees a direction of the light."""
-
 
 def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) -> Array:
     """(R, N, K, C): the lights' covariance, of noise 1, as independent modes of deviation 1.
@@ -53,7 +50,7 @@ def light_modes(objective: Objective, x: Array, of_pixels: int | None = None) ->
     # T with Tᵀ G T = 1, a block for each light in a channel.
     blocks = np.einsum("nckcl->cnkl", alone.reshape(rank, channels, k, channels, k))
     sizes, directions = np.linalg.eigh(blocks.reshape(-1, k, k))
-    seen = sizes > DARK_SHARE * sizes.max()
+    seen = sizes > 1e-12 * sizes.max()  # by some pixel
     scale = np.where(seen, 1 / np.sqrt(np.where(seen, sizes, 1.0)), 0.0)
     units = directions * scale[:, None]
     left = left.reshape(len(units), k, len(units), k)

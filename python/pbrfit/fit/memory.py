@@ -28,9 +28,6 @@ UNKNOWN_BYTES: dict[Solver, int] = {"gauss-newton": 76, "lbfgsb": 420}
 """Bytes of any fit; of a piece of work, as many at once as threads, and a pixel of each; and an
 unknown. A room of 256² with 16 pictures took 124 MiB by two threads."""
 
-LAMP_BYTES = 3 << 20
-"""Bytes a picture of joint steps with a lamp in each, on some of the pixels."""
-
 REFINING_BYTES = 60 << 20
 REFINING_PIXEL_BYTES = 450
 """Bytes while normals are refined, beside pieces of work, and a pixel of these: with 16
@@ -39,12 +36,6 @@ pictures 256² took 295 to 311 MiB in all by two threads and 437 by four, 512² 
 TABLE_ROWS: dict[Model, int] = {"paper": 5, "principled": 11}
 TABLE_COLUMNS = 16
 """Rows of a pixel's table of surroundings, by model, and SH functions that each has a value of."""
-
-MAPS_BYTES = 470
-"""Bytes a pixel: the maps that a fit in tiles finds, and what they become when written."""
-
-WORTH_SAYING = 2**30
-"""Bytes above which a fit says how much memory it needs."""
 
 CGROUP_FILES = {
     1: ("memory/", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
@@ -116,7 +107,7 @@ def of_fit(
     fit += pieces * (PIECE_BYTES + PIECE_PIXEL_BYTES * pixels)
     refining = REFINING_BYTES + pieces * PIECE_BYTES
     refining += (3 * in_core + REFINING_PIXEL_BYTES) * pixels
-    fit = max(fit, LAMP_BYTES * layout.pictures)
+    fit = max(fit, (3 << 20) * layout.pictures)  # joint steps with a lamp in each
     tables = 0
     if transport != "none":
         reflected = 0 if transport == "occlusion" else samples
@@ -124,7 +115,7 @@ def of_fit(
         tables += 2 * 4 * reflected * layout.valid.size
     return FitMemory(
         scene=held,
-        fit=fit + MAPS_BYTES * layout.pixels * tiled,
+        fit=fit + 470 * layout.pixels * tiled,  # maps, and what they become when written
         refining=refining * refine_normals,
         tables=tables,
     )
@@ -157,7 +148,7 @@ def check(solver: Solver, needed: FitMemory) -> None:
             f"solver {solver}: expected {size(needed.further)} of memory to be available, "
             f"found {size(free)}; use smaller or fewer pictures{advice}"
         )
-    if needed.further > WORTH_SAYING:
+    if needed.further > 2**30:
         known = "" if free is None else f"; {size(free)} are available"
         log.warning("solver %s needs about %s of memory%s", solver, size(needed.further), known)
 

@@ -24,22 +24,15 @@ likelihood, which the mixture prior rests on. No threshold tells misfit from noi
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.levels import Level
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.pixels import Pixels, taken
-from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
-Inverse = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -101,30 +94,3 @@ def independent_share(objective: Objective, x: Array) -> float:
     if not square > 0:
         return 1.0
     return float(np.clip(trace**2 / square / freedom, 1 / freedom, 1.0))
-
-
-def design_effect(
-    level: Level, x: Array, sum_sq: Array, inverse: Inverse, prior: GaussianPrior | None = None
-) -> float:
-    """κ; `inverse` gives S⁻¹ v for v (M,), and `prior` is that of the pixels."""
-    objective, layout = level.objective, level.objective.layout
-    finer = round(math.sqrt(len(level.pixels) / settings.COARSE_PIXELS))
-    patches = level.patches(settings.PATCH_SIDE * max(finer, 1))
-    if len(patches) < settings.PATCHES_MIN:
-        return 1.0
-    unknowns = layout.light_channels * layout.pictures * layout.coefficients
-    for_core = objective.for_core(x)
-    mono = layout.light_channels < layout.channels
-
-    def score(patch: Pixels) -> Array:
-        of_prior: dict[str, Any] = {}
-        if prior is not None:
-            rows, values = prior.rows(patch), taken(objective, x, patch)[:, layout.channels :]
-            of_prior = {"precision": rows.precision, "deviation": values - rows.mean}
-        return objective.problem.kept_system(for_core, patch, mono=mono, **of_prior).gradient
-
-    scores = np.array([score(patch) for patch in patches])
-    scores -= scores.mean(axis=0)
-    sizes = sum(float(score @ inverse(score)) for score in scores)
-    unbiased = len(patches) / (len(patches) - 1)
-    return unbiased * sizes / (variance(objective, sum_sq) * unknowns)

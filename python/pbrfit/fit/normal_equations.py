@@ -16,9 +16,6 @@ Array = NDArray[np.float64]
 RIDGE = 1e-12
 """Added to matrices of unit diagonal before they are inverted; far below what data can tell."""
 
-SCHUR_RIDGE = 1e-13
-"""Added to the diagonal of the lights' system, by its largest entry, for directions nobody sees."""
-
 
 def inverted(matrices: Array, precision: Array) -> Array:
     """Inverses of matrices (P, D, D) with a diagonal precision (D,), which is above 0.
@@ -110,7 +107,8 @@ def solver_of(matrix: Array, damping: float) -> Callable[[Array], Array]:
 
     diagonal = np.einsum("ii->i", matrix)
     sizes = np.abs(diagonal) + np.finfo(float).tiny
-    diagonal += damping * np.abs(diagonal) + SCHUR_RIDGE * diagonal.max() + np.finfo(float).tiny
+    # 1e-13 of the largest is for directions nobody sees.
+    diagonal += damping * np.abs(diagonal) + 1e-13 * diagonal.max() + np.finfo(float).tiny
     try:
         factor = cho_factor(matrix, overwrite_a=True, check_finite=False)
     except np.linalg.LinAlgError:

@@ -27,9 +27,6 @@ from pbrfit.transport.scenery import PixelTransfer
 
 Array = NDArray[np.float64]
 
-SH_ORDERS = (2, 3)
-"""Highest bands that the lights may have."""
-
 
 @dataclass(frozen=True, eq=False)
 class Normalization:
@@ -119,7 +116,7 @@ class Objective:
         self.model = chosen_model(model, scene.model)
         threads = whole_number("threads", threads)
         sh_order = whole_number("sh_order", sh_order)
-        if sh_order not in SH_ORDERS:
+        if sh_order not in (2, 3):
             raise InputError(f"sh_order: expected 2 or 3, found {sh_order}")
         self.known_metallic = None if metallic is None else unit_interval("metallic", metallic)
         layout = ParameterLayout.of(

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit.sampling import placed
 from pbrfit.lazy import lazy
 from pbrfit.scene.scene import Scene
-
-ORDER_2 = 9
-"""Coefficients of a light of order 2; those from here on are band 3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +59,7 @@ class ParameterLayout:
         changes the fit.
         """
         channels = 1 if scene.grey else 3
-        if scene.lighting is not None and not scene.lighting[:, ORDER_2:].any():
+        if scene.lighting is not None and not scene.lighting[:, 9:].any():
             sh_order = 2
         segments, count = scene.labels or (None, 0)
         return cls(
@@ -83,12 +81,9 @@ class ParameterLayout:
         """P, the number of valid pixels."""
         return int(np.count_nonzero(self.valid))
 
-    def whole(self, values: NDArray[np.floating[Any]], fill: float = np.nan) -> NDArray[np.float64]:
-        """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
-        shape = self.valid.shape + values.shape[1:]
-        found = np.full(shape, fill)
-        found[self.valid] = values
-        return found
+    def whole(self, values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """(H, W, ...) of values (P, ...) of the valid pixels; NaN elsewhere."""
+        return placed(values, self.valid)
 
     @property
     def sh_order(self) -> int:

@@ -23,12 +23,6 @@ NODES = (
 NODE_SPACING = np.array([nodes[1] - nodes[0] for nodes in NODES])
 """No node is nearer to what a pixel descends to than the mean of a posterior that is narrower."""
 
-RETRY_NODES = (
-    np.linspace(*settings.RETRY_ROUGHNESS_NODES),
-    np.linspace(*settings.RETRY_METALLIC_NODES),
-)
-"""Roughness and metallic from which pixels descend, and those that stand out."""
-
 NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """From where pixels that stand out take over materials, in this order: (rows, columns)."""
 
@@ -152,10 +146,9 @@ def try_from(
     sum_sq[pixels[better]] = left[better]
 
 
-def is_exact(objective: Objective, sum_sq: Array) -> bool:
-    """Whether half of the pixels, with these sums of squares (P,), leave nothing but rounding."""
-    middle = float(np.median(sum_sq)) * objective.pixels
-    return middle <= settings.EXACT_RMSE**2 * objective.total_weight
+def is_exact(objective: Objective, squares: float) -> bool:
+    """Whether a sum of squared residuals of all pixels is but rounding."""
+    return squares <= settings.EXACT_RMSE**2 * objective.total_weight
 
 
 def retry_outliers(
@@ -168,13 +161,13 @@ def retry_outliers(
     pixels that are left stay as they are.
     """
     outlying = np.flatnonzero(sum_sq > settings.RETRY_RATIO * np.median(sum_sq)).astype(np.uint64)
-    steps = 2 * settings.DESCENT_STEPS
+    roughness, metallic = settings.RETRY_ROUGHNESS_NODES, settings.RETRY_METALLIC_NODES
+    nodes = np.linspace(*roughness), np.linspace(*metallic)
+    again, starts = partial(descended, objective, x, nodes=nodes), settings.RETRY_STARTS
     for chunk in pieces(outlying):
         if stop():
             return
-        found, sum_sq[chunk] = descended(
-            objective, x, chunk, steps=steps, starts=settings.RETRY_STARTS, nodes=RETRY_NODES
-        )
+        found, sum_sq[chunk] = again(chunk, steps=2 * settings.DESCENT_STEPS, starts=starts)
         place(objective, x, chunk, found)
     valid = objective.layout.valid
     for others in beside(np.flatnonzero(valid), valid.shape[1], NEIGHBOURS):

@@ -1,25 +1,29 @@
-"""A running fit: its clock, its limits, its history, its progress."""
+"""What a fit is given, how it runs (clock, limits, history, progress), and what it has found."""
 
 from __future__ import annotations
 
 import copy
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pbrfit.fit import discrepancy
 from pbrfit.fit.discrepancy import Discrepancy
 from pbrfit.fit.noise import NoiseModel
 from pbrfit.fit.nuisances import Nuisances
-from pbrfit.fit.objective import Objective
+from pbrfit.fit.objective import Normalization, Objective
+from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.priors.mixture import FittedPrior
 from pbrfit.fit.priors.posterior import Posterior
 from pbrfit.fit.scale import Scale
+from pbrfit.fit.transport import Surrounded
 from pbrfit.model.materials import Materials
+from pbrfit.model.reflection import Model
 from pbrfit.result import metrics
 from pbrfit.result.camera import Camera
 from pbrfit.result.data import Stage, Status
@@ -62,36 +66,75 @@ class Progress:
 
 
 @dataclass(frozen=True, eq=False)
-class SharedState:
-    """What some pixels of a scene were found to have in common with all others."""
+class FitSetup:
+    """The options of a fit, and what belongs to this call alone."""
 
-    material: FittedPrior | None = None
-    """The learnt material prior; None where the fit has none."""
-    noise: NoiseModel | None = None
-    """Of samples; None where none was found."""
-    discrepancy: Discrepancy | None = None
-    """How far samples are off; None where nothing asked for it."""
+    options: FitOptions
+    """With the reflection model that was decided for."""
+    threads: int
+    """0 = one for each processor."""
+    progress: Callable[[Progress], None] | None
+    """Called as the fit goes on; None = nobody."""
+    began: float
+    """When the fit began, by `time.perf_counter`."""
+    stages: tuple[Stage, ...] = ()
+    """What has been done since."""
+    refines: bool = False
+    """Whether normals are refined."""
+    why_normals: str = "not asked for"
+    """The reason why they are, or are not; empty where that is to be compared."""
+    surrounded: Surrounded | None = None
+    """The scene with its surroundings; None = nothing blocks its light."""
+
+    @property
+    def model(self) -> Model:
+        """How surfaces reflect light."""
+        assert self.options.model is not None
+        return self.options.model
+
+    def layout(self, scene: Scene) -> ParameterLayout:
+        """Which unknowns a scene has."""
+        return ParameterLayout.of(
+            scene,
+            sh_order=self.options.sh_order,
+            metallic_known=self.options.metallic is not None,
+            mono_light=self.options.mono_light,
+        )
+
+    def objective(
+        self, scene: Scene, free_normals: bool = False, *, units: Normalization | None = None
+    ) -> Objective:
+        """What is minimised."""
+        options = self.options
+        objective = Objective(
+            scene,
+            threads=self.threads,
+            sh_order=options.sh_order,
+            metallic=options.metallic,
+            mono_light=options.mono_light,
+            priors=None if free_normals else options.priors,
+            equal_exposures=options.equal_exposures,
+            free_normals=free_normals,
+            model=options.model,
+            units=units,
+        )
+        if self.surrounded is None or free_normals:
+            return objective
+        return objective.among(self.surrounded.tables(objective))
 
 
 class Trace:
     """What a running fit has been doing: its clock and limits, stages, history and progress."""
 
-    def __init__(
-        self,
-        options: FitOptions,
-        *,
-        progress: Callable[[Progress], None] | None,
-        began: float,
-        stages: Sequence[Stage] = (),
-    ) -> None:
-        self.options = options
-        self._progress, self._began = progress, began
-        self._iteration_limit = options.iterations
+    def __init__(self, setup: FitSetup) -> None:
+        self.options = setup.options
+        self._progress, self._began = setup.progress, setup.began
+        self._iteration_limit = setup.options.iterations
         self.unmeasured = 0.0
         """Seconds spent on comparing with the ground truth and in `progress`."""
         self.evaluations = self.iteration = 0
         self.rows: list[HistoryRow] = []
-        self.stages = list(stages)
+        self.stages = list(setup.stages)
         self._late_in = ""
         """The stage in which the time limit was reached."""
 
@@ -151,53 +194,46 @@ class Trace:
 
 
 class Run(Trace):
-    """One fit of an objective, and what it has found so far.
+    """One fit of an objective.
 
-    `shared_state` is what a subset of the scene's pixels has found, where this is another part of
-    it; None = the whole scene, which finds it itself.
+    `shared` is what a subset of the scene's pixels has found, where this is another part of it;
+    None = the whole scene, which finds it itself.
     """
 
     def __init__(
+        self, setup: FitSetup, scene: Scene, objective: Objective, shared: State | None = None
+    ) -> None:
+        super().__init__(setup)
+        self.scene, self.objective, self.shared = scene, objective, shared
+        self.light_modes: Array | None = None
+        """How lights may move that are held for now, though not known; None = as the objective."""
+        self.camera = Camera(scene.fov, "given" if scene.fov_known else "assumed")
+        """What has been decided about it."""
+        self._last = math.nan, math.nan  # loss and its data term, of the last evaluation
+
+    def continued(
         self,
         scene: Scene,
         objective: Objective,
-        options: FitOptions,
         *,
-        progress: Callable[[Progress], None] | None,
-        began: float,
-        stages: Sequence[Stage] = (),
-        shared_state: SharedState | None = None,
-    ) -> None:
-        super().__init__(options, progress=progress, began=began, stages=stages)
-        self.shared_state = shared_state
-        self.scene, self.objective = scene, objective
-        self.measured_lighting: Array | None = None
-        """When the material prior was fitted: the monochrome weight is chosen by it."""
-        self.fitted_prior: FittedPrior | None = None
-        """The material prior as it was fitted last."""
-        self.posterior: Posterior | None = None
-        """Of all pixels, by that prior."""
-        self.discrepancy: Discrepancy | None = None
-        """How far samples are off under the lights that were found last."""
-        self.light_modes: Array | None = None
-        """How lights may move that are held for now, though not known; None = as the objective."""
-        self.noise: NoiseModel | None = None
-        """Of samples, as it was found last."""
-        self.camera = Camera(scene.fov, "given" if scene.fov_known else "assumed")
-        """What has been decided about it."""
-        self.scale: Scale | None = None
-        """What is known of the common scale of lights and albedo."""
-        self._last = math.nan, math.nan  # loss and its data term, of the last evaluation
-
-    def continued(self, scene: Scene, objective: Objective) -> Run:
+        light_modes: Array | None = None,
+        options: FitOptions | None = None,
+    ) -> Run:
         """A run that goes on with another scene and objective, and has all iterations again.
 
         Both write into one history.
         """
         later = copy.copy(self)
-        later.scene, later.objective = scene, objective
+        later.scene, later.objective, later.options = scene, objective, options or self.options
+        later.light_modes = self.light_modes if light_modes is None else light_modes
         later._iteration_limit = self.iteration + self.options.iterations
         later._last = math.nan, math.nan
+        return later
+
+    def through(self, scene: Scene) -> Run:
+        """The same with a scene of other normals."""
+        later = copy.copy(self)
+        later.scene = scene
         return later
 
     def see(self, nuisances: Nuisances) -> None:
@@ -205,11 +241,6 @@ class Run(Trace):
         self.scene = nuisances.scene
         self.objective.see(self.scene)
         self.camera = nuisances.camera(self.camera)
-
-    @property
-    def picture_effect(self) -> float:
-        """As of the noise of samples; 1 where none was found."""
-        return 1.0 if self.noise is None else self.noise.picture_effect
 
     @property
     def has_mixture_prior(self) -> bool:
@@ -244,6 +275,53 @@ class Run(Trace):
             HistoryRow(elapsed, self.iteration, self.evaluations, loss, recon, **errors)
         )
         self.tell(recon, lambda: self.objective.unpack(x), elapsed=elapsed)
+
+    def visit(self, x: Array, sum_sq: Array) -> bool:
+        """Record that all pixels have new materials, with sums of squares (P,); whether to stop."""
+        # Pixels that are freed after the last iteration belong to that.
+        self.iteration += self.left > 0
+        # Squares are those of float64, which a float32 evaluation of a good fit does not reach.
+        loss = data = float(sum_sq.sum()) / self.objective.total_weight
+        if self.objective.penalties:
+            loss += self.objective.add_penalties(x, np.zeros(self.objective.size))
+        self.record(x, loss, data)
+        return not self.goes_on
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What a fit has found; of its parts some are what all pixels of a scene have in common."""
+
+    run: Run
+    """Whose scene has the normals and the camera."""
+    x: Array
+    """Of its objective."""
+    noise: NoiseModel | None = None
+    """Of samples; None where all weigh as given."""
+    material: FittedPrior | None = None
+    """The material prior; None where the fit has none."""
+    posterior: Posterior | None = None
+    """Of all pixels, by that prior."""
+    measured_lighting: Array | None = None
+    """When that was fitted: the monochrome weight is chosen by it."""
+    discrepancy: Discrepancy | None = None
+    """How far samples are off under the lights that the prior was fitted with, or those of x."""
+    scale: Scale | None = None
+    """What is known of the common scale of lights and albedo."""
+    ended: tuple[Status, str] = (Status.CONVERGED, "converged")
+    """Why it ended."""
+
+    @property
+    def picture_effect(self) -> float:
+        """As of the noise of samples; 1 where none was found."""
+        return 1.0 if self.noise is None else self.noise.picture_effect
+
+    def judged(self) -> Discrepancy:
+        """How far samples are off, found now under the lights of x if it was not before."""
+        run = self.run
+        return self.discrepancy or discrepancy.find(
+            run.objective, self.x, self.picture_effect, modes=run.light_modes
+        )
 
 
 def material_errors(found: Materials, true: Materials) -> dict[str, float]:

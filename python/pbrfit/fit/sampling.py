@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit.settings import STRIDED_SUBSET_EXCESS
-
-_GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
@@ -24,8 +23,15 @@ def evenly_spaced(count: int, at_most: int) -> NDArray[np.uint64]:
     if chosen == 0:
         return np.empty(0, dtype=np.uint64)
     borders = np.arange(chosen + 1) * count // chosen
-    fraction = np.arange(chosen) * _GOLDEN_RATIO % 1.0
+    fraction = np.arange(chosen) * ((np.sqrt(5.0) - 1.0) / 2.0) % 1.0
     return np.asarray(borders[:-1] + (fraction * np.diff(borders)).astype(np.int64), np.uint64)
+
+
+def groups_of(labels: NDArray[np.integer[Any]]) -> list[NDArray[np.uint64]]:
+    """Indices into `labels` (P,), at least one, of each label, in order."""
+    order = np.argsort(labels, kind="stable").astype(np.uint64)
+    starts = np.flatnonzero(np.diff(labels[order], prepend=labels.min() - 1))
+    return np.split(order, starts[1:])
 
 
 def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uint64]:
@@ -36,12 +42,11 @@ def evenly_spaced_over(labels: NDArray[np.intp], at_most: int) -> NDArray[np.uin
     """
     if len(labels) <= at_most:
         return np.arange(len(labels), dtype=np.uint64)
-    order = np.argsort(labels, kind="stable")
-    starts = np.flatnonzero(np.diff(labels[order], prepend=labels[order[0]] - 1))
-    share = at_most // 2 // len(starts)
+    groups = groups_of(labels)
+    order, share = np.concatenate(groups), at_most // 2 // len(groups)
     taken = np.zeros(len(labels), dtype=bool)
     if share:
-        for of_label in np.split(order, starts[1:]):
+        for of_label in groups:
             taken[of_label[evenly_spaced(len(of_label), share)]] = True
     rest = order[~taken[order]]
     taken[rest[evenly_spaced(len(rest), at_most - int(np.count_nonzero(taken)))]] = True
@@ -69,6 +74,15 @@ def stride(valid: NDArray[np.bool_], at_most: int) -> tuple[int, int, int]:
             return step, row, column
         # A long and narrow picture has more pixels in every s-th row and column than a square.
         step += 1
+
+
+def placed(
+    values: NDArray[np.floating[Any]], valid: NDArray[np.bool_], fill: float = np.nan
+) -> NDArray[np.float64]:
+    """(H, W, ...) of values (P, ...) of the valid pixels; `fill` elsewhere."""
+    found = np.full(valid.shape + values.shape[1:], fill)
+    found[valid] = values
+    return found
 
 
 def pixel_index(valid: NDArray[np.bool_]) -> NDArray[np.intp]:

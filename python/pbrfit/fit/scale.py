@@ -38,7 +38,7 @@ from pbrfit.fit.objective import Objective, in_channels
 from pbrfit.fit.parameters import ParameterLayout
 from pbrfit.fit.pixels import Pixels, fit_all
 from pbrfit.fit.priors.gaussian import GaussianPrior
-from pbrfit.fit.sampling import evenly_spaced
+from pbrfit.fit.sampling import evenly_spaced, groups_of
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
@@ -216,9 +216,7 @@ class _Curve:
         """(C,): variances by groups."""
         from scipy.special import stdtrit
 
-        order = np.argsort(labels, kind="stable").astype(np.uint64)
-        starts = np.flatnonzero(np.diff(labels[order], prepend=labels.min() - 1))
-        groups = np.split(order, starts[1:])
+        groups = groups_of(labels)
         count = len(groups)
         if count < settings.PATCHES_MIN:
             return np.zeros(len(self.solved))
@@ -232,9 +230,7 @@ class _Curve:
 
     def _moves(self, group: Pixels) -> tuple[Array, Array]:
         """(C,) each: u of a group before it is divided, and the share of S it has."""
-        fit = self.fit
-        objective, options = fit.objective, fit.options(fit.objective, fit.x, group, group)
-        kept = objective.problem.kept_system(objective.for_core(fit.x), group, **options)
+        kept = self.fit.kept_system(group)
         own = [one @ kept.product(one) for one in self.solved]
         return self.solved @ kept.gradient, np.array(own) / np.diag(self.covariance)
 

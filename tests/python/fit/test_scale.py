@@ -10,8 +10,8 @@ from scipy.ndimage import maximum_filter, uniform_filter
 
 from pbrfit import FitOptions, InputError, Priors, Scene, decompose
 from pbrfit.fit import scale, settings
+from pbrfit.fit.run import FitSetup
 from pbrfit.fit.tiles import fit_tiles
-from pbrfit.fit.whole_picture import FitSetup
 from pbrfit.result.result import Result
 from pbrfit.synthetic import make_scene
 from scene_files import known, lights_of, truth_of

@@ -33,17 +33,6 @@ from pbrfit.fit.lamps.samples import BAS_RELIEF, Samples, blocks_of, some_of
 
 Array = NDArray[np.float64]
 
-PLACES_MAX = 2500
-"""Pixels that cues look at: the sampling error of a mean over them, 2 %, is below that of the
-blocks, 12 %."""
-
-OUTLINE_MAX = 600
-"""Pixels of the outline that cues look at."""
-
-PARTNERS = 12
-"""Pixels at random that the one of the likest colour is taken from, as a partner of equal
-albedo."""
-
 KNOWN_MIN = 0.05
 """Least part of a pixel's information, in the direction it says least of, of the median pixel's,
 with which its normal is its own and not its neighbours'."""
@@ -59,10 +48,6 @@ length with 5 % of change in its distance."""
 STRENGTH_CERTAINTY = 4.0
 """Lamps that the expected spread counts as, beside those there are."""
 
-OUTLINE_CONCENTRATION = 15.0
-"""κ of von Mises' and Fisher's distribution of normals at the outline about those of a ball: a
-deviation of 15 degrees."""
-
 CUT = 0.2
 """Share of the outline where nothing turns away: an edge of a table, of another thing."""
 
@@ -72,16 +57,6 @@ FACING_MIN = 0.05
 BEHIND = 0.1
 """Cosine of the angle to the camera's axis: how far lamps may be behind the picture's plane before
 they cost as much as a deviation from a cue's own spread."""
-
-SLANTS = (0.25, 0.5, 1.0, 2.0)
-"""Tangents of the lamps' root mean square angle to the camera's axis that c₃ starts from."""
-
-STEP = 0.02
-"""Of bas-reliefs, for second derivatives."""
-
-SLOPE_MAX = 0.1
-"""Slope of the negative log likelihood by entries of C, which are of length 1 together, at which a
-search ends: C changes the surface by a degree where an entry changes by about 0.02."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +118,10 @@ class Places:
         planes = data.plane(np.where(good[:, None], normals.vectors, 0.0), 0.0)
         integrable = equations(planes, data.plane(covariances, 0.0), known, rays, of_block)
         candidates = np.flatnonzero(good)
-        chosen = candidates[some_of(len(candidates), PLACES_MAX)]
+        # The sampling error of a mean over so many, 2 %, is below that of the blocks, 12 %.
+        chosen = candidates[some_of(len(candidates), 2500)]
         at_edge = np.flatnonzero(known[edge.rows, edge.columns])
-        at_edge = at_edge[some_of(len(at_edge), OUTLINE_MAX)]
+        at_edge = at_edge[some_of(len(at_edge), 600)]
         where = (edge.rows[at_edge], edge.columns[at_edge])
         return cls(
             chosen=chosen,
@@ -163,14 +139,14 @@ class Places:
 
 
 def _pairs(data: Samples, normals: PseudoNormals, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(R, 2) places, each beside the one of the likest colour of some at random."""
+    """(R, 2) places, each beside the one of the likest colour of twelve at random."""
     count = len(chosen)
     if count < 2:
         return np.zeros((0, 2), np.intp)
     weights = normals.weights[chosen] * data.told[chosen].all(axis=2)
     sums = np.einsum("pn,pnc->pc", weights, data.colors[chosen])
     chroma = sums / np.maximum(sums.sum(axis=1, keepdims=True), 1e-12)
-    others = np.random.default_rng(0).integers(0, count - 1, (count, PARTNERS))
+    others = np.random.default_rng(0).integers(0, count - 1, (count, 12))
     first = np.arange(count)
     others += others >= first[:, None]
     unlike = np.sum((chroma[others] - chroma[:, None]) ** 2, axis=2)
@@ -259,7 +235,7 @@ def outline_cost(normals: Array, places: Places) -> tuple[float, Array]:
 
     The slope is by normals, as that of the next cue.
     """
-    kappa = OUTLINE_CONCENTRATION
+    kappa = 15.0  # of von Mises' and Fisher's distribution: a deviation of 15 degrees
     peaked = (1 - CUT) * 2 * kappa * np.exp(kappa * (_dot(normals, places.of_ball) - 1))
     share = places.outline_blocks / len(normals)
     slope = -share * kappa * (peaked / (peaked + CUT))[:, None] * places.of_ball
@@ -347,8 +323,9 @@ class Relief:
 
     def curvature(self, M: Array) -> Array:
         """(3, 3): half the second derivatives there, of which none is negative."""
-        ends = [[self(M + sign * STEP * one @ M)[1] for sign in (1.0, -1.0)] for one in BAS_RELIEF]
-        found = np.array([(up - down) / (2 * STEP) for up, down in ends])
+        step = 0.02
+        ends = [[self(M + sign * step * one @ M)[1] for sign in (1.0, -1.0)] for one in BAS_RELIEF]
+        found = np.array([(up - down) / (2 * step) for up, down in ends])
         values, axes = np.linalg.eigh((found + found.T) / 2)
         return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
@@ -374,8 +351,9 @@ def minima(places: Places, rough: Array | None) -> list[Minimum]:
         here = Minimum.at(c.reshape(3, 3), places)
         return here.cost, here.slope.ravel()
 
+    # C, of length 1, changes the surface by a degree where an entry changes by about 0.02.
     found = [
-        minimize(cost_and_slope, C.ravel(), jac=True, method="BFGS", options={"gtol": SLOPE_MAX}).x
+        minimize(cost_and_slope, C.ravel(), jac=True, method="BFGS", options={"gtol": 0.1}).x
         for C in _starts(places, rough)
     ]
     return sorted((Minimum.at(c.reshape(3, 3), places) for c in found), key=lambda one: one.cost)
@@ -395,7 +373,9 @@ def _starts(places: Places, rough: Array | None) -> list[Array]:
     for sign in (1.0, -1.0):
         across = sign * null.T
         size = np.sqrt(np.mean(np.sum((lamps @ across) ** 2, axis=1)))
-        starts += [np.column_stack([across, size / slant * level]) for slant in SLANTS]
+        # Tangents of the lamps' root mean square angle to the camera's axis.
+        slants = 0.25, 0.5, 1.0, 2.0
+        starts += [np.column_stack([across, size / slant * level]) for slant in slants]
     if rough is not None:
         starts.append(_like(places.vectors, rough))
     starts = [C / np.linalg.norm(C) for C in starts if np.isfinite(C).all()]

@@ -11,7 +11,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +35,15 @@ from pbrfit.fit.lamps.sample_noise import Noise
 from pbrfit.fit.lamps.samples import FirstShape
 from pbrfit.fit.lamps.shape import FOV_MAX, FOV_MEAN, FOV_SPREAD
 from pbrfit.fit.priors.population import METALLIC_DEVIATION
-from pbrfit.fit.run import Trace, material_errors
-from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over
+from pbrfit.fit.run import FitSetup, Trace, material_errors
+from pbrfit.fit.sampling import evenly_spaced, evenly_spaced_over, placed
 from pbrfit.fit.settings import (
     COMPARE_LAMP_ROUNDS,
     DEGREES_OF_FREEDOM_SHARE_MIN,
     LAMP_PIXELS,
     MEAN_RADIANCE,
 )
-from pbrfit.fit.whole_picture import FitOutput, FitSetup
+from pbrfit.fit.whole_picture import FitOutput
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import view_directions
 from pbrfit.model.lamps import Lamps
@@ -74,34 +73,12 @@ LOOKS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
 of view and roughnesses are tried, one after the other: wide first, then near the best. Steps from
 the best are degrees; in the first round `FIELDS_OF_VIEW` are tried."""
 
-COMPARED_PIXELS = 250
-"""Pixels that find lamps where explanations are compared: these have eight numbers each."""
-
 HELD_ROUNDS = 2
 """First rounds, in which lamps stay as diffuse shading has them but for their scale. A fit which
 goes on from what others have found begins after them."""
 
 LOOK_LAST = 4
 """From which round on normals are no longer sought at highlights, and roughness near what it is."""
-
-FREE_SCALE_ROUNDS, NOTHING_LEFT = 2, 0.02
-"""Last rounds in which the scale is free where less is left of the samples than this share: such
-pictures obey the model, and all of their samples tell the same scale."""
-
-ROUGHNESSES = (0.1, 0.18, 0.3, 0.45, 0.7)
-"""Tried for each label at first: half an octave apart, less than what a lobe's width tells."""
-
-NEARER_ROUGHNESSES = tuple(2.0 ** np.linspace(-0.5, 0.5, 5))
-"""Factors on the roughness of each label that are tried last, over the spacing of the first. A
-highlight is as bright as r⁻⁴, so that a roughness which stays a quarter of an octave off asks for
-lamps twice as bright."""
-
-LOOK_PICTURES_MIN = 6
-"""From which on every third picture is left out where roughness, scale and camera are chosen:
-the others are four at least, twelve samples for a pixel's six unknowns."""
-
-LOOK_PIXELS = 400
-"""By which they are tried: thousands of samples, of which a narrow lobe shows in some per cent."""
 
 FIELDS_OF_VIEW = (0.0, 15.0, 30.0, 45.0, 60.0)
 """Degrees that are tried where nobody told it."""
@@ -113,26 +90,8 @@ too."""
 ROUGHNESS_MEAN, ROUGHNESS_SPREAD = 0.5, 0.25
 """Roughness before anything is known: uniform in [0, 1] has 0.5 and 0.29."""
 
-ROUGHNESS_SPREADS = (0.02, 0.05)
-"""Least and greatest spread of roughness inside a label: less is seen by nobody; with more, each
-pixel takes what its own few highlights are off the model's for a roughness of its own."""
-
-KNOWN_NORMALS_SPREADS = (0.03, 0.25)
-"""The same where normals are known and held."""
-
-FREE_OFFSETS = 0.09
-"""Prior standard deviation of the tangent offsets of normals that diffuse shading has told, from
-these: 5 degrees, what they are off on glossy surfaces."""
-
-GIVEN_DEGREES = 5.0
-"""Of given normals whose deviation nobody told, where they are refined."""
-
-
 UNIFORM_VARIANCE = 1 / 12
 """Largest variance of albedo and roughness: that of a uniform distribution in [0, 1]."""
-
-BY_HIGHLIGHTS = "by the highlights of dielectrics, around a mean albedo of 0.35"
-"""What the scale between lamps and albedo rests on where there is no reference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,17 +156,6 @@ def seen_error(pixels: LampPixels, state: LampState, *, relative: bool = False) 
     return np.asarray((pixels.weights * roots**2).sum(axis=2))
 
 
-def likely_roughness(tried: Array, sums: Array, pixels: int) -> float:
-    """The mean of roughnesses by their likelihood, from what looks wrong with each.
-
-    Where none looks better than another, that is the middle one.
-    """
-    independent = INDEPENDENT_SHARE * pixels
-    logs = -0.5 * independent * np.log(np.maximum(sums, 1e-12) / max(float(sums.min()), 1e-12))
-    shares = np.exp(logs)
-    return float(shares @ tried / shares.sum())
-
-
 class LampFit:
     """A fit of a scene under lamps, stage by stage."""
 
@@ -221,20 +169,14 @@ class LampFit:
     ) -> None:
         self.scene, self.setup, self.options = scene, setup, setup.options
         self.begin, self.rounds = begin, rounds
-        self.trace = Trace(
-            setup.options, progress=setup.progress, began=setup.began, stages=setup.stages
-        )
-        assert setup.options.model is not None
-        self.model = setup.options.model
+        self.trace = Trace(setup)
+        self.model = setup.model
         self.start = start
         self.relief = None if start is None else start.relief
         """The cues on bas-reliefs, where one is open; normals are free then."""
         told = scene.normals_known and self.relief is None
         self.free_normals = not told or self.options.refine_normals == "on"
         self.fov = (scene.fov if scene.fov_known else FOV_MEAN) if begin is None else begin.fov
-        self._matrix = np.eye(3)
-        self._shared_covariance: Array | None = None
-        self._reference: reference.Reference | None = None
 
     def solve(self) -> FitOutput:
         """All stages."""
@@ -244,10 +186,10 @@ class LampFit:
         rows = evenly_spaced_over(labels, LAMP_PIXELS).astype(np.intp)
         fit = self.joint(places[rows])
         with self.trace.stage("surfaces") as notes:
-            bands = self._bands(fit)
+            bands, known = self._bands(fit)
             metal = float(np.mean(np.concatenate([one.state.metallic for one in bands]) > 0.5))
             notes.append(f"{len(places)} pixels, {100 * metal:.2g} % metal")
-        return self._output(fit, bands)
+        return self._output(fit, bands, known)
 
     def joint(self, places: NDArray[np.intp]) -> JointLamps:
         """The joint fit of pixels at places that explains them best."""
@@ -267,9 +209,8 @@ class LampFit:
         scene = self.scene
         fit = self.joint(some_places(scene))
         [band] = self._surfaces(fit, scene.valid)
-        pixels = LampPixels.of(
-            scene.through(self.fov), self.normals, self.model, self.setup.threads, like=fit.pixels
-        )
+        given = self.normals(fit.matrix), self.model, self.setup.threads
+        pixels = LampPixels.of(scene.through(self.fov), *given, like=fit.pixels)
         lamps = replace(fit.state.lamps, colors=fit.state.lamps.colors * fit.pixels.scale)
         roughness = {
             int(label): float(np.median(fit.prior.mean[fit.pixels.labels == label, 5]))
@@ -277,12 +218,11 @@ class LampFit:
         }
         return pixels, band.state, Found(lamps, roughness, self.fov)
 
-    @property
-    def normals(self) -> Array:
-        """(H, W, 3): that pixels' own are offset from."""
+    def normals(self, matrix: Array) -> Array:
+        """(H, W, 3): that pixels' own are offset from, turned by the matrix of a joint fit."""
         if self.start is None:
             return np.asarray(self.scene.normals, np.float64)
-        return turned(np.asarray(self.start.normals, np.float64), self._matrix)
+        return turned(np.asarray(self.start.normals, np.float64), matrix)
 
     def _starts(
         self, places: NDArray[np.intp]
@@ -290,7 +230,8 @@ class LampFit:
         """Pixels at places, and named lamps with their albedos (P, 3)."""
         known = self.scene.lamps
         seen = self.scene.through(self.fov)
-        few = LampPixels.of(seen, self.normals, self.model, self.setup.threads, places)
+        given = self.normals(np.eye(3)), self.model, self.setup.threads
+        few = LampPixels.of(seen, *given, places)
         if known is not None and known.colored:
             usual = MEAN_RADIANCE / ALBEDO_MEAN / max(float(known.colors.mean()), 1e-12)
             lamps = replace(known, colors=known.colors * usual)
@@ -307,7 +248,10 @@ class LampFit:
             albedo = self.start.albedo.reshape(-1, 3)[places]
             return few, [(self.start.note, *balanced(few, lamps, albedo))]
         if known is not None:
-            return few, [("known lamps", *colored(few, known))]
+            directions, strengths = known.at(few.points, len(few))
+            cosines = np.maximum(np.einsum("px,pkx->pk", few.normals, directions), 0) * strengths
+            start = colored_by(few, known, cosines, (cosines > 0).astype(np.float64))
+            return few, [("known lamps", *start)]
         found: list[tuple[str, Lamps, Array]] = [("far lamps", *far_lamps(few))]
         if few.points is not None:
             found.append(("near lamps", *near_lamps(few)))
@@ -317,8 +261,8 @@ class LampFit:
         """(P,): prior standard deviation of each tangent offset, radians."""
         scene = self.scene
         if self.start is not None:
-            return np.full(len(places), FREE_OFFSETS)
-        degrees = np.full(len(places), GIVEN_DEGREES)
+            return np.full(len(places), 0.09)  # 5 degrees, by which matt shading is off on gloss
+        degrees = np.full(len(places), 5.0)  # where nobody told it
         if scene.normal_sigma is not None:
             degrees = np.maximum(scene.normal_sigma.reshape(-1)[places], 0.1)
         return np.asarray(np.radians(degrees) / np.sqrt(2))
@@ -335,12 +279,8 @@ class LampFit:
             np.full(len(few), self.options.metallic or 0.0),
         )
         known = self.scene.lamps
-        freedom = Freedom(
-            normals=self.free_normals,
-            places=False,
-            colors=False,
-            same_lamp=self.options.same_lamp,
-        )
+        same, free = self.options.same_lamp, self.free_normals
+        freedom = Freedom(normals=free, places=False, colors=False, same_lamp=same)
         prior = first_prior(few, self._offset_sigma(few.places))
         if self.begin is not None:
             for label, value in self.begin.roughness.items():
@@ -375,21 +315,24 @@ class LampFit:
             if number == HELD_ROUNDS and not near:
                 shape = self.relief is not None
                 fit.freedom = replace(fit.freedom, places=known is None, colors=True, shape=shape)
-            if (
-                number == self.rounds - FREE_SCALE_ROUNDS
-                and self._relative_left(fit) < NOTHING_LEFT
-            ):
-                fit.freedom = replace(fit.freedom, scale=True, places=known is None, colors=True)
+            # All samples of pictures that obey the model tell the same scale.
+            if number == self.rounds - 2:
+                residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
+                size = float((fit.pixels.weights * fit.pixels.samples**2).sum())
+                left = float((fit.pixels.weights * residual**2).sum())
+                if np.sqrt(left / max(size, 1e-300)) < 0.02:
+                    more = replace(fit.freedom, scale=True, places=known is None, colors=True)
+                    fit.freedom = more
             made = minimize(fit, steps=STEPS, stop=lambda: not self.trace.goes_on)
             self.trace.iteration += made
             self.trace.evaluations += made
             fit.state, fit.cost = fit.fitted(fit.state, surfaces.STEPS)
-            # With normals that are known a highlight says how rough a surface is.
-            spreads = ROUGHNESS_SPREADS if freedom.normals else KNOWN_NORMALS_SPREADS
+            # Least and greatest: with normals that are known a highlight says how rough a surface
+            # is; else pixels would take what few highlights are off for a roughness of their own.
+            spreads = (0.02, 0.05) if freedom.normals else (0.03, 0.25)
             fit.prior = learnt_roughness(few, fit.state, fit.prior, spreads)
             fit.reweigh()
             self._record(fit)
-        self._matrix = fit.matrix
         return fit
 
     def _record(self, fit: JointLamps) -> None:
@@ -413,14 +356,18 @@ class LampFit:
         as it is. Highlights tell all three, and only together: where they are shown in wrong
         places, a rough surface without any is better.
         """
-        of = evenly_spaced_over(fit.pixels.labels, LOOK_PIXELS).astype(np.intp)
+        # These have thousands of samples, of which a narrow lobe shows in some per cent.
+        of = evenly_spaced_over(fit.pixels.labels, 400).astype(np.intp)
         few = fit.pixels.of_rows(of)
         given, prior = fit.state.of_rows(of), fit.prior.of_rows(of)
         labels = np.unique(few.labels)
         independent = INDEPENDENT_SHARE * len(few)
-        roughnesses = np.outer(ROUGHNESSES, np.ones(len(few)))
+        # Half an octave apart, less than what a lobe's width tells, and then over that: a highlight
+        # is as bright as r⁻⁴, so that a quarter of an octave asks for lamps twice as bright.
+        roughnesses = np.outer((0.1, 0.18, 0.3, 0.45, 0.7), np.ones(len(few)))
         if number >= LOOK_LAST:
-            roughnesses = np.clip(np.outer(NEARER_ROUGHNESSES, prior.mean[:, 5]), ROUGHNESS_MIN, 1)
+            nearer = np.outer(2.0 ** np.linspace(-0.5, 0.5, 5), prior.mean[:, 5])
+            roughnesses = np.clip(nearer, ROUGHNESS_MIN, 1)
         metallic = np.broadcast_to(given.metallic, roughnesses.shape)
         if number == HELD_ROUNDS and self.options.metallic is None and labels.any():
             # From here on lamps would bend to metals that stay dielectrics.
@@ -443,7 +390,10 @@ class LampFit:
                 best_of = int(np.argmin(sums))
                 values, kinds = (of[:, own][:, 0] for of in (roughnesses, metallic))
                 same = kinds == kinds[best_of]
-                likely = likely_roughness(values[same], sums[same], int(own.sum()))
+                # The mean by likelihood: the middle one where none looks better than another.
+                wrong = np.maximum(sums[same], 1e-12) / max(float(sums[same].min()), 1e-12)
+                shares = np.exp(-0.5 * (INDEPENDENT_SHARE * int(own.sum())) * np.log(wrong))
+                likely = float(shares @ values[same] / shares.sum())
                 chosen[label] = likely, float(kinds[best_of])
                 total += float(sums[best_of])
                 offset += float(turned[best_of, own].sum())
@@ -496,7 +446,7 @@ class LampFit:
         and a narrow lobe of its own a pixel can show any one highlight, but not the next.
         """
         left_out = np.zeros(few.pictures, bool)
-        if few.pictures >= LOOK_PICTURES_MIN:
+        if few.pictures >= 6:  # four others, twelve samples for a pixel's six unknowns
             left_out[1::3] = True
         counted = left_out if left_out.any() else ~left_out
         # All at once: each pixel with one roughness after the other.
@@ -507,11 +457,10 @@ class LampFit:
         albedo = np.clip(given.albedo / scale, 0.01, 0.99)
         begin = given.with_surface(given.normals, albedo, roughnesses.ravel(), metallic.ravel())
         starts = [begin, surfaces.facing_highlights(few, begin)] if free else [begin]
+        to_some = surfaces.SurfaceFit(fitted, fit.noise, prior, free)
         errors, shown, squares = [], [], []
         for start in starts:
-            state, *_ = surfaces.robust_surfaces(
-                fitted, start, fit.noise, prior, free_normals=free, free_roughness=False
-            )
+            state, *_ = to_some.robust(start, free_roughness=False)
             seen = seen_error(few, state, relative=relative)
             errors.append(seen @ ~left_out)
             shown.append(seen @ counted)
@@ -521,20 +470,13 @@ class LampFit:
         wrong, turned = (np.take_along_axis(np.array(of), best, 0) for of in (shown, squares))
         return wrong.reshape(roughnesses.shape), turned.reshape(roughnesses.shape)
 
-    def _relative_left(self, fit: JointLamps) -> float:
-        """Root mean square of what is left, of that of the samples."""
-        residual = fit.pixels.residuals(radiance(fit.pixels, fit.state))
-        size = float((fit.pixels.weights * fit.pixels.samples**2).sum())
-        left = float((fit.pixels.weights * residual**2).sum())
-        return float(np.sqrt(left / max(size, 1e-300)))
-
     def _turn(self, fit: JointLamps) -> None:
         """Let pixels turn to their brightest lamp where that surprises less."""
-        few, fitted = fit.pixels, partial(surfaces.robust_surfaces, rounds=2, free_normals=True)
-        state, *_ = fitted(few, fit.state, fit.noise, fit.prior)
-        turned, *_ = fitted(few, surfaces.facing_highlights(few, state), fit.noise, fit.prior)
-        left = [surfaces.surprise(few, one, fit.noise, fit.prior) for one in (state, turned)]
-        fit.state, _ = surfaces.better_of(state, left[0], turned, left[1])
+        given = surfaces.SurfaceFit(fit.pixels, fit.noise, fit.prior, free_normals=True)
+        state, *_ = given.robust(fit.state, 2)
+        turned, *_ = given.robust(surfaces.facing_highlights(fit.pixels, state), 2)
+        left, of_turned = given.surprise(state), given.surprise(turned)
+        fit.state, _ = surfaces.better_of(state, left, turned, of_turned)
 
     def lit_at(self, pixels: LampPixels) -> Callable[[Lamps], Array] | None:
         """Which samples of some pixels lamps reach, by rays; None without surroundings."""
@@ -580,32 +522,28 @@ class LampFit:
 
     # Surfaces
 
-    def _bands(self, fit: JointLamps) -> list[surfaces.Band]:
+    def _bands(self, fit: JointLamps) -> tuple[list[surfaces.Band], reference.Reference | None]:
         """All pixels, under lights of the scale that a reference tells, if there is one."""
         valid, white = self.scene.valid, self.options.white
         if white is None:
-            return self._surfaces(fit, valid)
-
-        def under_lights(mask: NDArray[np.bool_]) -> list[surfaces.Band]:
-            self._shared_covariance = None
-            return self._surfaces(fit, mask)
-
-        bands, self._reference = reference.refer(fit, valid, white, under_lights)
+            return self._surfaces(fit, valid), None
+        bands, known = reference.refer(fit, valid, white, partial(self._surfaces, fit))
         if self.options.uncertainty:
-            self._shared_covariance = None
-            bands = self._surfaces(fit, valid)
-        return bands
+            bands = self._surfaces(fit, valid, known)
+        return bands, known
 
-    def _surfaces(self, fit: JointLamps, mask: NDArray[np.bool_]) -> list[surfaces.Band]:
+    def _surfaces(
+        self, fit: JointLamps, mask: NDArray[np.bool_], known: reference.Reference | None = None
+    ) -> list[surfaces.Band]:
         """Pixels of a mask under the lights of a fit, band by band."""
         scene, few = self.scene, fit.pixels
+        uncertain = self._covariance(fit, known) if self.options.uncertainty else None
         places = np.flatnonzero(mask.ravel())
         albedo = _spread(fit.state.albedo, few.places, places, scene.width)
+        given = self.normals(fit.matrix), self.model, self.setup.threads
         seen, found = scene.through(self.fov), []
         for band in surfaces.bands(mask):
-            pixels = LampPixels.of(
-                seen, self.normals, self.model, self.setup.threads, places[band], like=few
-            )
+            pixels = LampPixels.of(seen, *given, places[band], like=few)
             sigma = self._offset_sigma(pixels.places)
             prior = of_labels(fit.prior, few, pixels, sigma)
             lit = self.lit_at(pixels)
@@ -630,38 +568,36 @@ class LampFit:
                     fit.freedom,
                     scene.width,
                     metals=first_prior(pixels, sigma) if self.options.metallic is None else None,
-                    uncertain=self._covariance(fit) if self.options.uncertainty else None,
+                    uncertain=uncertain,
                     once=self.trace.out_of_time(),
                 )
             )
         return found
 
-    def _covariance(self, fit: JointLamps) -> Array:
+    def _covariance(self, fit: JointLamps, known: reference.Reference | None) -> Array:
         """(M, M): of what all pixels share."""
-        if self._shared_covariance is None:
-            shared = fit.information()
-            # Looks have found the scale where steps have not, and it is as uncertain.
-            freedom = fit.freedom
-            fit.freedom = replace(freedom, scale=True, shape=False)
-            basis, _ = fit.directions()
-            fit.freedom = freedom
-            inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
-            found = basis @ inner @ basis.T
-            if self._reference is None:
-                found = scale_by_highlights.with_pulls(found, fit, self.scene.width)
-            else:
-                found = reference.with_known_scale(found, fit, self._reference.variance)
-            self._shared_covariance = found
-        return self._shared_covariance
+        shared = fit.information()
+        # Looks have found the scale where steps have not, and it is as uncertain.
+        freedom = fit.freedom
+        fit.freedom = replace(freedom, scale=True, shape=False)
+        basis, _ = fit.directions()
+        fit.freedom = freedom
+        inner = np.linalg.pinv(basis.T @ shared @ basis, hermitian=True)
+        found = basis @ inner @ basis.T
+        if known is None:
+            return scale_by_highlights.with_pulls(found, fit, self.scene.width)
+        return reference.with_known_scale(found, fit, known.variance)
 
     # Output
 
-    def _output(self, fit: JointLamps, bands: list[surfaces.Band]) -> FitOutput:
+    def _output(
+        self, fit: JointLamps, bands: list[surfaces.Band], known: reference.Reference | None
+    ) -> FitOutput:
         scene, trace = self.scene, self.trace
         scale = fit.pixels.scale
 
         def whole(name: str) -> Array:
-            return _map(np.concatenate([getattr(one.state, name) for one in bands]), scene.valid)
+            return placed(np.concatenate([getattr(one.state, name) for one in bands]), scene.valid)
 
         squares = sum(one.squares for one in bands)
         total = sum(one.total for one in bands)
@@ -677,23 +613,25 @@ class LampFit:
         shown = self._shown(fit.pixels, squares / max(total, 1e-300))
         refined = self.free_normals and scene.normals_known
         why = "asked for" if refined else FROM_PICTURES if self.free_normals else "held"
+        by_highlights = "by the highlights of dielectrics, around a mean albedo of 0.35"
         return FitOutput(
             materials=maps,
             lighting=fit.state.ambient * scale,
             normals=whole("normals"),
-            uncertainty=self._uncertainty(fit, bands, shown) if self.options.uncertainty else None,
+            uncertainty=self._uncertainty(fit, bands, shown, known)
+            if self.options.uncertainty
+            else None,
             shown=shown,
             status=status,
             reason=reason,
             rows=(*trace.rows, row),
             evaluations=trace.evaluations,
-            iterations=trace.iteration,
             stages=tuple(trace.stages),
             seconds=trace.elapsed,
             refinement=Refinement(self.options.refine_normals, refined, why),
             camera=Camera(self.fov, "given" if scene.fov_known else "fitted"),
             exposures=None,
-            scale=BY_HIGHLIGHTS if self._reference is None else self._reference.said,
+            scale=by_highlights if known is None else known.said,
             measured_lighting=None,
             recon_rmse=rmse,
             lamps=lamps,
@@ -705,7 +643,7 @@ class LampFit:
         if not (self.free_normals and self.options.uncertainty):
             return None
         variances = np.concatenate([one.marginal[:, :2].sum(axis=1) for one in bands])
-        return _map(np.degrees(np.minimum(np.sqrt(variances), np.pi / 2)), self.scene.valid)
+        return placed(np.degrees(np.minimum(np.sqrt(variances), np.pi / 2)), self.scene.valid)
 
     def _shown(self, pixels: LampPixels, square: float) -> Shown:
         """By pixels that leave this mean square of samples."""
@@ -715,13 +653,17 @@ class LampFit:
         return Shown.by(*of_pictures, unknowns)
 
     def _uncertainty(
-        self, fit: JointLamps, bands: list[surfaces.Band], shown: Shown
+        self,
+        fit: JointLamps,
+        bands: list[surfaces.Band],
+        shown: Shown,
+        known: reference.Reference | None,
     ) -> Uncertainty:
         valid, scale = self.scene.valid, fit.pixels.scale
-        covariance = self._covariance(fit)
-        scales = np.full(3, scale_by_highlights.deviation(fit, covariance))
-        if self._reference is not None:
-            scales = np.sqrt(self._reference.variance)
+        if known is None:
+            scales = np.full(3, scale_by_highlights.deviation(fit, self._covariance(fit, None)))
+        else:
+            scales = np.sqrt(known.variance)
         red, green, blue = scales.tolist()
         # By the data; of albedo and roughness it is known beside that they are in [0, 1].
         variances = np.concatenate([one.marginal for one in bands])[:, 2:]
@@ -741,7 +683,7 @@ class LampFit:
         reach = TWO_SIDED * sigma
 
         def maps(values: Array) -> Materials:
-            found = _map(values, valid)
+            found = placed(values, valid)
             return Materials(found[..., :3], found[..., 3], found[..., 4])
 
         deviation = maps(sigma)
@@ -784,20 +726,6 @@ def albedo_under(pixels: LampPixels, lamps: Lamps) -> Array:
     return np.asarray(np.clip(np.median(ratio, axis=1), 0.01, 0.95))
 
 
-def colored(pixels: LampPixels, known: Lamps) -> tuple[Lamps, Array]:
-    """Known lamps with colours to begin with, and albedos (P, 3), by the given normals."""
-    directions, strengths = known.at(pixels.points, len(pixels))
-    cosines = np.maximum(np.einsum("px,pkx->pk", pixels.normals, directions), 0) * strengths
-    return colored_by(pixels, known, cosines, (cosines > 0).astype(np.float64))
-
-
-def _map(values: NDArray[Any], valid: NDArray[np.bool_], fill: float = np.nan) -> NDArray[Any]:
-    """(H, W, ...): values of the valid pixels at their places."""
-    found = np.full((*valid.shape, *values.shape[1:]), fill, values.dtype)
-    found[valid] = values
-    return found
-
-
 def _spread(values: Array, few: NDArray[np.intp], places: NDArray[np.intp], width: int) -> Array:
     """(P, ...): at places, what the nearest of some others have."""
     from scipy.spatial import cKDTree
@@ -815,9 +743,9 @@ def check_light(scene: Scene, setup: FitSetup) -> None:
 
 
 def some_places(scene: Scene) -> NDArray[np.intp]:
-    """As many of a scene's places as find lamps where explanations are compared."""
+    """As many of a scene's places as find lamps, of eight numbers each, for a comparison."""
     places = scene.places
-    return np.asarray(places[evenly_spaced(len(places), COMPARED_PIXELS).astype(np.intp)])
+    return np.asarray(places[evenly_spaced(len(places), 250).astype(np.intp)])
 
 
 @one_blas_thread()
@@ -826,9 +754,10 @@ def settled(scene: Scene, setup: FitSetup, start: FirstShape) -> FirstShape:
     if start.relief is None:
         return start
     fit = LampFit(scene, replace(setup, progress=None), start, rounds=COMPARE_LAMP_ROUNDS)
-    lamps = fit.joint(some_places(scene)).state.lamps
+    joint = fit.joint(some_places(scene))
+    lamps, normals = joint.state.lamps, fit.normals(joint.matrix)
     return replace(
-        start, normals=fit.normals, directions=lamps.places, strengths=lamps.colors, relief=None
+        start, normals=normals, directions=lamps.places, strengths=lamps.colors, relief=None
     )
 
 

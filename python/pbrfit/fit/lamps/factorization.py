@@ -22,30 +22,6 @@ from pbrfit.fit.lamps.photometric import DARK, SCALE_MIN, refined, scale_of, sol
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BRIGHT = 2.5
-"""Radiance, of a pixel's median one, that a sample has at most where rounds start. Lamps in front
-of the surface bring at most 1/cos of their angle to the normal times the median."""
-
-SCALE_FIRST = 0.5
-"""σ of the first round, of a pixel's brightness: nearly all samples count."""
-
-FALL = 0.8
-"""Least ratio of σ from one round to the next."""
-
-ROUNDS_MAX = 40
-"""Rounds at most, of which ten take σ from its first value to that of gloss and shadows."""
-
-UNCHANGED = 1e-4
-"""Sine of the largest angle between the lamps' spaces of two rounds below which they are found: a
-hundredth of a degree."""
-
-RANK_GAIN = 1.5
-"""Standard deviation of the residuals without a direction, of that with it, up to which there is
-none. For noise alone it is 1, and hardly above it as the samples are those that suit three."""
-
-INLIER = 0.25
-"""Weight from which on a sample follows the law: its residual is below σ."""
-
 
 class Factors(NamedTuple):
     """Lamps of a product B Sᵀ."""
@@ -66,13 +42,15 @@ def factors(relative: Array, usable: Mask) -> Factors:
     relative, usable = relative[telling], usable[telling]
     if len(relative) < 3:
         return Factors(np.zeros((relative.shape[1], 3)), 0)
-    filled = np.where(usable, np.minimum(relative, BRIGHT), 1.0)
+    # Lamps in front bring at most 1/cos of their angle to the normal times the median.
+    filled = np.where(usable, np.minimum(relative, 2.5), 1.0)
     # By the N × N matrix: the same right singular vectors, without the P × N decomposition.
     _, singular = np.linalg.eigh(filled.T @ filled)
     lamps, _ = _whitened(singular[:, -3:])
     vectors = solved(relative, (usable & (relative >= DARK)).astype(np.float64), lamps)
-    sigma = SCALE_FIRST
-    for _ in range(ROUNDS_MAX):
+    # At first nearly all samples count; ten rounds take σ to that of gloss and shadows.
+    sigma, fall = 0.5, 0.8
+    for _ in range(40):
         before = lamps
         vectors = refined(relative, usable, lamps, vectors, sigma)
         weights = weights_of(relative, usable, vectors @ lamps.T, sigma)
@@ -80,9 +58,9 @@ def factors(relative: Array, usable: Mask) -> Factors:
         vectors = vectors @ back
         told = scale_of(relative, usable, vectors @ lamps.T)
         cosines = np.linalg.svd(before.T @ lamps / len(lamps), compute_uv=False)
-        if FALL * sigma <= told and 1 - cosines.min() ** 2 < UNCHANGED**2:
+        if fall * sigma <= told and 1 - cosines.min() ** 2 < 1e-4**2:  # a hundredth of a degree
             break
-        sigma = max(told, FALL * sigma)
+        sigma = max(told, fall * sigma)
     return _ordered(relative, usable, lamps, vectors, sigma)
 
 
@@ -108,9 +86,10 @@ def _ordered(relative: Array, usable: Mask, lamps: Array, vectors: Array, sigma:
     mean = (unit * shares[:, None]).T @ unit / max(shares.sum(), 1e-300)
     squared, turned = np.linalg.eigh(mean)
     lamps = lamps @ turned[:, ::-1]
-    follows = usable & (relative >= DARK) & (weights >= INLIER)
+    follows = usable & (relative >= DARK) & (weights >= 0.25)  # residuals below σ
     residuals = [_residual(relative, follows, lamps * (np.arange(3) < rank)) for rank in (1, 2, 3)]
-    most = max(RANK_GAIN * residuals[2], SCALE_MIN)
+    # For noise alone the ratio is hardly above 1, as the samples are those that suit three.
+    most = max(1.5 * residuals[2], SCALE_MIN)
     rank = 1 + int(np.argmax(np.array(residuals) <= most))
     return Factors(lamps * np.sqrt(np.maximum(squared[::-1], 0.0)), rank)
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pbrfit._core import InputError
 from pbrfit.fit.lamps.estimator import check_light, fit_lamps
 from pbrfit.fit.lamps.shape import first_shape, height_of
-from pbrfit.fit.run import Progress
-from pbrfit.fit.whole_picture import FitSetup
+from pbrfit.fit.run import FitSetup, Progress
 from pbrfit.model.lamps import Lamps
 from pbrfit.model.reflection import chosen_model, whole_number
 from pbrfit.registration.placement import aligned

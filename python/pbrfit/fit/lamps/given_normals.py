@@ -27,32 +27,12 @@ from pbrfit.model.lamps import Lamps
 
 Array = NDArray[np.float64]
 
-ROUNDS = 25
-"""Of albedo and lamps, far away: each costs two sums over the samples."""
-
-NEAR_ROUNDS = 8
-"""Of albedo and positions."""
-
-NEAR_PIXELS = 400
-"""That positions are judged by."""
-
-GRID = (11, 9, 11)
-"""Positions from left to right, bottom to top, and front to back."""
-
-REFINEMENTS = 5
-"""Times that the grid around the best position is halved: to 1/32 of a cell."""
-
 OUTSIDE = 0.3
 """How far beyond what is seen lamps are sought, of its size; behind the camera as far as the median
 distance."""
 
-FIRST_SCALE, SECOND_SCALE = 1.0, 0.1
-REFINING_STEPS, REFINING_DAMPING, FINAL_SCALE = 40, 0.02, 0.02
-"""Steps of Gauss and Newton on near lamps; damping, of the diagonal; and the scale of residuals, a
-logarithm, that weights begin and end with: a factor of e on some pixels, 10 % on all, and 2 %."""
-
-COLOR_ROUNDS = 30
-"""Of weights while colours of lamps are found."""
+FINAL_SCALE = 0.02
+"""Scale of residuals, a logarithm, that weights end with: 2 %."""
 
 DARK = 0.02
 """Share of a picture's mean radiance below which a pixel is taken to be in a shadow."""
@@ -63,10 +43,13 @@ TINY = 1e-12
 def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     """A lamp far away for each picture, and albedos (P, 3), by the given normals."""
     grey, usable = grey_samples(pixels.samples, pixels.told)
-    albedo = _typical(grey, usable)
+    # To begin with brightness over the pictures, each over its mean.
+    mean = (grey * usable).sum(axis=0) / np.maximum(usable.sum(axis=0), 1)
+    albedo = (grey / np.maximum(mean, TINY) * usable).sum(axis=1)
+    albedo = np.maximum(albedo / np.maximum(usable.sum(axis=1), 1), 0) + TINY
     vectors = np.zeros((pixels.pictures, 3))
     weights = usable.astype(np.float64)
-    for _ in range(ROUNDS):
+    for _ in range(25):  # each costs two sums over the samples
         regressors = pixels.normals * albedo[:, None]
         for i in range(pixels.pictures):
             w = weights[:, i] * ((pixels.normals @ vectors[i] > 0) | (not vectors[i].any()))
@@ -90,7 +73,7 @@ def far_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
 
 def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     """A near lamp for each picture, and albedos (P, 3)."""
-    few = pixels.of_rows(evenly_spaced(len(pixels), NEAR_PIXELS).astype(np.intp))
+    few = pixels.of_rows(evenly_spaced(len(pixels), 400).astype(np.intp))  # judge positions
     points = few.points
     assert points is not None
     grey, usable = grey_samples(few.samples, few.told)
@@ -100,19 +83,20 @@ def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
     size = high - low
     low, high = low - OUTSIDE * size, high + OUTSIDE * size
     high[2] = float(np.median(np.linalg.norm(points, axis=-1)))
-    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, GRID, strict=True)]
+    counts = 11, 9, 11  # from left to right, bottom to top, and front to back
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     cell = np.array([axis[1] - axis[0] for axis in axes])
     places = np.zeros((pixels.pictures, 3))
     everywhere = _shading(few, grid)
     corners = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    for _ in range(NEAR_ROUNDS):
+    for _ in range(8):  # of albedo and positions
         shading = np.zeros_like(grey)
         for i in range(pixels.pictures):
             scores, colors = _judged(grey[:, i], albedo, everywhere, usable[:, i])
             best = int(np.argmin(scores))
             place, width = grid[best], cell
-            for _ in range(REFINEMENTS):
+            for _ in range(5):  # halved to 1/32 of a cell
                 around = place + corners * width
                 nearby = _shading(few, around)
                 scores, colors = _judged(grey[:, i], albedo, nearby, usable[:, i])
@@ -127,9 +111,9 @@ def near_lamps(pixels: LampPixels) -> tuple[Lamps, Array]:
             found = np.nanmedian(ratio, axis=1)
         found = np.where(np.isfinite(found), found, np.nanmedian(found))
         albedo = np.exp(found - found.mean()) * ALBEDO_MEAN
-    places = _refined(few, grey, usable, places, FIRST_SCALE)
+    places = _refined(few, grey, usable, places, 1.0)
     grey, usable = grey_samples(pixels.samples, pixels.told)
-    places = _refined(pixels, grey, usable, places, SECOND_SCALE)
+    places = _refined(pixels, grey, usable, places, 0.1)
     lamps = Lamps(np.arange(pixels.pictures), places, np.ones(pixels.pictures, bool))
     shading = _shading(pixels, places).T
     return colored_by(pixels, lamps, shading, (shading > 0).astype(np.float64))
@@ -142,8 +126,8 @@ def _refined(
 
     With a = ln ρ of each pixel and b = ln c of each lamp the residual ln I − a − b − ln s is linear
     in a and b, and ln s = ln n·(q−p) − 3 ln |q−p| has the slope n/(n·(q−p)) − 3 (q−p)/|q−p|² by q.
-    Weights are those of Cauchy's distribution, whose scale falls from step to step, so that shadows
-    and highlights are left out in the end, and the pixels' a are eliminated.
+    Weights are those of Cauchy's distribution, whose scale falls from step to step, from `first`, a
+    logarithm, so that shadows and highlights are left out in the end. The pixels' a are eliminated.
     """
     points, normals = few.points, few.normals
     assert points is not None
@@ -151,7 +135,7 @@ def _refined(
     dark = grey < DARK * grey.mean(axis=0)
     logs = np.log(np.maximum(grey, TINY))
     a, b = np.zeros(count), np.zeros(lamps)
-    for number in range(REFINING_STEPS):
+    for number in range(40):
         away = places[:, None] - points
         squared = np.maximum((away**2).sum(axis=-1), TINY)
         height = np.einsum("kpx,px->kp", away, normals)
@@ -176,7 +160,7 @@ def _refined(
         gradient = np.einsum("kp,kpu->ku", weights * residual, slope).reshape(-1)
         gradient -= mixed.T @ ((weights * residual).sum(axis=0) / own)
         schur = matrix - mixed.T @ (mixed / own[:, None])
-        schur += np.diag(REFINING_DAMPING * np.diag(matrix) + 1e-9)
+        schur += np.diag(0.02 * np.diag(matrix) + 1e-9)
         change = np.linalg.solve(schur, gradient).reshape(lamps, 4)
         length = np.linalg.norm(change[:, :3], axis=-1)
         longest = 0.3 * float(np.median(np.sqrt(squared)))
@@ -211,14 +195,6 @@ def _judged(
     return np.where(known, found, np.inf), np.where(known, np.exp(np.where(known, color, 0)), 0.0)
 
 
-def _typical(grey: Array, usable: NDArray[np.bool_]) -> Array:
-    """(P,): brightness over the pictures, each over its mean: an albedo to begin with."""
-    count = np.maximum(usable.sum(axis=0), 1)
-    mean = np.maximum((grey * usable).sum(axis=0) / count, TINY)
-    found = (grey / mean * usable).sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
-    return np.asarray(np.maximum(found, 0) + TINY)
-
-
 def colored_by(
     pixels: LampPixels, lamps: Lamps, shading: Array, weights: Array
 ) -> tuple[Lamps, Array]:
@@ -234,7 +210,7 @@ def colored_by(
     logs = np.log(np.maximum(samples, TINY)) - np.log(np.maximum(shading, TINY))[..., None]
     of_lamps = np.log(mean)
     of_pixels = np.zeros((len(pixels), 3))
-    for number in range(COLOR_ROUNDS):
+    for number in range(30):
         scale = max(0.85**number, FINAL_SCALE)
         for _ in range(2):
             residual = logs - of_pixels[:, None] - of_lamps

@@ -45,9 +45,6 @@ SMOOTHING = 1.0
 """Standard deviation in pixels of the mean that b is taken over before it is differentiated: the
 derivatives' noise falls to a fifth, and details of two pixels remain."""
 
-ROUNDS = 5
-"""Rounds in which jumps of depth, where no surface goes on, are weighed down."""
-
 
 @dataclass(frozen=True, eq=False)
 class Integrability:
@@ -98,7 +95,7 @@ def equations(
     factors = np.einsum("adp,bdp->pab", by, by)
     count = len(np.unique(blocks[row, column]))
     weights = np.ones(len(b))
-    for _ in range(ROUNDS + 1):
+    for _ in range(6):  # jumps of depth, where no surface goes on, are weighed down
         mean = np.einsum("p,pab,pij->aibj", weights, factors, shaken, optimize=True)
         found = Integrability((rows * weights[:, None]).T @ rows, mean.reshape(9, 9), count)
         if not len(b):

@@ -30,13 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.fit.lamps.problem import (
-    LampPixels,
-    LampState,
-    by_place,
-    surface_of,
-    tangents,
-)
+from pbrfit.fit.lamps.problem import LampPixels, LampState, by_place, surface_of, tangents
 from pbrfit.fit.lamps.sample_noise import NOISE_MIN, Noise
 from pbrfit.fit.lamps.samples import BAS_RELIEF
 from pbrfit.fit.settings import MEAN_RADIANCE
@@ -51,17 +45,11 @@ UNKNOWNS = 6
 """Number for each pixel in joint steps: two offsets of the normal, albedo, roughness. Metallic
 waits."""
 
-OFFSET_STEP_MAX = 0.3
-"""Largest step of a normal's tangent offset, a tangent."""
-
 ROUGHNESS_MIN = 0.03
 """Least roughness that a step leads to: below, a lobe shows in no sample."""
 
 COSINE_MIN = 0.1
 """Least cosine of the angle between a normal and the one that its offsets are from: 84 degrees."""
-
-PLACE_STEP_MAX = 0.5
-"""Largest step of a lamp's place, of the distance or of the direction, a tangent."""
 
 AMBIENT_SHARE = 0.1
 """Prior standard deviation of each ambient coefficient, of the mean radiance: a lamp in a room
@@ -143,6 +131,12 @@ def offsets(base: Array, normals: Array) -> Array:
     return np.asarray(np.einsum("px,ptx->pt", normals, tangents(base)) / cosine[:, None])
 
 
+def unknowns_of(pixels: LampPixels, state: LampState) -> Array:
+    """(P, 6): offsets of the normals, albedo, roughness."""
+    away = offsets(pixels.normals, state.normals)
+    return np.concatenate([away, state.albedo, state.roughness[:, None]], axis=-1)
+
+
 class JointLamps:
     """The joint fit of some pixels; `state` is where it stands.
 
@@ -176,17 +170,14 @@ class JointLamps:
     def reweigh(self, *, renew: bool = True) -> None:
         """New noise and weights by what is left now."""
         if renew:
-            self.noise = self.noise.renewed(self.pixels, self.state, self._free_share())
+            samples = max(int(np.count_nonzero(self.pixels.weights)), 1)
+            own = 6 if self.freedom.normals else 4
+            free = float(max(1 - (own * len(self.pixels) + self._size()) / samples, 0.1))
+            self.noise = self.noise.renewed(self.pixels, self.state, free)
         self.weights = self.noise.judged(self.pixels, self.state).weighed()
         if self.lit is not None:
             self.weights *= self.lit(self.state.lamps)[..., None]
         self.cost = self.fitted(self.state, 0)[1]
-
-    def _free_share(self) -> float:
-        samples = max(int(np.count_nonzero(self.pixels.weights)), 1)
-        own = 6 if self.freedom.normals else 4
-        taken = own * len(self.pixels) + self._size()
-        return float(max(1 - taken / samples, 0.1))
 
     def _size(self) -> int:
         return 6 * len(self.state.lamps) + 3 * self.pixels.pictures
@@ -204,24 +195,10 @@ class JointLamps:
         tint = colors.mean(axis=0)
         return np.concatenate([[level / ALBEDO_SPREAD], (tint - tint.mean()) / TINT_SPREAD])
 
-    def _slope_of_scale(self, lamps: Lamps) -> Array:
-        """(4, 3 K): its derivatives by the colours."""
-        by_log = np.concatenate(
-            [np.full((1, 3), 1 / 3) / ALBEDO_SPREAD, (np.eye(3) - 1 / 3) / TINT_SPREAD]
-        )
-        slope = by_log[:, None] / np.maximum(lamps.colors, 1e-12) / len(lamps)
-        return np.asarray(slope.reshape(4, -1))
-
     def fitted(self, state: LampState, iterations: int) -> tuple[LampState, float]:
         """A state with surfaces that took so many steps, and the cost of all."""
-        state, costs, _ = fit_surfaces(
-            self.pixels,
-            state,
-            self.weights,
-            self.prior,
-            iterations=iterations,
-            free_normals=self.freedom.normals,
-        )
+        given, free = (self.pixels, state, self.weights, self.prior), self.freedom.normals
+        state, costs, _ = fit_surfaces(*given, iterations=iterations, free_normals=free)
         scale, ambient = self.scale_of(state.lamps), state.ambient / (AMBIENT_SHARE * MEAN_RADIANCE)
         cost = float(costs.sum() + (scale**2).sum() + (ambient**2).sum())
         if self.relief is not None:
@@ -322,10 +299,7 @@ class JointLamps:
         own, gradients = rows[:, :UNKNOWNS], rows[:, UNKNOWNS]
         mixed, pushes = mixed[:, :UNKNOWNS], mixed[:, UNKNOWNS]
         prior = self.prior
-        surface = np.concatenate(
-            [offsets(self.pixels.normals, state.normals), state.albedo, state.roughness[:, None]],
-            axis=-1,
-        )
+        surface = unknowns_of(self.pixels, state)
         precision = prior.precision[:, :UNKNOWNS]
         gradients += precision * (surface - prior.mean[:, :UNKNOWNS])
         np.einsum("puu->pu", own)[:] += precision
@@ -351,8 +325,11 @@ class JointLamps:
         gradient[first:] += precision_of * self.state.ambient[:, 0].reshape(-1)
         np.einsum("mm->m", shared)[first:] += precision_of
         if self.freedom.colors:
+            by_level = np.full((1, 3), 1 / 3) / ALBEDO_SPREAD
+            by_log = np.concatenate([by_level, (np.eye(3) - 1 / 3) / TINT_SPREAD])
+            by_color = by_log[:, None] / np.maximum(self.state.lamps.colors, 1e-12) / lamps
             slope = np.zeros((4, size))
-            slope[:, 3 * lamps : first] = self._slope_of_scale(self.state.lamps)
+            slope[:, 3 * lamps : first] = by_color.reshape(4, -1)
             shared += slope.T @ slope
             gradient += slope.T @ self.scale_of(self.state.lamps)
         return shared, gradient
@@ -377,7 +354,8 @@ class JointLamps:
         if self.freedom.shape:
             matrix += np.tensordot(change[self._size() :], BAS_RELIEF, 1)
         reach = np.where(lamps.near, np.linalg.norm(lamps.places, axis=-1), 1.0)
-        longest = np.maximum(np.linalg.norm(places, axis=-1) / (PLACE_STEP_MAX * reach), 1.0)
+        # Half of the distance, or of a tangent, at most.
+        longest = np.maximum(np.linalg.norm(places, axis=-1) / (0.5 * reach), 1.0)
         moved = lamps.places + places / longest[:, None]
         far = ~lamps.near
         moved[far] /= np.linalg.norm(moved[far], axis=-1, keepdims=True)
@@ -385,7 +363,7 @@ class JointLamps:
         normals = self.state.normals
         if self.freedom.normals:
             offsets = of_pixels[:, :2]
-            length = np.maximum(np.linalg.norm(offsets, axis=-1) / OFFSET_STEP_MAX, 1.0)
+            length = np.maximum(np.linalg.norm(offsets, axis=-1) / 0.3, 1.0)  # of a tangent
             offsets = offsets / length[:, None]
             moved_normals = normals + np.einsum("pt,ptx->px", offsets, tangents(normals))
             moved_normals /= np.linalg.norm(moved_normals, axis=-1, keepdims=True)

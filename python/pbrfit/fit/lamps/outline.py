@@ -21,20 +21,6 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-NEAREST, FARTHEST = 1.5, 4.5
-"""Distances in pixels from the mask's outside between which pixels tell of the outline: nearer ones
-show part of the background, farther ones have turned towards the camera."""
-
-SMOOTHING = 2.5
-"""Standard deviation in pixels of the mean over the mask whose slope is the outline's direction:
-evens out the stairs of pixels."""
-
-OUTLINE_MIN = 40
-"""Pixels along an outline below which there is none."""
-
-LEVELS = 12
-"""Radii of discs that are tried, from the smallest to the largest, each of the same ratio."""
-
 
 @dataclass(frozen=True, eq=False)
 class Outline:
@@ -57,14 +43,16 @@ def outline(mask: Mask, views: Array) -> Outline:
     if mask.all() or not mask.any():
         return none
     distance = np.asarray(distance_transform_edt(mask)) - 0.5
-    rows, columns = np.nonzero(mask & (distance >= NEAREST) & (distance <= FARTHEST))
-    blurred = gaussian_filter(mask.astype(np.float64), SMOOTHING, mode="nearest")
+    # Nearer pixels show part of the background, farther ones have turned towards the camera.
+    rows, columns = np.nonzero(mask & (distance >= 1.5) & (distance <= 4.5))
+    # Evens out the stairs of pixels.
+    blurred = gaussian_filter(mask.astype(np.float64), 2.5, mode="nearest")
     down, right = np.gradient(blurred)
     slope = np.stack([-right, down], axis=-1)[rows, columns]
     length = np.linalg.norm(slope, axis=-1)
     clear = length > 0.02  # of a pixel's step; smaller where thin parts have two outlines
     rows, columns, slope = rows[clear], columns[clear], slope[clear] / length[clear, None]
-    if len(rows) < OUTLINE_MIN:
+    if len(rows) < 40:
         return none
     view = views[rows, columns]
     outward = np.concatenate([slope, np.zeros((len(rows), 1))], axis=1)
@@ -82,7 +70,7 @@ def local_radius(distance: Array) -> Array:
     """
     largest = float(distance.max())
     found = np.maximum(distance, 0.5)
-    for radius in np.geomspace(max(2.0, largest / 64), max(largest, 2.0), LEVELS):
+    for radius in np.geomspace(max(2.0, largest / 64), max(largest, 2.0), 12):
         centres = distance >= min(radius, largest)
         if centres.any():
             covered = distance_transform_edt(~centres) <= radius

@@ -44,14 +44,8 @@ SCALE_START = 0.1
 """σ from which it is found: highlights and shadows differ by more, shading that is not quite
 Lambertian by less."""
 
-MEDIAN_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution, of the median of absolute values."""
-
 ROUNDS = 8
 """Rounds of weighted least squares at a pixel."""
-
-SAMPLES_AT_ONCE = 1 << 16
-"""Samples times triples that are compared at once: half a megabyte, which caches hold."""
 
 DARK = 0.02
 """Share of a pixel's brightness below which a sample is dark: it is told to be in shadow and says
@@ -126,7 +120,7 @@ def scale_of(relative: Array, usable: Mask, predicted: Array) -> float:
     if free == 0:
         return SCALE_MIN
     median = np.median(np.abs((relative - predicted)[lit]))
-    return float(np.clip(MEDIAN_TO_SIGMA * median / np.sqrt(free), SCALE_MIN, SCALE_START))
+    return float(np.clip(1.4826 * median / np.sqrt(free), SCALE_MIN, SCALE_START))
 
 
 def _triples(lamps: Array) -> NDArray[np.intp]:
@@ -153,7 +147,7 @@ def _best_of_triples(relative: Array, usable: Mask, lamps: Array) -> Array:
     triples, of_lamps = _triples(lamps), lamps.T.astype(np.float32)
     inverses = np.linalg.inv(lamps[triples]).astype(np.float32)  # b = S⁻¹ I
     best = np.empty_like(plain)
-    step = max(SAMPLES_AT_ONCE // (len(triples) * len(lamps)), 1)
+    step = max((1 << 16) // (len(triples) * len(lamps)), 1)  # half a megabyte, which caches hold
     for first in range(0, len(relative), step):
         part = slice(first, first + step)
         here, used = relative[part].astype(np.float32), usable[part]

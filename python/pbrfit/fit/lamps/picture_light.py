@@ -22,17 +22,6 @@ from pbrfit.model.reflection import Model
 
 Array = NDArray[np.float64]
 
-PIXELS = 4000
-"""That a light of some ten numbers is fitted to."""
-
-DIRECTIONS = 400
-"""On the whole sphere: 10 degrees apart."""
-
-STEPS = 30
-
-RIDGE = 1e-6
-"""Added to the diagonal of the linear equations, as a share of their trace."""
-
 
 def light_of_picture(
     samples: Array,
@@ -68,11 +57,11 @@ def light_of_picture(
     )
     one = Lamps(np.zeros(1, np.intp), np.array([[0.0, 0, 1]]), colors=np.ones((1, 3)))
     state = LampState(one, np.zeros((1, 16, 3)), normals, *materials)
-    rows = evenly_spaced(len(pixels), PIXELS).astype(np.intp)
+    rows = evenly_spaced(len(pixels), 4000).astype(np.intp)
     few, some = pixels.of_rows(rows), state.of_rows(rows)
     surfaces = some.normals, few.views, some.albedo, some.roughness, some.metallic
     ambient = _core.shade(*surfaces, model).reshape(-1, 3, 16)[..., :terms]
-    tried = spread_directions(DIRECTIONS)
+    tried = spread_directions(400)  # 10 degrees apart
     directions = np.broadcast_to(tried, (len(few), *tried.shape)).copy()
     unit = _core.lamp_radiance(*surfaces, directions, threads, model)
     best, color, of_ambient = _linear(few, unit, ambient)
@@ -96,7 +85,7 @@ def _linear(pixels: LampPixels, unit: Array, ambient: Array) -> tuple[int, Array
         matrix[:, 0, 0], right[:, 0] = w @ lamps**2, (w * y) @ lamps
         matrix[:, 0, 1:] = matrix[:, 1:, 0] = lamps.T @ around
         matrix[:, 1:, 1:], right[:, 1:] = ambient[:, c].T @ around, y @ around
-        ridge = RIDGE * np.trace(matrix, axis1=1, axis2=2) + 1e-12
+        ridge = 1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-12
         ridged = matrix + ridge[:, None, None] * np.eye(1 + terms)
         found[:, c] = np.linalg.solve(ridged, right[..., None])[..., 0]
         found[:, c, 0] = np.maximum(found[:, c, 0], 0.0)
@@ -115,7 +104,7 @@ def _refined(pixels: LampPixels, state: LampState, terms: int) -> LampState:
         return float((pixels.weights * residual**2).sum())
 
     cost = cost_of(state)
-    for _ in range(STEPS):
+    for _ in range(30):
         residual = radiance(pixels, state) - pixels.samples
         normals, albedo, roughness, metallic = surface_of(state)
         surfaces = normals, pixels.views, albedo, roughness, metallic

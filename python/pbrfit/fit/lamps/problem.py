@@ -214,14 +214,9 @@ def radiance(pixels: LampPixels, state: LampState) -> Array:
             found[:, picture] += of_lamps[:, k]
     if state.ambient.any():
         weights = _core.shade(normals, pixels.views, albedo, roughness, metallic, pixels.model)
-        found += _ambient(weights.reshape(-1, 3, 16), state)
+        weights, used = weights.reshape(-1, 3, 16), np.flatnonzero(state.ambient.any(axis=(0, 2)))
+        found += sum((weights[:, None, :, j] * state.ambient[:, j] for j in used), np.zeros(()))
     return found
-
-
-def _ambient(weights: Array, state: LampState) -> Array:
-    """(P, N, 3): what ambient light brings, by the weights (P, 3, 16)."""
-    used = np.flatnonzero(state.ambient.any(axis=(0, 2)))
-    return sum((weights[:, None, :, j] * state.ambient[:, j] for j in used), np.zeros(()))
 
 
 def by_pieces(

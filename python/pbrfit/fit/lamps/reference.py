@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.lamps.joint import JointLamps, fit_surfaces
+from pbrfit.fit.lamps.joint import JointLamps
 from pbrfit.fit.lamps.surfaces import STEPS, Band
 from pbrfit.fit.scale import reference_in_words, reference_region
 
@@ -40,10 +40,7 @@ class Reference:
 
 
 def refer(
-    fit: JointLamps,
-    valid: NDArray[np.bool_],
-    white: tuple[float, float, float],
-    surfaces: Surfaces,
+    fit: JointLamps, valid: NDArray[np.bool_], white: tuple[float, float, float], surfaces: Surfaces
 ) -> tuple[list[Band], Reference]:
     """Surfaces of all pixels, with lights that give those at (column, row) the third as albedo.
 
@@ -60,28 +57,17 @@ def refer(
     there = np.zeros_like(valid)
     there[rows, columns] = True
     moved = np.zeros(3)
-
-    def wanted(bands: list[Band], mask: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """(3,) each: by what the logarithm of lights is too small, and variance of the albedo."""
-        albedo, variance = (
-            np.concatenate(parts)[there[mask]]
-            for parts in (
-                [one.state.albedo for one in bands],
-                [one.variance[:, 2:5] for one in bands],
-            )
-        )
-        mean = np.maximum(albedo.mean(axis=0), settings.WHITE_ALBEDO_MIN)
-        return np.log(mean / value), variance.mean(axis=0) / len(albedo)
-
     for mask in (window & valid, valid):
-        bands = surfaces(mask)
-        left, variance = wanted(bands, mask)
-        for _ in range(settings.WHITE_STEPS_MAX):
-            if np.abs(left).max() < settings.WHITE_ERROR:
+        for number in range(settings.WHITE_STEPS_MAX + 1):
+            bands = surfaces(mask)
+            albedo = np.concatenate([one.state.albedo for one in bands])[there[mask]]
+            mean = np.maximum(albedo.mean(axis=0), settings.WHITE_ALBEDO_MIN)
+            left = np.log(mean / value)  # by which lights are too dark
+            if np.abs(left).max() < settings.WHITE_ERROR or number == settings.WHITE_STEPS_MAX:
                 break
             moved += _brightened(fit, left)
-            bands = surfaces(mask)
-            left, variance = wanted(bands, mask)
+    of_pixels = np.concatenate([one.variance[:, 2:5] for one in bands])[there[valid]]
+    variance = of_pixels.mean(axis=0) / len(of_pixels)
     # What all pixels left of it, by the neighbours that they are judged with.
     off = variance / value**2 + settings.WHITE_TOLERANCE**2 + left**2
     return bands, Reference(off, reference_in_words(white, len(own), np.expm1(moved)))
@@ -97,14 +83,7 @@ def _brightened(fit: JointLamps, step: Array) -> Array:
         ambient=state.ambient * factor,
         albedo=np.clip(state.albedo / factor, 0.0, 1.0),
     )
-    fit.state, _, _ = fit_surfaces(
-        fit.pixels,
-        state,
-        fit.weights,
-        fit.prior,
-        iterations=STEPS,
-        free_normals=fit.freedom.normals,
-    )
+    fit.state, _ = fit.fitted(state, STEPS)
     return np.asarray(step)
 
 

@@ -43,13 +43,6 @@ nothing is left, and weights do not matter."""
 SHADOWS = 1e-3, 0.5
 """Bounds of the share of a picture's samples in cast shadows: with more, they would be the rule."""
 
-FIRST_FLOOR, FIRST_RELATIVE, FIRST_SHADOWS = 0.02, 0.15, 0.1
-"""σ, relative deviation and shadows before anything was fitted, for which 10 % are much."""
-
-ROUNDS = 20
-"""Number of times that the equations for σ and κ are solved, which are linear given the
-variances."""
-
 
 class Judged(NamedTuple):
     """What noise makes of samples."""
@@ -86,9 +79,9 @@ class Noise:
     @classmethod
     def first(cls, pixels: LampPixels, *, proportional: bool = False) -> Noise:
         """Before anything was fitted."""
-        share = np.full(pixels.pictures, FIRST_SHADOWS)
-        floor = NOISE_MIN if proportional else FIRST_FLOOR
-        return cls(floor, FIRST_RELATIVE, share, proportional)
+        # Shadows on 10 % of the samples are much.
+        share, floor = np.full(pixels.pictures, 0.1), NOISE_MIN if proportional else 0.02
+        return cls(floor, 0.15, share, proportional)
 
     def variance(self, pixels: LampPixels) -> Array:
         """(P, N, 3): s²."""
@@ -120,8 +113,8 @@ class Noise:
         # What highlights leave says nothing of other samples.
         weights = weights * (bright < np.quantile(bright, 0.95))
         floor2, relative2 = self.floor**2, self.relative**2
-        for _ in range(ROUNDS):
-            # The likelihood's equations, weighed by 1/variance²: two straight lines.
+        for _ in range(20):
+            # The likelihood's equations, weighed by 1/variance²: two straight lines, given these.
             w = weights / np.maximum(floor2 + relative2 * bright, NOISE_MIN**2) ** 2
             a, b, c = w.sum(), (w * bright).sum(), (w * bright * bright).sum()
             d, e = (w * squares).sum(), (w * bright * squares).sum()

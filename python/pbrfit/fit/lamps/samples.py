@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit._core import InputError
+from pbrfit.fit.sampling import placed
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -76,9 +77,7 @@ class Samples:
 
     def plane(self, values: NDArray[Any], outside: float) -> Array:
         """(H, W, ...) of values of pixels (P, ...)."""
-        found = np.full(self.mask.shape + values.shape[1:], outside)
-        found[self.mask] = values
-        return found
+        return placed(values, self.mask, outside)
 
 
 @dataclass(frozen=True, eq=False)

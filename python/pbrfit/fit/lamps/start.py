@@ -32,16 +32,9 @@ PLACES_MIN = 30
 """Pixels with a pseudo-normal of their own below which cues say nothing: each of the eight unknowns
 would have fewer than four."""
 
-SAME_DEGREES = 5.0
-"""Mean angle between two minima's normals, in degrees, up to which they are one surface."""
-
 EQUALLY_LIKELY = 3.0
 """Difference of the negative log likelihood below which two minima are told to be undecided: odds
 of 20 to 1."""
-
-FLAT = 0.01
-"""Least singular value of the lamps' directions, of the largest, below which they lie in a plane:
-their largest angle to it is about a degree."""
 
 
 def start_of_known_lamps(
@@ -120,10 +113,7 @@ def _with_black(start: FirstShape, seen: Mask) -> FirstShape:
     numbers = ", ".join(str(i + 1) for i in np.flatnonzero(~seen))
     words = f"Nothing is lit in picture {numbers}: where its lamp stands is not determined"
     return replace(
-        start,
-        directions=along,
-        strengths=strengths,
-        undetermined=(*start.undetermined, words),
+        start, directions=along, strengths=strengths, undetermined=(*start.undetermined, words)
     )
 
 
@@ -164,7 +154,7 @@ def _strengths_of_known(data: Samples, lamps: Array) -> tuple[Array, tuple[str, 
 def _in_plane(lamps: Array) -> tuple[str, ...]:
     """Words on lamps (N, 3) that lie in a plane with the surface."""
     _, values, axes = np.linalg.svd(lamps, full_matrices=False)
-    if values[2] >= FLAT * values[0]:
+    if values[2] >= 0.01 * values[0]:  # the largest angle to it is about a degree
         return ()
     x, y, z = axes[2] * (1 if axes[2][2] >= 0 else -1)
     return (
@@ -197,7 +187,7 @@ def _decided(found: list[Minimum], places: Places, told: bool) -> tuple[Minimum,
             break
         elsewhere = unit_and_length(places.vectors @ other.normals)[0]
         apart = float(angles_between(normals, elsewhere).mean())
-        if apart > SAME_DEGREES:
+        if apart > 5:  # else they are one surface
             undetermined.append(
                 f"Another surface, {apart:.0f} degrees apart, is about as likely: the cues' "
                 f"likelihoods differ by a factor of {np.exp(other.cost - found[0].cost):.1f}"

@@ -17,15 +17,6 @@ from pbrfit.model.materials import nearest_inside
 
 Array = NDArray[np.float64]
 
-COLORED_MAX = 20_000
-"""Pixels that the lamps' colours are found from."""
-
-ROUNDS = 10
-"""Turns of albedo and strength: they have all samples in common, so few suffice."""
-
-GAP_MIN = 3.0
-"""Ratio of the second least to the least singular value of (S A)×d from which on A is told."""
-
 
 def finished(
     data: Samples,
@@ -66,7 +57,7 @@ def finished(
     shading = np.maximum(unit @ directions.T, 0.0)
     # Pixels of which no sample follows the law have an albedo all the same.
     weights = np.maximum(found.weights, 1e-6)[..., None] * data.told
-    some = some_of(len(unit), COLORED_MAX)
+    some = some_of(len(unit), 20_000)
     colors = strengths_of_channels(data.colors[some], shading[some], weights[some], strengths)
     albedos = _albedo(data.colors, shading, weights, colors)
     return FirstShape(
@@ -86,7 +77,7 @@ def strengths_of_channels(colors: Array, shading: Array, weights: Array, strengt
     tiny = np.finfo(np.float64).tiny
     found = np.repeat(strengths[:, None], colors.shape[2], axis=1)
     below = np.maximum(np.einsum("pnc,pn->nc", weights, shading**2), tiny)
-    for _ in range(ROUNDS):
+    for _ in range(10):  # both have all samples in common
         albedo = _albedo(colors, shading, weights, found)
         # Pixels count alike, not by the square of their albedo.
         albedo = np.maximum(albedo, 1e-3 * albedo.mean(axis=0) + tiny)
@@ -116,7 +107,7 @@ def strengths_along(lamps: Array, directions: Array) -> Array | None:
     cross = np.cross(np.eye(3)[None], directions[:, None])  # e_j × d
     rows = np.einsum("ni,njk->nkij", lamps, cross).reshape(-1, 9)
     _, values, vectors = np.linalg.svd(rows)
-    if values[7] < max(GAP_MIN * values[8], 1e-4 * values[0]):
+    if values[7] < max(3 * values[8], 1e-4 * values[0]):  # A is not told
         return None
     found = np.einsum("ni,nj,ij->n", lamps, directions, vectors[8].reshape(3, 3))
     found *= np.sign(found.sum())

@@ -31,7 +31,7 @@ from pbrfit.fit.lamps.joint import (
     JointLamps,
     SurfacePrior,
     fit_surfaces,
-    offsets,
+    unknowns_of,
 )
 from pbrfit.fit.lamps.problem import LampPixels, LampState, by_pieces, radiance, surface_of
 from pbrfit.fit.lamps.sample_noise import Noise, over_channels, probability
@@ -40,45 +40,17 @@ from pbrfit.fit.sampling import beside
 
 Array = NDArray[np.float64]
 
-BAND_PIXELS = 40_000
-"""That are fitted at once: some 100 MB with 12 pictures."""
-
-ROUNDS = 2
-"""Of weights and surfaces: shadows that hide behind a wrong normal show in the second."""
-
-METAL_STARTS = (0.35, 0.6)
-"""Roughness that a metal begins with."""
-
-AS_SEEN_DEVIATION = 0.1
-"""Deviation of a sample in the last fit by least squares, where the mean radiance is 0.4."""
-
-ROUGHNESS_STARTS = (0.15, 0.35, 0.75)
-"""That pixels with known normals begin with, too: a lobe that misses all samples has no slope."""
-
 STEPS = 12
 """Of each pixel in a round."""
 
 METAL_SHARE = 0.05
 """Share of metals that each label is expected to have before it was looked at."""
 
-VOTE_MAX, VOTERS = 3.0, 8
-"""Log odds that a pixel of a segment adds at most, and pixels that count as one."""
-
-SEGMENT_SHARES = (0.01, 0.95)
-"""Least and greatest share of metals in a segment: what is on it, or shines through, is little."""
-
-MISFIT_MIN = 0.01
-"""Least of what is left, in variances of the weights: a tenth of the 5 % they take at least."""
-
 SURE = 0.95
 """Probability from which a pixel is a metal, or a dielectric, altogether."""
 
 BOUND_STEP = 1e-6
 """Distance from 0 and 1 at which the slopes of values at these bounds are taken."""
-
-INDEPENDENT = 1 / 3
-"""Share of a pixel's samples that count in the choice between dielectric and metal: the three
-channels of a sample share what is left of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +67,8 @@ class Band:
     """Weighted sum of squared residuals, and sum of the scene's weights."""
 
 
-def bands(valid: NDArray[np.bool_], at_most: int = BAND_PIXELS) -> Iterator[slice]:
-    """Ranges of the valid pixels that make up whole rows."""
+def bands(valid: NDArray[np.bool_], at_most: int = 40_000) -> Iterator[slice]:
+    """Ranges of the valid pixels that make up whole rows: some 100 MB with 12 pictures."""
     size, start = 0, 0
     for count in valid.sum(axis=1).tolist():
         if size and size + count > at_most:
@@ -122,13 +94,56 @@ def neighbour_means(
     return found / counts.reshape(-1, *[1] * (values.ndim - 1))
 
 
-def surprise(pixels: LampPixels, state: LampState, noise: Noise, prior: SurfacePrior) -> Array:
-    """(P,): −ln of the posterior of each pixel's surface, up to a constant."""
-    at = np.concatenate(
-        [offsets(pixels.normals, state.normals), state.albedo, state.roughness[:, None]], axis=-1
-    )
-    squares = prior.precision[:, :UNKNOWNS] * (at - prior.mean[:, :UNKNOWNS]) ** 2
-    return np.asarray(0.5 * squares.sum(axis=-1) - noise.judged(pixels, state).likelihoods)
+@dataclass(frozen=True, eq=False)
+class SurfaceFit:
+    """Pixels under lights that are known, how their samples are off, and what is likely of them."""
+
+    pixels: LampPixels
+    noise: Noise
+    prior: SurfacePrior
+    free_normals: bool
+
+    def of_rows(self, rows: NDArray[np.intp]) -> SurfaceFit:
+        """Of some of the pixels."""
+        return replace(self, pixels=self.pixels.of_rows(rows), prior=self.prior.of_rows(rows))
+
+    def surprise(self, state: LampState) -> Array:
+        """(P,): −ln of the posterior of each pixel's surface, up to a constant."""
+        away = unknowns_of(self.pixels, state) - self.prior.mean[:, :UNKNOWNS]
+        squares = self.prior.precision[:, :UNKNOWNS] * away**2
+        likelihoods = self.noise.judged(self.pixels, state).likelihoods
+        return np.asarray(0.5 * squares.sum(axis=-1) - likelihoods)
+
+    def fitted(
+        self, state: LampState, weights: Array, *, free_roughness: bool = True
+    ) -> tuple[LampState, Array, Array]:
+        """The best surfaces by weights of the samples (P, N, 3); their costs and information."""
+        free = {"free_normals": self.free_normals, "free_roughness": free_roughness}
+        return fit_surfaces(self.pixels, state, weights, self.prior, iterations=STEPS, **free)
+
+    def robust(
+        self,
+        state: LampState,
+        rounds: int = 1,
+        *,
+        free_roughness: bool = True,
+        width: int | None = None,
+    ) -> tuple[LampState, Array, Array, Array]:
+        """Weights and surfaces in turn; also weights, costs and information.
+
+        With the `width` of the picture samples are judged with their neighbours.
+        """
+        weights = cost = information = np.zeros(0)
+        for _ in range(rounds):
+            judged, odds = self.noise.judged(self.pixels, state), None
+            if width is not None:
+                around = np.clip(judged.odds, -20, 20)
+                around = neighbour_means(around, self.pixels.places, width)
+                # Infinite where not too dark.
+                odds = np.where(np.isfinite(judged.odds), around, judged.odds)
+            weights = judged.weighed(odds)
+            state, cost, information = self.fitted(state, weights, free_roughness=free_roughness)
+        return state, weights, cost, information
 
 
 def better_of(
@@ -146,36 +161,6 @@ def better_of(
     for values, others in zip(surface, surface_of(other), strict=True):
         values[taken] = others[less]
     return state.with_surface(*surface), surprising
-
-
-def robust_surfaces(
-    pixels: LampPixels,
-    state: LampState,
-    noise: Noise,
-    prior: SurfacePrior,
-    *,
-    rounds: int = 1,
-    free_normals: bool,
-    free_roughness: bool = True,
-    width: int | None = None,
-) -> tuple[LampState, Array, Array, Array]:
-    """Weights and surfaces in turn; also weights, costs and information.
-
-    With the `width` of the picture samples are judged with their neighbours.
-    """
-    weights = cost = information = np.zeros(0)
-    for _ in range(rounds):
-        weights = weights_of(pixels, state, noise, width)
-        state, cost, information = fit_surfaces(
-            pixels,
-            state,
-            weights,
-            prior,
-            iterations=STEPS,
-            free_normals=free_normals,
-            free_roughness=free_roughness,
-        )
-    return state, weights, cost, information
 
 
 def facing_highlights(pixels: LampPixels, state: LampState) -> LampState:
@@ -200,37 +185,6 @@ def missing_highlights(pixels: LampPixels, state: LampState, noise: Noise) -> ND
     return np.flatnonzero((brighter**2 > over_channels(noise.variance(pixels)) / 3).any(axis=1))
 
 
-def from_neighbours(
-    pixels: LampPixels,
-    state: LampState,
-    surprising: Array,
-    noise: Noise,
-    prior: SurfacePrior,
-    width: int,
-) -> tuple[LampState, Array]:
-    """Surfaces of neighbours, where these surprise less than a pixel's own: (state, surprise).
-
-    A surface fits best where it was found, so that only those that surprise less there are tried.
-    """
-    for other in beside(pixels.places, width, NEIGHBOURS):
-        rows = np.flatnonzero((other >= 0) & (surprising[other] < surprising))
-        if len(rows):
-            trial = state.of_rows(other[rows])
-            told = surprise(pixels.of_rows(rows), trial, noise, prior.of_rows(rows))
-            state, surprising = better_of(state, surprising, trial, told, rows)
-    return state, surprising
-
-
-def weights_of(pixels: LampPixels, state: LampState, noise: Noise, width: int | None) -> Array:
-    """(P, N, 3): weights of samples by what a state leaves of them, judged with neighbours."""
-    judged = noise.judged(pixels, state)
-    if width is None:
-        return judged.weighed()
-    around = neighbour_means(np.clip(judged.odds, -20, 20), pixels.places, width)
-    # Infinite where not too dark.
-    return judged.weighed(np.where(np.isfinite(judged.odds), around, judged.odds))
-
-
 def fit_band(
     pixels: LampPixels,
     state: LampState,
@@ -248,12 +202,11 @@ def fit_band(
     `metals` is the prior of those that are metals; None where metallic is known. `once` leaves
     surfaces as one fit finds them, dielectrics alone, in an eighth of the time.
     """
-    state, weights, *_ = robust_surfaces(pixels, state, noise, prior, free_normals=freedom.normals)
+    given = SurfaceFit(pixels, noise, prior, freedom.normals)
+    state, weights, *_ = given.robust(state)
     of_kind = state.metallic * (1 - state.metallic)
     if not once:
-        state, weights, of_kind = _from_more_starts(
-            pixels, state, noise, prior, width, free=freedom.normals, metals=metals
-        )
+        state, weights, of_kind = _from_more_starts(given, state, width, metals)
     residual = pixels.residuals(radiance(pixels, state))
     variance = marginal = np.zeros((len(pixels), 7))
     if uncertain is not None:
@@ -264,96 +217,91 @@ def fit_band(
 
 
 def _from_more_starts(
-    pixels: LampPixels,
-    state: LampState,
-    noise: Noise,
-    prior: SurfacePrior,
-    width: int,
-    *,
-    free: bool,
-    metals: SurfacePrior | None,
+    given: SurfaceFit, state: LampState, width: int, metals: SurfacePrior | None
 ) -> tuple[LampState, Array, Array]:
     """Surfaces, weights of samples and the variance of metallic, by fits from several starts."""
+    pixels, free = given.pixels, given.free_normals
 
     def improved(begin: LampState, rows: NDArray[np.intp]) -> tuple[LampState, Array]:
         """With some pixels from another start, where that surprises less."""
         if not len(rows):
             return state, left
-        some, of_some = pixels.of_rows(rows), prior.of_rows(rows)
-        found, *_ = robust_surfaces(some, begin.of_rows(rows), noise, of_some, free_normals=free)
-        return better_of(state, left, found, surprise(some, found, noise, of_some), rows)
+        some = given.of_rows(rows)
+        found, *_ = some.robust(begin.of_rows(rows))
+        return better_of(state, left, found, some.surprise(found), rows)
 
-    left = surprise(pixels, state, noise, prior)
+    left = given.surprise(state)
     if free:
         turned = facing_highlights(pixels, state)
-        state, left = improved(turned, missing_highlights(pixels, state, noise))
-        moved, least = from_neighbours(pixels, state, left, noise, prior, width)
+        state, left = improved(turned, missing_highlights(pixels, state, given.noise))
+        moved, least = state, left
+        # Surfaces of neighbours that surprise less there: one fits best where it was found.
+        for other in beside(pixels.places, width, NEIGHBOURS):
+            rows = np.flatnonzero((other >= 0) & (least[other] < least))
+            if len(rows):
+                trial = moved.of_rows(other[rows])
+                told = given.of_rows(rows).surprise(trial)
+                moved, least = better_of(moved, least, trial, told, rows)
         state, left = improved(moved, np.flatnonzero(least < left))
     else:
-        for roughness in ROUGHNESS_STARTS:
+        for roughness in (0.15, 0.35, 0.75):  # a lobe that misses all samples has no slope
             begin = replace(state, roughness=np.full(len(pixels), roughness))
             state, left = improved(begin, np.arange(len(pixels)))
-    state, weights, cost, information = robust_surfaces(
-        pixels, state, noise, prior, rounds=ROUNDS, free_normals=free, width=width
-    )
+    # Shadows that hide behind a wrong normal show in the second round.
+    state, weights, cost, information = given.robust(state, 2, width=width)
     of_kind = state.metallic * (1 - state.metallic)
     if metals is not None:
-        judged = weights, (prior, metals), width, cost, information, free
-        state, of_kind = _with_metals(pixels, state, *judged)
+        state, of_kind = _with_metals(given, metals, state, weights, width, cost, information)
     if free:
-        state = _as_seen(pixels, state, prior)
+        state = _as_seen(given, state)
     return state, weights, of_kind
 
 
-def _as_seen(pixels: LampPixels, state: LampState, prior: SurfacePrior) -> LampState:
+def _as_seen(given: SurfaceFit, state: LampState) -> LampState:
     """The surfaces by least squares, from where robust fits have ended, roughness about as there.
 
     Samples that were taken to be in shadows count again. Among pictures that were left out of fits
     of eight objects this predicted all but one better, some by a quarter: of what is too dark much
     is no cast shadow but how surfaces are, and a normal that is a little off makes up for it.
     """
-    mean, precision = prior.mean.copy(), prior.precision.copy()
+    mean = given.prior.mean.copy()
     mean[:, 5] = state.roughness
-    around = replace(pixels, normals=state.normals)
-    weights = pixels.weights / AS_SEEN_DEVIATION**2
-    state, _, _ = fit_surfaces(
-        around, state, weights, SurfacePrior(mean, precision), iterations=STEPS, free_normals=True
-    )
-    return state
+    around = replace(given.pixels, normals=state.normals)
+    given = replace(given, pixels=around, prior=SurfacePrior(mean, given.prior.precision))
+    # A deviation of 0.1 where the mean radiance is 0.4.
+    return given.fitted(state, around.weights / 0.1**2)[0]
 
 
 def _with_metals(
-    pixels: LampPixels,
+    given: SurfaceFit,
+    metals: SurfacePrior,
     state: LampState,
     weights: Array,
-    priors: tuple[SurfacePrior, SurfacePrior],
     width: int,
     cost: Array,
     information: Array,
-    free_normals: bool,
 ) -> tuple[LampState, Array]:
     """A state of dielectrics, with metals where these explain the samples better.
 
-    `priors` are those of dielectrics and of metals. Also the variance of metallic (P,), never 0.
+    `metals` is the prior of these. Also the variance of metallic (P,), never 0.
     """
-    count = len(pixels)
+    pixels, count = given.pixels, len(given.pixels)
     metal, metal_cost, metal_information = state, np.full(count, np.inf), information
-    for roughness in METAL_STARTS[:1] if free_normals else METAL_STARTS:
+    for roughness in (0.35,) if given.free_normals else (0.35, 0.6):
         bright = np.clip(state.albedo * 1.5, 0.1, 1.0)
         begin = state.with_surface(state.normals, bright, np.full(count, roughness), np.ones(count))
-        begin, of_begin, told = fit_surfaces(
-            pixels, begin, weights, priors[1], iterations=STEPS, free_normals=free_normals
-        )
+        begin, of_begin, told = replace(given, prior=metals).fitted(begin, weights)
         take = of_begin < metal_cost
         metal, metal_cost = better_of(metal, metal_cost, begin, of_begin)
         metal_information = np.where(take[:, None, None], told, metal_information)
     # What the better of both leaves is misfit, of which costs count as so many samples: that of a
-    # pixel that neither explains, for its costs tell as much less, or what is usual.
+    # pixel that neither explains, for its costs tell as much less, or what is usual, or a tenth of
+    # the deviation that weights take at least. Three channels share what is left of a sample.
     samples = np.maximum((pixels.weights > 0).sum(axis=(1, 2)) - UNKNOWNS, 1)
     left_over = np.minimum(cost, metal_cost) / samples
-    misfit = np.maximum(left_over, max(float(np.median(left_over)), MISFIT_MIN))
-    odds = -0.5 * INDEPENDENT * (metal_cost - cost) / misfit
-    odds -= 0.5 * (_told(metal_information, priors[1]) - _told(information, priors[0]))
+    misfit = np.maximum(left_over, max(float(np.median(left_over)), 0.01))
+    odds = -0.5 * (1 / 3) * (metal_cost - cost) / misfit
+    odds -= 0.5 * (_told(metal_information, metals) - _told(information, given.prior))
     odds = neighbour_means(np.clip(odds, -50, 50), pixels.places, width, pixels.labels)
     share = metal_shares(odds, pixels.labels)
     odds += np.log(share / (1 - share))
@@ -363,13 +311,13 @@ def _with_metals(
     between = np.flatnonzero((metallic > 0) & (metallic < 1))
     if len(between):
         rather = chance[between, None] > 0.5
-        of_dielectrics, of_metals = (one.of_rows(between) for one in priors)
+        some, of_metals = given.of_rows(between), metals.of_rows(between)
         of_some = SurfacePrior(
-            np.where(rather, of_metals.mean, of_dielectrics.mean),
-            np.where(rather, of_metals.precision, of_dielectrics.precision),
+            np.where(rather, of_metals.mean, some.prior.mean),
+            np.where(rather, of_metals.precision, some.prior.precision),
         )
-        given = pixels.of_rows(between), state.of_rows(between), weights[between], of_some
-        refitted, _, _ = fit_surfaces(*given, iterations=STEPS, free_normals=free_normals)
+        mixed = replace(some, prior=of_some)
+        refitted, _, _ = mixed.fitted(state.of_rows(between), weights[between])
         for name in ("normals", "albedo", "roughness"):
             getattr(state, name)[between] = getattr(refitted, name)
     return state, variance
@@ -387,17 +335,18 @@ def _told(information: Array, prior: SurfacePrior) -> Array:
 def metal_shares(odds: Array, labels: NDArray[np.intp]) -> Array:
     """(P,): share of metals of each pixel's label.
 
-    A segment is of one kind, which its pixels vote for, none with more than `VOTE_MAX` and eight as
-    one, as neighbours share what is left of them; some of its pixels may be of another. Of what is
-    in no segment the share is found by expectation and maximisation.
+    A segment is of one kind, which its pixels vote for, none with log odds of more than 3 and eight
+    as one, as neighbours share what is left of them; some of its pixels may be of another: what is
+    on it, or shines through. Of what is in no segment the share is found by expectation and
+    maximisation.
     """
     found = np.full(len(odds), METAL_SHARE)
     for label in np.unique(labels):
         of = odds[labels == label]
         if label > 0:
-            votes = float(np.clip(of, -VOTE_MAX, VOTE_MAX).sum()) / VOTERS
+            votes = float(np.clip(of, -3.0, 3.0).sum()) / 8
             total = votes + np.log(METAL_SHARE / (1 - METAL_SHARE))
-            found[labels == label] = np.clip(probability(np.array(total)), *SEGMENT_SHARES)
+            found[labels == label] = np.clip(probability(np.array(total)), 0.01, 0.95)
             continue
         share = METAL_SHARE
         for _ in range(30):

@@ -23,12 +23,6 @@ from pbrfit.fit.priors.gaussian import GaussianPrior
 
 Array = NDArray[np.float64]
 
-MIRRORED_Z = -0.99
-"""Below this z of the given normal the tangents are those of its mirror image (docs/model.md)."""
-
-COSINE_MIN = 0.1
-"""Smallest cosine between two normals that a tangent offset is made of: it grows without bound."""
-
 
 def tangent_offsets_between(given: Array, changed: Array) -> Array:
     """Tangent offsets (P, 2) that change unit normals (P, 3) into others.
@@ -37,13 +31,13 @@ def tangent_offsets_between(given: Array, changed: Array) -> Array:
     a = n·t₁ / n·n₀ and b = n·t₂ / n·n₀.
     """
     x, y, z = given.T
-    mirrored = z <= MIRRORED_Z
+    mirrored = z <= -0.99  # tangents are those of the mirror image (docs/model.md)
     upper = np.where(mirrored, -z, z)
     first = np.stack([1 - x**2 / (1 + upper), -x * y / (1 + upper), -x], axis=-1)
     second = np.stack([-x * y / (1 + upper), 1 - y**2 / (1 + upper), -y], axis=-1)
     for tangent in (first, second):
         tangent[mirrored, 2] *= -1
-    cosine = np.maximum(np.einsum("pi,pi->p", given, changed), COSINE_MIN)
+    cosine = np.maximum(np.einsum("pi,pi->p", given, changed), 0.1)  # else it grows without bound
     return np.stack(
         [np.einsum("pi,pi->p", changed, tangent) / cosine for tangent in (first, second)], axis=-1
     )

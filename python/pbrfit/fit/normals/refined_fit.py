@@ -6,13 +6,13 @@ Whether they are is decided by left-out pictures (`pbrfit.fit.compare`), or aske
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings
-from pbrfit.fit.coarse import Lights, Watch, rounds
+from pbrfit.fit.coarse import Lights, rounds
 from pbrfit.fit.estimator import find_lights, solve
 from pbrfit.fit.levels import Level
 from pbrfit.fit.light_modes import light_modes
@@ -27,24 +27,13 @@ from pbrfit.fit.normals.free import FreeNormals
 from pbrfit.fit.normals.offset_prior import Neighbourhood, TangentOffsetPrior
 from pbrfit.fit.nuisances import FIELD_OF_VIEW, Nuisances
 from pbrfit.fit.objective import Objective
-from pbrfit.fit.run import Run
+from pbrfit.fit.run import Run, State
 from pbrfit.fit.sampling import pixel_index
-from pbrfit.result.data import Status
 from pbrfit.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
 OUT_OF_TIME = "the time limit came first"
-
-
-@dataclass(frozen=True, eq=False)
-class PixelFit:
-    """Where a fit of pixels ended: its run, whose scene has the normals, and x of its objective."""
-
-    run: Run
-    x: Array
-    status: Status
-    reason: str
 
 
 def fit(
@@ -55,8 +44,8 @@ def fit(
     start_given: bool,
     refines: bool,
     normals: Array | None = None,
-) -> PixelFit:
-    """Fit the scene of `run` from x, and refine its normals if so asked and there is time.
+) -> State:
+    """What is found from x, with refined normals if so asked and there is time.
 
     `make` gives the objective of a scene, with free normals or without. From `normals` (P, 3)
     pixels may start, beside the given ones.
@@ -64,20 +53,20 @@ def fit(
     refined = None
     if refines and run.left > 0:
         noise, refining = None, run
-        if run.shared_state is not None:  # a tile of a picture whose subset has found the rest
-            noise = run.shared_state.noise
+        if run.shared is not None:  # a tile of a picture whose subset has found the rest
+            noise = run.shared.noise
         elif run.camera.how == "assumed":
             find_lights(run, x)  # and a field of view, with the given normals
         free = make(run.scene, True)
         free_x, offsets = _start(run, x, free, normals)
-        if run.shared_state is None:
+        if run.shared is None:
             offsets, found, nuisances = _find_normals(run, free, free_x, offsets)
             noise = found.noise
             if nuisances is not None:
                 refining = run.continued(nuisances.scene, free)
                 refining.see(nuisances)
         refined = _refine(refining, free, free_x, offsets, make, noise)
-    return refined or PixelFit(run, *solve(run, x.copy(), start_given=start_given))
+    return refined or solve(run, x.copy(), start_given=start_given)
 
 
 def _start(
@@ -119,8 +108,7 @@ def _find_normals(
         for at_most in settings.NORMALS_ROUNDS_OF_PASSES:
             of_level = FreeNormals.of(level, given[chosen], sigma)
             part = free.part_of(x, level.pixels)
-            watch = Watch(run, x, level)
-            found = rounds(run, level, part, watch, of_level, at_most=at_most, nuisances=nuisances)
+            found = rounds(run, level, part, x, of_level, at_most=at_most, nuisances=nuisances)
             x[free.layout.maps.stop :] = part[level.objective.layout.maps.stop :]
             if found.cut_short:
                 break
@@ -138,47 +126,47 @@ def _refine(
     prior: TangentOffsetPrior,
     make: Callable[[Scene, bool], Objective],
     noise: NoiseModel | None,
-) -> PixelFit | None:
+) -> State | None:
     """The fit of all pixels with refined normals, from an x of `free`; None if time ran out."""
     with run.stage("normals of all pixels"):
         if not refine_all(free, free_x, prior, noise, run.out_of_time):
             return None
-    run, ended = _fit_held(run, free, free_x, make)
+    state = _fit_held(run, free, free_x, make)
+    run, ended = state.run, state.ended
     if run.out_of_time():  # perhaps after the fit that has ended
         ended = run.ended("")
     if run.objective.lighting is None and free.lighting is not None:
         without_lights = replace(run.scene, lighting=None)
         run = run.continued(without_lights, make(without_lights, False))
-    return PixelFit(run, _held_x(free, free_x, run.objective), *ended)
+    return replace(state, run=run, x=_held_x(free, free_x, run.objective), ended=ended)
 
 
 def _fit_held(
     run: Run, free: Objective, free_x: Array, make: Callable[[Scene, bool], Objective]
-) -> tuple[Run, tuple[Status, str]]:
-    """Fit materials with all priors, normals and lights held at those of an x of `free`.
+) -> State:
+    """What is found with all priors, normals and lights held at those of an x of `free`.
 
     That x changes. Lights are held because a fit to held normals that are a degree off takes
     blurred highlights for weak ones, and makes lights 2 to 12 % too bright and albedo too dark.
     Those of the joint steps, whose normals move along, are not bent so. But joint steps know
     squares only: where more was asked of lights, they are fitted once more.
     """
-    options = run.options
-    scene = replace(run.scene, normals=free.layout.whole(free.normals(free_x)))
+    scene, modes = replace(run.scene, normals=free.layout.whole(free.normals(free_x))), None
     if free.lighting is not None:
         of_lights = make(scene, False)
         if free.sample_weights is not None:
             of_lights = of_lights.weighed(free.sample_weights)
         held_x = _held_x(free, free_x, of_lights)
-        run.light_modes = light_modes(of_lights, held_x)
-    if free.lighting is not None and not options.priors.monochrome:
-        scene = replace(scene, lighting=free.unpack(free_x)[1])
-    run = run.continued(scene, make(scene, False))
-    objective = run.objective
-    found, status, reason = solve(run, _held_x(free, free_x, objective), start_given=True)
-    free_x[free.layout.materials] = found[objective.layout.materials]
+        modes = light_modes(of_lights, held_x)
+        if not run.options.priors.monochrome:
+            scene = replace(scene, lighting=free.unpack(free_x)[1])
+    objective = make(scene, False)
+    run = run.continued(scene, objective, light_modes=modes)
+    state = solve(run, _held_x(free, free_x, objective), start_given=True)
+    free_x[free.layout.materials] = state.x[objective.layout.materials]
     if objective.lighting is not None:
-        free_x[free.layout.maps.stop :] = found[objective.lighting]
-    return run, (status, reason)
+        free_x[free.layout.maps.stop :] = state.x[objective.lighting]
+    return state
 
 
 def _held_x(free: Objective, free_x: Array, held: Objective) -> Array:

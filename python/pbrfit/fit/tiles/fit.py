@@ -10,22 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbrfit.fit import settings, uncertainty
-from pbrfit.fit.estimator import discrepancy_of
 from pbrfit.fit.normals import refined_fit
-from pbrfit.fit.normals.refined_fit import PixelFit
 from pbrfit.fit.objective import Normalization, valid_values
 from pbrfit.fit.parameters import ParameterLayout
-from pbrfit.fit.run import Run, SharedState, material_errors
+from pbrfit.fit.run import FitSetup, Run, State, material_errors
 from pbrfit.fit.sampling import pixel_index
 from pbrfit.fit.tiles.windows import Tile, Window, cut, cut_maps, strided_window, tiles
-from pbrfit.fit.whole_picture import (
-    FitOutput,
-    FitSetup,
-    Start,
-    fit_pixels,
-    output_of,
-    uncertainty_of,
-)
+from pbrfit.fit.whole_picture import FitOutput, Start, fit_pixels, output_of, uncertainty_of
 from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.result.data import Stage, Status
 from pbrfit.result.history import HistoryRow
@@ -51,7 +42,7 @@ def fit_tiles(
     options = setup.options
     units = Normalization.of(scene, options.equal_exposures)
     subset = _fit_subset(scene, setup, units, start, subset_pixels)
-    clock, refined = subset.run, subset.refinement.refined
+    state, clock, refined = subset.state, subset.state.run, subset.refinement.refined
     seen = scene.through(clock.camera.fov_degrees, clock.camera.correction)
     layout = setup.layout(scene)
     maps = _Maps(scene, layout, uncertain=options.uncertainty)
@@ -67,12 +58,12 @@ def fit_tiles(
     for tile in pieces:
         found = _fit_tile(tile, subset, seen, setup, units)
         objective, x = found.run.objective, found.x
-        statuses.append(found.status)
+        statuses.append(found.ended[0])
         loss += objective.data_value_and_grad(x)[0] * objective.total_weight
         weight += objective.total_weight
         passes += found.run.evaluations * objective.pixels / layout.pixels
         before = time.perf_counter()
-        maps.put(tile, found, subset.shared_state)
+        maps.put(tile, found, state)
         clock.unmeasured += time.perf_counter() - before
         del found, objective, x  # before the next tile has its own
         told(clock.objective.residual_rmse(loss / weight))
@@ -86,14 +77,13 @@ def fit_tiles(
     elapsed, passes_done = clock.elapsed, clock.evaluations
     clock.rows.append(HistoryRow(elapsed, clock.iteration, passes_done, mean, rmse, **errors))
     return output_of(
-        clock,
+        replace(state, ended=ending(*state.ended, statuses, options)),
         setup,
         subset.refinement,
-        ending(subset.status, subset.reason, statuses, options),
         materials=maps.materials,
         lighting=subset.lighting,
         normals=maps.normals,
-        uncertainty=None if maps.spread is None else uncertainty_of(clock, maps.spread, layout),
+        uncertainty=None if maps.spread is None else uncertainty_of(state, maps.spread, layout),
         recon_rmse=None if setup.surrounded is None else rmse,
     )
 
@@ -120,14 +110,11 @@ def ending(
 class _Subset:
     """What a strided subset of the pixels found, which all others take over."""
 
-    run: Run
-    """Whose clock goes on."""
-    status: Status
-    reason: str
+    state: State
+    """Whose run's clock goes on."""
     refinement: Refinement
     lighting: Array
     """(N, 16, 3) in picture units."""
-    shared_state: SharedState
     nearest: _Nearest
 
 
@@ -150,39 +137,36 @@ def _fit_subset(
             valid_values(name, getattr(materials, name), scene.valid)
         start = cut_maps(materials, window), lights
     part = cut(scene, window)
-    found, refinement = fit_pixels(part, replace(setup, options=options), start, units)
-    run, x = found.run, found.x
-    materials, lighting = run.objective.unpack(x)
-    if options.uncertainty and run.discrepancy is None:
+    state, refinement = fit_pixels(part, replace(setup, options=options), start, units)
+    run = state.run
+    materials, lighting = run.objective.unpack(state.x)
+    if options.uncertainty and state.discrepancy is None:
         began = time.perf_counter()
-        run.discrepancy = discrepancy_of(run, run.objective, x)
+        state = replace(state, discrepancy=state.judged())
         run.unmeasured += time.perf_counter() - began
-    shared_state = SharedState(
-        material=run.fitted_prior, noise=run.noise, discrepancy=run.discrepancy
-    )
     nearest = _Nearest(window, scene.valid, materials, np.asarray(run.scene.normals))
-    return _Subset(run, found.status, found.reason, refinement, lighting, shared_state, nearest)
+    return _Subset(state, refinement, lighting, nearest)
 
 
 def _fit_tile(
     tile: Tile, subset: _Subset, scene: Scene, setup: FitSetup, units: Normalization
-) -> PixelFit:
-    """The fit of a tile of a scene, of which the subset has found all that pixels share."""
+) -> State:
+    """What is found of a tile of a scene, whose subset has found all that pixels share."""
     # Nobody reads the history of a tile, so it need not know the ground truth.
     part = replace(cut(scene, tile.outer), lighting=subset.lighting, truth=None)
     options = setup.options
-    if subset.shared_state.material is None:  # there was no time or no use for it
+    if subset.state.material is None:  # there was no time or no use for it
         options = replace(options, priors=replace(options.priors, material=0.0))
-    setup = replace(setup, options=options, progress=None)
+    began = setup.began + subset.state.run.unmeasured
+    setup = replace(setup, options=options, progress=None, began=began)
     make = partial(setup.objective, units=units)
     objective = make(part)
-    run = setup.run(part, objective, subset.shared_state)
-    run.unmeasured = subset.run.unmeasured
+    run = Run(setup, part, objective, subset.state)
     near, normals = subset.nearest.at(tile.outer)
     x = objective.pack(near.albedo, near.roughness, near.metallic)
     objective.put_best_albedo(x, objective.everything)
     if run.out_of_time():
-        return PixelFit(run, x, Status.TIME_LIMIT, "")
+        return State(run, x, ended=(Status.TIME_LIMIT, ""))
     refined = subset.refinement.refined
     start = normals[part.valid] if refined else None
     return refined_fit.fit(run, x, make, start_given=True, refines=refined, normals=start)
@@ -204,7 +188,7 @@ class _Maps:
             self.spread = uncertainty.Spread.empty(layout.pixels, unknowns, layout.channels)
             self._number = pixel_index(layout.valid).astype(np.int32)
 
-    def put(self, tile: Tile, found: PixelFit, shared_state: SharedState) -> None:
+    def put(self, tile: Tile, found: State, subset: State) -> None:
         """Keep what a tile found inside, with its posteriors."""
         objective, part = found.run.objective, found.run.scene
         materials, _ = objective.unpack(found.x)
@@ -214,9 +198,7 @@ class _Maps:
         tile.inner.of(self.normals)[...] = tile.inside.of(part.normals)
         if self.spread is None:
             return
-        discrepancy = shared_state.discrepancy
-        assert discrepancy is not None
-        spread = uncertainty.spread(objective, found.x, discrepancy, found.run.posterior)
+        spread = uncertainty.spread(objective, found.x, subset.judged(), found.posterior)
         inside = np.zeros(part.valid.shape, bool)
         tile.inside.of(inside)[...] = True
         numbers = tile.inner.of(self._number)[tile.inner.of(self._valid)]

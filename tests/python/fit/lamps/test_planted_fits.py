@@ -166,7 +166,7 @@ def test_cast_shadows_have_little_weight() -> None:
     assert hidden.sum() > 50
     assert np.median(weights[hidden]) < 0.05 * np.median(weights[lit])
     assert truth.directions_off(joint.state.lamps).max() < 1
-    found = fit._output(joint, fit._bands(joint))
+    found = fit._output(joint, *fit._bands(joint))
     # Where shadows end some pixels are taken for lit, and wrong; all others are right.
     border = np.any([binary_dilation(one) & ~binary_erosion(one) for one in shadow], axis=0)
     inside = truth.scene.valid & ~border
