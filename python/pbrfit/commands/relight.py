@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import add_light, choose_light
-from pbrfit.display.tone import ToneMap
+from pbrfit.display.tone import ToneMap, stops
 from pbrfit.fit.memory import available, size
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
@@ -221,8 +220,8 @@ def _sampled(
     count = options.turntable or 1
     steps = sorted({i * count // SAMPLED_FRAMES for i in range(SAMPLED_FRAMES)})
     frames = {k: _frame(k, result, light, options) for k in steps}
-    stops = round(0.0 - math.log2(max(white_of(frame) for frame in frames.values())), 1)
-    return frames, min(max(stops, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
+    exposure = stops(max(white_of(frame) for frame in frames.values()))
+    return frames, min(max(exposure, -LARGEST_EXPOSURE), LARGEST_EXPOSURE)
 
 
 def _write(

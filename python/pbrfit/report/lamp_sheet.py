@@ -79,6 +79,7 @@ def _short(name: str) -> str:
 def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
     """The picture around the balls, their circles and what the lamps make there."""
     from matplotlib.patches import Circle
+    from matplotlib.patheffects import withStroke
 
     finite = np.nan_to_num(shown.picture, posinf=0.0, neginf=0.0)
     axes.imshow(metrics.display(finite, metrics.white_of(finite)), interpolation="nearest")
@@ -101,7 +102,7 @@ def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
                     textcoords="offset points",
                     fontsize=7,
                     color="white",
-                    path_effects=_outlined(),
+                    path_effects=[withStroke(linewidth=1.8, foreground=BLACK)],
                     in_layout=False,
                 )
     middle = np.array([[ball.x, ball.y] for ball in shown.balls])
@@ -114,13 +115,6 @@ def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
     axes.set_title(f"ball (+ and circle), {shown.what} (rings)")
     axes.set_xlabel("x [pixels]")
     axes.set_ylabel("y [pixels]")
-
-
-def _outlined() -> list[Any]:
-    """Letters with a dark edge."""
-    from matplotlib.patheffects import withStroke
-
-    return [withStroke(linewidth=1.8, foreground=BLACK)]
 
 
 def draw_directions(

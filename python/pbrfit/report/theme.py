@@ -45,16 +45,6 @@ LIGHT: Mapping[str, str] = {
     "fail": "#a83c00",
 }
 
-GROUNDS = ("ground", "stage", "raised", "control")
-TEXTS = ("text", "quiet", "accent", "usable", "rough", "poor", "pass", "fail")
-"""Every text colour is read on every ground."""
-
-TEXT_CONTRAST = 4.5
-"""Least ratio of a text's relative luminance to its ground's (WCAG 2.2, 1.4.3)."""
-
-EDGE_CONTRAST = 3.0
-"""Least ratio of a control's edge to its ground (WCAG 2.2, 1.4.11)."""
-
 SCALES: Mapping[str, str] = {
     # Type: a ratio of 1.2 around 15 px.
     "small": ".75rem",
@@ -107,19 +97,6 @@ def button() -> str:
         '<circle cx="12" cy="12" r="8"/><path d="M12 4a8 8 0 0 1 0 16z" fill="currentColor"/></svg>'
         "</button>"
     )
-
-
-def contrast(one: str, other: str) -> float:
-    """Ratio of the relative luminances of two colours #rrggbb, 1 to 21 (WCAG 2.2)."""
-    low, high = sorted((_luminance(one), _luminance(other)))
-    return (high + 0.05) / (low + 0.05)
-
-
-def _luminance(color: str) -> float:
-    shares = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    # WCAG's own limit of the linear part.
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def _properties(values: Mapping[str, str]) -> str:
