@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from typing import Any
 
@@ -53,6 +54,20 @@ def real_number(name: str, value: Any, expected: str = "a number") -> float:
     with suppress(TypeError, ValueError, OverflowError):
         if not other:
             return float(value)
+    raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
+
+
+def finite(
+    name: str,
+    value: Any,
+    expected: str = "a finite number",
+    least: float = -math.inf,
+    most: float = math.inf,
+) -> float:
+    """As a finite float from `least` to `most`; `expected` is that in words."""
+    found = real_number(name, value, expected)
+    if math.isfinite(found) and least <= found <= most:
+        return found
     raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.io.resampling import averaged_channels
+from pbrfit.io.resampling import averaged_channels, averaged_where
 from pbrfit.registration import alignment
 from pbrfit.scene.scene import Scene
 
@@ -130,8 +130,11 @@ class Level:
         middle = self._inner(self._places)
         y, x = from_middle(middle, size)
         self._ones_y_x = np.stack([np.ones(len(y)), y, x])
-        normals = np.nan_to_num(np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0))
-        self._harmonics = _harmonics(normals).astype(np.float32)
+        n = np.nan_to_num(np.moveaxis(pictures.normals(size)[tuple(self._places)], -1, 0))
+        # Polynomials that span the harmonics up to order 2: (9, n, h, w).
+        squares = n[0] * n[0] - n[1] * n[1], 3 * n[2] * n[2] - 1
+        basis = [np.ones_like(n[0]), *n, n[0] * n[1], n[0] * n[2], n[1] * n[2], *squares]
+        self._harmonics = np.stack(basis).astype(np.float32)
         cut = [self._cut(i, None) for i in range(pictures.count)]
         self._values = np.stack([values for values, _ in cut])
         self._used = np.stack([used for _, used in cut])
@@ -280,12 +283,6 @@ def _windows(length: int, count: int, side: int) -> NDArray[np.intp]:
     return starts[:, None] + np.arange(side)
 
 
-def _harmonics(normals: Array) -> Array:
-    """(9, ...) polynomials that span the harmonics up to order 2, of normals (3, ...)."""
-    x, y, z = normals
-    return np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, 3 * z * z - 1])
-
-
 class Greys:
     """Grey pictures of a scene at any size, and where they hold data."""
 
@@ -298,27 +295,24 @@ class Greys:
         """Picture i of a size (h, w); 0 where it holds no data."""
         if (i, size) in self._kept:
             return self._kept[i, size]
-        if size == self.shape:
-            found = self._full(i)
+        if size != self.shape:
+            small, share = averaged_where(*self.of(i, self.shape), size)
+            grey, used = small.astype(np.float32), share > alignment.NEARLY_ALL
         else:
-            small, used = alignment.averaged_used(*self.of(i, self.shape), size)
-            found = small.astype(np.float32), used
+            scene, image = self._scene, self._scene.images[i]
+            grey = (image[..., 0] + image[..., 1] + image[..., 2]).astype(np.float32)
+            used = np.isfinite(grey)
+            if scene.mask is not None:
+                used &= scene.mask
+            for c in range(3):  # one after the other: an axis of three is slow to go along
+                if scene.weights is not None:
+                    used &= scene.weights[i, ..., c] > 0
+                if scene.limits is not None:
+                    used &= scene.limits[i, ..., c] == 0
+            grey = np.where(used, grey, np.float32(0))
         if size[0] * size[1] <= _KEPT_PIXELS:
-            self._kept[i, size] = found
-        return found
-
-    def _full(self, i: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        scene, image = self._scene, self._scene.images[i]
-        grey = (image[..., 0] + image[..., 1] + image[..., 2]).astype(np.float32)
-        used = np.isfinite(grey)
-        if scene.mask is not None:
-            used &= scene.mask
-        for c in range(3):  # one after the other: an axis of three is slow to go along
-            if scene.weights is not None:
-                used &= scene.weights[i, ..., c] > 0
-            if scene.limits is not None:
-                used &= scene.limits[i, ..., c] == 0
-        return np.where(used, grey, np.float32(0)), used
+            self._kept[i, size] = grey, used
+        return grey, used
 
     def normals(self, size: tuple[int, int]) -> NDArray[np.floating[Any]]:
         """(h, w, 3); NaN or 0 where there are none."""

@@ -14,6 +14,9 @@ from pbrfit.scene.correction import Correction
 
 How = Literal["given", "fitted", "assumed"]
 
+FOV_DOUBTED = 5.0
+"""Standard deviation of a fitted field of view, in degrees, above which the true one is asked."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -45,6 +48,16 @@ class Camera:
         """What the pictures say against what was given."""
         found = _with_sigma(self.figures["other_fov_degrees"], self.figures["other_fov_sigma"])
         return f"the pictures fit far better with about {found}"
+
+    def doubt(self) -> str:
+        """What is doubtful about it, a clause; empty where nothing is."""
+        if self.contradicted:
+            return f"the field of view is {self.in_words()}, but {self.contradiction()}"
+        if self.how == "assumed":
+            return f"the field of view is a guess, {self.fov_degrees:g} degrees"
+        if self.fov_sigma is not None and self.fov_sigma > FOV_DOUBTED:
+            return f"the field of view is hardly known, {self.in_words()}"
+        return ""
 
     def as_json(self) -> dict[str, Any]:
         """What `result.json` holds under `camera`."""

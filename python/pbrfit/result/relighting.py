@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pbrfit._core import InputError
-from pbrfit.io.checks import of_what, real_number
+from pbrfit.io.checks import finite, of_what, real_number
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model import lighting
 from pbrfit.model.environment import Environment, render_environment
@@ -62,10 +62,7 @@ class DirectionalLight:
         for name in ("azimuth", "elevation"):
             object.__setattr__(self, name, _degrees(name, getattr(self, name)))
         object.__setattr__(self, "color", _color(self.color))
-        expected = f"0 to {SOFTEST:g} degrees"
-        softness = real_number("softness", self.softness, expected)
-        if not 0 <= softness <= SOFTEST:
-            raise InputError(f"softness: expected {expected}, found {of_what(self.softness)}")
+        softness = finite("softness", self.softness, f"0 to {SOFTEST:g} degrees", 0.0, SOFTEST)
         object.__setattr__(self, "softness", softness)
 
     @property
@@ -112,10 +109,7 @@ class PointLight:
         position = _three_numbers("position", self.position, "three finite numbers")
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "color", _color(self.color))
-        expected = "a finite number, 0 or more"
-        radius = real_number("radius", self.radius, expected)
-        if not 0 <= radius < math.inf:
-            raise InputError(f"radius: expected {expected}, found {of_what(self.radius)}")
+        radius = finite("radius", self.radius, "a finite number, 0 or more", 0.0)
         object.__setattr__(self, "radius", radius)
 
     @property
@@ -352,8 +346,4 @@ def _color(given: Any) -> tuple[float, float, float]:
 
 
 def _degrees(name: str, value: float) -> float:
-    expected = "a finite number of degrees"
-    degrees = real_number(name, value, expected)
-    if not math.isfinite(degrees):
-        raise InputError(f"{name}: expected {expected}, found {value!r}")
-    return degrees
+    return finite(name, value, "a finite number of degrees")

@@ -31,7 +31,7 @@ from pbrfit.io.output import FolderForm, new_folder
 from pbrfit.io.quoting import listed, quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.model.lighting import Lighting
-from pbrfit.model.materials import Materials, of_channels, write_materials
+from pbrfit.model.materials import of_channels, write_materials
 from pbrfit.model.reflection import MODELS, Model
 from pbrfit.registration.placement import IN_LINE, NOT_CHECKED, aligned
 from pbrfit.result.camera import Camera
@@ -208,14 +208,21 @@ class Result(ResultData):
         of_maps = folder / "materials.exr"
         layers = images.read_channels(of_maps)
         materials, normals, mask = of_channels(layers, of_maps)
-        _check_maps(of_maps, materials, normals, mask)
+        if not mask.any():
+            raise InputError(f"{of_maps}: expected some pixel with mask.Y above 0.5, found none")
+        for name, values in {**vars(materials), "normal": normals}.items():
+            if not np.isfinite(values[mask]).all():
+                raise InputError(f"{of_maps}: expected finite {name}, found NaN or infinity")
         lighting = Lighting.load(folder / "lighting.json")
         file, expected = folder / "result.json", "what pbrfit writes"
         content = read_json(file, expected)
         try:
             details = details_of(content, folder)
             refined, blocked = details["refinement"].refined, details["transport"].blocks
-            summary = content["uncertainty"]
+            uncertainty = None
+            if content["uncertainty"] is not None:
+                _check_layers(layers, of_maps, layer_names(), "an uncertainty")
+                uncertainty = Uncertainty.of(layers, mask, content["uncertainty"])
             return cls(
                 **details,
                 materials=materials,
@@ -224,9 +231,7 @@ class Result(ResultData):
                 mask=mask,
                 pictures=lighting.pictures,
                 history=History.load(folder / "history.csv"),
-                uncertainty=(
-                    None if summary is None else _uncertainty(layers, of_maps, mask, summary)
-                ),
+                uncertainty=uncertainty,
                 given_normals=_given_normals(layers, of_maps, mask) if refined else None,
                 depth=_depth(layers),
                 segments=(
@@ -266,7 +271,10 @@ def details_of(content: Any, folder: Path) -> dict[str, Any]:
         "assumed": {k: text(v) for k, v in table(content["assumed"]).items()},
         "left_out": texts(content["left_out"]),
         "inputs": {k: text(v) for k, v in table(content["inputs"]).items()},
-        "stages": tuple(map(_stage, content["stages"])),
+        "stages": tuple(
+            Stage(text(one["name"]), positive(one["seconds"]), text(one["note"]))
+            for one in content["stages"]
+        ),
         "source": None if source is None else _source(source, folder),
         "refinement": Refinement.from_json(content["normals"]),
         "camera": None if camera is None else Camera.from_json(table(camera)),
@@ -303,17 +311,6 @@ def _check_is_result(folder: Path) -> None:
     )
 
 
-def _check_maps(
-    file: Path, materials: Materials, normals: NDArray[np.float64], mask: NDArray[np.bool_]
-) -> None:
-    """Raise InputError unless there are pixels, and all of them have finite values."""
-    if not mask.any():
-        raise InputError(f"{file}: expected some pixel with mask.Y above 0.5, found none")
-    for name, values in {**vars(materials), "normal": normals}.items():
-        if not np.isfinite(values[mask]).all():
-            raise InputError(f"{file}: expected finite {name}, found NaN or infinity")
-
-
 def model_of(content: Mapping[str, Any], file: Path) -> Model:
     """Return the model of a result by what its `result.json` holds.
 
@@ -324,10 +321,6 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
         if name == model:
             return model
     raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
-
-
-def _stage(content: Mapping[str, Any]) -> Stage:
-    return Stage(text(content["name"]), positive(content["seconds"]), text(content["note"]))
 
 
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:
@@ -349,13 +342,6 @@ def _source(content: Mapping[str, Any], folder: Path) -> Source:
 
 Layers = Mapping[str, NDArray[np.float32]]
 """Channels of `materials.exr`."""
-
-
-def _uncertainty(
-    layers: Layers, file: Path, mask: NDArray[np.bool_], summary: Mapping[str, Any]
-) -> Uncertainty:
-    _check_layers(layers, file, layer_names(), "an uncertainty")
-    return Uncertainty.of(layers, mask, summary)
 
 
 def _given_normals(layers: Layers, file: Path, mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from pbrfit import _core
 from pbrfit._core import InputError
 from pbrfit.lazy import lazy
 from pbrfit.model.geometry import positions, view_directions
-from pbrfit.model.materials import Materials
+from pbrfit.model.materials import Materials, nearest_inside
 from pbrfit.model.reflection import Model
 from pbrfit.transport.decision import Extents, Transport
 from pbrfit.transport.relief import Array, Mask, Relief, rays, relief
@@ -169,7 +169,7 @@ class Scenery:
     def _nearest(self) -> NDArray[np.uint32]:
         """For each wall and pixel, flat, the pixel that shows the wall nearest to it."""
         places = np.arange(self.mask.size, dtype=np.uint32).reshape(self.mask.shape)
-        found = [places[_nearest_in(wall.pixels)].ravel() for wall in self.walls]
+        found = [places[nearest_inside(wall.pixels)].ravel() for wall in self.walls]
         return np.concatenate(found) if found else np.empty(0, np.uint32)
 
     def with_extents(self, extents: Extents) -> Scenery:
@@ -373,12 +373,5 @@ def views(shape: tuple[int, ...], fov: float, places: NDArray[np.intp]) -> Array
 
 def filled(image: NDArray[Any], mask: Mask) -> NDArray[np.float32]:
     """(H, W, ...) in float32; where the mask has nothing, what the nearest pixel in it has."""
-    found: NDArray[np.float32] = np.asarray(image, np.float32)[_nearest_in(mask)]
+    found: NDArray[np.float32] = np.asarray(image, np.float32)[nearest_inside(mask)]
     return found
-
-
-def _nearest_in(mask: Mask) -> tuple[NDArray[np.intp], ...]:
-    """Row and column (H, W) of the nearest pixel of a mask."""
-    from scipy.ndimage import distance_transform_edt
-
-    return tuple(distance_transform_edt(~mask, return_distances=False, return_indices=True))

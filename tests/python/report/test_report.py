@@ -515,10 +515,10 @@ def test_flat_normals_are_doubted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("camera", "doubt"),
     [
-        (Camera(60.0, "assumed"), "the field of view is a guess (60 degrees)"),
+        (Camera(60.0, "assumed"), "the field of view is a guess, 60 degrees"),
         (Camera(62.0, "fitted", 4.9), ""),
-        (Camera(62.0, "fitted", 5.1), "hardly known: 62 ± 5 degrees, fitted"),
-        (CONTRADICTED, "60 degrees, given; the pictures fit far better with about 88 ± 2"),
+        (Camera(62.0, "fitted", 5.1), "hardly known, 62 ± 5 degrees, fitted"),
+        (CONTRADICTED, "60 degrees, given, but the pictures fit far better with about 88 ± 2"),
     ],
 )
 def test_a_field_of_view_that_pictures_doubt_is_said(
