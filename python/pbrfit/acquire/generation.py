@@ -164,7 +164,13 @@ def generate(
                 images.write_png(made / "segments.png", parts[0], tag=None)
             if relief is not None:
                 images.write_exr(made / "depth.exr", {"Z": relief.depth})
-            _write_pictures(made / PICTURES, report, journal)
+            (made / PICTURES).mkdir()
+            if with_photo:
+                images.write_png(made / PICTURES / f"{PHOTO}.png", photo.srgb8(), tag="srgb")
+            for picture in report.accepted:
+                pixels = journal.pixels(picture.attempts[-1].entry)
+                file = made / PICTURES / f"{picture.request.name}.png"
+                images.write_png(file, pixels, tag="srgb")
     if not enough:
         raise InputError(_too_few(report))
     return report
@@ -210,8 +216,8 @@ def _segments(photo: Photo, source: str, device: str) -> Segments | None:
         return None
     from pbrfit.acquire.segments import segment
 
-    with _or_instead("segments", source, "none or FILE"):
-        return segment(source, photo.srgb8(), **_options(source, device))
+    with _or_instead("segments", source, "none or FILE", device) as options:
+        return segment(source, photo.srgb8(), **options)
 
 
 def _normals(photo: Photo, source: str, fov: float, device: str) -> Normals:
@@ -221,8 +227,7 @@ def _normals(photo: Photo, source: str, fov: float, device: str) -> Normals:
             f"take flat ones first, and then `pbrfit normals SCENE --from {source} --view-width "
             "WIDTH --overwrite`"
         )
-    options = _options(source, device)
-    with _or_instead("normals", source, "flat, depth:FILE or FILE"):
+    with _or_instead("normals", source, "flat, depth:FILE or FILE", device) as options:
         return estimate(source, photo.srgb8(), fov=fov, mask=photo.mask, **options)
 
 
@@ -250,20 +255,15 @@ def _depth(
         mask=np.ones(photo.size, bool) if photo.mask is None else photo.mask,
         segments=None if segments is None else segments[0],
     )
-    options = _options(source, device)
-    with _or_instead("depth", source, "none, normals or FILE"):
+    with _or_instead("depth", source, "none, normals or FILE", device) as options:
         return depths.estimate(source, photo.srgb8(), surface, fuse=True, **options)
 
 
-def _options(source: str, device: str) -> dict[str, Any]:
-    return {"device": device} if source in NETWORKS else {}
-
-
 @contextmanager
-def _or_instead(what: str, source: str, others: str) -> Iterator[None]:
-    """Let the failure of a network say what does without one."""
+def _or_instead(what: str, source: str, others: str, device: str) -> Iterator[dict[str, Any]]:
+    """Give options for a source, and let the failure of a network say what does without one."""
     try:
-        yield
+        yield {"device": device} if source in NETWORKS else {}
     except InputError as error:
         if source not in NETWORKS:
             raise
@@ -311,13 +311,3 @@ def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> Non
         mask = np.where(photo.mask, 255, 0).astype(np.uint8)
         images.write_png(folder / "mask.png", mask, tag=None)
     (folder / "scene.toml").write_text(f"fov = {float(fov)!r}\n", encoding="utf-8")
-
-
-def _write_pictures(folder: Path, report: GenerationReport, journal: Journal) -> None:
-    """Generated pictures as they are in the journal, and the photograph as it was shown."""
-    folder.mkdir()
-    if report.with_photo:
-        images.write_png(folder / f"{PHOTO}.png", report.photo.srgb8(), tag="srgb")
-    for picture in report.accepted:
-        pixels = journal.pixels(picture.attempts[-1].entry)
-        images.write_png(folder / f"{picture.request.name}.png", pixels, tag="srgb")
