@@ -94,20 +94,22 @@ def run(options: argparse.Namespace) -> int:
     result = cli.read_result(options)
     if options.enhance:
         result = specular_enhanced(result)
-    _check_memory(options, kind, result)
+    # Animations hold all frames in memory, 4 bytes a pixel.
+    count, free = options.turntable or 1, available()
+    needed = 4 * count * result.mask.size
+    if kind != "folder" and free is not None and needed > free:
+        expected = f"expected {size(needed)} of memory for {count} frames, found {size(free)}"
+        raise MemoryError(f"{options.out}: {expected}; a folder needs that of one")
     light, said = choose_light(options, result)
     exposure, sampled = options.exposure, dict[int, Radiance]()
     if exposure is None and _for_screen(options, kind):
         sampled, exposure = _sampled(result, light, options)
     screen = Screen(exposure or 0.0, options.tone_map or "neutral")
-    with cli.progress_bar(options.turntable or 1, quiet=options.quiet, unit="frame") as bar:
+    with cli.progress_bar(count, quiet=options.quiet, unit="frame") as bar:
 
         def frames() -> Iterator[Radiance]:
-            made = (
-                sampled.pop(k) if k in sampled else _frame(k, result, light, options)
-                for k in range(options.turntable or 1)
-            )
-            for frame in made:
+            for k in range(count):
+                frame = sampled.pop(k) if k in sampled else _frame(k, result, light, options)
                 bar.update()
                 yield frame
 
@@ -189,15 +191,6 @@ def _check_free(options: argparse.Namespace, kind: str) -> None:
         check_free(options.out, overwrite=options.overwrite, form=_frames_folder(options))
     else:
         check_free_file(options.out, overwrite=options.overwrite)
-
-
-def _check_memory(options: argparse.Namespace, kind: str, result: Result) -> None:
-    """Refuse animations that do not fit into memory, which holds all frames, 4 bytes a pixel."""
-    frames, free = options.turntable or 1, available()
-    needed = 4 * frames * result.mask.size
-    if kind != "folder" and free is not None and needed > free:
-        expected = f"expected {size(needed)} of memory for {frames} frames, found {size(free)}"
-        raise MemoryError(f"{options.out}: {expected}; a folder needs that of one")
 
 
 def _frames_folder(options: argparse.Namespace) -> FolderForm:

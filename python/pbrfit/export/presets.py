@@ -105,10 +105,6 @@ class Plan:
     displacement: str = "displacement"
     """Name of the texture with the height."""
 
-    def bits_of(self, texture: Texture) -> Bits:
-        """Of an integer file of the texture."""
-        return self.bits or texture.bits
-
 
 def plan(
     *,

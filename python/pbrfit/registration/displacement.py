@@ -208,44 +208,21 @@ class Level:
             sigma = 1.4826 * float(np.median(np.abs(residual)))
             weights = scale**2 / (1 + (residual / (_CAUCHY * max(sigma, 1e-9))) ** 2)
         by_basis = np.linalg.solve(matrix[:count, :count], matrix[:count, count:])
-        from_basis = known[count:] - by_basis.T @ known[:count]
-        return self._judged(from_basis, factors[count:], weights, residual / scale, used, scale)
-
-    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
-        """The others that have pixels in common with picture i, and which these are."""
-        own, kept = self._used[i], sorted(others)
-        used = own & self._used[kept].all(axis=0)
-        while len(kept) > 2 and np.count_nonzero(used) < LEAST_COMMON * np.count_nonzero(own):
-            kept.remove(min(kept, key=lambda j: int(np.count_nonzero(own & self._used[j]))))
-            used = own & self._used[kept].all(axis=0)
-        return kept, used
-
-    def _judged(
-        self,
-        moves: Array,
-        found: Array,
-        weights: Array,
-        residual: Array,
-        used: NDArray[np.bool_],
-        scale: Array,
-    ) -> Fit | None:
-        """How much a displacement explains.
-
-        `moves` (6, P) is what its parts, `found` (6,), change that the basis does not explain.
-        """
-        unmoved = residual + found @ moves
+        # What the parts of the displacement change that the basis does not explain.
+        moves, found = known[count:] - by_basis.T @ known[:count], factors[count:]
+        unmoved = residual / scale + found @ moves
         weighted = moves * weights
         unexplained = np.full(len(used), np.nan)
         unexplained[used] = unmoved * scale
-        matrix, slope = weighted @ moves.T, weighted @ unmoved
+        matrix, by_moves = weighted @ moves.T, weighted @ unmoved
         ridge = 1e-9 * np.trace(matrix)
         if not ridge > 0:
             return None
         matrix[np.diag_indices(6)] += ridge
         shift, alone = [0, 3], np.zeros(6)
-        alone[shift] = np.linalg.solve(matrix[np.ix_(shift, shift)], slope[shift])
+        alone[shift] = np.linalg.solve(matrix[np.ix_(shift, shift)], by_moves[shift])
         squares = float(weights @ unmoved**2) or 1.0
-        gains = float(slope @ alone), float(slope @ found)
+        gains = float(by_moves @ alone), float(by_moves @ found)
         return Fit(
             shift=Estimate(
                 affine=self.pixel * alone.reshape(2, 3),
@@ -259,6 +236,15 @@ class Level:
             ),
             unexplained=unexplained,
         )
+
+    def _common(self, i: int, others: Sequence[int]) -> tuple[list[int], NDArray[np.bool_]]:
+        """The others that have pixels in common with picture i, and which these are."""
+        own, kept = self._used[i], sorted(others)
+        used = own & self._used[kept].all(axis=0)
+        while len(kept) > 2 and np.count_nonzero(used) < LEAST_COMMON * np.count_nonzero(own):
+            kept.remove(min(kept, key=lambda j: int(np.count_nonzero(own & self._used[j]))))
+            used = own & self._used[kept].all(axis=0)
+        return kept, used
 
     def rms(self, affine: Array) -> float:
         """Root mean square length of a displacement (2, 3) over the pixels."""

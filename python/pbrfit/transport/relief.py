@@ -113,25 +113,12 @@ def rays(
 
 
 def relief(points: Array, normals: Array, mask: Mask, fov: float, most: int) -> Relief:
-    """Find surface and jumps.
+    """Find surface and jumps; InputError if there is no point.
 
-    Parameters
-    ----------
-    points
-        (H, W, 3) as `pbrfit.model.geometry.positions` gives them; NaN where nothing is known to be.
-    normals
-        (H, W, 3), unit; used in the mask only. Others are those of differences of points.
-    mask
-        (H, W): where normals hold.
-    fov
-        Horizontal field of view in degrees.
-    most
-        Points to keep at most; of larger pictures every second, third, ... pixel.
-
-    Raises
-    ------
-    InputError
-        If there is no point.
+    `points` (H, W, 3) are as of `pbrfit.model.geometry.positions`, NaN where nothing is known to
+    be. Unit `normals` (H, W, 3) hold in the mask (H, W); others are those of differences of points.
+    The field of view is horizontal, in degrees. At most `most` points are kept: of larger pictures
+    every second, third, ... pixel.
     """
     height, width = mask.shape
     step = max(1, math.ceil(math.sqrt(mask.size / most)))

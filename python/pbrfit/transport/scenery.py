@@ -232,20 +232,10 @@ class Scenery:
         """Pictures of materials among these surroundings under SH light.
 
         Light that surfaces reflect goes on from picture to picture: what a picture without it shows
-        is what surfaces send to others, and so on, `BOUNCES` times.
+        is what surfaces send to others, and so on, `BOUNCES` times, where `transport` says so.
 
-        Parameters
-        ----------
-        materials, normals
-            Maps (H, W, ...), NaN outside the mask.
-        lighting
-            (16, 3) or (N, 16, 3), linear Rec.709.
-        transport
-            Whether light is reflected between surfaces.
-
-        Returns
-        -------
-        (H, W, 3) or (N, H, W, 3) float64, linear Rec.709; NaN outside the mask.
+        Maps are (H, W, ...), NaN outside the mask, and lighting (16, 3) or (N, 16, 3), linear
+        Rec.709. Returns (H, W, 3) or (N, H, W, 3) float64, likewise.
         """
         given = np.asarray(lighting, np.float64)
         lights = given.reshape(-1, *given.shape[-2:])
@@ -273,21 +263,11 @@ class Scenery:
     def open_to(
         self, light: ArrayLike, places: NDArray[np.intp] | None = None, *, near: bool = False
     ) -> NDArray[np.bool_]:
-        """Whether light of a lamp meets nothing before a pixel.
+        """(P,): whether light of a lamp meets nothing before a pixel, or nobody knows where it is.
 
-        Parameters
-        ----------
-        light
-            (3,) in camera space: unit vector from the surface to a lamp that is far away, or the
-            place of one that is near, in the unit of depth.
-        places
-            (P,) pixels, counted row by row; None = those of the mask.
-        near
-            Which of both.
-
-        Returns
-        -------
-        (P,); True where nobody knows where a pixel is.
+        `light` (3,) in camera space is the unit vector from the surface to a lamp that is far away,
+        or the place of a `near` one, in the unit of depth. `places` (P,) are pixels, counted row by
+        row; None = those of the mask.
         """
         places = np.flatnonzero(self.mask) if places is None else places
         starts = self.starts.reshape(-1, 3)[places].astype(np.float64)

@@ -82,14 +82,9 @@ class Plane:
 
 
 def find_walls(found: Relief, points: Array, normals: Array, mask: Mask) -> tuple[Wall, ...]:
-    """Find walls, floor and ceiling, the largest first.
+    """Find walls, floor and ceiling, the largest first, in a surface and what it was made of.
 
     They are planes of regions that are grown over neighbours of about one normal.
-
-    Parameters
-    ----------
-    found, points, normals, mask
-        The surface that pixels show, and what it was made of.
     """
     here = found.here
     seen, facing = found.points[here], found.normals[here]
