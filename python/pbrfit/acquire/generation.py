@@ -159,7 +159,13 @@ def generate(
         (made / SHEET).write_bytes(as_png(report.sheet(journal)))
         enough = len(report.accepted) + with_photo >= PICTURES_MIN
         if enough:
-            _write_maps(made, photo, view, surface)
+            write_normals(made / "normals.exr", surface.normals, surface.uncertainty)
+            if surface.weights is not None:
+                write_weights(made / WEIGHT_FILE, surface.weights, ())
+            if photo.mask is not None:
+                mask = np.where(photo.mask, 255, 0).astype(np.uint8)
+                images.write_png(made / "mask.png", mask, tag=None)
+            (made / "scene.toml").write_text(f"fov = {float(view)!r}\n", encoding="utf-8")
             if parts is not None:
                 images.write_png(made / "segments.png", parts[0], tag=None)
             if relief is not None:
@@ -301,13 +307,3 @@ def _too_few(report: GenerationReport) -> str:
         f"{report.out}: expected at least {PICTURES_MIN} pictures for a scene, found "
         f"{found}{with_photo}; left out were {told or 'none'}"
     )
-
-
-def _write_maps(folder: Path, photo: Photo, fov: float, surface: Normals) -> None:
-    write_normals(folder / "normals.exr", surface.normals, surface.uncertainty)
-    if surface.weights is not None:
-        write_weights(folder / WEIGHT_FILE, surface.weights, ())
-    if photo.mask is not None:
-        mask = np.where(photo.mask, 255, 0).astype(np.uint8)
-        images.write_png(folder / "mask.png", mask, tag=None)
-    (folder / "scene.toml").write_text(f"fov = {float(fov)!r}\n", encoding="utf-8")

@@ -118,24 +118,11 @@ def render_environment(
     *,
     model: Model = DEFAULT_MODEL,
 ) -> Array:
-    """Radiance of a view under a panorama, with the full reflection model.
+    """Radiance (H, W, 3), linear Rec.709, of a view under a panorama, with the full model.
 
     What `render_directional` gives under every pixel of the panorama, by a sum of a few blurred
-    look-ups (docs/relight.md#panoramas has the errors). Never negative. Nothing casts a shadow.
-
-    Parameters
-    ----------
-    materials, normals, fov, threads, model
-        As for `render`.
-
-    Returns
-    -------
-    (H, W, 3) float64, linear Rec.709.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit together or a value is out of range.
+    look-ups (docs/relight.md#panoramas has the errors). Never negative. Nothing casts a shadow. All
+    else is as for `render`.
     """
     model = checked_model(model)
     view, threads = View.of_maps(materials, normals, fov), whole_number("threads", threads)

@@ -76,11 +76,6 @@ def range_key(what: str, ticks: Mapping[float, str]) -> str:
     return _key(what, ", ".join(map(css, colors)), ticks, {})
 
 
-def outside_patch() -> str:
-    """What pixels outside the mask look like."""
-    return '<span class="patch outside"></span> outside the mask'
-
-
 def _key(what: str, stops: str, ticks: Mapping[float, str], patches: Mapping[str, str]) -> str:
     # Labels at the ends of the bar do not stick out of it.
     ends = {0.0: ' class="first"', 1.0: ' class="last"'}

@@ -112,9 +112,8 @@ def _draw_balls(axes: Axes, labels: Sequence[str], shown: ShownBalls) -> None:
     height, width = shown.picture.shape[:2]
     axes.set_xlim(max(left, -0.5), min(right, width - 0.5))
     axes.set_ylim(min(bottom, height - 0.5), max(top, -0.5))
-    axes.set_title(f"ball (+ and circle), {shown.what} (rings)")
-    axes.set_xlabel("x [pixels]")
-    axes.set_ylabel("y [pixels]")
+    title = f"ball (+ and circle), {shown.what} (rings)"
+    axes.set(title=title, xlabel="x [pixels]", ylabel="y [pixels]")
 
 
 def draw_directions(
@@ -164,11 +163,6 @@ def draw_directions(
     if len(places):
         axes.legend(loc="upper right", fontsize=8)
     room = 1.12 * largest
-    axes.set_xlim(-room, room)
-    axes.set_ylim(-room, room)
-    axes.set_aspect("equal")
-    axes.set_title("lamps by angle to the viewer (+)")
-    axes.set_xlabel("← left · right (X) →")
-    axes.set_ylabel("← down · up (Y) →")
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xlim=(-room, room), ylim=(-room, room), aspect="equal", xticks=[], yticks=[])
+    axes.set(xlabel="← left · right (X) →", ylabel="← down · up (Y) →")
+    axes.set(title="lamps by angle to the viewer (+)")

@@ -110,7 +110,7 @@ def _recovered(result: Result) -> Block:
         remark = f"white = fitted, {100 * mask.mean():.3g} % of the pixels"
         shown = Shown(_grey(mask), "mask", remark, "Mask of the pixels that were fitted")
         pictures.append(shown)
-        outside = f'<span class="mark">{figures.outside_patch()}</span>'
+        outside = '<span class="mark"><span class="patch outside"></span> outside the mask</span>'
     ball = raster.picture_png(0.5 + 0.5 * ball_normals(BALL_SIDE))
     shown_ball = figures.picture(ball, (BALL_SIDE, BALL_SIDE), "Key to the normals: a ball")
     key = (

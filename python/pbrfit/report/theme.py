@@ -9,41 +9,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-DARK: Mapping[str, str] = {
-    "ground": "#121315",
-    "stage": "#0a0b0c",
-    "raised": "#1c1e21",
-    "control": "#2a2d31",
-    "line": "#34383d",
-    "edge": "#7d848c",
-    "text": "#e9eaec",
-    "quiet": "#a4aab2",
-    "accent": "#7cc0f5",
-    "on-accent": "#0b1a26",
-    "usable": "#6fbcf2",
-    "rough": "#efb341",
-    "poor": "#ff9166",
-    "pass": "#4fc79b",
-    "fail": "#ff9166",
+COLORS: Mapping[str, tuple[str, str]] = {
+    "ground": ("#121315", "#fbfbfa"),
+    "stage": ("#0a0b0c", "#e6e6e4"),
+    "raised": ("#1c1e21", "#ffffff"),
+    "control": ("#2a2d31", "#efefed"),
+    "line": ("#34383d", "#dcdcd8"),
+    "edge": ("#7d848c", "#787c80"),
+    "text": ("#e9eaec", "#1b1c1e"),
+    "quiet": ("#a4aab2", "#55595e"),
+    "accent": ("#7cc0f5", "#00568a"),
+    "on-accent": ("#0b1a26", "#ffffff"),
+    "usable": ("#6fbcf2", "#005b94"),
+    "rough": ("#efb341", "#7d5300"),
+    "poor": ("#ff9166", "#a83c00"),
+    "pass": ("#4fc79b", "#00674b"),
+    "fail": ("#ff9166", "#a83c00"),
 }
+"""By name: in the dark theme, and in the light one."""
 
-LIGHT: Mapping[str, str] = {
-    "ground": "#fbfbfa",
-    "stage": "#e6e6e4",
-    "raised": "#ffffff",
-    "control": "#efefed",
-    "line": "#dcdcd8",
-    "edge": "#787c80",
-    "text": "#1b1c1e",
-    "quiet": "#55595e",
-    "accent": "#00568a",
-    "on-accent": "#ffffff",
-    "usable": "#005b94",
-    "rough": "#7d5300",
-    "poor": "#a83c00",
-    "pass": "#00674b",
-    "fail": "#a83c00",
-}
+DARK, LIGHT = ({name: pair[k] for name, pair in COLORS.items()} for k in range(2))
 
 SCALES: Mapping[str, str] = {
     # Type: a ratio of 1.2 around 15 px.

@@ -78,14 +78,10 @@ def preview(result: ResultData, scene: SceneArrays | None = None) -> NDArray[np.
     title = f"{len(result.pictures)} pictures of {width} x {height}"
     if result.held_out is not None:
         title += f"; {result.held_out.in_words()}"
-    return sheet(_cropped(rows, result.mask), title=title, labels=labels, keys=keys)
-
-
-def _cropped(rows: Sequence[Row], mask: NDArray[np.bool_]) -> list[Row]:
-    """Panels without what lies outside the box around the mask."""
-    rows_in, columns_in = np.nonzero(mask)
-    box = np.s_[rows_in.min() : rows_in.max() + 1, columns_in.min() : columns_in.max() + 1]
-    return [[one and replace(one, pixels=one.pixels[box]) for one in row] for row in rows]
+    # Without what lies outside the box around the mask.
+    inside = tuple(slice(of.min(), of.max() + 1) for of in np.nonzero(result.mask))
+    rows = [[one and replace(one, pixels=one.pixels[inside]) for one in row] for row in rows]
+    return sheet(rows, title=title, labels=labels, keys=keys)
 
 
 def contact_sheet(scene: SceneArrays) -> NDArray[np.uint8]:

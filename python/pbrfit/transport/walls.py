@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pbrfit.transport.relief import Array, Mask, Relief, pairs, pieces
 
@@ -82,15 +81,15 @@ class Plane:
 
 
 def find_walls(found: Relief, points: Array, normals: Array, mask: Mask) -> tuple[Wall, ...]:
-    """Find walls, floor and ceiling, the largest first, in a surface and what it was made of.
-
-    They are planes of regions that are grown over neighbours of about one normal.
-    """
+    """Find walls, floor and ceiling, the largest first, in a surface and what it was made of."""
     here = found.here
     seen, facing = found.points[here], found.normals[here]
     scale = float(np.median(-seen[:, 2]))
     slack = found.noise * scale
-    regions = _regions(found)[here]
+    # Regions are grown over jumpless neighbours of about one normal.
+    alike = (np.einsum("hwi,hwi->hw", a, b) > PARALLEL for a, b in pairs(found.normals))
+    links = (link & one for link, one in zip((found.right, found.down), alike, strict=True))
+    regions = pieces(here, *links)[here]
     sizes = np.bincount(regions)
     large = np.flatnonzero(sizes >= max(SLIVER * len(seen), FEWEST))
     fitted = (_fitted(seen, facing, regions == one, scale, slack) for one in large)
@@ -203,10 +202,3 @@ def _apart(plane: Plane, other: Plane) -> float:
     # Where the view meets them: planes that are not quite parallel are compared before the camera.
     normal = _unit(plane.normal + other.normal)
     return float(plane.offset / (plane.normal @ normal) - other.offset / (other.normal @ normal))
-
-
-def _regions(found: Relief) -> NDArray[np.int32]:
-    """(h, w): numbers of regions grown over jumpless neighbours of about one normal."""
-    alike = (np.einsum("hwi,hwi->hw", a, b) > PARALLEL for a, b in pairs(found.normals))
-    right, down = (link & one for link, one in zip((found.right, found.down), alike, strict=True))
-    return pieces(found.here, right, down)
