@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbrfit")
 
 PICTURES_MIN = 2
-"""Pictures that a scene needs."""
 
 NETWORKS = ("sam2", "marigold", *depths.NETWORKS)
 """Sources of maps that are networks."""

@@ -35,12 +35,10 @@ class GenerationReport:
     """What a run did."""
 
     out: Path
-    """The scene folder."""
     photo: Photo
     with_photo: bool
     """Whether it is a picture of the scene too."""
     settings: dict[str, Any]
-    """The generator's."""
     pictures: Sequence[Picture]
     """All that were asked for, with every attempt."""
     reviewed: bool

@@ -57,7 +57,6 @@ class Entry:
     stem: str
     """Of its files' names."""
     request: Request
-    """What was asked for."""
     refused: str
     """Why there is no picture; empty where there is one."""
     record: dict[str, Any]

@@ -31,7 +31,6 @@ class Photo:
     """A photograph at the size that pictures are generated at."""
 
     path: Path
-    """The file."""
     pixels: NDArray[np.float32]
     """(H, W, 3), linear Rec.709, upright. Finite; what the mask leaves out is as stored."""
     mask: NDArray[np.bool_] | None

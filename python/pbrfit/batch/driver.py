@@ -34,7 +34,6 @@ class Attempt(Generic[R]):
     raised: str | None = None
     """The type of what its function raised, by name."""
     seconds: float = 0.0
-    """That it took."""
     said: tuple[tuple[int, str], ...] = ()
     """What it logged in another process: level and message."""
 

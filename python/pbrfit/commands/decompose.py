@@ -30,7 +30,6 @@ MOST_USED = (
     *("out", "overwrite", "verbose", "fov", "color_space", "max_size", "light", "white"),
     *("time_limit", "resume", "jobs", "help_all"),
 )
-"""Options that `--help` shows."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

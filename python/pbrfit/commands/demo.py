@@ -38,7 +38,6 @@ DEMO_FOLDER = FolderForm(
     ),
     listed=lambda folder: [f"scene/{path}" for path in SCENE_FOLDER.listed(folder / "scene")],
 )
-"""Form of what the command writes."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

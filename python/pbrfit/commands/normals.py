@@ -64,7 +64,6 @@ FLAGS: dict[str, network.Flags] = {
     },
     "flat": {},
 }
-"""Options of each kind of source."""
 
 OF_PICTURES: network.Flags = {
     "threads": cli.value(

@@ -19,7 +19,6 @@ from pbrfit.result.relit_files import Radiance, Screen, write_animation, write_e
 from pbrfit.result.result import Result
 
 FPS = 12.0
-"""Frames of an animation a second."""
 
 UNSEEN_SHARE_MAX = 0.98
 """Share of pixels that are nearly black or clipped above which another exposure is suggested."""

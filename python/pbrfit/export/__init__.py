@@ -58,7 +58,6 @@ def _listed(folder: Path) -> list[str]:
 
 
 EXPORT_FOLDER = FolderForm(contains=(MANIFEST,), holds=(MANIFEST,), listed=_listed)
-"""Form of an export."""
 
 
 @dataclass(frozen=True)

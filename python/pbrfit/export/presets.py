@@ -93,7 +93,6 @@ class Plan:
     """What an export writes, lights apart."""
 
     formats: tuple[Format, ...]
-    """One or more."""
     normals: NormalConvention
     """Convention of normal maps; that of glTF is fixed."""
     textures: tuple[Texture, ...]

@@ -50,7 +50,6 @@ COLUMNS = ("picture", "x", "y", "z", "r", "g", "b", "kind")
 SYNONYMS = dict.fromkeys(("file", "filename", "image", "imagename", "name"), "picture") | {
     f"{before}{axis}": axis for before in ("l", "d", "light", "dir") for axis in "xyz"
 }
-"""What other tools call columns."""
 
 QUOTES = "\"'`´“”„‟‘’‚‛«»‹›"
 """Marks that writers of names with spaces put around them."""

@@ -34,7 +34,6 @@ class ShownBalls:
     picture: NDArray[np.floating[Any]]
     """(H, W, 3), linear Rec.709: the mean of all pictures."""
     balls: Sequence[Ball]
-    """Their circles."""
     highlights: NDArray[np.float64]
     """(K, B, 2): x and y of what each lamp makes on each ball, NaN where that is not seen."""
     what: str

@@ -48,7 +48,6 @@ class Picture:
     """A picture as the page shows it."""
 
     name: str
-    """The picture's own."""
     light: Light
     light_pngs: tuple[bytes, bytes] | None
     """Its light, without lamps: in numbers; on balls, as a panorama, None where there are lamps."""

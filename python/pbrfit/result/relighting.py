@@ -30,6 +30,7 @@ LampLight = tuple[Lamps, NDArray[np.float64]]
 
 
 OF_COLOR = "three finite numbers, 0 or more", 0.0
+"""What a colour has to be, and the least of its numbers."""
 
 SOFTEST = 45.0
 """Largest angular radius of a lamp, degrees: beyond, it is a sky, which a panorama holds."""

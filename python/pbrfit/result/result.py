@@ -61,7 +61,6 @@ RESULT_FOLDER = FolderForm(
     contains=("result.json", "materials.exr"),
     holds=("result.json", *FILES, HEIGHT_FILE, REPORT_FILE),
 )
-"""Form of a result folder."""
 
 
 class Result(ResultData):

@@ -14,32 +14,22 @@ Kind = Literal["none", "occlusion", "bounce"]
 
 @dataclass(frozen=True)
 class Extents:
-    """What no picture shows, in units of the median depth.
-
-    Attributes
-    ----------
-    thickness
-        Of things seen from the front, at most.
-    height
-        Of walls above the floor, or above the lowest point where no floor is seen; a wall that is
-        seen higher up is higher. None = as far as they are seen.
-    behind
-        Distance of the wall behind the camera; None = open.
-    ceiling
-        Whether it is closed above.
-    blocks
-        For each wall that was found, whether it blocks light.
-    reach
-        How far a wall goes on beyond what is seen of it where no other wall ends it, and floor and
-        walls behind the camera where no wall is there.
-    """
+    """What no picture shows, in units of the median depth."""
 
     thickness: float
+    """Of things seen from the front, at most."""
     height: float | None
+    """Of walls above the floor, or above the lowest point where no floor is seen; a wall that is
+    seen higher up is higher. None = as far as they are seen."""
     behind: float | None
+    """Distance of the wall behind the camera; None = open."""
     ceiling: bool
+    """Whether it is closed above."""
     blocks: tuple[bool, ...]
+    """For each wall that was found, whether it blocks light."""
     reach: float
+    """How far a wall goes on beyond what is seen of it where no other wall ends it, and floor and
+    walls behind the camera where no wall is there."""
 
 
 def candidates(extents: Extents) -> Iterator[Extents]:

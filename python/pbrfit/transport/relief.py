@@ -35,25 +35,7 @@ LEAST_NOISE = 1e-3
 
 @dataclass(frozen=True)
 class Relief:
-    """The pixels' points, in a grid of every `step`-th pixel.
-
-    Attributes
-    ----------
-    shape, fov
-        Of the picture.
-    rows, columns, step
-        Which pixels.
-    origins, directions
-        (h, w, 3) their rays.
-    distance
-        (h, w) along the rays; NaN where there is no point.
-    normals
-        (h, w, 3) unit normals; NaN where there is no point.
-    right, down
-        (h, w − 1) and (h − 1, w): neighbours that belong to one surface.
-    noise
-        Relative standard deviation of the distances.
-    """
+    """The points of a picture's pixels, in a grid of every `step`-th of its rows and columns."""
 
     shape: tuple[int, int]
     fov: float
@@ -62,11 +44,16 @@ class Relief:
     step: int
     origins: Array
     directions: Array
+    """(h, w, 3) of the pixels' rays."""
     distance: Array
+    """(h, w) along the rays; NaN where there is no point."""
     normals: Array
+    """(h, w, 3) unit normals; NaN where there is no point."""
     right: Mask
     down: Mask
+    """(h, w − 1) and (h − 1, w): neighbours that belong to one surface."""
     noise: float
+    """Relative standard deviation of the distances."""
 
     @property
     def points(self) -> Array:

@@ -84,14 +84,10 @@ class Scenery:
     their sides. Walls, floor and ceiling are rectangles. A ray that meets none of these leaves the
     scene.
 
-    Parameters
-    ----------
-    depth, normals, mask, segments, fov
-        As of a `Scene`. Points outside the mask block light, too.
-    extents
-        What no picture shows; None = by default.
-    most
-        Points of the front, at most: of larger pictures every second, third, ... pixel.
+    All but the last two arguments are as of a `Scene`; points outside the mask block light, too.
+    `extents` are what no picture shows; None = by default. At most `most` points are of the front:
+    of larger pictures every second, third, ... pixel. Raises InputError if no depth is known, or
+    `extents` were made for another number of walls.
 
     Attributes
     ----------
@@ -109,11 +105,6 @@ class Scenery:
     starts
         (H, W, 3) float32: where rays of each pixel start: its point, without the noise of its
         depth, lifted above its own surface; NaN where there is none.
-
-    Raises
-    ------
-    InputError
-        If no depth is known, or `extents` were made for another number of walls.
     """
 
     def __init__(

@@ -33,34 +33,24 @@ AGREES, UPRIGHT = np.cos(np.radians(25.0)), np.sin(np.radians(25.0))
 """Least cosine between the normal of a wall and those of its points, and of a floor's and up;
 greatest cosine between an upright wall's and up."""
 MOST_WALLS = 12
-"""Walls at most."""
 PICTURE_UP = np.cos(np.radians(70.0))
 """Least Y of a floor's normal: the camera looks down at most this steeply."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A plane that bounds a scene: a wall, the floor, the ceiling.
-
-    Attributes
-    ----------
-    normal
-        (3,) unit, camera space, into the room.
-    offset
-        normal·x of its points, in the unit of depth; negative, because the camera is in front.
-    corners
-        (4, 3): rectangle around what is seen of it, sides level and upright.
-    pixels
-        (H, W): where it is seen.
-    level
-        1 = floor, −1 = ceiling, 0 = anything else.
-    """
+    """A plane that bounds a scene: a wall, the floor, the ceiling."""
 
     normal: Array
+    """(3,) unit, camera space, into the room."""
     offset: float
+    """normal·x of its points, in the unit of depth; negative, because the camera is in front."""
     corners: Array
+    """(4, 3): rectangle around what is seen of it, sides level and upright."""
     pixels: Mask
+    """(H, W): where it is seen."""
     level: int
+    """1 = floor, −1 = ceiling, 0 = anything else."""
 
     def above(self, points: Array) -> Array:
         """Distance (...) of points (..., 3) from the plane, positive in front of it."""
@@ -69,15 +59,13 @@ class Wall:
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane, and its share of the picture.
-
-    `spread` is the root mean square distance of its points from it, in the unit of depth.
-    """
+    """A plane, and its share of the picture."""
 
     normal: Array
     offset: float
     share: float
     spread: float
+    """Root mean square distance of its points from it, in the unit of depth."""
 
 
 def find_walls(found: Relief, points: Array, normals: Array, mask: Mask) -> tuple[Wall, ...]:

@@ -45,12 +45,6 @@ ADDRESS = "OPENAI_BASE_URL"
 
 QUALITIES = ("low", "medium", "high", "auto")
 
-TIMEOUT = 600.0
-"""Seconds for one picture. A request that is given up is billed all the same, so it is generous."""
-
-RETRIES = 4
-"""How often the client asks again after 408, 409, 429, 5xx and broken connections."""
-
 MOST_BYTES = 2**27
 """Length of an answer, as sent and unpacked. The largest picture of the service, 3840 × 2160 of 16
 bits a channel, takes 71 MB in base64 where nothing can be compressed."""
@@ -83,10 +77,10 @@ class GptImage:
     """Any of the models that take free sizes."""
     quality: str = "high"
     """One of `QUALITIES`; decides most of the price."""
-    max_retries: int = RETRIES
-    """By the client, with growing pauses."""
-    timeout: float = TIMEOUT
-    """Seconds for one answer."""
+    max_retries: int = 4
+    """After 408, 409, 429, 5xx and broken connections, by the client, with growing pauses."""
+    timeout: float = 600.0
+    """Seconds for one answer: generous, as a request that is given up is billed all the same."""
 
     name = "gpt-image-2"
     retries = True

@@ -86,9 +86,7 @@ class Check:
     bound: float
     """What was found, and where it begins to be too much (or too little)."""
     passed: bool
-    """Whether it is right."""
     note: str
-    """A sentence for people."""
 
     @property
     def excess(self) -> float:
