@@ -9,11 +9,11 @@ from pathlib import Path
 from pbrfit._core import InputError
 from pbrfit.commands import arguments as cli
 from pbrfit.commands.light_options import add_light, choose_light
-from pbrfit.display.tone import ToneMap, stops
+from pbrfit.display.tone import ToneMap
 from pbrfit.fit.memory import available, size
 from pbrfit.io import images
 from pbrfit.io.output import FolderForm, check_free, check_free_file, new_file, new_folder
-from pbrfit.result.metrics import white_of
+from pbrfit.result.metrics import stops, white_of
 from pbrfit.result.relighting import Light, relight, specular_enhanced, turned
 from pbrfit.result.relit_files import Radiance, Screen, write_animation, write_exr
 from pbrfit.result.result import Result

@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Self
 
 from pbrfit.batch.driver import Attempt, repeat_log
@@ -138,9 +138,9 @@ def _as_json(task: SceneTask, attempt: Attempt[SceneOutcome]) -> str:
     facts = ("peak_bytes", "stop_reason", "iterations")  # null of scenes that failed
     line |= {name: getattr(outcome, name, None) for name in facts}
     held_out, verdicts = getattr(outcome, "held_out", None), getattr(outcome, "verdicts", {})
-    line["held_out"] = None if held_out is None else held_out.as_json()
+    line["held_out"] = None if held_out is None else asdict(held_out)
     line["metrics"] = dict(getattr(outcome, "metrics", {}))
-    line["verdicts"] = {name: one.as_json() for name, one in verdicts.items()}
+    line["verdicts"] = {name: asdict(one) for name, one in verdicts.items()}
     return json.dumps(line)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -32,11 +31,6 @@ def encoded(
     exposed = np.maximum(np.asarray(radiance, dtype=np.float64) * 2.0**exposure, 0.0)
     shown = neutral(exposed) if tone_map == "neutral" else exposed
     return encode_srgb(np.clip(shown, 0.0, 1.0))
-
-
-def stops(white: float) -> float:
-    """Exposure, to a tenth of a stop, that shows radiance `white`, above 0, as white."""
-    return round(0.0 - math.log2(white), 1)
 
 
 def neutral(radiance: NDArray[np.float64]) -> NDArray[np.float64]:

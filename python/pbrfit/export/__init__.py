@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -272,7 +272,7 @@ def _write_manifest(
         ],
     }
     if result.uncertainty is not None:
-        content["verdicts"] = {name: one.as_json() for name, one in result.verdicts.items()}
+        content["verdicts"] = {name: asdict(one) for name, one in result.verdicts.items()}
     if displacement is not None:
         content["displacement"] = displacement.as_json()
     write_json(path, content)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -58,15 +58,11 @@ def real_number(name: str, value: Any, expected: str = "a number") -> float:
 
 
 def finite(
-    name: str,
-    value: Any,
-    expected: str = "a finite number",
-    least: float = -math.inf,
-    most: float = math.inf,
+    name: str, value: Any, expected: str = "a finite number", least: float = -inf, most: float = inf
 ) -> float:
     """As a finite float from `least` to `most`; `expected` is that in words."""
     found = real_number(name, value, expected)
-    if math.isfinite(found) and least <= found <= most:
+    if isfinite(found) and least <= found <= most:
         return found
     raise InputError(f"{name}: expected {expected}, found {of_what(value)}")
 

@@ -46,9 +46,8 @@ def averaged_where(
     image: NDArray[Any], used: NDArray[np.bool_], size: tuple[int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Means (height, width, ...) over what is `used` of (H, W, ...), 0 without; its shares."""
-    planes = image.reshape(*used.shape, -1)
-    total = averaged_channels(np.where(used[..., None], planes, 0), size)
-    share = averaged(used, size)
+    planes = np.where(used[..., None], image.reshape(*used.shape, -1), 0)
+    total, share = averaged_channels(planes, size), averaged(used, size)
     np.divide(total, share[..., None], out=total, where=share[..., None] > 0)
     return total.reshape(*size, *image.shape[2:]), share
 

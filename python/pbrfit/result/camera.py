@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from pbrfit.io.color import Curve
-from pbrfit.io.json_files import figures, finite_or_null, flag, number, positive
+from pbrfit.io.json_files import figures, flag, number, positive
 from pbrfit.io.quoting import quoted
 from pbrfit.model.geometry import check_fov
 from pbrfit.scene.correction import Correction
@@ -59,13 +59,9 @@ class Camera:
             return f"the field of view is hardly known, {self.in_words()}"
         return ""
 
-    def as_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `camera`."""
-        return asdict(self) | {"figures": finite_or_null(self.figures)}
-
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Camera:
-        """Undo `as_json`; ValueError, KeyError or TypeError if it is something else."""
+        """From its fields in `result.json`; ValueError, KeyError or TypeError if unfit."""
         how, sigma = content["how"], content["fov_sigma"]
         if how not in get_args(How):
             raise ValueError(f"camera {quoted(how)}")

@@ -112,6 +112,11 @@ def white_of(radiance: NDArray[np.floating[Any]]) -> float:
     return bright if bright > 0 else 1.0
 
 
+def stops(white: float) -> float:
+    """Exposure, to a tenth of a stop, that shows radiance `white`, above 0, as white."""
+    return round(0.0 - math.log2(white), 1)
+
+
 def showable(
     picture: NDArray[np.floating[Any]],
     mask: NDArray[np.bool_],

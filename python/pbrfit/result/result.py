@@ -16,6 +16,7 @@ from pbrfit.io import images
 from pbrfit.io.input_files import digest
 from pbrfit.io.json_files import (
     UNFIT,
+    finite_or_null,
     number,
     path_text,
     positive,
@@ -131,10 +132,10 @@ class Result(ResultData):
             "protocol": PROTOCOL,
             "metrics": dict(self.metrics),
             "uncertainty": None if uncertainty is None else uncertainty.summary(),
-            "normals": self.refinement.as_json(),
-            "camera": None if self.camera is None else self.camera.as_json(),
-            "transport": self.transport.as_json(),
-            "held_out": None if self.held_out is None else self.held_out.as_json(),
+            "normals": _as_json(self.refinement),
+            "camera": _as_json(self.camera),
+            "transport": _as_json(self.transport),
+            "held_out": _as_json(self.held_out),
             "verdicts": {name: one.level for name, one in self.verdicts.items()},
             "options": self.options.to_json(),
             "assumed": dict(self.assumed),
@@ -320,6 +321,14 @@ def model_of(content: Mapping[str, Any], file: Path) -> Model:
         if name == model:
             return model
     raise InputError(f"{file}: model: expected {' or '.join(MODELS)}, found {quoted(name)}")
+
+
+def _as_json(told: Any) -> dict[str, Any] | None:
+    """A dataclass as an object; infinite numbers and NaN among its `figures` are null."""
+    found = None if told is None else asdict(told)
+    if found is not None and "figures" in found:
+        found["figures"] = finite_or_null(found["figures"])
+    return found
 
 
 def _source_as_json(source: Source, folder: Path) -> dict[str, Any] | None:

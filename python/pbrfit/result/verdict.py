@@ -9,7 +9,7 @@ would be too large if it were so much smaller.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -103,13 +103,9 @@ class Verdict:
         """All of it, as it stands beside a map."""
         return f"{self.level}, {self.error_in_words}{self.why}"
 
-    def as_json(self) -> dict[str, Any]:
-        """For result.json."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, content: Any) -> Verdict:
-        """From what `as_json` gave; raises one of `json_files.UNFIT` for anything else."""
+        """From its fields in `result.json`; raises one of `json_files.UNFIT` if unfit."""
         content = table(content)
         level = text(content["level"])
         if level not in LEVELS:

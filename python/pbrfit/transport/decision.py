@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from pbrfit.io.json_files import figures, flag, number, positive, table, text
@@ -70,13 +70,9 @@ class Transport:
         """Whether surroundings do anything."""
         return self.kind != "none"
 
-    def as_json(self) -> dict[str, Any]:
-        """What `result.json` holds under `transport`."""
-        return asdict(self)
-
     @classmethod
     def from_json(cls, content: Any) -> Transport:
-        """Undo `as_json`; ValueError if it is something else."""
+        """From its fields in `result.json`; ValueError if unfit."""
         values = table(content)
         [kind] = [one for one in get_args(Kind) if one == values.get("kind")]
         extents = None

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from pbrfit.display.tone import encoded, stops
+from pbrfit.display.tone import encoded
 from pbrfit.report import budget
 from pbrfit.report.html import in_base64, png_address
 from pbrfit.report.raster import picture_png, reduced
 from pbrfit.report.viewer.lights import Lighting, exposure_of
+from pbrfit.result.metrics import stops
 from pbrfit.scene.scene import Scene
 from pbrfit.threads import in_pieces
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pbrfit.display.tone import stops
 from pbrfit.model.reflection import render, render_directional
 from pbrfit.report.lights import LUMINANCE
 from pbrfit.report.viewer.maps import Maps, of_result
@@ -90,7 +89,7 @@ class Lighting:
 
 def exposure_of(radiance: Array) -> float:
     """Stops that bring the 98th percentile to white, to a tenth."""
-    return stops(metrics.white_of(radiance)) if np.isfinite(radiance).any() else 0.0
+    return metrics.stops(metrics.white_of(radiance)) if np.isfinite(radiance).any() else 0.0
 
 
 def _split(result: Result) -> tuple[Array, list[tuple[Array, Array]]]:
